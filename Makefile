@@ -94,7 +94,7 @@ papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers toll --out .obu/papers/toll
 	@$(PYTHON) -m cli papers navigation
 
-attack-lab: setup ## attack simulated drives: rates of detection and of false alarms (an hour on two cores)
+attack-lab: setup ## attack simulated drives, scored against the truth (an hour and a half on two cores)
 	@$(PYTHON) -m cli attack-lab --out .obu/attack-lab
 
 alarms: setup ## count false alarms of the monitors in 100,000 fault-free epochs (three hours)

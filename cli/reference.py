@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from services.monitoring.status.web.routes import openapi
+from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
 from shared.processes import PROCESSES, Role, running
 from shared.runtime.config import Section
@@ -84,6 +85,29 @@ def metrics_page() -> str:
     )
 
 
+def attacks_page() -> str:
+    """Print the attacks of the simulator with their parameters."""
+    rows = [
+        (
+            f"`{row.name}`", row.purpose, " or ".join((row.accused or "nobody", *row.also)),
+            "<br>".join(_parameter(one) for one in row.parameters) or "none",
+        )
+        for row in ATTACKS
+    ]  # fmt: skip
+    return (
+        "# Attacks\n\n"
+        "`obu demo --attack`, `obu attack-lab --attack`, the page *Trust* and `simulation/attack` start them. The "
+        "notation is `name(parameter=value,...)@start:duration` in seconds; parameters may be shortened. "
+        "[The simulator](../explanation/simulator.md#attacks) describes what each makes of the messages.\n\n"
+        f"{table(('attack', 'what happens', 'a monitor should accuse', 'parameters: default, limits'), rows)}\n"
+    )
+
+
+def _parameter(one: Parameter) -> str:
+    limits = f"{one.default:g} ({one.least:g} to {one.greatest:g})"
+    return f"`{one.name}` {limits}{f' {one.unit}' if one.unit else ''}: {one.purpose}"
+
+
 def api_page(description: Json) -> str:
     """Print the routes of the unit's web server."""
     tags = {tag["name"]: tag["description"] for tag in cast("list[dict[str, str]]", description["tags"])}
@@ -127,6 +151,7 @@ def pages() -> dict[str, str]:
         f"the section `[vehicle]` holds its `name` and its `role` "
         f"(`obu`, an on-board unit, or `rsu`, a road-side unit).\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
+        "attacks.md": HEAD + attacks_page(),
         "asyncapi.json": asyncapi_json() + "\n",
         "api.md": HEAD + api_page(cast("Json", (description := openapi()))),
         "openapi.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",

@@ -33,8 +33,9 @@ class AttackRow:
 
     name: AttackName
     purpose: str
-    accused: str  # gnss, satellite, odometer, neighbour; empty where a loss of signals is all there is to see
+    accused: str  # gnss, satellite, odometer, imu, neighbour; empty where a loss of signals is all there is to see
     parameters: tuple[Parameter, ...] = ()
+    also: tuple[str, ...] = ()  # further sources that it falsifies: to accuse or to exclude one of them is right too
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -62,6 +63,13 @@ def _direction(default: float, purpose: str = "clockwise from the vehicle's head
     return Parameter("direction", default, -360.0, 360.0, "deg", purpose)
 
 
+_DRAG = (
+    Parameter("acceleration", 0.3, 0.001, 10.0, "m/s²", "of the drift"),
+    Parameter("speed", 3.0, 0.01, 60.0, "m/s", "final speed of the drift"),
+    _direction(0.0, "clockwise from the vehicle's heading at the start: 0 along it, 90 across"),
+)
+_RISE = Parameter("rise", 40.0, 0.0, 3600.0, "s", "in which it grows to its full size; 0: at once")
+_BACK = _direction(90.0, "clockwise from the vehicle's heading at the first return of the signals")
 _SATELLITES = Parameter("satellites", 1.0, 1.0, 2.0, "satellites", "how many of those in use, drawn by the seed")
 _LIE = (
     Parameter("ahead", 0.0, -1000.0, 1000.0, "m", "added to the position, along the course"),
@@ -103,11 +111,7 @@ ATTACKS = (
     ),
     AttackRow(
         AttackName.DRAG_OFF, "the position drifts away, accelerating to a final velocity", "gnss",
-        (
-            Parameter("acceleration", 0.3, 0.001, 10.0, "m/s²", "of the drift"),
-            Parameter("speed", 3.0, 0.01, 60.0, "m/s", "final speed of the drift"),
-            _direction(0.0, "clockwise from the vehicle's heading at the start: 0 along it, 90 across"),
-        ),
+        _DRAG,
     ),
     AttackRow(
         AttackName.CLIMB, "the height drifts upwards, accelerating to a final velocity", "gnss",
@@ -119,6 +123,79 @@ ATTACKS = (
     AttackRow(
         AttackName.TIME_PUSH, "signals of the present place that state another time", "gnss",
         (Parameter("offset", 5.0, -3600.0, 3600.0, "s", "stated time minus true time"),),
+    ),
+    AttackRow(
+        AttackName.STOPWATCH, "the drive goes by more slowly: position and velocity fall back along the track", "gnss",
+        (Parameter("share", 0.02, -0.5, 0.5, "", "of the velocity that is missing; negative: too much"), _RISE),
+    ),
+    AttackRow(
+        AttackName.COHERENT_SCALE, "GNSS and the odometer are scaled alike, so that they agree with one another",
+        "gnss", (Parameter("factor", 1.1, 0.5, 2.0, "", "reported speed over true speed"), _RISE), ("odometer",),
+    ),
+    AttackRow(
+        AttackName.COLD_START, "the position is aside from the first epoch on, if it begins at 0; true signals follow",
+        "gnss",
+        (Parameter("distance", 50.0, 1.0, 100_000.0, "m", "from the true place"), _direction(90.0)),
+    ),
+    AttackRow(
+        AttackName.TUNNEL_RETURN, "all signals are blocked, then return from a place aside; the velocity is true",
+        "gnss",
+        (
+            Parameter("gap", 40.0, 0.0, 3600.0, "s", "how long the signals are blocked"),
+            Parameter("distance", 80.0, 1.0, 100_000.0, "m", "aside, after the return"), _BACK,
+        ),
+    ),
+    AttackRow(
+        AttackName.RATCHET, "the signals are blocked again and again, and return farther aside each time", "gnss",
+        (
+            Parameter("distance", 4.0, 0.1, 1000.0, "m", "added at each return"),
+            Parameter("period", 20.0, 1.0, 3600.0, "s", "from one blockage to the next"),
+            Parameter("gap", 5.0, 0.0, 600.0, "s", "how long each blockage lasts"), _BACK,
+        ),
+    ),
+    AttackRow(
+        AttackName.STAIRCASE, "the position steps aside again and again; the velocity stays that of the vehicle",
+        "gnss",
+        (
+            Parameter("distance", 8.0, 0.1, 1000.0, "m", "of each step"),
+            Parameter("period", 15.0, 0.1, 3600.0, "s", "from one step to the next"), _direction(90.0),
+        ),
+    ),
+    AttackRow(
+        AttackName.INTERMITTENT, "the position is aside and true by turns; the velocity stays that of the vehicle",
+        "gnss",
+        (
+            Parameter("distance", 12.0, 0.1, 100_000.0, "m", "aside"),
+            Parameter("on", 5.0, 0.1, 3600.0, "s", "how long it is aside"),
+            Parameter("off", 20.0, 0.1, 3600.0, "s", "how long it is true then"), _direction(90.0),
+        ),
+    ),
+    AttackRow(
+        AttackName.DRAG_HOLD, "the position drifts at a constant speed, of which the velocity shows a share", "gnss",
+        (
+            Parameter("speed", 1.0, 0.01, 60.0, "m/s", "of the drift"),
+            Parameter("share", 0.1, 0.0, 1.0, "", "of that speed, in the velocity"), _direction(90.0),
+        ),
+    ),
+    AttackRow(
+        AttackName.CLOCK_DRIFT, "all signals are later and later alike", "gnss",
+        (Parameter("rate", 50.0, -1e5, 1e5, "ns/s", "by which the delay grows"),),
+    ),
+    AttackRow(
+        AttackName.UTC_DRIFT, "signals of the present place whose stated time runs away", "gnss",
+        (Parameter("rate", 4.0, -1000.0, 1000.0, "ms/s", "stated time minus true time, each second"),),
+    ),
+    AttackRow(
+        AttackName.ACCURACY_LIE, "the receiver states another accuracy of its position, which is true", "gnss",
+        (Parameter("accuracy", 0.1, 0.001, 10_000.0, "m", "horizontal; that of the height is 1.5 times as large"),),
+    ),
+    AttackRow(
+        AttackName.MASKED_DRAG, "a drag-off while the receiver states that its velocity is inaccurate", "gnss",
+        (*_DRAG, Parameter("deviation", 1.2, 0.01, 100.0, "m/s", "stated standard deviation, of each axis")),
+    ),
+    AttackRow(
+        AttackName.FEW_SATELLITES, "a drag-off while few satellites are left, all on one side", "gnss",
+        (*_DRAG, Parameter("satellites", 4.0, 4.0, 12.0, "satellites", "of one constellation, that are left")),
     ),
     AttackRow(
         AttackName.SATELLITE_STEP, "the pseudoranges of one or two satellites step", "satellite",
@@ -133,13 +210,32 @@ ATTACKS = (
         ),
     ),
     AttackRow(
+        AttackName.SUBSET, "a share of the satellites has consistent signals of a place that moves away", "gnss",
+        (
+            Parameter("portion", 0.6, 0.01, 1.0, "", "of the satellites in use, drawn by the seed"),
+            Parameter("distance", 0.0, 0.0, 100_000.0, "m", "at which that place begins"),
+            Parameter("acceleration", 0.3, 0.001, 10.0, "m/s²", "of its drift"),
+            Parameter("speed", 3.0, 0.0, 60.0, "m/s", "final speed of its drift; 0: it stays there"),
+            _direction(90.0),
+        ),
+    ),
+    AttackRow(
         AttackName.ODOMETER_SCALE, "wheel and OBD-II speeds are scaled", "odometer",
         (Parameter("factor", 1.3, 0.0, 5.0, "", "reported speed over true speed"),),
     ),
     AttackRow(AttackName.ODOMETER_FREEZE, "wheel and OBD-II speeds keep their last value", "odometer"),
+    AttackRow(AttackName.WHEEL_ZERO, "wheel and OBD-II speeds stay zero from the next standstill on", "odometer"),
     AttackRow(
         AttackName.TYRE_CHANGE, "other tyres: wheel and OBD-II speeds are scaled by a few per cent", "odometer",
         (Parameter("factor", 1.05, 0.9, 1.1, "", "reported speed over true speed"),),
+    ),
+    AttackRow(
+        AttackName.GYROSCOPE_BIAS, "the yaw rate of the IMU steps", "imu",
+        (Parameter("bias", 0.5, -100.0, 100.0, "deg/s", "added to the rate, positive clockwise"),),
+    ),
+    AttackRow(
+        AttackName.ACCELEROMETER_BIAS, "the forward acceleration of the IMU steps", "imu",
+        (Parameter("bias", 0.3, -50.0, 50.0, "m/s²", "added to the specific force"),),
     ),
     AttackRow(
         AttackName.NEIGHBOUR_LIE, "one V2X neighbour states a wrong position and velocity", "neighbour", _LIE,

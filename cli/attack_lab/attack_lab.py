@@ -18,16 +18,18 @@ from rich.table import Table
 from shared.errors import UserError
 
 from ..progress import progress_on
-from .cases import ATTACKS, CLEAN, Case, plan
-from .report import detection_rows, document, write
+from .cases import AFTER_S, ATTACKS, CLEAN, Case, plan
+from .report import answer_rows, document, write
 from .run import run
-from .score import WARM_UP_S, Run
+from .score import CONFIDENCE, WARM_UP_S, Run
 
+# Columns of the report's table of answers that a terminal has room for.
+SHOWN = ("detected", "accused rightly", "SAFE above level", "SAFE above limit", "usable again after")
 QUICK = ("drag_off", "position_jump", "jam", "odometer_scale")
 CLEAN_S, QUICK_CLEAN_S = 600.0, 180.0
 
 
-def attack_lab(  # one argument an option
+def attack_lab(  # noqa: PLR0913  # one argument an option
     *,
     attack: Annotated[
         list[str] | None,
@@ -49,6 +51,15 @@ def attack_lab(  # one argument an option
     quick: Annotated[
         bool, typer.Option("--quick", help="Four attacks, one seed of the urban drive: a few minutes.")
     ] = False,
+    after: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=3600.0,
+            metavar="SECONDS",
+            help="How long a simulated drive goes on after its attack; 300 for a full campaign.",
+        ),
+    ] = AFTER_S,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Output folder.")] = Path("attack-lab"),
     jobs: Annotated[
         int, typer.Option(min=0, metavar="COUNT", help="Runs at the same time; 0: one for each processor.")
@@ -62,13 +73,14 @@ def attack_lab(  # one argument an option
     Examples:
     [bold]obu attack-lab --quick[/]
     [bold]obu attack-lab --attack drag_off --attack 'drag_off(acceleration=0.1,speed=1)' --seeds 10[/]
+    [bold]obu attack-lab --attack gyroscope_bias --scenario urban --after 300[/]
     [bold]obu attack-lab --recording drive.mcap --seeds 0 --attack position_jump@300:60[/]
     """
     texts = attack or list(QUICK if quick else ATTACKS)
     scenarios = scenario or (["urban"] if quick else ["urban", "highway"])
     attacks = [text for text in texts if text != CLEAN]
     count = 1 if quick and seeds == 3 else seeds  # 3: the default
-    cases = list(plan(attacks, scenarios, count, recording or [], QUICK_CLEAN_S if quick else CLEAN_S))
+    cases = list(plan(attacks, scenarios, count, recording or [], QUICK_CLEAN_S if quick else CLEAN_S, after))
     if not cases:
         raise UserError("nothing to run: give --seeds of at least 1, or a --recording")
     try:
@@ -79,7 +91,7 @@ def attack_lab(  # one argument an option
     runs = run_all(cases, jobs or os.cpu_count() or 1, console)
     if not runs:
         raise UserError("interrupted before the first run was finished: there is no report")
-    card = document(runs, planned=len(cases))
+    card = document(runs, planned=cases)
     write(out, card, runs)
     if as_json:
         print(json.dumps(card))
@@ -131,13 +143,14 @@ def _interruptible() -> Iterator[None]:
 
 
 def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path) -> None:
-    head, rows = detection_rows(runs)
-    table = Table(title="Runs in which the monitors accuse (median delay)")
-    for name in ("attack", "runs", "verdict", "monitors", *head[-3:]):
+    head, rows = answer_rows(runs)
+    table = Table(title=f"Answers to the attacks; rates with {100 * CONFIDENCE:.0f} % Clopper-Pearson intervals")
+    for name in ("attack", *SHOWN):
         table.add_column(name)
-    for label, count, *found, verdict, error, hazard, again in rows:
-        seen = [f"{name} {cell}" for name, cell in zip(head[2:], found, strict=False) if not cell.startswith("0")]
-        table.add_row(label, count, verdict, "\n".join(seen) or "none", error, hazard, again)
+    for row in rows:
+        cells = dict(zip(head, row, strict=True))
+        cells["accused rightly"] += f"\n{cells['accused']}"
+        table.add_row(cells["attack"], *(cells[name] for name in SHOWN))
     console.print(table)
     share = card["safe_share_clean"]
     if isinstance(share, float):

@@ -1,13 +1,14 @@
 """Attacks on a recorded drive: the typed messages of its devices are changed as the attack would change them.
 
 Raw measurements of the receiver are left out while GNSS is attacked, since they would contradict the position. Faults
-of single satellites and of neighbours are therefore possible on simulated drives only.
+of single satellites and of neighbours are therefore possible on simulated drives only, as are attacks that block
+signals for a time, fall back along the track, or change what the receiver states or the IMU measures.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from math import atan2, cos, hypot, pi, radians, sin
 
-from services.sensors.simulator.attacks.effects import drift
+from services.sensors.simulator.attacks.effects import ASIDE, drift
 from shared.attacks import BY_NAME, ScheduledAttack
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
@@ -24,8 +25,8 @@ Offset = tuple[float, float, float]  # [m] or [m/s], NED
 REPLAYS = (AttackName.STATIC_REPLAY, AttackName.STRAIGHT_REPLAY, AttackName.DELAY)
 POSSIBLE = (
     AttackName.TUNNEL, AttackName.JAM, AttackName.FREEZE, *REPLAYS, AttackName.POSITION_JUMP, AttackName.DRAG_OFF,
-    AttackName.CLIMB, AttackName.TIME_PUSH, AttackName.ODOMETER_SCALE, AttackName.ODOMETER_FREEZE,
-    AttackName.TYRE_CHANGE,
+    AttackName.STAIRCASE, AttackName.INTERMITTENT, AttackName.DRAG_HOLD, AttackName.CLIMB, AttackName.TIME_PUSH,
+    AttackName.ODOMETER_SCALE, AttackName.ODOMETER_FREEZE, AttackName.TYRE_CHANGE,
 )  # fmt: skip
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
@@ -154,13 +155,11 @@ class _Gnss:
 def displacement(
     name: AttackName, parameters: Mapping[str, float], heading_rad: float, time_s: float
 ) -> tuple[Offset, Offset]:
-    """Offsets of position [m] and velocity [m/s], NED, of a jump, a drag-off or a climb after a time [s]."""
-    if name is AttackName.POSITION_JUMP:
-        distance, speed = parameters["distance"], 0.0
-    else:
-        distance, speed = drift(parameters["acceleration"], parameters["speed"], time_s)
+    """Offsets of position [m] and velocity [m/s], NED, of a climb or an attack of `ASIDE` after a time [s]."""
     if name is AttackName.CLIMB:
-        return (0.0, 0.0, -distance), (0.0, 0.0, -speed)
+        height, speed = drift(parameters["acceleration"], parameters["speed"], time_s)
+        return (0.0, 0.0, -height), (0.0, 0.0, -speed)
+    distance, speed = ASIDE[name](parameters, time_s)
     direction = heading_rad + radians(parameters["direction"])
     north, east = cos(direction), sin(direction)
     return (distance * north, distance * east, 0.0), (speed * north, speed * east, 0.0)

@@ -15,6 +15,8 @@ from ..solve.metrics.integrity import Protected
 from ..solve.report.drawing import BLUE, GREEN, GREY, ORANGE, RED, Figure, inline_svg, stacked_axes
 from ..solve.report.report import STYLE
 from ..solve.report.stanford import stanford
+from .cases import ATTACKS, Case, labels
+from .outcome import TRACK_EVERY_S, Answer, answers, outcome
 from .score import (
     CONFIDENCE,
     RECOVERY_S,
@@ -32,6 +34,14 @@ COLLUSION = (
     "A majority of colluding neighbours cannot be detected: the expected verdict is SAFE, with the neighbours used by "
     "the leave-one-out bank only."
 )
+TABLES = """
+table { font-variant-numeric: tabular-nums; font-size: .92em; }
+@media (max-width: 800px) { .cards, .cards tbody, .cards tr, .cards td { display: block; }
+  .cards tr:first-child { display: none; } .cards tr { border-bottom: 1px solid var(--grid); padding: .5rem 0; }
+  .cards td { display: grid; grid-template-columns: 11rem minmax(0, 1fr); gap: .6rem; border: 0; padding: .1rem 0; }
+  .cards td::before { content: attr(data-column); color: var(--muted); }
+  .cards td:first-child { display: block; font-weight: 600; } .cards td:first-child::before { content: none; } }
+"""
 COLOURS = {
     TrustLevel.SAFE: GREEN,
     TrustLevel.CAUTION: ORANGE,
@@ -40,20 +50,34 @@ COLOURS = {
 }
 
 
-def document(runs: Sequence[Run], *, planned: int | None = None) -> dict[str, object]:
-    """Compute all rates; the same runs give the same document. `planned` is the number of runs without an interrupt."""
+def document(runs: Sequence[Run], *, planned: Sequence[Case] | None = None) -> dict[str, object]:
+    """Compute all rates; the same runs give the same document. `planned` are the cases without an interrupt."""
+    finished = [case for case, _ in runs]
+    cases = finished if planned is None else planned
     return {
-        "planned": len(runs) if planned is None else planned,
+        "planned": len(cases),
+        "unfinished": [
+            f"{case.label} on {Path(case.drive).name}, seed {case.seed}" for case in cases if case not in finished
+        ],
+        "attacks_not_run": not_run(finished),
         "confidence": CONFIDENCE,
         "warm_up_s": WARM_UP_S,
         "recovery_s": RECOVERY_S,
+        "track_every_s": TRACK_EVERY_S,
         "runs": [_run_row(run) for run in runs],
         "safe_share_clean": safe_share(runs),
+        "answers": [asdict(row) for row in answers(runs)],
         "detection": [asdict(row) for row in detections(runs)],
         "false_alarms": [_finite(row) for row in false_alarms(runs)],
         "harm": [asdict(row) for row in harms(runs)],
         "remarks": [COLLUSION],
     }
+
+
+def not_run(cases: Sequence[Case]) -> list[str]:
+    """List attacks of the default campaign of which no case is finished."""
+    done = {case.label for case in cases}
+    return [label for label in labels(ATTACKS) if label not in done]
 
 
 def _run_row(run: Run) -> dict[str, object]:
@@ -63,7 +87,7 @@ def _run_row(run: Run) -> dict[str, object]:
     return {
         "drive": Path(case.drive).name, "seed": case.seed, "attack": case.label,
         "started_s": begin_s if case.attack else None, "duration_s": round(timeline.duration_s, 1),
-        "verdict_s": seconds,
+        "verdict_s": seconds, "outcome": asdict(outcome(case, timeline)) if case.attack else None,
     }  # fmt: skip
 
 
@@ -92,31 +116,42 @@ def page(card: dict[str, object], runs: Sequence[Run]) -> str:
     count = (
         f"{len(runs)} runs." if len(runs) == card["planned"] else f"Interrupted: {len(runs)} of {card['planned']} runs."
     )
+    interval = f"{100 * CONFIDENCE:.0f} %"
     return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>Attack laboratory</title>
-<style>{STYLE}
-table {{ font-variant-numeric: tabular-nums; font-size: .92em; }} .wide {{ overflow-x: auto; }}</style>
+<style>{STYLE}{TABLES}</style>
 </head>
 <body>
 <main>
 <h1>Attack laboratory</h1>
-<p class="lead">{escape(lead)} {count}</p>
+<p class="lead">{escape(lead)} {count} After an attack a drive went on for {_after_text(runs)}.</p>
 <p>{escape(COLLUSION)}</p>
-<h2>Detection</h2>
-<p class="muted">Runs in which the monitor accuses, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO
-FIX), between the start and the end of the attack, of all runs; in brackets the median delay. The last three columns:
-largest horizontal error of the fused position before the verdict withdraws it, time with the verdict SAFE although
-an error is above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of the
-attack.</p>
-<div class="wide">{_detection_table(runs)}</div>
+{_not_run_text(card)}
+<h2>Answers to the attacks</h2>
+<p class="muted">Scored against the truth at every time from the start of an attack to the end of its run. "Detected":
+runs in which a monitor accuses, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO FIX), between the
+start and the end of the attack. "Accused rightly": runs in which a source at fault is accused meanwhile, and no healthy
+one is excluded until the end of the run. In brackets the {interval} interval of the rate, of Clopper and Pearson. "SAFE
+above level" and "above limit": time, over all runs, that is SAFE although the horizontal or vertical error is above the
+published protection level, or above the alert limit. "Errors above level": the share of all times, SAFE or not. The
+other columns are those of the worst run: the largest error while SAFE, horizontal and vertical; how long a healthy
+source is excluded, and how long the attacked one after the end of the attack; the time from the start until the verdict
+is not SAFE, and from the end until it stays SAFE or CAUTION; horizontal error and level at the end of the run.</p>
+{_table(*answer_rows(runs))}
+<h2>Detection by monitor</h2>
+<p class="muted">Runs in which the monitor accuses, or the verdict withdraws the position, between the start and the end
+of the attack, with the {interval} Clopper-Pearson interval of the rate and the median delay. The last three columns:
+largest horizontal error of the fused position before the verdict withdraws it, time that is SAFE although an error is
+above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of the attack.</p>
+{_table(*detection_rows(runs))}
 <h2>False alarms</h2>
 <p class="muted">Accusations that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as
-one episode; {100 * CONFIDENCE:.0f} % intervals.</p>
-<div class="wide">{_false_alarm_table(runs)}</div>
+one episode; {interval} intervals, exact for a Poisson rate.</p>
+{_false_alarm_table(runs)}
 {figures}
 </main>
 </body>
@@ -124,10 +159,78 @@ one episode; {100 * CONFIDENCE:.0f} % intervals.</p>
 """
 
 
+def _after_text(runs: Sequence[Run]) -> str:
+    lasting = {round(timeline.duration_s - case.interval_s[1]) for case, timeline in runs if case.attack}
+    if not lasting:
+        return "no time: there was none"
+    return f"{min(lasting)} s" if len(lasting) == 1 else f"{min(lasting)} to {max(lasting)} s"
+
+
+def _not_run_text(card: dict[str, object]) -> str:
+    """Say which attacks and which planned cases have no run."""
+    parts = []
+    for title, names in (
+        ("Attacks of the default campaign that were not run", card["attacks_not_run"]),
+        ("Planned runs that were not finished", card["unfinished"]),
+    ):
+        if isinstance(names, list) and names:
+            listed = "; ".join(escape(str(name)) for name in names)
+            parts.append(f"<details><summary>{title}: {len(names)}</summary><p>{listed}</p></details>")
+    return "\n".join(parts) or "<p>Every attack of the default campaign was run.</p>"
+
+
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Make a table that a narrow screen shows as one card a row, each cell below the name of its column."""
     cells = "".join(f"<th>{escape(name)}</th>" for name in head)
-    body = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{cells}</tr>\n{body}</table>"
+    body = "\n".join(
+        "<tr>"
+        + "".join(f'<td data-column="{escape(name)}">{escape(cell)}</td>' for name, cell in zip(head, row, strict=True))
+        + "</tr>"
+        for row in rows
+    )
+    return f'<div class="wide"><table class="cards"><tr>{cells}</tr>\n{body}</table></div>'
+
+
+def answer_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of answers: one row an attack."""
+    head = [
+        "attack", "runs", "detected", "accused rightly", "should be accused", "accused", "accused after the end",
+        "SAFE above level", "SAFE above limit", "errors above level", "largest error while SAFE",
+        "healthy source excluded", "attacked source excluded after", "not SAFE after", "usable again after",
+        "error at the end", "level at the end",
+    ]  # fmt: skip
+    return head, [_answer_row(row) for row in answers(runs)]
+
+
+def _answer_row(row: Answer) -> list[str]:
+    excluded = "none"
+    if row.healthy_excluded:
+        excluded = f"{', '.join(row.healthy_excluded)}, {row.healthy_excluded_s:.0f} s"
+    known = row.end_error_m[0] is not None
+    return [
+        row.attack, str(row.runs), rate_text(row.detected, row.runs, row.detected_interval),
+        rate_text(row.right, row.runs, row.right_interval), row.expected, ", ".join(row.accused) or "nobody",
+        ", ".join(row.accused_after) or "nobody",
+        f"{row.safe_above_level_s:.0f} s" if known else "unknown",
+        f"{row.safe_above_limit_s:.0f} s" if known else "unknown",
+        "unknown" if row.above_level_fraction is None else f"{100.0 * row.above_level_fraction:.1f} %",
+        _metres_text(row.safe_error_m) if row.safe_s else "never SAFE", excluded, f"{row.excluded_after_s:.0f} s",
+        "SAFE to the end" if row.not_safe_after_s is None else
+        f"{row.not_safe_after_s:.0f} s ({row.not_safe} of {row.runs})",
+        "not" if row.usable_again_s is None else f"{row.usable_again_s:.0f} s ({row.usable_again} of {row.runs})",
+        _metres_text(row.end_error_m[:1]), _metres_text(row.end_level_m[:1]),
+    ]  # fmt: skip
+
+
+def rate_text(count: int, runs: int, interval: tuple[float, float]) -> str:
+    """A rate with its interval: `2 of 3 (9 to 99 %)`."""
+    low, high = interval
+    return f"{count} of {runs} ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+
+
+def _metres_text(values: Sequence[float | None]) -> str:
+    shown = ["unknown" if value is None else f"{value:.1f} m" for value in values]
+    return "unknown" if set(shown) == {"unknown"} else ", ".join(shown)
 
 
 def detection_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
@@ -151,12 +254,8 @@ def detection_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
 
 
 def _shown(row: Detection) -> str:
-    delay = "" if row.delay_median_s is None else f" ({row.delay_median_s:.1f} s)"
-    return f"{row.detected}{delay}"
-
-
-def _detection_table(runs: Sequence[Run]) -> str:
-    return _table(*detection_rows(runs))
+    delay = "" if row.delay_median_s is None else f", {row.delay_median_s:.1f} s"
+    return f"{rate_text(row.detected, row.runs, row.rate_interval)}{delay}"
 
 
 def _false_alarm_table(runs: Sequence[Run]) -> str:

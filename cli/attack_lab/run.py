@@ -1,16 +1,21 @@
 """Runs one case through layers 2 to 4, offline."""
 
-from collections.abc import Iterable
-from itertools import takewhile
+from collections.abc import Iterable, Iterator
+from itertools import chain, takewhile
+from math import radians
 from pathlib import Path
 
 from services.core.fusion.process import Config as Fusion
 from services.sensors.simulator.process import Config as Simulator
 from services.sensors.simulator.scenarios import scenario_of
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World
+from shared.attacks import BY_NAME as ATTACK_ROWS
+from shared.attacks import ScheduledAttack
 from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
+from shared.messages.navigation import LastPosition, TruthState
+from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME
 from shared.runtime.config import VehicleFile, load_vehicle
 from shared.runtime.offline import OfflineUnit
@@ -23,6 +28,9 @@ from .recorded import attacked, typed
 from .timeline import Collector, Timeline
 
 NS = 1_000_000_000
+NEIGHBOURS = 4  # V2X neighbours of a drive on which an attack is theirs; others have none
+PARKED_S = 3600.0  # from the power-off to the start of a drive that begins with a saved position
+PARKED_SD_M, PARKED_YAW_SD_DEG = (1.0, 1.0, 2.0), 1.0
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
 
 
@@ -34,13 +42,43 @@ def run(case: Case) -> Timeline:
 def _simulated(case: Case) -> Timeline:
     vehicle = load_vehicle(SIMULATED)
     settings = vehicle.section("sensors.simulator", Simulator)
-    equipment = Equipment(settings.protocols, settings.mounting_rpy_deg, settings.second_antenna_m)
+    neighbours = NEIGHBOURS if case.attack and ATTACK_ROWS[case.attack.attack].accused == "neighbour" else 0
+    equipment = Equipment(settings.protocols, settings.mounting_rpy_deg, settings.second_antenna_m, neighbours)
     attacks = [case.attack] if case.attack else []
     end_ns = DEFAULT_START_NS + round(case.duration_s * NS)
     world = World(scenario_of(case.drive, case.seed), case.seed, DEFAULT_START_NS, equipment, attacks)
     arrivals = takewhile(lambda arrival: arrival[0] <= end_ns, world)
-    messages = (message for _, message in arrivals)
+    messages: Iterable[Message] = (message for _, message in arrivals)
+    if _is_cold_start(case.attack):
+        messages = _after_parking(messages)
     return _collected(OfflineUnit(vehicle), vehicle, messages, (DEFAULT_START_NS, end_ns), None)
+
+
+def _is_cold_start(attack: ScheduledAttack | None) -> bool:
+    return attack is not None and attack.attack is AttackName.COLD_START
+
+
+def _after_parking(messages: Iterable[Message]) -> Iterator[Message]:
+    """Begin a drive with the position that the unit saved where the vehicle was parked: that of the first truth."""
+    arrivals, before = iter(messages), []
+    for message in arrivals:
+        before.append(message)
+        if isinstance(message, TruthState):
+            yield _parked(message)
+            break
+    yield from chain(before, arrivals)
+
+
+def _parked(truth: TruthState) -> LastPosition:
+    if truth.latitude_deg is None or truth.longitude_deg is None or truth.height_ellipsoid_m is None:
+        raise ValueError("the simulated truth has a position")
+    saved_ns = truth.sampled_ns - round(PARKED_S * NS)
+    return LastPosition(
+        sampled_ns=saved_ns, utc_ns=saved_ns,
+        latitude_deg=truth.latitude_deg, longitude_deg=truth.longitude_deg,
+        height_ellipsoid_m=truth.height_ellipsoid_m, yaw_rad=truth.yaw_rad or 0.0,
+        position_sd_ned_m=PARKED_SD_M, yaw_sd_rad=radians(PARKED_YAW_SD_DEG),
+    )  # fmt: skip
 
 
 def _recorded(case: Case) -> Timeline:

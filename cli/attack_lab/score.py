@@ -101,7 +101,7 @@ def detected_after_s(case: Case, timeline: Timeline, monitor: str) -> float | No
 def detections(runs: Sequence[Run]) -> list[Detection]:
     """One row for each attack and monitor, the verdict included."""
     rows = []
-    for attack, group in _by_attack(runs).items():
+    for attack, group in by_attack(runs).items():
         for monitor in (*monitors_of(runs), VERDICT):
             found = [detected_after_s(case, timeline, monitor) for case, timeline in group]
             delays = [delay for delay in found if delay is not None]
@@ -144,7 +144,7 @@ def safe_share(runs: Sequence[Run]) -> float | None:
 
 def harms(runs: Sequence[Run]) -> list[Harm]:
     """One row for each attack; clean drives are counted from the warm-up on."""
-    return [_harm(attack, group) for attack, group in _by_attack(runs, clean=True).items()]
+    return [_harm(attack, group) for attack, group in by_attack(runs, clean=True).items()]
 
 
 def _harm(attack: str, group: Sequence[Run]) -> Harm:
@@ -204,7 +204,8 @@ def _clean(case: Case, timeline: Timeline) -> list[tuple[float, float]]:
     return [(begin, end) for begin, end in intervals if end > begin]
 
 
-def _by_attack(runs: Sequence[Run], *, clean: bool = False) -> dict[str, list[Run]]:
+def by_attack(runs: Sequence[Run], *, clean: bool = False) -> dict[str, list[Run]]:
+    """Group runs by the label of their attack; clean drives only if they are asked for."""
     groups: dict[str, list[Run]] = {}
     for case, timeline in runs:
         if clean or case.label != CLEAN:

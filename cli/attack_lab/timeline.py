@@ -1,6 +1,6 @@
 """What the unit published during one run, on a common time axis."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,6 +31,8 @@ class Timeline:
     error_m: FloatArray  # horizontal and vertical error of the fused position, shape (n, 2)
     level_m: FloatArray  # horizontal and vertical protection level, shape (n, 2)
     alert_limits_m: tuple[float, float]
+    named_s: dict[str, list[Interval]] = field(default_factory=dict)  # intervals in which each source is accused
+    excluded_s: dict[str, list[Interval]] = field(default_factory=dict)  # intervals in which each is excluded
 
     def verdict_at(self, times_s: FloatArray) -> npt.NDArray[np.object_]:
         """Verdict at given times, shape (n,); INITIALISING before the first."""
@@ -90,13 +92,14 @@ class Collector:
                 errors = np.abs(np.column_stack([np.hypot(ned[:, 0], ned[:, 1]), ned[:, 2]]))
                 levels = found.protection_m
         accused, evaluated = _monitors(self.states, start_ns, end_ns)
+        named, excluded = _sources(self.states, start_ns, end_ns)
         last = self.states[-1] if self.states else None
         limits = (last.alert_limit_horizontal_m, last.alert_limit_vertical_m) if last else (np.nan, np.nan)
         return Timeline(
             (end_ns - start_ns) * 1e-9,
             np.array([(state.sampled_ns - start_ns) * 1e-9 for state in self.states]),
             [state.state for state in self.states],
-            accused, evaluated, times, errors, levels, limits,
+            accused, evaluated, times, errors, levels, limits, named, excluded,
         )  # fmt: skip
 
 
@@ -106,8 +109,7 @@ def _monitors(
     """Intervals in which each monitor accuses, and the time in which it is evaluated [s], by trust/state."""
     accused: dict[str, list[Interval]] = {}
     evaluated: dict[str, float] = {}
-    for state, next_ns in zip(states, [*(s.sampled_ns for s in states[1:]), end_ns], strict=True):
-        begin_s, end_s = (state.sampled_ns - start_ns) * 1e-9, (next_ns - start_ns) * 1e-9
+    for state, (begin_s, end_s) in _lasting(states, start_ns, end_ns):
         for monitor in state.monitors:
             intervals = accused.setdefault(monitor.monitor, [])
             evaluated.setdefault(monitor.monitor, 0.0)
@@ -115,8 +117,36 @@ def _monitors(
                 evaluated[monitor.monitor] += end_s - begin_s
             if monitor.outcome is not MonitorOutcome.ACCUSES:
                 continue
-            if intervals and intervals[-1][1] == begin_s:
-                intervals[-1] = (intervals[-1][0], end_s)
-            else:
-                intervals.append((begin_s, end_s))
+            _extend(intervals, begin_s, end_s)
     return accused, evaluated
+
+
+def _sources(
+    states: Sequence[TrustState], start_ns: int, end_ns: int
+) -> tuple[dict[str, list[Interval]], dict[str, list[Interval]]]:
+    """Intervals in which any monitor accuses each source, and in which the verdict excludes it, by trust/state."""
+    named: dict[str, list[Interval]] = {}
+    excluded: dict[str, list[Interval]] = {}
+    for state, (begin_s, end_s) in _lasting(states, start_ns, end_ns):
+        accusing = (monitor for monitor in state.monitors if monitor.outcome is MonitorOutcome.ACCUSES)
+        for name in {name for monitor in accusing for name in monitor.accused}:
+            _extend(named.setdefault(name, []), begin_s, end_s)
+        for name, is_excluded in (("gnss", state.gnss_excluded), ("odometer", state.odometer_excluded)):
+            if is_excluded:
+                _extend(excluded.setdefault(name, []), begin_s, end_s)
+    return named, excluded
+
+
+def _lasting(states: Sequence[TrustState], start_ns: int, end_ns: int) -> Iterator[tuple[TrustState, Interval]]:
+    """Yield each state with the interval until the next one."""
+    edges_ns = [*(state.sampled_ns for state in states), end_ns]
+    for state, next_ns in zip(states, edges_ns[1:], strict=True):
+        yield state, ((state.sampled_ns - start_ns) * 1e-9, (next_ns - start_ns) * 1e-9)
+
+
+def _extend(intervals: list[Interval], begin_s: float, end_s: float) -> None:
+    """Add an interval, or extend the last one that it continues."""
+    if intervals and intervals[-1][1] == begin_s:
+        intervals[-1] = (intervals[-1][0], end_s)
+    else:
+        intervals.append((begin_s, end_s))

@@ -120,7 +120,8 @@ class World:
         readings = self._vehicle.advance(BLOCK)
         self._motion = readings.motion
         begin_ns, end_ns = (self._start_ns + (readings.motion.first + n) * self.step_ns for n in (0, BLOCK))
-        self._push_all(self._tracker.sample(readings, self.step_ns))
+        sampled_ns = self._start_ns + (readings.motion.first + np.arange(1, BLOCK + 1)) * self.step_ns
+        self._push_all(self._tracker.sample(self._attacks.inertial(readings, sampled_ns), self.step_ns))
         self._push_all(self._can.transmit(readings.motion, begin_ns, end_ns))
         self._push_all(self._truth(readings))
         self.radio.deception = self._attacks.deception(end_ns)

@@ -12,9 +12,11 @@ from rich.console import Console
 
 from cli.attack_lab import attack_lab
 from cli.attack_lab.attack_lab import run_all
-from cli.attack_lab.cases import ATTACKS, Case, plan
+from cli.attack_lab.cases import AFTER_S, ATTACKS, Case, labels, plan
+from cli.attack_lab.outcome import answers, outcome
 from cli.attack_lab.recorded import POSSIBLE, attacked, displacement, moved
-from cli.attack_lab.report import document, page
+from cli.attack_lab.report import answer_rows, document, page
+from cli.attack_lab.run import NEIGHBOURS, run
 from cli.attack_lab.score import (
     binomial_interval,
     detected_after_s,
@@ -24,14 +26,18 @@ from cli.attack_lab.score import (
     poisson_interval,
     safe_share,
 )
-from cli.attack_lab.timeline import Timeline
+from cli.attack_lab.timeline import Collector, Interval, Timeline
+from services.sensors.simulator.world import DEFAULT_START_NS
 from shared.attacks import BY_NAME, ScheduledAttack, schedule
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
+from shared.messages.navigation import LastPosition, TruthState
+from shared.messages.neighbours import NeighbourStates
 from shared.messages.simulation import AttackName
-from shared.messages.trust import TrustLevel
+from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 
 NS = 1_000_000_000
@@ -67,12 +73,16 @@ def timeline(
     accused: dict[str, list[tuple[float, float]]],
     error_m: float = 0.5,
     duration_s: float = 300.0,
+    *,
+    named: dict[str, list[Interval]] | None = None,
+    excluded: dict[str, list[Interval]] | None = None,
 ) -> Timeline:
+    """Errors every second, levels of 3 m, alert limits of 10 and 20 m."""
     times = np.arange(0.0, duration_s)
     return Timeline(
         duration_s, np.array([at for at, _ in verdicts]), [level for _, level in verdicts], accused,
         dict.fromkeys(accused, duration_s), times, np.full((len(times), 2), error_m), np.full((len(times), 2), 3.0),
-        (10.0, 20.0),
+        (10.0, 20.0), named or {}, excluded or {},
     )  # fmt: skip
 
 
@@ -81,10 +91,22 @@ def test_every_attack_of_the_simulator_is_in_the_plan() -> None:
     assert planned == set(AttackName)
 
 
+def test_no_two_attacks_of_the_plan_have_the_same_label() -> None:
+    assert len(set(labels(ATTACKS))) == len(ATTACKS)
+
+
 def test_a_plan_has_a_clean_drive_of_each_seed_and_gives_each_attack_90_s() -> None:
     cases = list(plan(["jam"], ["urban", "highway"], 2, [], 600.0))
     assert [case.attack is None for case in cases] == [True, False] * 4
-    assert {case.interval_s for case in cases if case.attack} == {(120.0, 210.0)}
+    assert {case.interval_s for case in cases if case.attack} == {(100.0, 190.0)}
+    assert {case.duration_s for case in cases if case.attack} == {360.0}, "six minutes driven"
+
+
+@pytest.mark.parametrize("after_s", [AFTER_S, 300.0])
+def test_a_cold_start_begins_with_the_drive_and_every_drive_goes_on_after_its_attack(after_s: float) -> None:
+    _, cold, jump = plan(["cold_start", "position_jump@50:20"], ["urban"], 1, [], 600.0, after_s)
+    assert (cold.interval_s, jump.interval_s) == ((0.0, 120.0), (50.0, 70.0))
+    assert (cold.duration_s, jump.duration_s) == (120.0 + after_s, 70.0 + after_s)
 
 
 @pytest.mark.parametrize("text", ["jamm", "jam(loud=1)", "jam@-1"])
@@ -128,6 +150,15 @@ def test_a_climb_rises_and_a_static_replay_stays() -> None:
     assert {f.longitude_deg for f in found[10:30]} == {found[9].longitude_deg}
     assert {f.velocity_ned_m_s for f in found[10:30]} == {(0.0, 0.0, 0.0)}
     assert found[30] == fixes(60)[30], "the attack has ended"
+
+
+def test_a_staircase_an_interrupted_offset_and_a_held_drag_move_recorded_fixes_as_simulated_ones() -> None:
+    assert offset_n("staircase(distance=8,period=5)@10", 21)[0] == pytest.approx(-24.0, abs=0.05)
+    assert offset_n("intermittent(distance=12,on=2,off=3)@10", 16)[0] == pytest.approx(-12.0, abs=0.05)
+    assert offset_n("intermittent(distance=12,on=2,off=3)@10", 19)[0] == pytest.approx(0.0, abs=0.05)
+    assert offset_n("drag_hold(speed=2,share=0.25)@10", 20)[0] == pytest.approx(-20.0, abs=0.05)
+    held = [m for m in attacked(fixes(30), schedule("drag_hold(speed=2,share=0.25)@10"), 0) if isinstance(m, GnssFix)]
+    assert held[20].velocity_ned_m_s == pytest.approx((-0.5, 10.0, 0.0))
 
 
 def test_a_tunnel_removes_position_and_velocity_and_keeps_the_stamps() -> None:
@@ -209,6 +240,183 @@ def test_the_share_of_safe_is_that_of_clean_drives_after_a_minute() -> None:
     assert safe_share([(Case("urban", 1, 300.0, schedule("jam@1")), clean)]) is None
 
 
+def answer_to(attack: str, **changes: object) -> tuple[bool, tuple[str, ...]]:
+    """Whether the accusations of a run are right, and what healthy sources it excluded."""
+    found = outcome(Case("urban", 1, 300.0, schedule(f"{attack}@100:60")), timeline([(0.0, SAFE)], {}, **changes))  # type: ignore[arg-type]
+    return found.right, found.healthy_excluded
+
+
+IN_TIME: list[Interval] = [(105.0, 130.0)]
+
+
+@pytest.mark.parametrize(
+    ("attack", "named", "right"),
+    [
+        ("drag_off", "gnss", True),
+        ("drag_off", "odometer", False),
+        ("drag_off", "", False),
+        ("coherent_scale", "gnss", True),
+        ("coherent_scale", "odometer", True),
+        ("odometer_scale", "odometer", True),
+        ("odometer_scale", "gnss", False),
+        ("gyroscope_bias", "imu", True),
+        ("gyroscope_bias", "gnss", False),
+        ("satellite_step", "G05", True),
+        ("satellite_step", "neighbour 1", False),
+        ("satellite_step", "gnss", False),
+        ("neighbour_lie", "neighbour 1", True),
+        ("neighbour_lie", "E11", False),
+        ("tunnel", "", True),
+        ("tunnel", "gnss", True),
+        ("tunnel", "odometer", False),
+    ],
+)
+def test_an_accusation_is_right_if_it_names_the_source_at_fault(attack: str, named: str, right: bool) -> None:
+    assert answer_to(attack, named={named: IN_TIME} if named else {}) == (right, ())
+
+
+def test_a_statement_that_names_one_of_two_sources_is_right_if_either_is_at_fault() -> None:
+    both: dict[str, list[Interval]] = {"gnss": IN_TIME, "imu": IN_TIME}
+    assert answer_to("gyroscope_bias", named=both)[0]
+    assert answer_to("drag_off", named=both)[0]
+    assert not answer_to("odometer_scale", named=both)[0]
+
+
+@pytest.mark.parametrize("interval", [(80.0, 140.0), (170.0, 180.0)])
+def test_an_accusation_counts_only_if_it_begins_during_the_attack(interval: Interval) -> None:
+    assert not answer_to("drag_off", named={"gnss": [interval]})[0]
+
+
+def test_a_source_that_is_accused_after_the_attack_is_told_apart() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    found = outcome(
+        case, timeline([(0.0, SAFE)], {}, named={"gnss": [(160.0, 161.0), (170.0, 180.0)], "imu": [(90.0, 200.0)]})
+    )
+    assert (found.accused, found.accused_after) == (("gnss",), ("gnss",))
+    late = outcome(case, timeline([(0.0, SAFE)], {}, named={"gnss": [(160.1, 180.0)]}))
+    assert (late.accused, late.accused_after, late.right) == ((), ("gnss",), False)
+
+
+def test_a_healthy_source_that_is_excluded_makes_the_answer_wrong() -> None:
+    named: dict[str, list[Interval]] = {"imu": IN_TIME, "gnss": IN_TIME, "odometer": IN_TIME}
+    gnss: dict[str, list[Interval]] = {"gnss": [(110.0, 120.0), (150.0, 290.0)]}
+    assert answer_to("gyroscope_bias", named=named, excluded=gnss) == (False, ("gnss",))
+    assert answer_to("drag_off", named=named, excluded=gnss) == (True, ()), "GNSS is attacked"
+    assert answer_to("satellite_step", named={"G05": IN_TIME}, excluded=gnss) == (True, ()), "its fix is wrong too"
+    assert answer_to("coherent_scale", named=named, excluded={"odometer": IN_TIME}) == (True, ())
+    assert answer_to("drag_off", named=named, excluded={"odometer": [(10.0, 90.0)]}) == (True, ()), "before the attack"
+    assert answer_to("drag_off", named=named, excluded={"odometer": [(200.0, 201.0)]}) == (False, ("odometer",))
+
+
+def test_the_longest_exclusion_of_a_healthy_source_and_of_the_attacked_one_after_its_end() -> None:
+    excluded: dict[str, list[Interval]] = {"gnss": [(110.0, 120.0), (150.0, 290.0)], "odometer": [(90.0, 112.0)]}
+    seen = timeline([(0.0, SAFE)], {}, excluded=excluded)
+    spoofed = outcome(Case("urban", 1, 300.0, schedule("drag_off@100:60")), seen)
+    assert (spoofed.healthy_excluded_s, spoofed.excluded_after_s) == (12.0, 130.0)
+    shaken = outcome(Case("urban", 1, 300.0, schedule("gyroscope_bias@100:60")), seen)
+    assert (shaken.healthy_excluded_s, shaken.excluded_after_s) == (140.0, 0.0)
+
+
+def test_safe_with_an_error_above_level_or_limit_is_counted_to_the_end_of_the_run() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    verdicts = [(0.0, SAFE), (150.0, UNSAFE), (250.0, SAFE)]
+    above_level = outcome(case, timeline(verdicts, {}, error_m=5.0))
+    assert (above_level.safe_above_level_s, above_level.safe_above_limit_s) == (100.0, 0.0)
+    assert above_level.above_level_fraction == 1.0 and above_level.safe_error_m == (5.0, 5.0)
+    above_limit = outcome(case, timeline(verdicts, {}, error_m=11.0))
+    assert (above_limit.safe_above_level_s, above_limit.safe_above_limit_s) == (100.0, 100.0)
+    within = outcome(case, timeline(verdicts, {}, error_m=2.0))
+    assert (within.safe_above_level_s, within.above_level_fraction) == (0.0, 0.0)
+
+
+def test_an_error_before_the_attack_or_without_a_level_is_not_counted() -> None:
+    seen = timeline([(0.0, SAFE)], {})
+    seen.error_m[:100, 1] = 50.0
+    seen.level_m[200:] = np.nan
+    seen.error_m[200:] = 9.0
+    found = outcome(Case("urban", 1, 300.0, schedule("drag_off@100:60")), seen)
+    assert (found.safe_above_level_s, found.safe_above_limit_s, found.above_level_fraction) == (0.0, 0.0, 0.0)
+    assert found.safe_error_m == (9.0, 9.0)
+    assert found.end is not None and found.end.level_m == (None, None)
+
+
+def test_the_times_until_the_verdict_leaves_safe_and_until_it_is_usable_again() -> None:
+    case, caution = Case("urban", 1, 300.0, schedule("drag_off@100:60")), TrustLevel.CAUTION
+    verdicts = [(0.0, SAFE), (110.0, caution), (115.0, UNSAFE), (165.0, SAFE), (170.0, UNSAFE), (190.0, caution)]
+    found = outcome(case, timeline([*verdicts, (220.0, SAFE)], {}))
+    assert (found.not_safe_after_s, found.usable_again_s, found.safe_again_s) == (10.0, 30.0, 60.0)
+    cautious = outcome(case, timeline(verdicts, {}))
+    assert (cautious.usable_again_s, cautious.safe_again_s) == (30.0, None)
+    lost = outcome(case, timeline(verdicts[:3], {}))
+    assert (lost.usable_again_s, lost.safe_again_s) == (None, None)
+    unmoved = outcome(case, timeline([(0.0, SAFE)], {}))
+    assert (unmoved.not_safe_after_s, unmoved.usable_again_s) == (None, 0.0)
+    assert outcome(case, timeline([(0.0, UNSAFE), (130.0, SAFE)], {})).not_safe_after_s == 0.0, "at its start already"
+
+
+def test_error_and_level_are_kept_every_ten_seconds_and_at_the_end() -> None:
+    found = outcome(Case("urban", 1, 300.0, schedule("drag_off@100:60")), timeline([(0.0, SAFE), (150.0, UNSAFE)], {}))
+    assert [point.after_s for point in found.track] == [10.0 * k for k in range(20)]
+    assert [point.verdict for point in found.track[4:6]] == [SAFE, UNSAFE]
+    assert found.end is not None
+    assert (found.end.after_s, found.end.error_m, found.end.level_m) == (199.0, (0.5, 0.5), (3.0, 3.0))
+
+
+def test_a_run_without_a_truth_has_unknown_errors_and_a_known_answer() -> None:
+    seen = timeline([(0.0, SAFE)], {}, named={"gnss": IN_TIME})
+    bare = Timeline(
+        seen.duration_s, seen.verdict_s, seen.verdicts, {}, {}, np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)),
+        seen.alert_limits_m, seen.named_s,
+    )  # fmt: skip
+    case = Case("drive.mcap", 0, 0.0, schedule("drag_off@100:60"), recorded=True)
+    found = outcome(case, bare)
+    assert (found.right, found.above_level_fraction, found.safe_error_m) == (True, None, (None, None))
+    head, (row,) = answer_rows([(case, bare)])
+    assert dict(zip(head, row, strict=True))["SAFE above level"] == "unknown"
+
+
+def test_the_answers_of_an_attack_have_intervals_and_the_figures_of_the_worst_run() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    right = timeline([(0.0, SAFE), (110.0, UNSAFE)], {"a": IN_TIME}, named={"gnss": IN_TIME})
+    wrong = timeline([(0.0, SAFE)], {}, 12.0, excluded={"odometer": [(200.0, 230.0)]})
+    (row,) = answers([(case, right), (case, right), (case, wrong)])
+    assert (row.runs, row.detected, row.right, row.expected) == (3, 2, 2, "gnss")
+    assert row.detected_interval == row.right_interval == pytest.approx((0.09430, 0.99160), abs=1e-5)
+    assert (row.accused, row.healthy_excluded, row.healthy_excluded_s) == (("gnss",), ("odometer",), 30.0)
+    assert (row.safe_above_level_s, row.safe_above_limit_s) == (200.0, 200.0)
+    assert (row.not_safe, row.not_safe_after_s, row.usable_again, row.usable_again_s) == (2, 10.0, 1, 0.0)
+    assert (row.end_error_m, row.end_level_m, row.safe_error_m) == ((12.0, 12.0), (3.0, 3.0), (12.0, 12.0))
+
+
+def test_a_clean_drive_is_no_answer() -> None:
+    assert answers([(Case("urban", 1, 300.0), timeline([(0.0, SAFE)], {}))]) == []
+    with pytest.raises(ValueError, match="no outcome"):
+        outcome(Case("urban", 1, 300.0), timeline([(0.0, SAFE)], {}))
+
+
+def trust_state(at_s: int, accused: tuple[str, ...], *, gnss: bool = False, odometer: bool = False) -> TrustState:
+    outcomes = {True: MonitorOutcome.ACCUSES, False: MonitorOutcome.PASS}
+    monitor = TrustMonitor(
+        sampled_ns=at_s * NS, monitor="motion", outcome=outcomes[bool(accused)], reason="-", accused=accused
+    )
+    return TrustState(
+        sampled_ns=at_s * NS, state=SAFE, since_ns=0, row=8, reasons=(), gnss_excluded=gnss,
+        odometer_excluded=odometer, alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0, monitors=(monitor,),
+    )  # fmt: skip
+
+
+def test_accused_and_excluded_sources_are_those_of_the_verdicts() -> None:
+    collector = Collector()
+    for state in (
+        trust_state(0, ()), trust_state(1, ("gnss", "imu")), trust_state(2, ("gnss",), gnss=True),
+        trust_state(3, (), gnss=True, odometer=True), trust_state(4, ("gnss",)),
+    ):  # fmt: skip
+        collector.add(state)
+    found = collector.timeline((0, 6 * NS), (0.0, 0.0, 0.0), None)
+    assert found.named_s == {"gnss": [(1.0, 3.0), (4.0, 6.0)], "imu": [(1.0, 2.0)]}
+    assert found.excluded_s == {"gnss": [(2.0, 4.0)], "odometer": [(3.0, 4.0)]}
+
+
 def test_intervals_are_those_of_clopper_and_pearson_and_of_poisson() -> None:
     assert binomial_interval(0, 10) == pytest.approx((0.0, 0.30850), abs=1e-5)  # 1 - 0.025^(1/10)
     assert binomial_interval(10, 10)[0] == pytest.approx(0.69150, abs=1e-5)
@@ -222,6 +430,10 @@ def test_the_report_has_every_attack_and_no_external_resources() -> None:
     card = document(runs)
     text = page(card, runs)
     assert ">jam<" in text and "Stanford diagram, horizontal" in text
+    assert "1 of 1 (3 to 100 %)" in text and "95 % interval of the rate, of Clopper and Pearson" in text
+    assert "Attacks of the default campaign that were not run" in text and "gyroscope_bias(bias=0.1)" in text
+    left_out = card["attacks_not_run"]
+    assert isinstance(left_out, list) and "jam" not in left_out and card["unfinished"] == []
     assert "http://" not in text.replace("http://www.w3.org", "") and "https://" not in text
     assert hypot(*poisson_interval(0, 0.0)) == np.inf
 
@@ -245,9 +457,11 @@ def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_see
     runs = run_all(cases, 2, Console(stderr=True))
     assert time.monotonic() - began < 30.0
     assert [case for case, _ in runs] == cases[:6]
-    card = document(runs, planned=len(cases))
+    card = document(runs, planned=cases)
     assert card["planned"] == 12
-    assert "Interrupted: 6 of 12 runs." in page(card, runs)
+    assert card["unfinished"] == [f"{case.label} on {case.drive}, seed 2" for case in cases[6:]]
+    text = page(card, runs)
+    assert "Interrupted: 6 of 12 runs." in text and "Planned runs that were not finished: 6" in text
 
 
 def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> None:
@@ -257,3 +471,34 @@ def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> No
     for _, found in runs:
         assert found.verdicts and len(found.error_s) > 50
         assert found.error_m[-1, 0] < 5.0
+
+
+def given(monkeypatch: pytest.MonkeyPatch, attack: str) -> list[Message]:
+    """What the unit receives in the first seconds of a run of the laboratory."""
+    seen: list[Message] = []
+    monkeypatch.setattr(Collector, "add", lambda _, message: seen.append(message))
+    run(Case("urban", 1, 4.0, schedule(attack)))
+    return seen
+
+
+@pytest.mark.parametrize(("attack", "neighbours"), [("jam@3:1", 0), ("neighbour_lie@3:1", NEIGHBOURS)])
+def test_only_attacks_by_neighbours_have_neighbours(
+    monkeypatch: pytest.MonkeyPatch, attack: str, neighbours: int
+) -> None:
+    states = [m for m in given(monkeypatch, attack) if isinstance(m, NeighbourStates)]
+    assert states and {len(m.neighbours) for m in states} == {neighbours}
+
+
+def test_a_cold_start_begins_with_the_saved_position_of_the_true_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, *rest = given(monkeypatch, "cold_start@0:4")
+    truth = next(m for m in rest if isinstance(m, TruthState))
+    fix = next(m for m in rest if isinstance(m, GnssFix) and m.latitude_deg is not None)
+    assert isinstance(first, LastPosition) and first.sampled_ns < DEFAULT_START_NS
+    assert (first.latitude_deg, first.longitude_deg) == (truth.latitude_deg, truth.longitude_deg)
+    assert fix.latitude_deg is not None and fix.longitude_deg is not None
+    way = ned_from_geodetic_difference(
+        Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), 0.0),
+        Geodetic(radians(first.latitude_deg), radians(first.longitude_deg), 0.0),
+    )
+    assert hypot(*way[:2]) == pytest.approx(50.0, abs=5.0)
+    assert not any(isinstance(m, LastPosition) for m in given(monkeypatch, "position_jump@0:4"))

@@ -1,8 +1,11 @@
-"""The attacks of one drive: when each is active, and what all of them together make of signals and odometer."""
+"""The attacks of one drive: when each is active, and what all make of signals, odometer and inertial sensors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
+
+import numpy as np
+import numpy.typing as npt
 
 from shared.attacks import BY_NAME, ScheduledAttack
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
@@ -16,8 +19,8 @@ from shared.messages.simulation import (
 
 from ..scenarios import Scenario
 from ..v2x.radio import Deception
-from ..vehicle import AntennaState, Vehicle, antenna_at
-from .effects import ON_NEIGHBOURS, ON_ODOMETER, ON_SIGNALS, Start, Track
+from ..vehicle import AntennaState, Readings, Vehicle, antenna_at
+from .effects import ON_INERTIAL, ON_NEIGHBOURS, ON_ODOMETER, ON_SIGNALS, Start, Track
 from .signals import Odometer, Signals
 
 NS = 1_000_000_000
@@ -124,8 +127,19 @@ class Attacks:
         odometer = Odometer()
         for run in self._runs:
             if run.active(at_ns) and run.attack in ON_ODOMETER:
-                odometer = ON_ODOMETER[run.attack](odometer, run.parameters)
+                odometer = ON_ODOMETER[run.attack](odometer, run.parameters, (at_ns - run.started_ns) / NS)
         return odometer
+
+    def inertial(self, readings: Readings, sampled_ns: npt.NDArray[np.int64]) -> Readings:
+        """Make of a block of readings, at times of shape (n,), what the inertial sensors report."""
+        for run in self._runs:
+            if run.attack in ON_INERTIAL:
+                active = sampled_ns >= run.started_ns
+                if run.ended_ns is not None:
+                    active &= sampled_ns < run.ended_ns
+                if active.any():
+                    readings = ON_INERTIAL[run.attack](readings, run.parameters, active)
+        return readings
 
     def deception(self, at_ns: int) -> Deception | None:
         """What lying neighbours add to their states at a time; the attack that began last counts."""

@@ -1,26 +1,31 @@
 """Each attack as a function of the signals without it, of the antenna at its start, and of the time since then.
 
+Attacks on the odometer and on the inertial sensors are functions of their state and readings without them.
+
 A drift d that accelerates with a to the final speed v, with t1 = v/a::
 
     d = a t²/2  and  d' = a t    until t1,        d = v (t - t1/2)  and  d' = v    after it
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import copysign, cos, radians, sin
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ned_difference, ned_from_ecef
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.simulation import AttackName
 
-from ..vehicle import AntennaState, Vector
+from ..vehicle import AntennaState, Readings, Vector
 from .signals import Odometer, SatelliteFault, Signals
 
 LEAST_DISTANCE_M = 1e-3  # below it the direction to a rebroadcaster is not defined
 STILL: Vector = (0.0, 0.0, 0.0)
+Parameters = Mapping[str, float]
+BoolArray = npt.NDArray[np.bool_]
 
 
 class Track(NamedTuple):
@@ -30,14 +35,34 @@ class Track(NamedTuple):
     velocity_n: Vector
 
 
+@dataclass
+class Memory:
+    """What an attack remembers from epoch to epoch."""
+
+    t: float = 0.0
+    offset_n: Vector = STILL
+    velocity_n: Vector = STILL  # derivative of the offset
+    heading: float | None = None  # [rad] of the vehicle when the signals first returned
+
+    def integrate(self, velocity_n: Vector, t: float) -> Vector:
+        """Offset [m, NED] at a time, by the trapezoidal rule; the offset is zero at the first time."""
+        half = 0.5 * (t - self.t)
+        north, east, down = (
+            sum_m + half * (a + b) for sum_m, a, b in zip(self.offset_n, self.velocity_n, velocity_n, strict=True)
+        )
+        self.t, self.offset_n, self.velocity_n = t, (north, east, down), velocity_n
+        return self.offset_n
+
+
 @dataclass(frozen=True)
 class Start:
-    """What an attack keeps from its start."""
+    """What an attack keeps from its start, and what it remembers since then."""
 
     antenna: AntennaState
-    parameters: Mapping[str, float]
+    parameters: Parameters
     key: int = 0  # number of the attack
     replayed: Callable[[float], Track] | None = None  # another drive as a function of the time [s]
+    memory: Memory = field(default_factory=Memory)
 
 
 def drift(acceleration: float, speed: float, t: float) -> tuple[float, float]:
@@ -114,15 +139,122 @@ def _delay(signals: Signals, start: Start, _t: float) -> Signals:
     return replace(moved, path_m=signals.path_m + late + length, path_rate_m_s=signals.path_rate_m_s + rate)
 
 
-def _position_jump(signals: Signals, start: Start, _t: float) -> Signals:
-    north, east = (start.parameters["distance"] * part for part in towards(start))
-    return _displaced(signals, (north, east, 0.0), STILL)
+def _jump(parameters: Parameters, _t: float) -> tuple[float, float]:
+    return parameters["distance"], 0.0
 
 
-def _drag_off(signals: Signals, start: Start, t: float) -> Signals:
+def _drag(parameters: Parameters, t: float) -> tuple[float, float]:
+    return drift(parameters["acceleration"], parameters["speed"], t)
+
+
+def _steps(parameters: Parameters, t: float) -> tuple[float, float]:
+    return parameters["distance"] * (1.0 + t // parameters["period"]), 0.0
+
+
+def _by_turns(parameters: Parameters, t: float) -> tuple[float, float]:
+    away = t % (parameters["on"] + parameters["off"]) < parameters["on"]
+    return (parameters["distance"] if away else 0.0), 0.0
+
+
+def _hold(parameters: Parameters, t: float) -> tuple[float, float]:
+    return parameters["speed"] * t, parameters["share"] * parameters["speed"]
+
+
+# Attacks that move the fix in one direction: distance [m], and what the velocity shows of it [m/s].
+ASIDE: Mapping[AttackName, Callable[[Parameters, float], tuple[float, float]]] = {
+    AttackName.POSITION_JUMP: _jump,
+    AttackName.COLD_START: _jump,
+    AttackName.DRAG_OFF: _drag,
+    AttackName.MASKED_DRAG: _drag,
+    AttackName.FEW_SATELLITES: _drag,
+    AttackName.STAIRCASE: _steps,
+    AttackName.INTERMITTENT: _by_turns,
+    AttackName.DRAG_HOLD: _hold,
+}
+
+
+def _aside(name: AttackName) -> Callable[[Signals, Start, float], Signals]:
+    def effect(signals: Signals, start: Start, t: float) -> Signals:
+        distance, speed = ASIDE[name](start.parameters, t)
+        north, east = towards(start)
+        return _displaced(signals, (distance * north, distance * east, 0.0), (speed * north, speed * east, 0.0))
+
+    return effect
+
+
+def _masked_drag(signals: Signals, start: Start, t: float) -> Signals:
+    moved = _aside(AttackName.MASKED_DRAG)(signals, start, t)
+    return replace(moved, velocity_sd_m_s=start.parameters["deviation"])
+
+
+def _few_satellites(signals: Signals, start: Start, t: float) -> Signals:
+    moved = _aside(AttackName.FEW_SATELLITES)(signals, start, t)
+    return replace(moved, satellites_left=round(start.parameters["satellites"]))
+
+
+def risen(rise_s: float, t: float) -> float:
+    """Share 0 to 1 of an effect that grows to its full size within a time [s]."""
+    return 1.0 if t >= rise_s else t / rise_s
+
+
+def _slipping(signals: Signals, start: Start, t: float, slip: float) -> Signals:
+    """Add a share of the velocity to it, and the integral of that to the position."""
+    v_north, v_east, v_down = (slip * one for one in signals.source.velocity_n)
+    added = (v_north, v_east, v_down)
+    return _displaced(signals, start.memory.integrate(added, t), added)
+
+
+def _stopwatch(signals: Signals, start: Start, t: float) -> Signals:
+    return _slipping(signals, start, t, -start.parameters["share"] * risen(start.parameters["rise"], t))
+
+
+def _coherent_scale(signals: Signals, start: Start, t: float) -> Signals:
+    return _slipping(signals, start, t, (start.parameters["factor"] - 1.0) * risen(start.parameters["rise"], t))
+
+
+def _returned(signals: Signals, start: Start, distance: float) -> Signals:
+    """Signals from aside, by the heading that the vehicle had when they first returned."""
+    if start.memory.heading is None:
+        start.memory.heading = signals.source.heading
+    angle = start.memory.heading + radians(start.parameters["direction"])
+    return _displaced(signals, (distance * cos(angle), distance * sin(angle), 0.0), STILL)
+
+
+def _tunnel_return(signals: Signals, start: Start, t: float) -> Signals:
+    if t < start.parameters["gap"]:
+        return _tunnel(signals, start, t)
+    return _returned(signals, start, start.parameters["distance"])
+
+
+def _ratchet(signals: Signals, start: Start, t: float) -> Signals:
+    before, since_s = divmod(t, start.parameters["period"])
+    if since_s < start.parameters["gap"]:
+        return _tunnel(signals, start, t)
+    return _returned(signals, start, start.parameters["distance"] * (before + 1.0))
+
+
+def _clock_drift(signals: Signals, start: Start, t: float) -> Signals:
+    rate_m_s = SPEED_OF_LIGHT * start.parameters["rate"] * 1e-9
+    return replace(signals, path_m=signals.path_m + rate_m_s * t, path_rate_m_s=signals.path_rate_m_s + rate_m_s)
+
+
+def _utc_drift(signals: Signals, start: Start, t: float) -> Signals:
+    return replace(signals, time_offset_s=signals.time_offset_s + start.parameters["rate"] * 1e-3 * t)
+
+
+def _accuracy_lie(signals: Signals, start: Start, _t: float) -> Signals:
+    return replace(signals, position_accuracy_m=start.parameters["accuracy"])
+
+
+def _subset(signals: Signals, start: Start, t: float) -> Signals:
     distance, speed = drift(start.parameters["acceleration"], start.parameters["speed"], t)
+    distance += start.parameters["distance"]
     north, east = towards(start)
-    return _displaced(signals, (distance * north, distance * east, 0.0), (speed * north, speed * east, 0.0))
+    fault = SatelliteFault(
+        start.key, portion=start.parameters["portion"],
+        offset_n=(distance * north, distance * east, 0.0), velocity_n=(speed * north, speed * east, 0.0),
+    )  # fmt: skip
+    return replace(signals, faults=(*signals.faults, fault))
 
 
 def _climb(signals: Signals, start: Start, t: float) -> Signals:
@@ -158,27 +290,64 @@ ON_SIGNALS: Mapping[AttackName, Callable[[Signals, Start, float], Signals]] = {
     AttackName.STRAIGHT_REPLAY: _straight_replay,
     AttackName.REPLAY_DRIVE: _replay_drive,
     AttackName.DELAY: _delay,
-    AttackName.POSITION_JUMP: _position_jump,
-    AttackName.DRAG_OFF: _drag_off,
+    **{name: _aside(name) for name in ASIDE},
+    AttackName.MASKED_DRAG: _masked_drag,
+    AttackName.FEW_SATELLITES: _few_satellites,
     AttackName.CLIMB: _climb,
     AttackName.TIME_PUSH: _time_push,
+    AttackName.STOPWATCH: _stopwatch,
+    AttackName.COHERENT_SCALE: _coherent_scale,
+    AttackName.TUNNEL_RETURN: _tunnel_return,
+    AttackName.RATCHET: _ratchet,
+    AttackName.CLOCK_DRIFT: _clock_drift,
+    AttackName.UTC_DRIFT: _utc_drift,
+    AttackName.ACCURACY_LIE: _accuracy_lie,
     AttackName.SATELLITE_STEP: _satellite_step,
     AttackName.SATELLITE_RAMP: _satellite_ramp,
+    AttackName.SUBSET: _subset,
 }
 
 
-def _scaled(odometer: Odometer, parameters: Mapping[str, float]) -> Odometer:
+def _scaled(odometer: Odometer, parameters: Parameters, _t: float) -> Odometer:
     return replace(odometer, factor=odometer.factor * parameters["factor"])
 
 
-def _held(odometer: Odometer, _parameters: Mapping[str, float]) -> Odometer:
+def _scaled_alike(odometer: Odometer, parameters: Parameters, t: float) -> Odometer:
+    factor = 1.0 + (parameters["factor"] - 1.0) * risen(parameters["rise"], t)
+    return replace(odometer, factor=odometer.factor * factor)
+
+
+def _held(odometer: Odometer, _parameters: Parameters, _t: float) -> Odometer:
     return replace(odometer, held=True)
 
 
-ON_ODOMETER: Mapping[AttackName, Callable[[Odometer, Mapping[str, float]], Odometer]] = {
+def _zero(odometer: Odometer, _parameters: Parameters, _t: float) -> Odometer:
+    return replace(odometer, zero_from_stop=True)
+
+
+ON_ODOMETER: Mapping[AttackName, Callable[[Odometer, Parameters, float], Odometer]] = {
     AttackName.ODOMETER_SCALE: _scaled,
     AttackName.TYRE_CHANGE: _scaled,
+    AttackName.COHERENT_SCALE: _scaled_alike,
     AttackName.ODOMETER_FREEZE: _held,
+    AttackName.WHEEL_ZERO: _zero,
+}
+
+
+def _turned(readings: Readings, parameters: Parameters, active: BoolArray) -> Readings:
+    rate_b = readings.rate_b + np.outer(active, (0.0, 0.0, radians(parameters["bias"])))
+    return replace(readings, rate_b=rate_b)
+
+
+def _pushed(readings: Readings, parameters: Parameters, active: BoolArray) -> Readings:
+    force_b = readings.force_b + np.outer(active, (parameters["bias"], 0.0, 0.0))
+    return replace(readings, force_b=force_b)
+
+
+# Of a block of readings, and the samples of it during which the attack is active.
+ON_INERTIAL: Mapping[AttackName, Callable[[Readings, Parameters, BoolArray], Readings]] = {
+    AttackName.GYROSCOPE_BIAS: _turned,
+    AttackName.ACCELEROMETER_BIAS: _pushed,
 }
 
 ON_NEIGHBOURS = (AttackName.NEIGHBOUR_LIE, AttackName.NEIGHBOUR_COLLUSION)

@@ -1,6 +1,7 @@
 """The simulated CAN bus: wheel speeds at 50 Hz, and OBD-II speed requests with the responses of the engine ECU."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +55,7 @@ class CanBus:
         self._last_ns = 0
         self._wheels_held: Wheels | None = None  # last wheel speeds
         self._response_held: bytes | None = None  # last OBD-II response
+        self._stopped = False  # at standstill since an attack that reports zero from then on
         self._batch_ns = start_ns + BATCH_NS
 
     def transmit(self, motion: Motion, begin_ns: int, end_ns: int) -> Iterator[tuple[int, Message]]:
@@ -67,6 +69,9 @@ class CanBus:
         for time_ns, speed, turn in zip((self._start_ns + times).tolist(), speeds, turns, strict=True):
             self._frames += 1
             odometer = self._odometer_at(time_ns)
+            self._stopped = odometer.zero_from_stop and (self._stopped or speed <= 0.0)
+            if self._stopped:
+                odometer = replace(odometer, factor=0.0)
             self._wheels(time_ns, speed, turn, odometer)
             if self._frames % REQUEST_EVERY == 0:
                 self._request_speed(time_ns, speed, odometer)

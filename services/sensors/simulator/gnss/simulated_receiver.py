@@ -1,7 +1,8 @@
 """The simulated GNSS receiver: a u-blox ZED-F9P on a serial line of 115,200 baud."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import ceil, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from .raw_measurements import IONOSPHERE, RangeErrors, measure
 from .receiver_settings import Settings
 from .reception import Fix, Reception
 from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms, signal_under
-from .sky import FEWEST, FloatArray, Sky, SkyModel
+from .sky import FEWEST, FloatArray, Sky, SkyModel, dilution
 
 SOURCE = "gnss0"
 MS = 1_000_000
@@ -28,6 +29,7 @@ BYTE_NS = 10 * 1_000_000_000 // 115_200
 FULL_NS = 1_000_000_000  # transmit backlog above which the receiver skips an epoch
 RESPONSE_NS = 8 * MS  # from a written message to its response
 CHUNK_BYTES = (120, 330)  # size of one read of the serial port
+HEIGHT_SD = 1.5  # standard deviation of the height over the horizontal accuracy, where the receiver states another one
 BASELINE_SD_M = 0.004  # standard deviation of the baseline between two antennas, across it
 HOST_ERROR_MS = 30.0  # largest error of the host's clock at boot
 ENCODERS = {**ubx_encoder.ENCODERS, **nmea_encoder.ENCODERS}
@@ -61,6 +63,7 @@ class Receiver:
         self._next_ms = self._after(self._utc_start_ns // MS)
         self._fix: Fix | None = None  # of the last epoch
         self._faulty: dict[int, npt.NDArray[np.intp]] = {}  # satellites of each fault
+        self._left: npt.NDArray[np.intp] | None = None  # satellites while few are left
 
     @property
     def next_epoch_ns(self) -> int:
@@ -89,6 +92,7 @@ class Receiver:
         sky = self._sky.at(
             gps_s, source.position, mask_deg=self._scenario.mask_deg, loss_db=loss_db, covered=source.covered
         )
+        sky = self._few(sky, signals.satellites_left)
         covered = source.covered or bool(sky.used.sum() < FEWEST)
         true_fix = self._reception.fix(index, replace(source, covered=covered))
         errors, rates = self._faults(signals.faults, sky)
@@ -99,6 +103,7 @@ class Receiver:
         if signals.held and self._fix is not None:
             fix = self._fix
         self._fix = fix
+        fix = _stated(fix, signals)
         words = self._words(sky, gps_ms(utc_ms))
         constellations, baseline = tuple(self._sky.rows), self._baseline(source)
         signal = signal_under(signals.noise_rise_db, signals.path_m, signals.path_rate_m_s, valid=fix.valid)
@@ -111,11 +116,29 @@ class Receiver:
             if fault.key not in self._faulty:
                 used = sky.satellite[sky.used & np.isin(sky.system, self._sky.navigation_systems)]
                 rng = np.random.default_rng((self._seed, Stream.ATTACKS, fault.key))
-                self._faulty[fault.key] = rng.permutation(used)[: fault.satellites]
+                count = fault.satellites if fault.portion is None else ceil(fault.portion * len(used))
+                self._faulty[fault.key] = rng.permutation(used)[:count]
             rows = np.isin(sky.satellite, self._faulty[fault.key])
-            errors[rows] += fault.error_m
-            rates[rows] += fault.rate_m_s
+            to_satellite_n = _directions(sky)[rows]
+            errors[rows] += fault.error_m - to_satellite_n @ fault.offset_n
+            rates[rows] += fault.rate_m_s - to_satellite_n @ fault.velocity_n
         return errors, rates
+
+    def _few(self, sky: Sky, count: int | None) -> Sky:
+        """Leave some satellites of one constellation, next to one another in azimuth; None: all of them."""
+        if count is None:
+            self._left = None
+            return sky
+        if self._left is None:
+            self._left = _neighbouring(sky, count, self._sky.navigation_systems)
+        used = sky.used & np.isin(sky.satellite, self._left)
+        elevation, azimuth = np.radians(sky.elevation_deg), np.radians(sky.azimuth_deg)
+        # The errors themselves are not kept, but their residuals have the same part orthogonal to fewer satellites.
+        residual = self._sky.split(np.where(used, sky.residual_m, 0.0), sky.system, used, elevation, azimuth)[1]
+        return replace(
+            sky, used=used, cn0_db_hz=np.where(used, sky.cn0_db_hz, 0.0), residual_m=residual,
+            dop=dilution(elevation[used], azimuth[used]),
+        )  # fmt: skip
 
     def _faulty_fix(self, fix: Fix, sky: Sky, errors: FloatArray, rates: FloatArray) -> tuple[Fix, Sky]:
         """Move position, velocity and residuals as errors of pseudoranges and their derivatives do."""
@@ -172,3 +195,34 @@ class Receiver:
             self._free_ns = begin_ns + position * BYTE_NS
             yield self._free_ns, GnssRaw(received_ns=self._free_ns, source=SOURCE, data=chunk)
             size = int(self._chunks.integers(*CHUNK_BYTES))
+
+
+def _directions(sky: Sky) -> FloatArray:
+    """Unit vectors [NED] to the satellites, shape (n, 3)."""
+    elevation, azimuth = np.radians(sky.elevation_deg), np.radians(sky.azimuth_deg)
+    level = np.cos(elevation)
+    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation)])
+
+
+def _neighbouring(sky: Sky, count: int, systems: Sequence[int]) -> npt.NDArray[np.intp]:
+    """Satellites next to one another in azimuth, of the constellation of which most are used, the highest one first."""
+    kept = np.flatnonzero(sky.used & np.isin(sky.system, systems))
+    if len(kept):
+        kept = kept[sky.system[kept] == np.bincount(sky.system[kept]).argmax()]
+        highest_deg = sky.azimuth_deg[kept[sky.elevation_deg[kept].argmax()]]
+        apart = np.abs((sky.azimuth_deg[kept] - highest_deg + 180.0) % 360.0 - 180.0)
+        kept = kept[np.argsort(apart)[:count]]
+    satellites: npt.NDArray[np.intp] = sky.satellite[kept]
+    return satellites
+
+
+def _stated(fix: Fix, signals: Signals) -> Fix:
+    """State another accuracy than that of the fix, where an attack does."""
+    if not fix.valid:
+        return fix
+    if signals.position_accuracy_m is not None:
+        level, height = signals.position_accuracy_m / sqrt(2.0), HEIGHT_SD * signals.position_accuracy_m
+        fix = replace(fix, position_sd_n=(level, level, height))
+    if signals.velocity_sd_m_s is not None:
+        fix = replace(fix, velocity_sd_n=(signals.velocity_sd_m_s,) * 3)
+    return fix

@@ -8,19 +8,26 @@ import numpy as np
 import pytest
 
 from services.core.cooperative.measurements import Constellation, SatelliteId
+from services.parsers.imu.process import Config as ImuConfig
+from services.parsers.imu.process import Process as ImuProcess
 from services.sensors.simulator.attacks.effects import drift
 from services.sensors.simulator.scenarios import BY_NAME
-from services.sensors.simulator.world import DEFAULT_START_NS, World
+from services.sensors.simulator.world import DEFAULT_START_NS, World, messages
+from shared.attacks import ScheduledAttack, schedule
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
+from shared.messages.base import Vector3
 from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.simulation import AttackCommand, AttackName, SimulationAttack, SimulationState
 from tests.support.drives.attacked_drive import NS, Drive, attacked, place, seconds
 
 START_S, END_S = 33.0, 48.0
 CONSISTENT = [
     "static_replay", "straight_replay", "replay_drive", "delay", "position_jump", "drag_off", "climb", "time_push",
-    "satellite_step", "satellite_ramp", "satellite_step(satellites=2)",
+    "satellite_step", "satellite_ramp", "satellite_step(satellites=2)", "stopwatch(rise=5)", "coherent_scale(rise=5)",
+    "cold_start", "staircase(period=4)", "intermittent(on=2,off=3)", "drag_hold", "clock_drift", "utc_drift",
+    "accuracy_lie", "masked_drag", "few_satellites", "subset",
 ]  # fmt: skip
 
 
@@ -55,12 +62,14 @@ def test_least_squares_of_the_measurements_are_the_fix_under_attack(text: str) -
     solved = list(during(text).solved(START_S - 4.0, END_S + 4.0))
     assert len(solved) > 20
     for one in solved:
-        tolerance = 0.1 if text.startswith("satellite") else 5e-3
+        tolerance = 0.1 if text.startswith(("satellite", "subset")) else 5e-3
         assert one.position_n == pytest.approx(np.zeros(3), abs=tolerance), one.t_s
         assert one.velocity_n == pytest.approx(np.zeros(3), abs=2e-2), one.t_s
 
 
-@pytest.mark.parametrize("text", ["straight_replay", "replay_drive", "drag_off", "climb"])
+@pytest.mark.parametrize(
+    "text", ["straight_replay", "replay_drive", "drag_off", "climb", "masked_drag", "stopwatch(share=0.3,rise=5)"]
+)
 def test_velocity_is_the_derivative_of_position_during_a_drift(text: str) -> None:
     """The mean of two velocities times 1 s is the step of position, up to noise of 0.25 m and curvature."""
     fixes = during(text).between(START_S + 1.0, END_S)
@@ -100,6 +109,137 @@ def test_a_jump_moves_the_position_and_leaves_the_velocity() -> None:
         offset_n, velocity_n = moved(fix, clean)
         assert hypot(*offset_n[:2]) == pytest.approx(100.0, abs=0.02)
         assert velocity_n == pytest.approx(np.zeros(3), abs=2e-3)
+
+
+def aside_m(drive: Drive, begin_s: float = START_S, end_s: float = END_S) -> list[float]:
+    """Distance from the clean fix at each epoch with a fix [m]."""
+    pairs = [pair for pair in both(drive, begin_s, end_s) if pair[0].fix_type is FixType.THREE_D]
+    for fix, clean in pairs:
+        assert moved(fix, clean)[1] == pytest.approx(np.zeros(3), abs=2e-3), "the velocity is that of the vehicle"
+    return [round(hypot(*moved(*pair)[0][:2]), 1) for pair in pairs]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("cold_start(distance=50)", [50.0] * 15),
+        ("staircase(distance=8,period=5)", [8.0] * 5 + [16.0] * 5 + [24.0] * 5),
+        ("intermittent(distance=12,on=2,off=3)", [12.0, 12.0, 0.0, 0.0, 0.0] * 3),
+        ("tunnel_return(gap=5,distance=80)", [80.0] * 9),  # 15 s, without the gap and acquisition
+        ("ratchet(distance=4,period=7,gap=2)", [4.0] * 4 + [8.0] * 4),
+    ],
+)
+def test_a_position_aside_follows_its_pattern(text: str, expected: list[float]) -> None:
+    assert aside_m(during(text)) == pytest.approx(expected, abs=0.1)
+
+
+def test_a_cold_start_is_aside_from_the_first_epoch_on_and_true_after_it() -> None:
+    drive = attacked("cold_start(distance=50)@0:20")
+    assert set(aside_m(drive, 0.0, 20.0)) == {50.0}
+    assert aside_m(drive, 21.0, 30.0) == pytest.approx([0.0] * 9)
+
+
+def test_signals_return_beside_the_vehicle_as_it_is_headed_then() -> None:
+    pairs = both(during("tunnel_return(gap=5,distance=80)"))
+    first = next(k for k, (fix, _) in enumerate(pairs) if fix.fix_type is FixType.THREE_D)
+    (fix, clean), returned_ns = pairs[first], pairs[5][1].sampled_ns
+    at_return = next(t.yaw_rad for t in attacked().truth if t.sampled_ns >= returned_ns)
+    assert at_return is not None
+    axis = np.array([cos(at_return + radians(90.0)), sin(at_return + radians(90.0)), 0.0])
+    assert moved(fix, clean)[0] == pytest.approx(80.0 * axis, abs=4.0)
+
+
+def test_a_drag_hold_shows_a_share_of_its_drift_in_the_velocity() -> None:
+    pairs = both(during("drag_hold(speed=2,share=0.25)"))
+    first_s = seconds(pairs[0][0].sampled_ns)
+    for fix, clean in pairs:
+        offset_n, velocity_n = moved(fix, clean)
+        assert np.linalg.norm(offset_n) == pytest.approx(2.0 * (seconds(fix.sampled_ns) - first_s), abs=0.05)
+        assert np.linalg.norm(velocity_n) == pytest.approx(0.5, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "slip"), [("stopwatch(share=0.2,rise=0)", -0.2), ("coherent(factor=1.1,rise=0)", 0.1)]
+)
+def test_a_drive_that_goes_by_at_another_speed_scales_velocity_and_the_way(text: str, slip: float) -> None:
+    drive = during(text.replace("coherent(", "coherent_scale("))
+    pairs, way = both(drive), np.zeros(3)
+    for (fix, clean), (_, before) in zip(pairs[1:], pairs, strict=False):
+        assert clean.velocity_ned_m_s is not None and before.velocity_ned_m_s is not None
+        way += slip * 0.5 * np.add(clean.velocity_ned_m_s, before.velocity_ned_m_s)
+        offset_n, velocity_n = moved(fix, clean)
+        assert velocity_n == pytest.approx(np.multiply(slip, clean.velocity_ned_m_s), abs=0.05), "velocities have noise"
+        assert offset_n == pytest.approx(way, abs=0.4)
+    scaled = 1.0 + (slip if "coherent" in text else 0.0)
+    for a, b in zip(drive.wheels, attacked().wheels, strict=True):
+        if START_S + 0.1 < seconds(a.sampled_ns) < END_S - 0.1:
+            assert a.rear_left_m_s == pytest.approx(scaled * (b.rear_left_m_s or 0.0), abs=0.01)
+
+
+def test_a_slow_drive_falls_back_gradually() -> None:
+    drive = during("stopwatch(share=0.2,rise=10)")
+    for fix, clean in both(drive):
+        assert clean.velocity_ned_m_s is not None
+        share = 0.2 * min(1.0, (seconds(fix.sampled_ns) - START_S) / 10.0)
+        expected = np.multiply(-share, clean.velocity_ned_m_s)
+        assert moved(fix, clean)[1] == pytest.approx(expected, abs=0.2), "within the first epoch of its start"
+
+
+def test_a_clock_drift_delays_all_signals_more_and_more_and_moves_nothing() -> None:
+    drive = during("clock_drift(rate=50)")
+    clean = {round(one.t_s): one for one in attacked().solved(START_S, END_S)}
+    solved = list(drive.solved(START_S, END_S))
+    for one in solved:
+        late_m = SPEED_OF_LIGHT * 50e-9 * (one.t_s - solved[0].t_s)
+        assert one.clock_m - clean[round(one.t_s)].clock_m == pytest.approx(late_m, abs=0.01)
+        assert one.drift_m_s - clean[round(one.t_s)].drift_m_s == pytest.approx(SPEED_OF_LIGHT * 50e-9, abs=0.01)
+    assert max(float(np.linalg.norm(moved(*pair)[0])) for pair in both(drive)) < 1e-3
+
+
+def test_a_utc_drift_runs_away_by_its_rate() -> None:
+    late = [(fix.utc_ns or 0) - (clean.utc_ns or 0) for fix, clean in both(during("utc_drift(rate=4)"))]
+    assert late == [4_000_000 * k for k in range(len(late))]
+
+
+def test_a_receiver_states_other_accuracies_than_it_has() -> None:
+    for fix, clean in both(during("accuracy_lie(accuracy=100)")):
+        assert fix.position_sd_ned_m == pytest.approx((100.0 / 2**0.5, 100.0 / 2**0.5, 150.0), rel=1e-3)
+        assert moved(fix, clean)[0] == pytest.approx(np.zeros(3), abs=1e-6)
+    masked = both(during("masked_drag(deviation=1.2)"))
+    assert all(fix.velocity_sd_ned_m_s == pytest.approx((1.2, 1.2, 1.2), rel=1e-3) for fix, _ in masked)
+    assert hypot(*moved(*masked[-1])[0][:2]) > 20.0
+
+
+def test_few_satellites_of_one_constellation_are_left_on_one_side() -> None:
+    drive = during("few_satellites(satellites=4)")
+    left = [
+        [one for one in sky.satellites if one.used] for sky in drive.skies
+        if START_S < seconds(sky.sampled_ns) < END_S
+    ]  # fmt: skip
+    assert len(left) > 10 and all(len(used) == 4 for used in left)
+    assert len({(one.constellation, one.number) for used in left for one in used}) == 4, "the same all the time"
+    assert len({one.constellation for one in left[0]}) == 1
+    dilution = [fix.pdop for fix, _ in both(drive)]
+    assert min(one or 0.0 for one in dilution) > 2.0 * max(
+        one.pdop or 0.0 for one in attacked().between(START_S, END_S)
+    )
+
+
+def test_a_share_of_the_satellites_pulls_the_fix_towards_its_place() -> None:
+    drive = during("subset(portion=0.6,distance=60,speed=0)")
+    clean = {
+        (e.sampled_ns, m.constellation, m.number): m.pseudorange_m for e in attacked().epochs for m in e.measurements
+    }
+    for epoch in drive.epochs:
+        if START_S < seconds(epoch.sampled_ns) < END_S:
+            errors = [
+                (m.pseudorange_m or 0.0) - (clean[epoch.sampled_ns, m.constellation, m.number] or 0.0)
+                for m in epoch.measurements
+            ]
+            assert 0.5 < np.mean(np.abs(errors) > 1e-3) <= 0.75 and np.max(np.abs(errors)) < 60.0
+    assert all(hypot(*moved(*pair)[0][:2]) > 5.0 for pair in both(drive))
+    whole = both(during("subset(portion=1,distance=60,speed=0)"))
+    assert all(hypot(*moved(*pair)[0][:2]) == pytest.approx(60.0, abs=0.5) for pair in whole)
 
 
 def test_static_and_straight_replay_begin_where_the_vehicle_was() -> None:
@@ -233,6 +373,51 @@ def test_a_frozen_odometer_keeps_its_last_speeds() -> None:
     }
     assert len(held) == 1
     assert len({s.speed_m_s for s in drive.speeds if START_S + 1.0 < seconds(s.sampled_ns) < END_S - 0.2}) == 1
+
+
+def test_wheels_hold_zero_from_the_next_standstill_on() -> None:
+    """The clean drive stands until 17 s and from 47 s on."""
+    from_standstill, in_motion = attacked("wheel_zero@10:20"), attacked("wheel_zero@30:15")
+    for a, b, clean in zip(from_standstill.wheels, in_motion.wheels, attacked().wheels, strict=True):
+        zero = 10.0 < seconds(a.sampled_ns) < 29.9
+        if zero or seconds(a.sampled_ns) > 30.1:
+            assert a.rear_left_m_s == (0.0 if zero else clean.rear_left_m_s)
+        assert b == clean, "it has not stood yet"
+    moving = [s.speed_m_s for s in attacked().speeds if 20.0 < seconds(s.sampled_ns) < 29.0]
+    assert min(moving) > 0.0
+    assert {s.speed_m_s for s in from_standstill.speeds if 20.0 < seconds(s.sampled_ns) < 29.0} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "force", "rate"),
+    [
+        ("gyroscope_bias(bias=0.5)", (0.0, 0.0, 0.0), (0.0, 0.0, radians(0.5))),
+        ("accelerometer_bias(bias=-0.4)", (-0.4, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_bias_of_the_imu_steps_and_ends(
+    text: str, force: tuple[float, float, float], rate: tuple[float, float, float]
+) -> None:
+    changed = list(inertial(schedule(f"{text}@6:3")))
+    for (t, f, w), (_, f0, w0) in zip(changed, inertial(), strict=True):
+        active = 6.0 <= t < 9.0 - 0.005
+        if active or not 5.98 < t < 9.02:
+            assert np.subtract(f, f0) == pytest.approx(np.multiply(active, force), abs=1e-5)
+            assert np.subtract(w, w0) == pytest.approx(np.multiply(active, rate), abs=1e-6)
+    assert len(changed) > 1000
+
+
+def inertial(*attacks: ScheduledAttack) -> list[tuple[float, Vector3, Vector3]]:
+    """Time [s], specific force and rate of the inertial samples of 12 s, as their parser reads them."""
+    parser = ImuProcess(ImuConfig())
+    return [
+        (seconds(sampled_ns), force, rate)
+        for message in messages("parking_lot", 1, 12.0, attacks=attacks) if isinstance(message, ImuRaw)
+        for block in parser.handle(message) if isinstance(block, ImuSamples)
+        for sampled_ns, force, rate in zip(
+            block.sampled_ns, block.specific_force_body_m_s2, block.angular_rate_body_rad_s, strict=True
+        )
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", ["drag_off@35", "satellite_step@35", "odometer_freeze@35", "jam@35:5"])
