@@ -67,12 +67,11 @@ def calibrate_spoofing(
     console = Console(stderr=True)
     windows: list[Window] = []
     long: list[float] = []
-    limit = 0.0
     origins: list[Origin] = []
     learned: list[LearnedDrive] = []
     with progress_on(console) as progress:
         for path in drives:
-            drive, origin, found, statistics, limit = _learned(path, vehicle, console, progress)
+            drive, origin, found, statistics = _learned(path, vehicle, console, progress)
             windows += found
             long += statistics
             origins.append(origin)
@@ -84,7 +83,7 @@ def calibrate_spoofing(
                 f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn one for each"
             )
     profile = _profile(windows, first.model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold,
-                       long, limit)  # fmt: skip
+                       long)  # fmt: skip
     try:
         output.write_text(profile.model_dump_json(indent=2) + "\n", encoding="utf-8")
     except OSError as error:
@@ -98,8 +97,8 @@ def calibrate_spoofing(
 
 def _learned(
     path: Path, vehicle: Path | None, console: Console, progress: Progress
-) -> tuple[LearnedDrive, Origin, list[Window], list[float], float]:
-    """Run fusion and the monitors over a recording; give its windows, long statistics and their threshold."""
+) -> tuple[LearnedDrive, Origin, list[Window], list[float]]:
+    """Run fusion and the monitors over a recording; give its windows and the statistics of the long tests."""
     with open_recording(path) as recording:
         inputs, file = inputs_of(recording), vehicle_of(recording, vehicle)
     print_problems(recording, console)
@@ -126,7 +125,7 @@ def _learned(
     drive = LearnedDrive(
         file=path.name, sha256=digest, date=date, duration_s=(times_ns[1] - times_ns[0]) / 1e9, windows=len(windows)
     )
-    return drive, origin, windows, long, process.monitor.long.threshold
+    return drive, origin, windows, long
 
 
 def _counted(inputs: Inputs, progress: Progress, task: TaskID) -> Iterator[Message]:
@@ -136,17 +135,14 @@ def _counted(inputs: Inputs, progress: Progress, task: TaskID) -> Iterator[Messa
         yield message
 
 
-def _profile(
-    windows: list[Window], origin: Origin, threshold: float | None, long: list[float], long_threshold: float
-) -> Profile:
+def _profile(windows: list[Window], origin: Origin, threshold: float | None, long: list[float]) -> Profile:
     duration_s = sum(drive.duration_s for drive in origin.drives)
     provenance = (
         f"{len(windows)} windows of {len(origin.drives)} recorded drives, {duration_s:.0f} s, the first of "
         f"{origin.drives[0].date}; IMU {origin.imu}, GNSS {origin.gnss}"
     )
     try:
-        profile = learning.learn(windows, threshold=threshold, provenance=provenance, long_statistics=long,
-                                 long_threshold=long_threshold)  # fmt: skip
+        profile = learning.learn(windows, threshold=threshold, provenance=provenance, long_statistics=long)
     except ValueError as error:
         raise UserError(f"{error}; give more recordings") from error
     return profile.model_copy(update={"origin": origin})

@@ -111,6 +111,7 @@ class NavigationState(Message):
     # difference of positions that no evidence has decided: part of the protection level until it ends
     held_horizontal_m: Deviation = 0.0
     held_vertical_m: Deviation = 0.0
+    held_reason: Reason | None = None  # what differed, and what would end it
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 

@@ -41,6 +41,7 @@ class TrustMonitor(Message):
     reason: Reason
     accused: tuple[Name, ...] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
+    doubtful: bool = False  # it passes, but by little: the position deserves caution
     since_ns: Nanoseconds | None = None  # when this outcome was reached
     statistic: Annotated[float, unit("of the test")] | None = None
     threshold: Annotated[float, unit("of the test")] | None = None

@@ -368,5 +368,6 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         exclusion_declined=declined[:REASON_LENGTH] or None,
         held_horizontal_m=held.bound[0],
         held_vertical_m=held.bound[1],
+        held_reason=held.reason or None,
         satellites_left_out=exclusions.satellites,
     )

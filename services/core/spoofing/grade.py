@@ -26,12 +26,12 @@ LONG: Mapping[Grade, Mapping[str, float]] = {
     Grade.CONSUMER: {
         "velocity_random_walk_m_s_sqrt_s": 0.03, "angle_random_walk_rad_sqrt_s": 6e-4,
         "accelerometer_bias_sd_m_s2": 0.03, "gyroscope_bias_sd_rad_s": 5e-4, "scale_sd": 0.01,
-        "gyroscope_scale_sd": 0.02, "attitude_sd_rad": 2e-3, "velocity_sd_m_s": 0.1,
+        "gyroscope_scale_sd": 0.02, "position_time_sd_s": 0.2, "attitude_sd_rad": 2e-3, "velocity_sd_m_s": 0.1,
     },
     Grade.AUTOMOTIVE: {
         "velocity_random_walk_m_s_sqrt_s": 0.015, "angle_random_walk_rad_sqrt_s": 4e-4,
         "accelerometer_bias_sd_m_s2": 0.01, "gyroscope_bias_sd_rad_s": 2e-4, "scale_sd": 0.005,
-        "gyroscope_scale_sd": 0.01, "attitude_sd_rad": 1e-3, "velocity_sd_m_s": 0.05,
+        "gyroscope_scale_sd": 0.01, "position_time_sd_s": 0.1, "attitude_sd_rad": 1e-3, "velocity_sd_m_s": 0.05,
     },
     Grade.INDUSTRIAL: {},
     Grade.TACTICAL: {},

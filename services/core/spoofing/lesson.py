@@ -67,10 +67,10 @@ class Lesson:
         self._published_ns = time_ns
         return True
 
-    def result(self, time_ns: int, origin: Origin, long_threshold: float) -> LearnedGrade:
+    def result(self, time_ns: int, origin: Origin) -> LearnedGrade:
         """What has been learned of this device."""
         profile = learn(
-            self._windows, provenance="this drive", long_statistics=self._long, long_threshold=long_threshold,
+            self._windows, provenance="this drive", long_statistics=self._long,
             stated=self._stated,
         )  # fmt: skip
         return LearnedGrade(

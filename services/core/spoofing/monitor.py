@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +16,22 @@ from .inertial.strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Incr
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
 from .verdicts import EITHER, GNSS, Verdict, dated
-from .windows.long_window import LENGTHS_S, LongResult, LongWindow
+from .windows.long_window import LENGTHS_S, WAYS_S, LongResult, LongWindow, WayResult
 from .windows.metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .windows.position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
 from .windows.short_window import Window, compare, window_of_fixes
 
 FloatArray = npt.NDArray[np.float64]
+
+
+class Limits(NamedTuple):
+    """Thresholds of one test: inconspicuous below, released below, accusing above."""
+
+    median: float
+    release: float
+    accuse: float
+
+
 AnchorKind = TypeVar("AnchorKind", bound=Anchor)
 
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
@@ -56,14 +66,16 @@ class InertialMonitor:
         self._window_missing = ""
         self._step: PositionStep | None = None  # over the same 5 s
         self._fix_ns: int | None = None  # newest stamp, before the delay
-        self._exceeded: Counter[str | int] = Counter()  # successive evaluations above the threshold
-        self._accusing = dict.fromkeys(LENGTHS_S, False)
-        self._inconspicuous_ns: dict[int, int] = {}  # newest evaluation of each long window below the median
+        self._exceeded: Counter[str] = Counter()  # successive evaluations above the threshold
+        self._accusing: dict[str, bool] = {}  # by test of a long window
+        self._ways: dict[int, WayResult | None] = {}
+        self._doubts: Counter[int] = Counter()  # successive evaluations of each way above the threshold of doubt
+        self._inconspicuous_ns: dict[str, int] = {}  # newest evaluation of each long window below the median
         self._known: dict[str, Verdict] = {}
         self._differences = PositionDifferences()
         self._aligned_ns: int | None = None  # since when there have been solutions without a break
         self.learning = ""  # why nothing is evaluated, although everything could be compared
-        self.long_statistics: dict[int, float] = {}  # newest of each length
+        self.long_statistics: dict[str, float] = {}  # newest of each test of the long windows, over its threshold
 
     def inertial(self, time_ns: int, force_b: Vector, rate_b: Vector) -> None:
         """Use an inertial sample [m/s², rad/s; body]."""
@@ -109,7 +121,8 @@ class InertialMonitor:
             sd = np.maximum(np.where(stated > 0.0, stated, g.velocity_sd_m_s), g.velocity_sd_floor_m_s)
         if velocity_n is not None and float(sd[:2].max()) <= g.largest_velocity_sd_m_s:
             true_ns = time_ns - round(g.velocity_delay_s * SECOND_NS)
-            fix = VelocityFix(true_ns, np.array(velocity_n), sd, position, position_sd_m)
+            position_ns = time_ns - round(g.position_delay_s * SECOND_NS)
+            fix = VelocityFix(true_ns, np.array(velocity_n), sd, position, position_sd_m, position_ns=position_ns)
         elif of_positions is not None:
             fix = replace(of_positions, sd=np.maximum(of_positions.sd, g.velocity_sd_floor_m_s))
         else:
@@ -159,6 +172,7 @@ class InertialMonitor:
         self._propagate()
         found: dict[str, Verdict] = {**self._short(time_ns)}
         found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
+        found |= {f"way_{length}": self._way(time_ns, length) for length in WAYS_S}
         if self.learning:
             found = {name: _withheld(verdict, self.learning) for name, verdict in found.items()}
         self._known = {name: dated(verdict, self._known.get(name), time_ns) for name, verdict in found.items()}
@@ -235,33 +249,44 @@ class InertialMonitor:
             above = sigma is not None and difference is not None and abs(difference) > profile.threshold * sigma
             self._exceeded[metric] = self._exceeded[metric] + 1 if above else 0
         self.long_statistics = {}
+        velocities = Limits(self.long.median, self.long.release_threshold, self.long.threshold)
+        ways = Limits(self.long.way_median, self.long.way_doubt, self.long.way_threshold)
         for length in LENGTHS_S:
             result = self.long.result(length)
+            self._decide(f"long_{length}", None if result is None else result.statistic, velocities)
             if result is not None:
-                self.long_statistics[length] = result.statistic
-            self._decide(length, result)
+                self.long_statistics[f"long_{length}"] = result.statistic / velocities.accuse
+        for length in WAYS_S:
+            way = self.long.way(length)
+            self._ways[length] = way
+            statistic = None if way is None else way.statistic
+            self._decide(f"way_{length}", statistic, ways)
+            doubt = statistic is not None and statistic > ways.release
+            self._doubts[length] = self._doubts[length] + 1 if doubt else 0
+            if statistic is not None:
+                self.long_statistics[f"way_{length}"] = statistic / ways.accuse
 
-    def _decide(self, length: int, result: LongResult | None) -> None:
+    def _decide(self, key: str, statistic: float | None, limits: Limits) -> None:
         """Accuse after two evaluations above the threshold; release after ten below a lower one."""
-        if result is None:
-            self._accusing[length] = False
+        if statistic is None:
+            self._accusing[key] = False
             return
-        accusing = self._accusing[length]
-        if not accusing and result.statistic < self.long.median:
-            self._inconspicuous_ns[length] = self._fixes[-1].time_ns
-        counts = result.statistic < self.long.release_threshold if accusing else result.statistic > self.long.threshold
-        self._exceeded[length] = self._exceeded[length] + 1 if counts else 0
-        if self._exceeded[length] >= (RELEASE if accusing else CONSECUTIVE):
-            self._accusing[length] = not accusing
-            self._exceeded[length] = 0
+        accusing = self._accusing.get(key, False)
+        if not accusing and statistic < limits.median:
+            self._inconspicuous_ns[key] = self._fixes[-1].time_ns
+        counts = statistic < limits.release if accusing else statistic > limits.accuse
+        self._exceeded[key] = self._exceeded[key] + 1 if counts else 0
+        if self._exceeded[key] >= (RELEASE if accusing else CONSECUTIVE):
+            self._accusing[key] = not accusing
+            self._exceeded[key] = 0
 
-    def _suspect_since_ns(self, length: int, result: LongResult) -> int:
+    def _suspect_since_ns(self, key: str, anchor_ns: int) -> int:
         """Two windows of 5 s before GNSS last agreed with a propagation of this length, but not before the anchor.
 
         Before that time an error is too small for the test, as it is while all monitors pass.
         """
-        agreed_ns = self._inconspicuous_ns.get(length, result.anchor_ns)
-        return max(result.anchor_ns, agreed_ns - round(2.0 * WINDOW_S * SECOND_NS))
+        agreed_ns = self._inconspicuous_ns.get(key, anchor_ns)
+        return max(anchor_ns, agreed_ns - round(2.0 * WINDOW_S * SECOND_NS))
 
     def _no_window(self, reason: str) -> None:
         self.window, self._window_missing = None, reason
@@ -347,9 +372,29 @@ class InertialMonitor:
             base,
             result.statistic,
             self.long.threshold,
-            accuses=self._accusing[length],
-            suspect_since_ns=self._suspect_since_ns(length, result),
+            accuses=self._accusing.get(f"long_{length}", False),
+            suspect_since_ns=self._suspect_since_ns(f"long_{length}", result.anchor_ns),
         )
+
+    def _way(self, time_ns: int, length: int) -> Verdict:
+        missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
+        base = Verdict(MonitorOutcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
+        if missing is not None:
+            return base
+        way, key = self._ways.get(length), f"way_{length}"
+        if way is None:
+            reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
+            return replace(base, reason=reason)
+        north, east = way.difference_n.tolist()
+        reason = (
+            f"GNSS went {north:+.1f} m north and {east:+.1f} m east of the free propagation of {length} s; chi-square "
+            f"{way.statistic:.1f}, limit {self.long.way_threshold:.1f}, in doubt from {self.long.way_doubt:.1f} on"
+        )
+        base = replace(base, reason=reason, doubtful=self._doubts[length] >= CONSECUTIVE)
+        return judged(
+            base, way.statistic, self.long.way_threshold, accuses=self._accusing.get(key, False),
+            suspect_since_ns=self._suspect_since_ns(key, way.anchor_ns),
+        )  # fmt: skip
 
 
 def _withheld(verdict: Verdict, why: str) -> Verdict:
@@ -359,8 +404,9 @@ def _withheld(verdict: Verdict, why: str) -> Verdict:
     ):
         return verdict
     return replace(
-        verdict, outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None, suspect_since_ns=None
-    )
+        verdict, outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,
+        suspect_since_ns=None, doubtful=False,
+    )  # fmt: skip
 
 
 def _least_drag(result: LongResult, threshold: float, length_s: int) -> float:

@@ -201,7 +201,7 @@ class Process:
         yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
         self._lesson.add(time_ns, self.monitor.window, self.monitor.long_statistics.values())
         if self._lesson.is_due(time_ns) and (origin := self.origin) is not None:
-            yield self._lesson.result(time_ns, origin, self.monitor.long.threshold)
+            yield self._lesson.result(time_ns, origin)
 
     @property
     def origin(self) -> Origin | None:

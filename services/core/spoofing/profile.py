@@ -20,7 +20,6 @@ LEAST_THRESHOLD = 5.0  # [standard deviations] as of the built-in profile
 SHORT_S, LONG_S = 5.0, 60.0  # of independent windows; they are evaluated once a second
 MOST_GRADES = 3.0  # by which what is learned may exceed the stated grade
 MAD = 1.4826  # standard deviation over median magnitude of a normal variable
-MEDIAN_CHI2 = 2.366  # of a chi-square variable with 3 degrees of freedom
 SPEED_METRICS = (Metric.HEADING_RATE, Metric.ALTITUDE_RATE)
 
 
@@ -106,7 +105,7 @@ def classes_of(metric: Metric, window: Window) -> tuple[int, int]:
 
 def learn(
     windows: Iterable[Window], *, threshold: float | None = None, provenance: str,
-    long_statistics: Iterable[float] = (), long_threshold: float = 0.0, stated: Profile | None = None,
+    long_statistics: Iterable[float] = (), stated: Profile | None = None,
 ) -> Profile:  # fmt: skip
     """Learn a profile of the windows of fault-free drives.
 
@@ -120,9 +119,7 @@ def learn(
     provenance : str
         Which drives, of which device and configuration.
     long_statistics : iterable of float
-        [-] Chi-square of the free propagations, evaluated once a second.
-    long_threshold : float
-        [-] Their threshold.
+        [-] Chi-squares of the free propagations over their thresholds, evaluated once a second.
     stated : Profile, optional
         Profile of the stated grade: at most `MOST_GRADES` times its limits are learned, so that a slow drag during the
         drives cannot teach the monitor to pass it.
@@ -143,7 +140,7 @@ def learn(
     The scale of a class is that of `UNIT_IMU` or larger, and robust: by the median of the magnitude, less the known
     noise of the GNSS velocity and of the attitude. A class with few windows takes the largest of the others::
 
-        sigma² = (1.4826 median |C|)² - mean(noise²),    f² = max( median(T) / 2.37, t² max(T) / threshold, 1 )
+        sigma² = (1.4826 median |C|)² - mean(noise²),    f² = max( t² max(T) / threshold, 1 )
 
     The tolerance t = 1 + 3 / √(2n) is three standard deviations of a scale that n independent windows have shown: ten
     minutes are 120 of 5 s and 10 of 60 s, and no tail of 1e-5.
@@ -169,9 +166,8 @@ def learn(
     if k is None:
         k = max(LEAST_THRESHOLD, _tolerance(len(known), SHORT_S) * _quiet(known, draft))
     factor = 1.0
-    if len(long) and long_threshold > 0.0:
-        largest = _tolerance(len(known), LONG_S) ** 2 * long.max() / long_threshold
-        factor = float(np.sqrt(max(1.0, np.median(long) / MEDIAN_CHI2, largest)))
+    if len(long):
+        factor = max(1.0, _tolerance(len(known), LONG_S) * float(np.sqrt(long.max())))
     profile = draft.model_copy(update={"threshold": k, "long_factor": factor})
     if stated is not None:
         profile = _bounded(profile, stated)

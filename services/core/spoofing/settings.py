@@ -48,6 +48,12 @@ class LongSettings(Section):
     false_alarm_rate: float = Field(
         default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
     )
+    doubt_rate: float = Field(
+        default=3e-3,
+        gt=0.0,
+        lt=0.5,
+        description="false-alarm rate of the doubt about the way since 60 and 120 s, which makes the verdict CAUTION",
+    )
     velocity_random_walk_m_s_sqrt_s: float = Field(
         default=0.006, gt=0.0, description="root of the PSD of the accelerometers' noise, vibration included"
     )
@@ -88,6 +94,11 @@ class LongSettings(Section):
         default=0.002,
         ge=0.0,
         description="standard deviation of the odometer's scale, added to the covariance of fusion's filter",
+    )
+    position_time_sd_s: float = Field(
+        default=0.05,
+        ge=0.0,
+        description="standard deviation of the age of positions; times a change of velocity, a way",
     )
     odometer_delay_s: float = Field(default=0.0, ge=-2.0, le=3.0, description="age of odometer speeds at their stamps")
     odometer_time_sd_s: float = Field(default=0.05, ge=0.0, description="standard deviation of that age")

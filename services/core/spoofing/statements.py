@@ -31,7 +31,7 @@ def _statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> T
     suspect = [verdict.suspect_since_ns for verdict in verdicts.values() if verdict.suspect_since_ns is not None]
     return TrustMonitor(
         sampled_ns=time_ns, monitor=monitor, outcome=deciding.outcome, reason=deciding.reason,
-        accused=_accused(verdicts),
+        accused=_accused(verdicts), doubtful=any(verdict.doubtful for verdict in verdicts.values()),
         suspect_since_ns=min(suspect, default=None), since_ns=_since(verdicts, deciding.outcome),
         statistic=deciding.statistic, threshold=deciding.threshold, false_alarm_rate=deciding.false_alarm_rate,
         window_s=deciding.window_s, tests=tuple(_test(name, verdict) for name, verdict in verdicts.items()),
@@ -57,5 +57,5 @@ def _weight(verdict: Verdict) -> tuple[int, float]:
 
 def _test(name: str, verdict: Verdict) -> MonitorTest:
     fields = asdict(verdict)
-    del fields["suspect_since_ns"], fields["accused"]
+    del fields["suspect_since_ns"], fields["accused"], fields["doubtful"]
     return MonitorTest(name=name, **fields)

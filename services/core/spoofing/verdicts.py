@@ -22,6 +22,7 @@ class Verdict:
     suspect_since_ns: int | None = None
     since_ns: int | None = None
     accused: tuple[str, ...] = EITHER  # where it accuses
+    doubtful: bool = False  # it passes, but by little
 
 
 def dated(new: Verdict, old: Verdict | None, time_ns: int) -> Verdict:

@@ -47,6 +47,7 @@ class Statement:
     window_s: float | None = None
     since_ns: int | None = None
     suspect_since_ns: int | None = None
+    doubtful: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Facts:
     other_distance_m: float | None = None  # between the two solutions of a conflict, None without a second one
     other_level_m: float | None = None  # horizontal protection level of the one that is not published
     exclusion_declined: str | None = None  # fusion's reason why GNSS goes on being used
-    held_m: tuple[float, float] = (0.0, 0.0)  # difference of positions that the level holds, horizontal and vertical
+    held: str | None = None  # difference of positions that the level holds, and what would end it
     odometer_in_use: bool = False  # by fusion
     odometer_excluded_since_ns: int | None = None  # by the judgement before
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
@@ -142,7 +143,7 @@ class Facts:
         since = f"{late}, not evaluated since {stated_s:.1f} s"
         return replace(
             last, outcome=Outcome.NOT_EVALUATED, reason=since, accused=(), statistic=None, suspect_since_ns=None,
-            since_ns=last.stated_ns,
+            doubtful=False, since_ns=last.stated_ns,
         )  # fmt: skip
 
     def outcome(self, monitor: Monitor) -> Outcome:

@@ -147,7 +147,7 @@ class Process:
             outcome=MonitorOutcome(used.outcome.value), reason=used.reason[:REASON_LENGTH],
             accused=used.accused, since_ns=used.since_ns, suspect_since_ns=used.suspect_since_ns,
             statistic=used.statistic, threshold=used.threshold, false_alarm_rate=used.false_alarm_rate,
-            window_s=used.window_s,
+            window_s=used.window_s, doubtful=used.doubtful,
         )  # fmt: skip
 
     def _facts(self, admission: Admission) -> Facts:
@@ -167,7 +167,7 @@ class Process:
             other_distance_m=None if state is None else state.other_distance_m,
             other_level_m=None if state is None else state.other_level_m,
             exclusion_declined=None if state is None else state.exclusion_declined,
-            held_m=(0.0, 0.0) if state is None else (state.held_horizontal_m, state.held_vertical_m),
+            held=None if state is None else state.held_reason,
             odometer_in_use=state is not None
             and state.odometer_age_s is not None
             and state.odometer_age_s <= ODOMETER_SILENT_S,
@@ -208,5 +208,5 @@ def _statement(monitor: Monitor, message: TrustMonitor) -> Statement:
     return Statement(
         monitor, Outcome(message.outcome.value), message.sampled_ns, message.reason, message.accused,
         message.statistic, message.threshold, message.false_alarm_rate, message.window_s, message.since_ns,
-        message.suspect_since_ns,
+        message.suspect_since_ns, message.doubtful,
     )  # fmt: skip

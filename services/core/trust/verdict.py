@@ -12,7 +12,7 @@ row   condition                                                                 
 7     GNSS excluded and confirmed by fusion                                               DEAD_RECKONING
 8     no GNSS used for longer than `coasting_after_s`                                     DEAD_RECKONING
 9     a conflict that is not decided, or decided against the odometer                     CAUTION
-10    evidence alone                                                                      CAUTION
+10    evidence alone, or a doubt of an inertial monitor                                   CAUTION
 11    a required monitor is silent                                                        CAUTION
 12    no independent check: neither inertial windows nor satellites evaluated             CAUTION
 13    protection level above 0.8 of the alert limit                                       CAUTION
@@ -107,11 +107,8 @@ def _both_sides(facts: Facts) -> str:
             f"; the solution {one} GNSS is {facts.other_distance_m:.1f} m from the one {other} it, whose own level is "
             f"{facts.other_level_m:.1f} m"
         )
-    if any(facts.held_m):
-        said += (
-            f"; the level holds a disagreement of {facts.held_m[0]:.1f} m horizontal and {facts.held_m[1]:.1f} m "
-            "vertical, which a return by the same vector or an absolute source would end"
-        )
+    if facts.held is not None:
+        said += f"; the level holds: {facts.held}"
     return said
 
 
@@ -194,7 +191,12 @@ def _odometer_accused(facts: Facts) -> str | None:
 
 def _evidence(facts: Facts) -> str | None:
     accusing = facts.accusing((Monitor.EVIDENCE,))
-    return _sentences(facts, accusing) if accusing else None
+    doubts = [
+        f"monitor {monitor} is close to its threshold: {statement.reason}"
+        for monitor in INERTIAL
+        if (statement := facts.statement(monitor)).doubtful and statement.outcome is Outcome.PASS
+    ]
+    return "; ".join([*([_sentences(facts, accusing)] if accusing else []), *doubts]) or None
 
 
 def _silent(facts: Facts) -> str | None:
@@ -259,8 +261,8 @@ def findings(facts: Facts) -> tuple[str, ...]:
     accused = {name for statement in facts.accusing(tuple(Monitor)) for name in statement.accused}
     named = [f"{name} is accused" for name in sorted(accused)]
     named += [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)]
-    if any(facts.held_m):
-        named.append(_both_sides(facts).rpartition("; ")[2])
+    if facts.held is not None:
+        named.append(f"the level holds: {facts.held}")
     missing = [
         monitor for monitor in (*INERTIAL, Monitor.SATELLITES) if facts.outcome(monitor) is Outcome.NOT_EVALUATED
     ]

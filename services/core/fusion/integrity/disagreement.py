@@ -7,7 +7,7 @@ end it:
 - closure: the position comes back by the same vector, within the spread of both;
 - displacement, where the difference grew and did not step: since then the way driven by inertial sensors and by GNSS
   has agreed for `CONFIRMED_S`. A held offset agrees in displacement for ever, so that a step is not ended by it;
-- a decision of core.trust for one of the two.
+- for a first fix aside of the saved position, a drive of `DRIVEN_M`: a transmitter at the parking place stays behind.
 """
 
 from dataclasses import dataclass, replace
@@ -19,6 +19,7 @@ NONE: Pair = (0.0, 0.0)
 STILL: Vector = (0.0, 0.0, 0.0)
 
 CONFIRMED_S = 60.0  # of used positions without a rejection, which decide for GNSS where the difference grew
+DRIVEN_M = 2000.0  # with positions that agree, after which the saved position is no longer held against them
 CLOSURE_SDS = 3.0
 GREW_RATIO = 9.0  # [-] largest test ratio of the first rejected position of a difference that grew: three gates
 
@@ -31,6 +32,8 @@ class Disagreement:
     spread: Pair = NONE  # [m] standard deviation of the vector
     grew: bool = False  # without a step: displacement decides
     agreeing_ns: int | None = None  # since when positions have been used without a rejection
+    at_start: bool = False  # between the saved position and the first fix
+    driven_m: float = 0.0  # since then, while positions agreed
 
     @property
     def is_open(self) -> bool:
@@ -43,7 +46,25 @@ class Disagreement:
         north, east, down = self.vector_n
         return hypot(north, east), abs(down)
 
-    def after(self, vector_n: Vector, spread: Pair, time_ns: int, *, grew: bool) -> "Disagreement":
+    @property
+    def reason(self) -> str:
+        """What it is, and what would end it; empty without one."""
+        if not self.is_open:
+            return ""
+        horizontal, vertical = self.bound
+        size = f"{horizontal:.1f} m horizontal and {vertical:.1f} m vertical"
+        if self.at_start:
+            return (
+                f"the first fix was {size} from the saved position of the parked vehicle; ends after {DRIVEN_M:.0f} m "
+                f"driven in agreement ({self.driven_m:.0f} m so far), or by a step back"
+            )
+        if self.grew:
+            return f"positions differed by {size} and were taken over; ends after {CONFIRMED_S:.0f} s of agreement"
+        return f"positions differ by {size} and nothing decides which is right; ends by a step back by the same vector"
+
+    def after(
+        self, vector_n: Vector, spread: Pair, time_ns: int, *, grew: bool, at_start: bool = False
+    ) -> "Disagreement":
         """Add a further vector; the sum is closed on an axis where it is within its spread.
 
         Parameters
@@ -56,6 +77,8 @@ class Disagreement:
             Stamp.
         grew : bool
             The difference grew and did not step.
+        at_start : bool
+            It is between a saved position and the first fix.
         """
         (n, e, d), (dn, de, dd) = self.vector_n, vector_n
         sum_n, spreads = (n + dn, e + de, d + dd), (hypot(self.spread[0], spread[0]), hypot(self.spread[1], spread[1]))
@@ -66,17 +89,31 @@ class Disagreement:
                 sum_n = (sum_n[0], sum_n[1], 0.0)
         if sum_n == STILL:
             return NOTHING
-        return Disagreement(sum_n, spreads, grew and (self.grew or not self.is_open), time_ns)
+        first = not self.is_open
+        return Disagreement(sum_n, spreads, grew and (self.grew or first), time_ns, at_start and first)
 
-    def confirmed(self, time_ns: int, *, used: bool) -> "Disagreement":
-        """Use the outcome of a position: displacement ends a difference that grew."""
+    def confirmed(self, time_ns: int, *, used: bool, moved_m: float) -> "Disagreement":
+        """Use the outcome of a position: displacement ends a difference that grew, a drive that of a start.
+
+        Parameters
+        ----------
+        time_ns : int
+            Stamp.
+        used : bool
+            Whether the position was used.
+        moved_m : float
+            [m] Way since the position before.
+        """
         if not self.is_open:
             return self
         if not used or self.agreeing_ns is None:
             return replace(self, agreeing_ns=time_ns)
         if self.grew and (time_ns - self.agreeing_ns) * 1e-9 >= CONFIRMED_S:
             return NOTHING
-        return self
+        if not self.at_start:
+            return self
+        driven_m = self.driven_m + moved_m
+        return NOTHING if driven_m >= DRIVEN_M else replace(self, driven_m=driven_m)
 
 
 NOTHING = Disagreement()

@@ -102,7 +102,9 @@ class ErrorMonitor:
         down = self.rejected_n[2] if len(z) < 3 else z[2]
         sd_down = self.rejected_sd[1] if len(sd) < 3 else sd[2]
         sds = hypot(sd[0], sd[1]), sd_down
-        held = self.held.confirmed(outcome.time_ns, used=outcome.used)
+        since_s = max(0.0, (outcome.time_ns - self.position.time_ns) * 1e-9) if self.position.time_ns else 0.0
+        moved_m = hypot(*navigation.velocity[:2]) * since_s
+        held = self.held.confirmed(outcome.time_ns, used=outcome.used, moved_m=moved_m)
         if not outcome.used:
             first = self.rejected_n[:2] == STILL[:2]
             grew = outcome.test_ratio <= GREW_RATIO if first else self.rejected_grew

@@ -144,9 +144,10 @@ def distance_n(one: Engine, other: Engine) -> Vector | None:
 class Conflict:
     """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it."""
 
-    def __init__(self, since_ns: int, main: OutOfSequenceEngine, memory: Memory, resets: int) -> None:
+    def __init__(self, since_ns: int, main: OutOfSequenceEngine, memory: Memory) -> None:
         self.since_ns = since_ns
-        self.resets = resets  # of the engine with GNSS, when the conflict began
+        self.resets = main.engine.counts.resets  # of the engine with GNSS, when the conflict began
+        self.held = main.engine.aids.error_monitor.held  # by its level at that time
         self.replay: Replay | None = Replay(main, memory, since_ns)
         self.engine: OutOfSequenceEngine | None = None  # without GNSS, when the replay is over
         self.converged_s = self.replay.converged_s
@@ -212,7 +213,14 @@ class RollBack:
         apart = distance_n(self.engine.engine, other.engine)
         if apart is None:
             return None
-        return apart, self._levels(other.engine)
+        horizontal_m, vertical_m = self._levels(other.engine)
+        if (
+            other is self._main and self.conflict is not None
+        ):  # a reset in this conflict holds the same difference again
+            held, before = other.engine.aids.error_monitor.held.bound, self.conflict.held.bound
+            horizontal_m -= max(0.0, held[0] - before[0])
+            vertical_m -= max(0.0, held[1] - before[1])
+        return apart, (horizontal_m, vertical_m)
 
     def _levels(self, engine: Engine) -> Pair:
         """Protection levels of an engine with a filter."""
@@ -232,8 +240,10 @@ class RollBack:
         self._memory.sample(sample)
         self._memory.snapshot(self._main.settled)
         if self.conflict is not None:
+            waited = self.conflict.engine is None
             self.conflict.take(sample)
-            if sample.time_ns // PERIOD_NS != self._decided_ns:
+            begins = waited and self.conflict.engine is not None
+            if begins or sample.time_ns // PERIOD_NS != self._decided_ns:
                 self._decided_ns = sample.time_ns // PERIOD_NS
                 self._decide()
         elif self._odometer_excluded is None:
@@ -292,18 +302,19 @@ class RollBack:
         conflict = self.conflict
         if conflict is not None and (conflict.since_ns <= since_ns or self._memory.oldest_ns > since_ns):
             return
-        self.conflict = Conflict(since_ns, self._main, self._memory, self._main.engine.counts.resets)
+        self.conflict = Conflict(since_ns, self._main, self._memory)
 
     def _decide(self) -> None:
         """Choose which of the two solutions is published, once a second and with every verdict."""
         conflict = self.conflict
         if conflict is None or conflict.engine is None or self._wanted is None:
             return
-        apart = distance_n(self._main.engine, conflict.engine.engine)
-        if apart is None:
-            self._leave("one of the two solutions is lost")
+        if conflict.engine.engine.filter is None:
+            self._leave("the solution without GNSS is lost")
             return
-        conflict.farthest_m = max(conflict.farthest_m, hypot(apart[0], apart[1]))
+        apart = distance_n(self._main.engine, conflict.engine.engine)
+        if apart is not None:  # the one with GNSS may align again after a reset
+            conflict.farthest_m = max(conflict.farthest_m, hypot(apart[0], apart[1]))
         (horizontal_m, vertical_m), integrity = self._levels(conflict.engine.engine), self._settings.integrity
         if (
             horizontal_m > MOST_LIMITS * integrity.alert_limit_horizontal_m

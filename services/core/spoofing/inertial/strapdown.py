@@ -121,8 +121,8 @@ class Strapdown:
 
     Notes
     -----
-    With C from body to NED, f dt and R the increment's force and rotation, b the biases, that of the gyroscopes with the
-    part of their scale error::
+    With C from body to NED, f dt and R the increment's force and rotation, b the biases, that of the gyroscopes with
+    their scale error times the rate::
 
         v+ = v + C (f dt - b_a dt) + (g - (2 w_ie + w_en) x v) dt
         C+ = (I - sk(w_ie + w_en) dt) C R (I - sk(b_g) dt)

@@ -30,6 +30,7 @@ class VelocityFix:
     position: Geodetic | None = None
     position_sd: float = 0.0  # [m] horizontal
     of_positions: bool = False  # the velocity is a difference of positions
+    position_ns: int | None = None  # when the position was true
 
     @property
     def speed(self) -> float:
@@ -61,7 +62,8 @@ class PositionDifferences:
                 speed_sd = float(np.hypot(sd, before_sd)) / span_s
                 velocity = np.array([moved[0] / span_s, moved[1] / span_s, 0.0])
                 sds = np.array([speed_sd, speed_sd, UNKNOWN_VERTICAL_SD])
-                found = VelocityFix((time_ns + then_ns) // 2, velocity, sds, position, sd, of_positions=True)
+                middle_ns = (time_ns + then_ns) // 2
+                found = VelocityFix(middle_ns, velocity, sds, position, sd, of_positions=True, position_ns=time_ns)
                 break
         self._known.append((time_ns, position, sd))
         return found

@@ -1,9 +1,9 @@
 """Velocity by inertial sensors, odometer and non-holonomic constraint from an anchor on, without GNSS.
 
-Error state, 18 elements: velocity and attitude (NED), accelerometer and gyroscope bias (body), scale of the odometer,
-yaw and pitch of the forward axis in the body frame, and scale of the gyroscopes: its error is a share of the total turn
-and no random walk. An estimate is corrected at once: x_true = x + error, and for
-the attitude C_true = (I + sk(psi)) C.
+Error state, 21 elements: velocity and attitude (NED), accelerometer and gyroscope bias (body), scale of the odometer,
+yaw and pitch of the forward axis in the body frame, scale of the gyroscopes, whose error is a share of the total turn
+and no random walk, and the way since the anchor (NED). An estimate is corrected at once: x_true = x + error, and for the
+attitude C_true = (I + sk(psi)) C.
 """
 
 import numpy as np
@@ -21,8 +21,9 @@ FloatArray = npt.NDArray[np.float64]
 VELOCITY, ATTITUDE, ACCELEROMETER, GYROSCOPE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 SCALE, YAW, PITCH = 12, 13, 14
 GYROSCOPE_SCALE = slice(15, 18)
+MOVED = slice(18, 21)
 ANCHORED = slice(0, 15)  # states that fusion's filter has as well
-SIZE = 18
+SIZE = 21
 STANDSTILL_SD = 0.02  # [m/s]
 # [m/s] of the forward speed, above which the non-holonomic constraint is not used: the products of the errors of speed
 # and direction, which its linear form leaves out, are then as large as its own noise.
@@ -38,6 +39,7 @@ class FreePropagation:
         self.anchor, self._settings = anchor, settings
         self.nominal = Strapdown(anchor)
         self.scale, self.yaw, self.pitch = anchor.scale, anchor.yaw, anchor.pitch
+        self.moved_n = np.zeros(3)  # [m, NED] way of the antenna since the anchor
         self.odometer_rejections = 0
         self.odometer_updates = 0
         self.acceleration = np.zeros(3)  # [m/s², NED] mean of the last second
@@ -75,12 +77,14 @@ class FreePropagation:
         -----
         With dv the integral of the specific force (NED), C the mean attitude, T the time, a the turn (body)::
 
-            dv_err' = -sk(dv) psi - C T db_a,    psi' = -C T db_g - C diag(a) dk_g,    Phi = I + F + F²/2
+            dv_err' = -sk(dv) psi - C T db_a,    psi' = -C T db_g - C diag(a) dk_g,
+            r_err' = T v_err,    Phi = I + F + F²/2
         """
         s, T = self._settings, self._elapsed
         F = np.zeros((SIZE, SIZE))
         F[VELOCITY, ATTITUDE] = -skew(self._force)
         F[VELOCITY, ACCELEROMETER] = F[ATTITUDE, GYROSCOPE] = -self._attitude
+        F[MOVED, VELOCITY] = np.eye(3) * T
         F[ATTITUDE, GYROSCOPE_SCALE] = -self._attitude * self._angle / T
         Phi = np.eye(SIZE) + F + 0.5 * F @ F
         level = self._force + np.array([0.0, 0.0, 9.80665 * T])
@@ -143,7 +147,7 @@ class FreePropagation:
         self._apply(correct(self.P, -self.nominal.velocity, H, np.eye(3) * STANDSTILL_SD**2))
 
     def body_row(self, axis: int) -> tuple[float, FloatArray]:
-        """Velocity [m/s] along a body axis, and its derivatives by the error state, shape (18,)."""
+        """Velocity [m/s] along a body axis, and its derivatives by the error state, shape (21,)."""
         C, v = self.nominal.ned_from_body, self.nominal.velocity
         H = np.zeros(SIZE)
         H[VELOCITY] = C[:, axis]
@@ -161,6 +165,7 @@ class FreePropagation:
         nominal.accelerometer_bias = nominal.accelerometer_bias + error[ACCELEROMETER]
         nominal.gyroscope_bias = nominal.gyroscope_bias + error[GYROSCOPE]
         nominal.gyroscope_scale = nominal.gyroscope_scale + error[GYROSCOPE_SCALE]
+        self.moved_n = self.moved_n + error[MOVED]
         self.scale += float(error[SCALE])
         self.yaw += float(error[YAW])
         self.pitch += float(error[PITCH])

@@ -1,7 +1,8 @@
-"""The long window: GNSS velocity against free propagations that started 30 and 60 s ago.
+"""The long window: GNSS against free propagations, in velocity after 30 and 60 s, in way after 60 and 120 s.
 
 A drag-off is invisible in 5 s, and the innovations of the navigation filter absorb it. A propagation starts from
-fusion's solution every 5 s and never uses GNSS; 30 and 60 s later its velocity is compared.
+fusion's solution every 5 s and never uses GNSS; 30 and 60 s later its velocity is compared. A slow one is invisible in
+velocity: the way since the start of a propagation adds it up.
 """
 
 from dataclasses import dataclass
@@ -10,22 +11,26 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.correlated_noise import mean_variance
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 
 from ..inertial.strapdown import SECOND_NS, FilterAnchor, Increment
 from ..inertial.tracks import OdometerSpeed, VelocityFix
 from ..settings import Settings
-from .free_propagation import FreePropagation
+from .free_propagation import MOVED, FreePropagation
 from .metrics import WINDOW_S
 
 FloatArray = npt.NDArray[np.float64]
 
-LENGTHS_S = (30, 60)
+LENGTHS_S = (30, 60)  # of velocities
+WAYS_S = (60, 120)
 SPACING_S = 5  # between anchors, so that a window is at most this much longer than its name says
+WIDE_SPACING_S = 20  # of propagations that are older than the longest length of velocities
 FROZEN_S = 180  # age up to which a propagation is kept, if none younger takes its place
 RELEASE_RATE = 0.01  # of fault-free evaluations above the threshold of release
 LEAST_FIXES = 4  # of a mean over 5 s
 DIMENSIONS = 3
+LEAST_POSITION_SD = 0.8  # [m] reflections differ between two places, whatever the receiver states
 LEAST_SPEED = 2.0  # [m/s] of a comparison of speeds
 
 
@@ -41,9 +46,31 @@ class LongResult:
 
 
 @dataclass(frozen=True)
+class WayResult:
+    """Test of the way since an anchor at one time."""
+
+    statistic: float  # [-] chi-square with 2 degrees of freedom without a fault
+    difference_n: FloatArray  # shape (2,) [m, north and east] GNSS minus free propagation
+    sd_n: FloatArray  # shape (2,) [m]
+    anchor_ns: int
+
+
+@dataclass(frozen=True)
 class _Node:
     time_ns: int
     velocity_n: FloatArray  # of the antenna
+    moved_n: FloatArray  # of the antenna since the anchor
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A position by GNSS, and the way of the propagation at the same time."""
+
+    position: Geodetic
+    sd: float  # [m]
+    moved_n: FloatArray
+    velocity_n: FloatArray
+    time_ns: int
 
 
 @dataclass(frozen=True)
@@ -61,6 +88,8 @@ class FreeRun:
         self._settings = settings
         self._nodes: list[_Node] = []
         self._compared: list[_Comparison] = []
+        self._first: _Place | None = None  # soon after the anchor
+        self._places: list[_Place] = []  # of the last 5 s
         self._speed_limit = chi_square_limit(1, settings.long.false_alarm_rate)
 
     @property
@@ -72,11 +101,15 @@ class FreeRun:
         """Propagate by one increment; the antenna moves against the IMU by a velocity [m/s, body]."""
         self.free.advance(increment)
         nominal = self.free.nominal
-        self._nodes.append(_Node(increment.end_ns, nominal.velocity + nominal.ned_from_body @ lever_velocity_b))
+        velocity = nominal.velocity + nominal.ned_from_body @ lever_velocity_b
+        before = self._nodes[-1].velocity_n if self._nodes else velocity
+        self.free.moved_n = self.free.moved_n + 0.5 * increment.duration * (before + velocity)
+        self._nodes.append(_Node(increment.end_ns, velocity, self.free.moved_n))
         del self._nodes[:-20]
 
     def compare(self, fix: VelocityFix) -> None:
-        """Take the difference of a fix that the increments have just passed."""
+        """Take the differences of a fix that the increments have just passed."""
+        self._place(fix)
         if len(self._nodes) < 2 or not self._nodes[0].time_ns <= fix.time_ns <= self._nodes[-1].time_ns:
             return
         times = [node.time_ns - fix.time_ns for node in self._nodes]
@@ -85,6 +118,48 @@ class FreeRun:
         self._compared.append(_Comparison(fix, free, self.free.P[:3, :3].copy()))
         limit_ns = fix.time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
         self._compared = [compared for compared in self._compared if compared.fix.time_ns > limit_ns]
+
+    def _place(self, fix: VelocityFix) -> None:
+        """Keep the position of a fix beside the way of the propagation at its time."""
+        time_ns, nodes = fix.position_ns or fix.time_ns, self._nodes
+        if fix.position is None or len(nodes) < 2 or not nodes[0].time_ns <= time_ns <= nodes[-1].time_ns:
+            return
+        later = next(k for k in range(1, len(nodes)) if nodes[k].time_ns >= time_ns)
+        begin, end = nodes[later - 1], nodes[later]
+        share = (time_ns - begin.time_ns) / (end.time_ns - begin.time_ns)
+        moved = begin.moved_n + share * (end.moved_n - begin.moved_n)
+        velocity = begin.velocity_n + share * (end.velocity_n - begin.velocity_n)
+        place = _Place(fix.position, fix.position_sd, moved, velocity, time_ns)
+        self._first = self._first or place
+        self._places = [one for one in self._places if time_ns - one.time_ns < WINDOW_S * SECOND_NS] + [place]
+
+    def way(self) -> WayResult | None:
+        """Test the way since the anchor, as the mean of the last 5 s; None without positions.
+
+        Notes
+        -----
+        With p the positions of GNSS, r the way of the propagation, P its covariance, s the stated standard deviations,
+        v the velocities and s_t the error of the age of positions::
+
+            d = mean(p_k - r_k) - (p_0 - r_0),    T = d' S^-1 d,    S = f² (P + (s_0² + s_k²) I + s_t² dv dv')
+        """
+        first, places = self._first, self._places
+        if first is None or len(places) < LEAST_FIXES:
+            return None
+        apart = [
+            np.array(ned_from_geodetic_difference(one.position, first.position)[:2]) - (one.moved_n - first.moved_n)[:2]
+            for one in places
+        ]
+        d = np.mean(apart, axis=0)
+        change = (places[-1].velocity_n - first.velocity_n)[:2]
+        variance = sum(max(one.sd, LEAST_POSITION_SD) ** 2 for one in (first, places[-1]))
+        S = (
+            self.free.P[MOVED, MOVED][:2, :2]
+            + np.eye(2) * variance
+            + self._settings.long.position_time_sd_s**2 * np.outer(change, change)
+        )
+        S = self._settings.profile.long_factor**2 * S
+        return WayResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), self.anchor_ns)
 
     def result(self) -> LongResult | None:
         """Test the mean difference over the last 5 s; None with too few fixes.
@@ -142,6 +217,9 @@ class LongWindow:
         self.threshold = chi_square_limit(DIMENSIONS, settings.long.false_alarm_rate)
         self.release_threshold = chi_square_limit(DIMENSIONS, RELEASE_RATE)
         self.median = chi_square_limit(DIMENSIONS, 0.5)
+        self.way_threshold = chi_square_limit(2, settings.long.false_alarm_rate)
+        self.way_doubt = chi_square_limit(2, settings.long.doubt_rate)
+        self.way_median = chi_square_limit(2, 0.5)
         self.suspect_since_ns: int | None = None  # while GNSS is accused
 
     @property
@@ -190,9 +268,16 @@ class LongWindow:
         for run in self._runs:
             run.free.predict()
         ages = [run.free.age_s(run.free.nominal.time_ns) for run in self._runs]
-        newest_whole = max((i for i, age in enumerate(ages) if age >= LENGTHS_S[-1]), default=0)
-        oldest = 0 if self.suspect_since_ns is not None else newest_whole
-        self._runs = [run for run, age in zip(self._runs[oldest:], ages[oldest:], strict=True) if age <= FROZEN_S]
+        if self.suspect_since_ns is not None:
+            self._runs = [run for run, age in zip(self._runs, ages, strict=True) if age <= FROZEN_S]
+            return
+        newest_whole = max((i for i, age in enumerate(ages) if age >= WAYS_S[-1]), default=0)
+        kept: list[FreeRun] = []
+        for i, (run, age) in enumerate(zip(self._runs, ages, strict=True)):
+            apart_s = (run.anchor_ns - kept[-1].anchor_ns) / SECOND_NS if kept else WIDE_SPACING_S
+            if i >= newest_whole and (age <= LENGTHS_S[-1] + SPACING_S or apart_s >= WIDE_SPACING_S):
+                kept.append(run)
+        self._runs = kept
 
     def aid(self, odometer: OdometerSpeed | None, yaw_rate: float, *, stationary: bool) -> None:
         """Aid by odometer, non-holonomic constraint and standstill."""
@@ -218,6 +303,11 @@ class LongWindow:
         """Compare a fix with every propagation."""
         for run in self._runs:
             run.compare(fix)
+
+    def way(self, length_s: int) -> WayResult | None:
+        """Test the way with the youngest propagation of at least a length; None without one."""
+        old = [run for run in self._runs if run.free.age_s(run.free.nominal.time_ns) >= length_s]
+        return old[-1].way() if old else None
 
     def result(self, length_s: int) -> LongResult | None:
         """Test with the youngest propagation of at least a length; None without one, or with too few fixes."""

@@ -16,6 +16,7 @@ from shared.maths.rotation import ned_from_body
 
 FloatArray = npt.NDArray[np.float64]
 START_S, LENGTH_S = 30, 60
+ANCHOR_SIZE = 15  # states of fusion that a propagation starts with
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def anchor_at(drive: Drive, time_s: float) -> FilterAnchor:
         scale=1.0,
         yaw=0.0,
         pitch=0.0,
-        covariance=np.zeros((SIZE, SIZE)),
+        covariance=np.zeros((ANCHOR_SIZE, ANCHOR_SIZE)),
     )
 
 
@@ -96,7 +97,7 @@ def test_derivatives_of_the_body_velocity_agree_with_finite_differences(drive: D
 
 def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
     settings = LongSettings(non_holonomic=False, velocity_sd_m_s=0.0, scale_sd=0.0)
-    P = np.zeros((SIZE, SIZE))
+    P = np.zeros((ANCHOR_SIZE, ANCHOR_SIZE))
     P[0, 0], P[4, 4], P[6, 6], P[4, 6] = 0.05**2, 1e-3**2, 0.01**2, -0.8 * 1e-3 * 0.01
     P[6, 4] = P[4, 6]
     level = FilterAnchor(
@@ -170,7 +171,7 @@ def test_the_non_holonomic_constraint_is_used_while_the_forward_speed_is_known(
     drive: Drive, speed_sd: float, left: float
 ) -> None:
     anchor = anchor_at(drive, START_S)
-    covariance = np.zeros((SIZE, SIZE))
+    covariance = np.zeros((ANCHOR_SIZE, ANCHOR_SIZE))
     covariance[VELOCITY, VELOCITY] = np.eye(3) * speed_sd**2
     sideways = anchor.velocity_n + 0.5 * anchor.ned_from_body[:, 1]
     free = FreePropagation(replace(anchor, velocity_n=sideways, covariance=covariance), LongSettings())

@@ -144,8 +144,10 @@ ACCUSED, EITHER = (Outcome.ACCUSES, ("gnss",)), (Outcome.ACCUSES, ("gnss", "imu"
         (facts(motion=(Outcome.ACCUSES, ("gnss", "odometer"))), (False, False, True, None)),
         (facts(evidence=ACCUSED), (False, False, True, None)),
         (facts(inertial_long=(Outcome.NOT_EVALUATED, ())), (False, False, True, None)),
-        (facts(inertial_long=(Outcome.NOT_EVALUATED, ()), inertial_short=(Outcome.NOT_EVALUATED, ())),
-         (False, False, False, None)),
+        (
+            facts(inertial_long=(Outcome.NOT_EVALUATED, ()), inertial_short=(Outcome.NOT_EVALUATED, ())),
+            (False, False, False, None),
+        ),
     ],
 )
 def test_inertial_monitors_and_unidentified_satellite_faults_accuse_and_a_third_source_decides(
@@ -156,7 +158,11 @@ def test_inertial_monitors_and_unidentified_satellite_faults_accuse_and_a_third_
 
 def test_dead_inertial_monitors_keep_a_conflict_open() -> None:
     now_ns = 100 * SECOND_NS
-    dead = replace(facts(inertial_long=ACCUSED, inertial_short=ACCUSED), time_ns=now_ns, solution=replace(DEAD_RECKONING, sampled_ns=now_ns))
+    dead = replace(
+        facts(inertial_long=ACCUSED, inertial_short=ACCUSED),
+        time_ns=now_ns,
+        solution=replace(DEAD_RECKONING, sampled_ns=now_ns),
+    )
     readmission = Readmission()
     readmission.update(0, accused=True, agrees=False)
     for time_s in range(1, 100):

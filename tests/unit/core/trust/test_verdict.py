@@ -43,7 +43,7 @@ def levels(horizontal: float | None, vertical: float | None) -> Facts:
 EXCLUDED = replace(SAFE, conflict_open=True, gnss_excluded=True, exclusion_confirmed=True)
 OPEN = replace(SAFE, conflict_open=True)
 BOTH_KNOWN = replace(OPEN, other_distance_m=4.2, other_level_m=5.5)
-GIVEN_UP = replace(OPEN, exclusion_declined="without GNSS the level is 31 m", held_m=(6.5, 0.4))
+GIVEN_UP = replace(OPEN, exclusion_declined="without GNSS the level is 31 m", held="positions differ by 6.5 m")
 WITHOUT_G05 = replace(SAFE, satellites_left_out=frozenset({"G05"}))
 MOTION_CONFLICT = accuses(Monitor.MOTION, "gnss", "odometer")
 SILENT = replace(says(Monitor.INERTIAL_LONG), stated_ns=NOW_NS - 8 * SECOND_NS)
@@ -89,8 +89,8 @@ CASES = [
                  id="8-never"),
     pytest.param(with_(BOTH_KNOWN, accuses(Monitor.INERTIAL_SHORT, "gnss", "imu")), 9, "caution",
                  "the solution with GNSS is 4.2 m from the one without it, whose own level is 5.5 m", id="9-both-known"),
-    pytest.param(GIVEN_UP, 9, "caution", "GNSS is used: without GNSS the level is 31 m; the level holds a disagreement "
-                 "of 6.5 m horizontal", id="9-given-up"),
+    pytest.param(GIVEN_UP, 9, "caution",
+                 "GNSS is used: without GNSS the level is 31 m; the level holds: positions differ by 6.5 m", id="9-given-up"),
     pytest.param(with_(SAFE, MOTION_CONFLICT), 9, "caution",
                  "inertial monitors agree with GNSS, the odometer is no longer used", id="9-odometer"),
     pytest.param(with_(SAFE, accuses(Monitor.MOTION, "gnss")), 9, "caution",

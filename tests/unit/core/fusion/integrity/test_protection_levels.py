@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from services.core.fusion.integrity.disagreement import Disagreement
 from services.core.fusion.integrity.error_monitor import ErrorMonitor
 from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, InnovationStatistics
 from services.core.fusion.integrity.protection_levels import (
@@ -53,13 +54,11 @@ def monitor(
     *,
     cov_after_fix: tuple[float, float, float, float] = KNOWING.cov_after_fix,
     fault_shift: tuple[float, float] = (0.0, 0.0),
-    rejected_shift: tuple[float, float] = (0.0, 0.0),
+    rejected_n: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> ErrorMonitor:
     """Monitor in which a position has just been used, with optional changes."""
     known = statistics_of(white(400)) if position is None else position
-    return replace(
-        KNOWING, position=known, cov_after_fix=cov_after_fix, fault_shift=fault_shift, rejected_shift=rejected_shift
-    )
+    return replace(KNOWING, position=known, cov_after_fix=cov_after_fix, fault_shift=fault_shift, rejected_n=rejected_n)
 
 
 def white(count: int, seed: int = 1) -> FloatArray:
@@ -211,13 +210,14 @@ def test_time_correlated_errors_in_the_filter_are_not_assumed_a_second_time() ->
 
 def test_the_innovation_of_rejected_positions_is_part_of_the_levels() -> None:
     """Either the position or the solution is wrong."""
-    assert levels(monitor(rejected_shift=(30.0, 12.0)))[0] > 30.0
-    assert levels(monitor(rejected_shift=(30.0, 12.0)))[1] > 12.0
+    assert levels(monitor(rejected_n=(18.0, 24.0, -12.0)))[0] > 30.0
+    assert levels(monitor(rejected_n=(18.0, 24.0, -12.0)))[1] > 12.0
 
 
 def test_after_a_reset_to_rejected_positions_their_distance_is_part_of_the_levels() -> None:
-    rejecting = monitor(rejected_shift=(30.0, 12.0))
-    restarted = replace(KNOWING, position=rejecting.position, reset_shift=rejecting.rejection_bound)
+    rejecting = monitor(rejected_n=(18.0, 24.0, -12.0))
+    held = Disagreement().after(rejecting.rejected_n, (1.0, 1.0), SECOND_NS, grew=False)
+    restarted = replace(KNOWING, position=rejecting.position, held=held)
     assert restarted.rejection_bound == (30.0, 12.0)
     assert levels(restarted)[0] > 30.0 and levels(restarted)[1] > 12.0
 
