@@ -24,8 +24,8 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "trust-on-drives.json"
 PAGE = REPOSITORY / "docs" / "reference" / "trust-on-drives.md"
 DRIVES = ("comma", "rtkexp", "wid02", "wid08", "wid10", "navmatlab", "navmatlab 0327")
 HEAD = (
-    "<!-- Printed by `make drives-trust` from benchmarks/results/trust-on-drives.json; a test holds it to that file. -->"
-    "\n\n"
+    "<!-- Printed by `make drives-trust` from benchmarks/results/trust-on-drives.json; a test holds it to that file. "
+    "-->\n\n"
 )
 KEPT = (
     "duration_s", "without_solution_s", "horizontal_rmse_m", "gnss_excluded_s", "errors_above_level_horizontal",
@@ -33,9 +33,9 @@ KEPT = (
 )  # fmt: skip
 NOTES = """
 These receivers were not attacked: each second without GNSS is a false alarm, and so is each second UNSAFE, DEAD
-RECKONING or NO FIX that follows from it. Every drive is solved with the aiding of its vehicle file, which has an odometer
-where the recording has one; monitors whose inputs are not in a recording (satellites, neighbours) are not evaluated,
-and without them the verdict is at best CAUTION ([how the verdict is found](../explanation/trust.md)).
+RECKONING or NO FIX that follows from it. Every drive is solved once with the aiding of its vehicle file, as the vehicle
+does. Monitors whose inputs are not in a recording (satellites, neighbours) are not evaluated, and without them the
+verdict is at best CAUTION ([how the verdict is found](../explanation/trust.md)).
 
 *Above the level* is the share of the errors above the published protection level; the integrity risk allows 0.1 %.
 *Harm* is the horizontal error (root mean square) over that of a run without `core.trust` at the same times, where a
