@@ -65,7 +65,13 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.navigation.trust", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=DRIVES, help="these drives alone; prints, and keeps nothing")
     parser.add_argument("--keep", type=Path, help="folder for recordings and reports, which stay there")
+    parser.add_argument(
+        "--print", action="store_true", help="print the page of the last results again; measure nothing"
+    )
     options = parser.parse_args(arguments)
+    if options.print:
+        PAGE.write_text(HEAD + page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
+        return 0
     names = present(options.only or DRIVES)
     if not names:
         print(f"no drive is measured: {data_folder()} holds none of them; set OBU_DATA to the folder of the recordings")
@@ -124,10 +130,10 @@ def rows(drives: Mapping[str, Verdicts]) -> Iterator[tuple[str, ...]]:
             *(_said(seconds.get(level), "{:.0f} s") for level in WORDS),
             _said(metrics["gnss_excluded_s"], "{:.1f} s"),
             _said(metrics["without_solution_s"], "{:.0f} s"),
-            _said(metrics["horizontal_rmse_m"], "{:.3g} m"),
+            _said(metrics["horizontal_rmse_m"], "{:.4g} m"),
             _said(metrics["errors_above_level_horizontal"], "{:.2%}"),
             _said(metrics["errors_above_level_vertical"], "{:.2%}"),
-            _said(metrics["harm_ratio"], "{:.2f}"),
+            _said(metrics["harm_ratio"], "{:.4g}"),
         )
 
 
