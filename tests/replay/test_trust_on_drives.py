@@ -113,7 +113,6 @@ def first_seconds(inputs: Inputs, seconds: float) -> Messages:
 
 
 @pytest.mark.recording
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mapping", "folder", "seconds", "truth_by_fixes"),
     [
