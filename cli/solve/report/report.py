@@ -189,6 +189,8 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"median {_metres(metrics['outage_end_error_median_m'])}, maximum "
             f"{_metres(metrics['outage_end_error_max_m'])}."
         )
+    elif metrics["outage_count"] == 0:
+        found.append(f"No outage of --outage {heading.outage} could be evaluated: there was no solution within.")
     elif heading.outage:
         found.append(f"No complete outage of --outage {heading.outage} lies within the drive.")
     if metrics.get("smoothed_horizontal_rmse_m") is not None:

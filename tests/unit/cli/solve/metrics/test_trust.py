@@ -116,3 +116,9 @@ def test_fusion_is_not_called_worse_than_gnss_alone_where_an_outage_removed_fixe
     assert worse_axes(cut) == [] and "GNSS alone" not in verdict(cut)
     said = " ".join(summary(Heading("drive", "a circle", "10/30", []), cut))
     assert "worse" not in said and "GNSS alone at the same 28 fixes" in said
+
+
+def test_outages_without_a_solution_are_not_said_to_be_outside_the_drive() -> None:
+    found = metrics_of(made(TENTHS)) | {"outage_count": 0}
+    said = " ".join(summary(Heading("drive", "a circle", "10/30", []), found))
+    assert "No outage of --outage 10/30 could be evaluated" in said and "lies within the drive" not in said
