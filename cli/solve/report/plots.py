@@ -136,7 +136,8 @@ def _verdicts(verdicts: Verdicts, run: Run) -> Figure:
         axes.broken_barh(gone, (-0.4, 0.8), color=GREY, linewidth=0)
         axes.set_yticks(range(len(VERDICTS) + 1), ["GNSS excluded", *(WORDS[level] for level in reversed(VERDICTS))])
         axes.set(xlabel="time [s]", xlim=(0.0, float(time_s[-1])))
-    return Figure("Verdict", "Verdict of core.trust over time.", inline_svg(drawn[0], "Verdict"))
+    caption = "Verdict of core.trust over time." + (" Shaded: GNSS outage." if run.gaps else "")
+    return Figure("Verdict", caption, inline_svg(drawn[0], "Verdict"))
 
 
 def _joined(intervals: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
