@@ -9,7 +9,7 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture bench-replay clean
+.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -106,6 +106,9 @@ bench: $(VENV)/.testing $(VENV)/.debian ## measure latency over the bus and cost
 
 drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)
 	@$(PYTHON) -m benchmarks.navigation
+
+drives-trust: setup ## print the verdicts on the recordings of OBU_DATA, and the harm of their exclusions (minutes)
+	@$(PYTHON) -m benchmarks.navigation.trust
 
 integrity: setup ## hold protection levels against true errors: RUNS simulated drives, and RECORDINGS=folder (half an hour)
 	@$(PYTHON) -m benchmarks.integrity --runs $(RUNS) --keep .obu/integrity $(if $(RECORDINGS),--recordings $(RECORDINGS))

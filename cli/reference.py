@@ -10,6 +10,7 @@ from typing import cast
 from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
+from shared.messages.trust import TrustLevel
 from shared.processes import PROCESSES, Role, running
 from shared.runtime.config import Section
 
@@ -64,11 +65,16 @@ def metrics_page() -> str:
         ("`time_s`", "time since the first row"),
         ("`phase`", "`navigating`, or `coasting` if no position was used recently"),
     ]
-    columns = table(("column", "meaning"), stamps + [(f"`{name}`", meaning) for name, meaning in COLUMNS.items()])
+    verdict = ("`verdict`", "verdict of `core.trust`: " + ", ".join(f"`{level}`" for level in TrustLevel))
+    columns = table(
+        ("column", "meaning"), [*stamps, *((f"`{name}`", meaning) for name, meaning in COLUMNS.items()), verdict]
+    )
     return (
         "# What `obu solve` writes\n\n"
         "Names end in their unit (see [conventions](conventions.md)). An unknown metric is `null`.\n\n"
         f"## metrics.json\n\n{metrics}\n\n"
+        "A name with a dot is a key of an object: `trust_seconds` holds `safe`, `caution`, ... With `--without trust` "
+        "everything from `trust_seconds` on is `null`.\n\n"
         "Root mean squares and percentiles are computed over the times of the truth while the filter navigates or "
         "coasts, outages included.\n\n"
         f"`--smooth` adds:\n\n{smoothed}\n\n"

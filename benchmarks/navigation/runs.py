@@ -76,7 +76,7 @@ def solve_cases(cases: dict[str, Case], folder: Path, advance: Advance) -> dict[
     """Run every job, as many at once as there are cores; the metrics of each case."""
     jobs = [job for key, case in cases.items() for job in jobs_of(key, case) if not _done(job, folder)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        waiting = {pool.submit(_solve, job, folder): job for job in jobs}
+        waiting = {pool.submit(solve_job, job, folder): job for job in jobs}
         for done in as_completed(waiting):
             done.result()
             advance(f"solved {waiting[done].case}")
@@ -88,7 +88,8 @@ def _done(job: Job, folder: Path) -> bool:
     return (folder / job.folder / "report.html").is_file()
 
 
-def _solve(job: Job, folder: Path) -> None:
+def solve_job(job: Job, folder: Path) -> None:
+    """Run `obu solve` for a job; the results are in its folder."""
     _obu(["solve", str(recording(folder, job.drive)), "--out", str(folder / job.folder), *job.options])
 
 

@@ -1,7 +1,7 @@
 """Writes the output files of `obu solve`."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +10,12 @@ from shared.errors import UserError
 from shared.track_files import TrackPoint, kml_lines
 
 from .metrics.drift import drift_lines
-from .metrics.metrics import Run, Value
+from .metrics.metrics import Run, Value, as_objects
 from .reference_track import Reference
 from .report.report import Heading, page
 from .track import NAMES, Track
 
-HEADER = ("sampled_ns", "time_s", "phase", *NAMES)
+HEADER = ("sampled_ns", "time_s", "phase", *NAMES, "verdict")
 # Rounding is below 1 mm, 0.1 mm/s and 1 microradian.
 DECIMALS = {
     "latitude_deg": 9,
@@ -45,27 +45,31 @@ def write(
     report = page(heading, metrics, figures)
     try:
         for name, track in tracks.items():
+            verdicts = [] if run.trust is None else run.trust.verdicts.at(track.stamps_ns)
             with (folder / f"{name}.csv").open("w", encoding="utf-8") as file:
-                file.writelines(csv_lines(track))
+                file.writelines(csv_lines(track, verdicts))
             with (folder / f"{name}.kml").open("w", encoding="utf-8") as file:
                 file.writelines(kml_lines(heading.name, [kml_points(track)]))
         if heading.outage is not None:
             with (folder / "outages.csv").open("w", encoding="utf-8") as file:
                 file.writelines(drift_lines(run.drifts(), run.first_ns))
-        (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
+        (folder / "metrics.json").write_text(json.dumps(as_objects(metrics), indent=2) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(report, encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error
 
 
-def csv_lines(track: Track) -> Iterator[str]:
-    """Format a track as CSV, one line per solution; unknown values are empty."""
+def csv_lines(track: Track, verdicts: Sequence[str] = ()) -> Iterator[str]:
+    """Format a track as CSV, one line per solution, each with its verdict if given; unknown values are empty."""
     yield ",".join(HEADER) + "\n"
     formats = [f"%.{DECIMALS.get(name, 7)}f" for name in NAMES]
-    line = "%d,%.6f,%s," + ",".join(formats)
+    line = "%d,%.6f,%s," + ",".join(formats) + ",%s"
     first = int(track.stamps_ns[0]) if len(track) else 0
-    for stamp, phase, row in zip(track.stamps_ns.tolist(), track.phases, track.values.tolist(), strict=True):
-        text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row)
+    said = verdicts or [""] * len(track)
+    for stamp, phase, row, verdict in zip(
+        track.stamps_ns.tolist(), track.phases, track.values.tolist(), said, strict=True
+    ):
+        text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row, verdict)
         yield text.replace("nan", "") + "\n"
 
 

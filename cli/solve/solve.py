@@ -21,6 +21,7 @@ from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
 from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState, SetUpState
+from shared.messages.trust import TrustState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
@@ -33,7 +34,8 @@ from .inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .metrics.counters import Counters
 from .metrics.errors import errors_against
 from .metrics.gnss_alone import GnssAlone, gnss_alone
-from .metrics.metrics import Run, Value, metrics_of
+from .metrics.metrics import Run, Value, as_objects, metrics_of
+from .metrics.trust import Harm, Trust, harm_of
 from .outages import Outages
 from .overrides import SWITCHES, Aiding, with_settings
 from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
@@ -41,6 +43,7 @@ from .report.report import Heading, summary
 from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
+from .verdicts import VerdictLog
 
 
 def solve(  # noqa: PLR0913  # one argument an option
@@ -88,6 +91,12 @@ def solve(  # noqa: PLR0913  # one argument an option
         Path | None,
         typer.Option(metavar="FOLDER", help="Output folder; default: name of the recording with -solution."),
     ] = None,
+    without: Annotated[
+        str | None,
+        typer.Option(
+            "--without", metavar="trust", help="Leave out core.trust, for comparison: no verdict, nothing is excluded."
+        ),
+    ] = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Run the Rauch-Tung-Striebel smoother as well: solution_smoothed.csv.")
     ] = False,
@@ -101,32 +110,42 @@ def solve(  # noqa: PLR0913  # one argument an option
     [bold]obu solve drive.mcap --smooth[/]
     [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]
     [bold]obu solve drive.mcap --set core.fusion.gnss.delay_s=0.1[/]
+    [bold]obu solve drive.mcap --without trust --out without-trust[/]
     """
-    outages = Outages.parse(outage) if outage is not None else None
+    with_trust = _with_trust(without)
+    if outage is not None:
+        Outages.parse(outage)  # what is wrong with it is said before the recording is read
     console = Console(stderr=True)
     changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
     drive = _changed(_read(recording, vehicle, console), changes)
     _check_start(drive, "--score-from", score_from)
-    if outages is not None:
-        outages.recording_ns = drive.first_ns
+    if (outages := _outages(outage, drive)) is not None:
         _check_start(drive, "--outage", (outages.start_ns or 0) * 1e-9)
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
         progress = stack.enter_context(progress_on(console))
         history = stack.enter_context(HistoryFile(folder)) if smooth else None
-        solved = _run(drive, outages, progress, history)
-        smoothed = _smooth(drive, solved, history, progress) if history is not None else None
+        solved = _run(drive, outages, progress, history, with_trust=with_trust)
+        # All fixes of the recording, those removed by an outage included.
+        fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
+        reference = (
+            _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
+        )
+        # Nothing of core.trust but an exclusion has an effect on the filter: without one, both runs are the same.
+        plain = solved
+        if solved.verdicts.excluded and (smooth or (reference is not None and reference.geodetic is not None)):
+            # A history for the smoother cannot be rolled back: it is that of the run in which nothing is excluded.
+            history = stack.enter_context(HistoryFile(folder)) if smooth else None
+            plain = _run(drive, _outages(outage, drive), progress, history, with_trust=False)
+        smoothed = _smooth(drive, plain, history, progress) if history is not None else None
     if count := len(drive.inputs.undecodable):
         console.print(f"{recording.name}: {count} messages could not be decoded and were skipped", markup=False)
-    # All fixes of the recording, those removed by an outage included.
-    fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
-    reference = (
-        _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
-    )
+    scored_from_ns = drive.first_ns + round(score_from * 1e9)
     run = replace(
         _compared(drive, solved, reference, fixes),
-        scored_from_ns=drive.first_ns + round(score_from * 1e9),
+        scored_from_ns=scored_from_ns,
+        trust=_trust(drive, solved, plain, reference, scored_from_ns),
         gnss_alone=_gnss_alone(drive, solved, reference) if reference is given else None,
     )
     metrics = metrics_of(run)
@@ -136,16 +155,15 @@ def solve(  # noqa: PLR0913  # one argument an option
         metrics |= smoothed_metrics(run, again)
     truth_is = reference.description if reference else "none"
     risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
-    heading = Heading(
-        drive.name, truth_is, outage, _facts(drive, changes), risk, made, findings(solved.counters.set_up)
-    )
+    facts = _facts(drive, changes, with_trust=with_trust)
+    heading = Heading(drive.name, truth_is, outage, facts, risk, made, findings(solved.counters.set_up))
     write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
         "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
     }
     if as_json:
-        print(json.dumps(metrics | timings))
+        print(json.dumps(as_objects(metrics | timings)))
     else:
         for sentence in summary(heading, metrics):
             print(sentence)
@@ -183,6 +201,7 @@ class Solved:
     builder: TrackBuilder
     counters: Counters
     outages: Outages | None
+    verdicts: VerdictLog
     fixes: list[GnssFix]  # inputs of the filter
     seconds: float
 
@@ -229,12 +248,29 @@ def _check_start(drive: Drive, option: str, begins_s: float) -> None:
         )
 
 
-def _run(drive: Drive, outages: Outages | None, progress: Progress, history: HistoryFile | None = None) -> Solved:
-    """Run layers 2 to 4 over all inputs, in the order of arrival.
+def _with_trust(without: str | None) -> bool:
+    """Whether core.trust runs; raises UserError for a word that names nothing that can be left out."""
+    if without not in (None, "trust"):
+        raise UserError(f"--without {without} is not possible; only core.trust can be left out: --without trust")
+    return without is None
 
-    No verdict excludes GNSS: the thresholds of the monitors are those of one IMU, and drives come from many.
-    """
-    unit, builder, counters = OfflineUnit(drive.vehicle, _without_verdict(drive.vehicle)), TrackBuilder(), Counters()
+
+def _outages(outage: str | None, drive: Drive) -> Outages | None:
+    """Make the outages of one run, for they follow its alignment."""
+    if outage is None:
+        return None
+    outages = Outages.parse(outage)
+    outages.recording_ns = drive.first_ns
+    return outages
+
+
+def _run(
+    drive: Drive, outages: Outages | None, progress: Progress, history: HistoryFile | None, *, with_trust: bool
+) -> Solved:
+    """Run layers 2 to 4 over all inputs, in the order of arrival, as the vehicle does or without core.trust."""
+    processes = [name for name in drive.vehicle.processes if with_trust or name != "core.trust"]
+    unit, builder, counters = OfflineUnit(drive.vehicle, processes), TrackBuilder(), Counters()
+    verdicts = VerdictLog()
     if history is not None:
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
         cast(Process, unit.process("core.fusion")).record_history(HistoryRecorder(history, period_ns))
@@ -248,15 +284,14 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress, history: His
                 counters.add_update(message)
             case NavigationState():
                 counters.add_state(message)
+                verdicts.add(message)
+            case TrustState():
+                verdicts.add(message)
             case SetUpState():
                 counters.set_up = message
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
-    return Solved(builder, counters, outages, fixes, time.perf_counter() - started)
-
-
-def _without_verdict(vehicle: VehicleFile) -> tuple[str, ...]:
-    return tuple(name for name in vehicle.processes if name != "core.trust")
+    return Solved(builder, counters, outages, verdicts, fixes, time.perf_counter() - started)
 
 
 def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progress) -> Track:
@@ -353,6 +388,20 @@ def _gnss_alone(drive: Drive, solved: Solved, reference: Reference | None) -> Gn
     return gnss_alone(solved.fixes, reference, track, lever_arm_b=gnss.lever_arm_body_m, delay_s=gnss.delay_s)
 
 
+def _trust(
+    drive: Drive, solved: Solved, plain: Solved, reference: Reference | None, scored_from_ns: int
+) -> Trust | None:
+    """Verdicts of a run, and its errors over those of the run without core.trust; None if that did not run."""
+    if not len(solved.verdicts):
+        return None
+    lever_arm = _fusion(drive.vehicle).gnss.lever_arm_body_m
+    harm: Harm | None = None
+    if reference is not None:
+        runs = (made.builder.track().valid() for made in (solved, plain))
+        harm = harm_of(reference, *runs, lever_arm_b=lever_arm, since_ns=scored_from_ns)
+    return Trust(solved.verdicts.verdicts(drive.first_ns, drive.last_ns), None if harm is None else harm.ratio)
+
+
 def _folder(path: Path) -> Path:
     """Create the output folder before the processing."""
     try:
@@ -371,12 +420,13 @@ def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
     return from_fixes(fixes, delay_s=config.gnss.delay_s, velocity_delay_s=config.gnss.velocity_delay_s)
 
 
-def _facts(drive: Drive, changes: tuple[str, ...]) -> list[tuple[str, str]]:
+def _facts(drive: Drive, changes: tuple[str, ...], *, with_trust: bool) -> list[tuple[str, str]]:
     files = json.loads(drive.provenance.get("files", "{}"))
     return [
         ("recording", drive.file),
         ("vehicle", drive.vehicle.name),
         *(("set", change) for change in changes),
+        *([] if with_trust else [("without", "core.trust")]),
         *((name, f"SHA-256 {digest}") for name, digest in files.items()),
         *((topic, f"{count} messages") for topic, count in sorted(drive.inputs.topics.items())),
     ]

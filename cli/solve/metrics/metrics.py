@@ -1,6 +1,6 @@
 """The metrics of a solved drive: stable names with units, None if unknown."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +17,10 @@ from .errors import Errors
 from .gnss_alone import GnssAlone
 from .integrity import INTEGRITY, integrity_metrics
 from .mounting import without_mounting
+from .trust import TRUST, Trust, trust_metrics
 
 Value = float | int | None
+LONGEST_STEP_NS = 2_000_000_000  # between two solutions, above which there is none
 
 GNSS_ALONE: dict[str, str] = {
     "gnss_alone_count": "fixes given to the filter that are compared with an independent truth, at the antenna",
@@ -33,6 +35,8 @@ METRICS: dict[str, str] = {
     "duration_s": "length of the recording, from its first input to its last",
     "alignment_s": "from the first input until the filter navigates",
     "solution_count": "solutions while the filter navigates or coasts",
+    "without_solution_s": "seconds without a solution after the first one: intervals of more than 2 s between two "
+    "solutions, or between the last one and the end of the recording",
     "distance_m": "distance travelled while the filter navigates or coasts, standstill excluded",
     "fixes_recorded": "GNSS fixes with a position in the recording",
     "fixes_removed": "GNSS fixes removed by --outage",
@@ -76,6 +80,7 @@ METRICS: dict[str, str] = {
     "outage_largest_error_rms_m": "largest horizontal error within an outage, root mean square of the outages",
     "outage_largest_error_max_m": "largest horizontal error within an outage, maximum",
     **INTEGRITY,
+    **TRUST,
 }
 # Printed only, not written to a file: they differ from run to run.
 TIMINGS: dict[str, str] = {
@@ -99,6 +104,7 @@ class Run:
     scored_from_ns: int = 0  # errors before this time are excluded, except in outages
     alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
     gnss_alone: GnssAlone | None = None
+    trust: Trust | None = None  # None without core.trust
 
     def scored(self) -> Errors | None:
         """The errors that are evaluated."""
@@ -123,10 +129,12 @@ def metrics_of(run: Run) -> dict[str, Value]:
         The names of `METRICS`, in their order; None if unknown.
     """
     scored = run.scored()
+    integrity = {} if scored is None else integrity_metrics(scored, run.alert_limits_m)
     found: dict[str, Value] = {
         "duration_s": (run.last_ns - run.first_ns) * 1e-9,
         "alignment_s": None if run.counters.aligned_ns is None else (run.counters.aligned_ns - run.first_ns) * 1e-9,
         "solution_count": len(run.track),
+        "without_solution_s": _without_solution(run),
         "distance_m": _distance(run.track),
         "fixes_recorded": run.fixes_recorded,
         "fixes_removed": run.fixes_removed,
@@ -135,10 +143,41 @@ def metrics_of(run: Run) -> dict[str, Value]:
         **({} if scored is None else _against_truth(scored)),
         **_standstill(run, scored),
         **({} if run.gnss_alone is None else _gnss_alone(run.gnss_alone.since(run.scored_from_ns))),
-        **({} if scored is None else integrity_metrics(scored, run.alert_limits_m)),
+        **integrity,
+        **({} if run.trust is None else trust_metrics(run.trust, run.first_ns, _above_level(integrity))),
         **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
     }
     return {name: _rounded(found.get(name)) for name in METRICS}
+
+
+def as_objects(metrics: Mapping[str, Value]) -> dict[str, Value | dict[str, Value]]:
+    """Lay out metrics as in metrics.json: `a.b` is the key `b` of an object `a`, which is None if all of it is."""
+    found: dict[str, Value | dict[str, Value]] = {}
+    parts: dict[str, dict[str, Value]] = {}
+    for name, value in metrics.items():
+        first, _, second = name.partition(".")
+        if second:
+            parts.setdefault(first, {})[second] = value
+            found[first] = parts[first]
+        else:
+            found[name] = value
+    unknown = {first for first, part in parts.items() if not any(value is not None for value in part.values())}
+    return {name: None if name in unknown else value for name, value in found.items()}
+
+
+def _without_solution(run: Run) -> float | None:
+    if not len(run.track):
+        return None
+    steps = np.diff(np.r_[run.track.stamps_ns, max(run.last_ns, int(run.track.stamps_ns[-1]))])
+    return float(steps[steps > LONGEST_STEP_NS].sum() * 1e-9)
+
+
+def _above_level(integrity: Mapping[str, Value]) -> tuple[Value, Value]:
+    """Fraction of the errors above their protection level, horizontal and vertical."""
+    return (
+        integrity.get("protection_horizontal_misleading_fraction"),
+        integrity.get("protection_vertical_misleading_fraction"),
+    )
 
 
 def _innovations(counters: Counters) -> dict[str, Value]:

@@ -7,11 +7,14 @@ import numpy as np
 
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.messages.navigation import AidingKind
+from shared.messages.trust import TrustLevel
 
 from ..metrics.integrity import protected
 from ..metrics.metrics import Run
+from ..metrics.trust import WORDS
 from ..outages import Gap
 from ..reference_track import Reference
+from ..verdicts import Verdicts
 from .drawing import (
     BLUE,
     COLOURS,
@@ -29,6 +32,15 @@ from .drawing import (
     thinned,
 )
 from .stanford import stanford
+
+VERDICTS = {
+    TrustLevel.SAFE: GREEN,
+    TrustLevel.CAUTION: ORANGE,
+    TrustLevel.UNSAFE: RED,
+    TrustLevel.DEAD_RECKONING: BLUE,
+    TrustLevel.NO_FIX: RED,
+    TrustLevel.INITIALISING: GREY,
+}
 
 
 def figures_of(run: Run, reference: Reference | None) -> list[Figure]:
@@ -55,6 +67,8 @@ def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
         scored = run.scored()
         if scored is not None:
             yield from map(stanford, protected(scored, run.alert_limits_m))
+    if run.trust is not None:
+        yield _verdicts(run.trust.verdicts, run)
     yield _speed(run)
     yield _innovations(run)
     yield _biases(run)
@@ -106,6 +120,35 @@ def _three(
             axes.set_ylabel(labels.names[column])
         rows[-1].set_xlabel("time [s]")
     return Figure(title, caption + (" Shaded: GNSS outage." if labels.gaps else ""), inline_svg(drawn[0], title))
+
+
+def _verdicts(verdicts: Verdicts, run: Run) -> Figure:
+    """One row for each verdict, and one for the exclusion of GNSS."""
+    drawn: list[str] = []
+    time_s = seconds_since(verdicts.edges_ns, run.first_ns)
+    intervals = list(zip(time_s[:-1].tolist(), np.diff(time_s).tolist(), strict=True))
+    with stacked_axes(1, 2.6, drawn.append) as (axes,):
+        shade_gaps(axes, run.gaps, run.first_ns)
+        for row, (level, colour) in enumerate(reversed(VERDICTS.items()), 1):
+            here = [interval for interval, state in zip(intervals, verdicts.states, strict=True) if state is level]
+            axes.broken_barh(_joined(here), (row - 0.4, 0.8), color=colour, linewidth=0)
+        gone = [((begin - run.first_ns) * 1e-9, (end - begin) * 1e-9) for begin, end in verdicts.exclusions()]
+        axes.broken_barh(gone, (-0.4, 0.8), color=GREY, linewidth=0)
+        axes.set_yticks(range(len(VERDICTS) + 1), ["GNSS excluded", *(WORDS[level] for level in reversed(VERDICTS))])
+        axes.set(xlabel="time [s]", xlim=(0.0, float(time_s[-1])))
+    caption = "Verdict of core.trust over time." + (" Shaded: GNSS outage." if run.gaps else "")
+    return Figure("Verdict", caption, inline_svg(drawn[0], "Verdict"))
+
+
+def _joined(intervals: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Join intervals (begin and length [s]) that follow one another, for a smaller page."""
+    found: list[tuple[float, float]] = []
+    for begin, length in intervals:
+        if found and begin - sum(found[-1]) < 1e-6:
+            found[-1] = (found[-1][0], begin + length - found[-1][0])
+        else:
+            found.append((begin, length))
+    return found
 
 
 def _speed(run: Run) -> Figure:

@@ -8,6 +8,7 @@ from math import degrees
 
 from ..metrics.gnss_alone import WORSE
 from ..metrics.metrics import METRICS, Value
+from ..metrics.trust import WORDS
 from ..smoothing import SMOOTHED_METRICS
 from .drawing import Figure
 
@@ -123,9 +124,14 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
 
 
 def verdict(metrics: dict[str, Value]) -> str:
-    """Judge the drive in one sentence."""
+    """Judge the drive in one sentence, and say in a second one if parts of it have no solution."""
+    missing = metrics.get("without_solution_s")
+    return _judged(metrics) + (f" There is no solution for {_seconds(missing)} s." if missing else "")
+
+
+def _judged(metrics: dict[str, Value]) -> str:
     ours, gnss = metrics["at_fixes_horizontal_rmse_m"], metrics["gnss_alone_horizontal_rmse_m"]
-    if ours is not None and gnss is not None:
+    if ours is not None and gnss is not None and _same_input(metrics):
         axes = worse_axes(metrics)
         equal = "better than" if ours < gnss / WORSE else "as good as"
         compared = f"worse than GNSS alone {' and '.join(axes)}" if axes else f"{equal} GNSS alone"
@@ -171,6 +177,10 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"{_metres(metrics['horizontal_p95_m'])}), {_metres(metrics['vertical_rmse_m'])} vertical RMS."
         )
     found += against_gnss(metrics)
+    found += by_verdict(metrics)
+    if metrics.get("without_solution_s"):
+        missing = _seconds(metrics["without_solution_s"])
+        found.append(f"Without a solution for {missing} s after the first one; these are in none of the errors.")
     if metrics["outage_count"]:
         gap_s, _, period_s = (heading.outage or "").partition("@")[0].partition("/")
         often = "once" if metrics["outage_count"] == 1 else f"{metrics['outage_count']} times"
@@ -179,6 +189,8 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"median {_metres(metrics['outage_end_error_median_m'])}, maximum "
             f"{_metres(metrics['outage_end_error_max_m'])}."
         )
+    elif metrics["outage_count"] == 0:
+        found.append(f"No outage of --outage {heading.outage} could be evaluated: there was no solution within.")
     elif heading.outage:
         found.append(f"No complete outage of --outage {heading.outage} lies within the drive.")
     if metrics.get("smoothed_horizontal_rmse_m") is not None:
@@ -220,13 +232,45 @@ def against_gnss(metrics: dict[str, Value]) -> list[str]:
 
 
 def worse_axes(metrics: dict[str, Value]) -> list[str]:
-    """How the solution is worse than GNSS alone: horizontally, vertically, both or not at all."""
+    """How the solution is worse than GNSS alone: horizontally, vertically, both or not at all.
+
+    Fixes at the end of an outage are compared with a solution without GNSS, which says nothing of a fault: then it is
+    not said. Where the receiver's own fixes are the truth, there is no such comparison.
+    """
+    if not _same_input(metrics):
+        return []
     gnss, fused = _errors("gnss_alone", metrics), _errors("at_fixes", metrics)
     return [
         axis
         for axis, a, b in zip(("horizontally", "vertically"), gnss, fused, strict=True)
         if a is not None and b is not None and b > WORSE * a
     ]
+
+
+def _same_input(metrics: dict[str, Value]) -> bool:
+    """Whether the solution had the fixes it is compared with: no outage has removed some."""
+    return not metrics.get("fixes_removed")
+
+
+def by_verdict(metrics: dict[str, Value]) -> list[str]:
+    """State the seconds of each verdict, how long GNSS was excluded, and the harm of it; empty without core.trust."""
+    seconds = {word: metrics.get(f"trust_seconds.{level}") for level, word in WORDS.items()}
+    excluded_s, harm = metrics.get("gnss_excluded_s"), metrics.get("harm_ratio")
+    if excluded_s is None:
+        return []
+    shown = ", ".join(f"{word} {_seconds(value)} s" for word, value in seconds.items() if value)
+    found = [f"Verdict of core.trust: {shown}. GNSS was excluded for {_seconds(excluded_s)} s."]
+    if harm is not None and harm != 1.0:
+        found.append(
+            f"With core.trust the horizontal error is {harm:.3g} times that without it, at the same times; where the "
+            "solution is missing, the last one is held."
+        )
+    return found
+
+
+def _seconds(value: Value) -> str:
+    """A duration, to a tenth of a second where it is short."""
+    return "unknown" if value is None else f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
 
 
 def _errors(whose: str, metrics: dict[str, Value]) -> tuple[Value, Value]:
@@ -257,7 +301,7 @@ def _number(value: Value) -> str:
     return "unknown" if value is None else f"{value:.0f}"
 
 
-UNITS = (("_m_s", "m/s"), ("_m", "m"), ("_s", "s"))
+UNITS = (("_m_s", "m/s"), ("_m", "m"), ("_s", "s"), ("_seconds", "s"), ("_seconds_after_60s", "s"))
 
 
 def _shown(name: str, value: Value) -> str:
@@ -267,5 +311,5 @@ def _shown(name: str, value: Value) -> str:
         return str(value)
     if name.endswith("_rad"):
         return f"{value:.4g} rad ({degrees(value):.3g}°)"
-    unit = next((unit for suffix, unit in UNITS if name.endswith(suffix)), "")
+    unit = next((unit for suffix, unit in UNITS if name.partition(".")[0].endswith(suffix)), "")
     return f"{value:.4g} {unit}".rstrip()

@@ -15,7 +15,10 @@ def test_the_csv_has_every_column_with_unknown_values_empty() -> None:
     assert rows[1]["sampled_ns"] == str(START_NS + 500_000_000)
     assert float(rows[1]["time_s"]) == 0.5 and rows[1]["phase"] == "navigating"
     assert float(rows[1]["latitude_deg"]) == pytest.approx(solution(0.5).latitude_deg, abs=1e-9)
-    assert all(math.isfinite(float(value)) for name, value in rows[1].items() if name != "phase")
+    assert all(math.isfinite(float(value)) for name, value in rows[1].items() if name not in ("phase", "verdict"))
+    assert rows[1]["verdict"] == "", "without core.trust"
+    judged = csv.DictReader(csv_lines(track([first, solution(0.5)]), ["caution", "safe"]))
+    assert [row["verdict"] for row in judged] == ["caution", "safe"]
 
 
 def test_the_kml_points_are_those_of_the_track_with_their_stamps() -> None:

@@ -4,6 +4,7 @@ from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import TruthState
+from shared.messages.trust import TrustLevel, TrustState
 from tests.support.bus.envelopes import sent
 from tests.support.drives.tracks import solution
 
@@ -27,6 +28,15 @@ def test_typed_messages_are_used_in_order_of_arrival_without_recorded_solutions(
     found = inputs_of(map(envelope, [fix(30), samples(10), solution(0.0), samples(20)]))
     assert list(found.messages()) == [samples(10), samples(20), fix(30)]
     assert found.topics == {"gnss/fix": 1, "imu/sample": 2, "navigation/solution": 1}
+
+
+def test_a_recorded_verdict_is_not_fed_for_the_run_makes_its_own() -> None:
+    verdict = TrustState(
+        sampled_ns=15, state=TrustLevel.UNSAFE, since_ns=15, row=1, reasons=("recorded",), gnss_excluded=True,
+        alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0,
+    )  # fmt: skip
+    found = inputs_of(map(envelope, [samples(10), verdict, fix(30)]))
+    assert list(found.messages()) == [samples(10), fix(30)] and found.topics["trust/state"] == 1
 
 
 def test_raw_bytes_replace_the_derived_messages_of_each_sensor() -> None:

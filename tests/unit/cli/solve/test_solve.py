@@ -11,7 +11,8 @@ import pytest
 
 from cli.import_drive.import_drive import import_drive
 from cli.solve.files import HEADER
-from cli.solve.metrics.metrics import METRICS, TIMINGS
+from cli.solve.metrics.metrics import METRICS, TIMINGS, as_objects
+from cli.solve.metrics.trust import TRUST
 from cli.solve.overrides import Aiding
 from cli.solve.report.drawing import Figure
 from cli.solve.smoothing import SMOOTHED_METRICS
@@ -22,13 +23,14 @@ from shared.errors import UserError
 from shared.messages.base import RawBytes
 from shared.messages.imu import ImuSamples
 from shared.messages.neighbours import NeighbourStates
+from shared.messages.trust import TrustLevel
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.offline import arrival_ns
 from tests.support.bus.envelopes import sent
 from tests.support.drives.csv_drive import write_drive
 
 Metrics = dict[str, float]
-
+WRITTEN = list(as_objects(dict.fromkeys(METRICS)))  # keys of metrics.json
 
 DURATION_S = 70.0
 
@@ -104,7 +106,7 @@ def test_the_solution_is_close_to_the_truth_of_the_simulation(solution: Path) ->
     assert abs(found["yaw_rmse_rad"]) < 0.05 and found["roll_rmse_rad"] < 0.01 and found["pitch_rmse_rad"] < 0.01
     assert found["truth_count"] > 400 and found["fixes_rejected"] <= 3 and found["outage_count"] is None
     assert found["fixes_recorded"] >= found["fixes_used"] > 40
-    assert list(found) == list(METRICS)
+    assert list(found) == WRITTEN
 
 
 def test_outages_remove_fixes_and_their_metrics_are_printed(solution: Path, with_outages: Printed) -> None:
@@ -115,8 +117,8 @@ def test_outages_remove_fixes_and_their_metrics_are_printed(solution: Path, with
     # 10 s of inertial navigation with an MTi-630 end within 0.6 m of the error before (0.9 m for 95 %).
     assert cut["outage_end_error_max_m"] < whole["horizontal_max_m"] + 1.0
     found = json.loads(with_outages.out)
-    assert list(found) == [*METRICS, *SMOOTHED_METRICS, *TIMINGS]
-    assert {name: found[name] for name in (*METRICS, *SMOOTHED_METRICS)} == cut
+    assert list(found) == [*WRITTEN, *SMOOTHED_METRICS, *TIMINGS]
+    assert {name: found[name] for name in (*WRITTEN, *SMOOTHED_METRICS)} == cut
     assert found["realtime_factor"] > 0.0
 
 
@@ -147,10 +149,31 @@ def test_the_same_recording_gives_the_same_files(
         assert (solution / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
-def test_the_csv_has_one_line_per_solution(solution: Path) -> None:
+def test_the_csv_has_one_line_per_solution_with_its_verdict(solution: Path) -> None:
     with (solution / "solution.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert tuple(rows[0]) == HEADER and len(rows) == metrics_in(solution)["solution_count"] + 1
+    assert {row[-1] for row in rows[1:]} <= set(TrustLevel) and "caution" in {row[-1] for row in rows[1:]}
+
+
+def test_core_trust_runs_and_can_be_left_out(recording: Path, solution: Path, tmp_path: Path) -> None:
+    found = json.loads((solution / "metrics.json").read_text())
+    assert sum(found["trust_seconds"].values()) == pytest.approx(found["duration_s"], abs=1e-3)
+    assert found["gnss_excluded_s"] == 0.0 and found["harm_ratio"] == 1.0 and found["without_solution_s"] == 0.0
+    report = (solution / "report.html").read_text()
+    assert "Verdict of core.trust: " in report and "<h2>Verdict</h2>" in report
+    with pytest.MonkeyPatch.context() as patch:
+        one_empty_figure(patch)
+        assert solve(recording, without="trust", out=tmp_path) == 0
+    bare = json.loads((tmp_path / "metrics.json").read_text())
+    unknown = as_objects(dict.fromkeys(TRUST))
+    assert list(bare) == list(found) and all(bare[name] is None for name in unknown)
+    assert {name: bare[name] for name in bare if name not in unknown} == {
+        name: found[name] for name in found if name not in unknown
+    }, "nothing was excluded, and then core.trust changes nothing"
+    with pytest.raises(UserError, match=r"--without fusion is not possible; only core\.trust can be left out"):
+        solve(recording, without="fusion", out=tmp_path)
+    assert "core.trust" in (tmp_path / "report.html").read_text(), "among the settings"
 
 
 @pytest.mark.usefixtures("without_figures")
@@ -229,7 +252,7 @@ def test_a_truncated_recording_is_solved_up_to_its_end(
 def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(solution: Path, smoothed: Path) -> None:
     assert (smoothed / "solution.csv").read_bytes() == (solution / "solution.csv").read_bytes(), "the filtered track"
     found = metrics_in(smoothed)
-    assert list(found) == [*METRICS, *SMOOTHED_METRICS]
+    assert list(found) == [*WRITTEN, *SMOOTHED_METRICS]
     for name in ("horizontal_rmse_m", "vertical_rmse_m", "velocity_rmse_m_s", "yaw_rmse_rad"):
         assert found[f"smoothed_{name}"] < found[name], name
     assert (smoothed / "solution_smoothed.kml").read_text().count("<gx:Track>") == 1

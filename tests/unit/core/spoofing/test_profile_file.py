@@ -41,7 +41,7 @@ def profile(learned: Origin) -> Profile:
     return found.model_copy(update={"origin": learned})
 
 
-def test_the_threshold_is_the_least_with_at_most_one_alarm_an_hour() -> None:
+def test_the_threshold_is_the_least_without_an_alarm_and_a_tolerance_for_the_number_of_windows() -> None:
     calm = np.random.default_rng(2).normal(0.0, 0.05, 1800)
     found = learn(windows(calm.tolist()), provenance="calm")
     assert found.threshold == 5.0 and found.sigma[Metric.ACCELERATION_EAST][0] == pytest.approx(0.05, rel=0.05)
@@ -49,7 +49,28 @@ def test_the_threshold_is_the_least_with_at_most_one_alarm_an_hour() -> None:
     rough[100:102] = rough[500:502] = 0.4
     higher = learn(windows(rough.tolist()), provenance="rough")
     sigma = higher.sigma[Metric.ACCELERATION_EAST][0]
-    assert 0.4 <= higher.threshold * sigma < 0.4 + 0.5 * sigma
+    assert sigma == pytest.approx(0.05, rel=0.05), "robust against outliers"
+    tolerance = 1.0 + 3.0 / sqrt(2.0 * 1800 / 5.0)
+    assert higher.threshold * sigma == pytest.approx(0.4 * tolerance)
+
+
+def test_few_windows_take_a_larger_tolerance_and_a_stated_grade_bounds_what_is_learned() -> None:
+    rough = np.random.default_rng(2).normal(0.0, 0.05, 300)
+    rough[100:102] = 3.0
+    free = learn(windows(rough.tolist()), provenance="rough")
+    bounded = learn(windows(rough.tolist()), provenance="rough", stated=UNIT_IMU)
+    limits = [one.threshold * one.sigma[Metric.ACCELERATION_EAST][0] for one in (free, bounded)]
+    most = 3.0 * UNIT_IMU.threshold * UNIT_IMU.sigma[Metric.ACCELERATION_EAST][0]
+    assert limits[0] > 3.0 * (1.0 + 3.0 / sqrt(2.0 * 300 / 5.0)) * 0.999 and limits[1] == pytest.approx(most)
+
+
+def test_the_free_propagations_learn_a_factor_that_leaves_room_above_the_largest_statistic() -> None:
+    calm = windows(np.random.default_rng(2).normal(0.0, 0.05, 600).tolist())
+    assert learn(calm, provenance="calm", long_statistics=[0.1, 0.2]).long_factor == 1.0
+    found = learn(calm, provenance="calm", long_statistics=[0.1, 2.25])
+    assert found.long_factor == pytest.approx(1.5 * (1.0 + 3.0 / sqrt(2.0 * 600 / 60.0)))
+    bounded = learn(calm, provenance="calm", long_statistics=[0.1, 400.0], stated=UNIT_IMU)
+    assert bounded.long_factor == 3.0
 
 
 def vehicle(folder: Path, text: str) -> Config:
