@@ -14,6 +14,7 @@ from cli.import_drive.import_drive import import_drive
 from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
+from services.core.spoofing.grade import Grade
 from services.core.spoofing.process import Config, Process
 from services.core.spoofing.profile import learn
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
@@ -30,6 +31,7 @@ from tests.support.drives.spoofing import SECOND_NS, Input, Result, run
 RECORDINGS = REPOSITORY / "benchmarks" / "recordings"
 ATTACK_S = 300.0
 LOW_COST_IMU = {
+    "grade": Grade.CONSUMER,
     "gnss.lever_arm_body_m": (0.0, -0.05, 0.0),
     "gnss.velocity_delay_s": 0.125,
     "long.accelerometer_bias_sd_m_s2": 0.03,
@@ -37,6 +39,8 @@ LOW_COST_IMU = {
     "long.angle_random_walk_rad_sqrt_s": 3e-4,
     "long.velocity_random_walk_m_s_sqrt_s": 0.03,
     "long.scale_sd": 0.01,
+    "long.gyroscope_scale_sd": 0.02,
+    "long.position_time_sd_s": 0.2,
 }
 pytestmark = pytest.mark.recording
 
@@ -137,7 +141,7 @@ def test_a_minute_of_another_car_raises_no_permanent_alarm(tmp_path: Path) -> No
     drive = real_drive("comma_segment", "comma_segment", tmp_path)
     delay_s = 0.1
     config = Config().with_values(
-        LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": delay_s}
+        LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": delay_s, "warm_up_s": 0.0}
     )
     result = monitored(drive, config, drive.messages, **{"gnss.delay_s": delay_s, "gnss.velocity_delay_s": delay_s})
     assert result.episodes("inertial_short") <= 1 and result.episodes("inertial_long") == 0

@@ -9,6 +9,7 @@ import pytest
 from cli.calibrate.spoofing import PROCESSES, calibrate_spoofing
 from cli.solve.inputs import inputs_of
 from services.core.spoofing.process import Config
+from services.core.spoofing.windows.position_step import FALSE_ALARM_RATE
 from services.sensors.simulator.world import messages
 from shared.errors import ConfigError, UserError
 from shared.messages.trust import MonitorOutcome, TrustMonitor
@@ -75,7 +76,7 @@ def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learn
     profile = vehicle.section("core.spoofing", Config).profile
     judged = [s for s in statements(learned, vehicle) if s.outcome is not MonitorOutcome.NOT_EVALUATED]
     assert len(judged) > 20
-    assert {s.false_alarm_rate for s in judged} == {profile.false_alarm_rate}
+    assert {s.false_alarm_rate for s in judged} <= {profile.false_alarm_rate, FALSE_ALARM_RATE}, "of the deciding test"
     assert not [s for s in judged if s.outcome is MonitorOutcome.ACCUSES]
     assert not [s for s in judged if "another unit" in s.model_dump_json()]
 

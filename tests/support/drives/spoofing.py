@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 BAROMETER_SD = 0.12  # [m]
 BATCH = 10  # inertial samples a message
-# The simulated IMU is of industrial grade; these drives are too short for a minute of warm-up, which has tests of its own.
+# The simulated IMU is of industrial grade. These drives are too short for a minute of warm-up.
 GRADED = Config(grade=Grade.INDUSTRIAL, warm_up_s=0.0)
 Input = ImuSamples | GnssFix | VehicleSpeed | Tick
 

@@ -2,8 +2,8 @@
 
 Error state, 21 elements: velocity and attitude (NED), accelerometer and gyroscope bias (body), scale of the odometer,
 yaw and pitch of the forward axis in the body frame, scale of the gyroscopes, whose error is a share of the total turn
-and no random walk, and the way since the anchor (NED). An estimate is corrected at once: x_true = x + error, and for the
-attitude C_true = (I + sk(psi)) C.
+and no random walk, and the way since the anchor (NED). An estimate is corrected at once: x_true = x + error, and for
+the attitude C_true = (I + sk(psi)) C.
 """
 
 import numpy as np

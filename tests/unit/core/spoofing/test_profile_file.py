@@ -1,13 +1,14 @@
 """The profile that `obu calibrate spoofing` writes: learned, named by a vehicle's file, compared with the unit."""
 
 from collections.abc import Sequence
+from math import sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from services.core.spoofing.process import Config, Process
-from services.core.spoofing.profile import LearnedDrive, Origin, Profile, learn
+from services.core.spoofing.profile import UNIT_IMU, LearnedDrive, Origin, Profile, learn
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.short_window import Window
 from shared.errors import ConfigError
