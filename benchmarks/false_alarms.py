@@ -25,13 +25,14 @@ from services.core.fusion.process import Process as Fusion
 from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.settings import Settings as MotionSettings
 from services.core.motion_conflict.verdicts import MotionVerdicts, State
+from services.core.spoofing.grade import Grade
 from services.core.spoofing.process import Config as SpoofingConfig
 from services.core.spoofing.process import In as SpoofingIn
 from services.core.spoofing.process import Process as Spoofing
 from services.sensors.simulator.drive import simulate
 from shared.messages.base import Tick
 from shared.messages.navigation import FilterState, NavigationSolution
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import MonitorOutcome, TrustMonitor
 from tests.support.drives.motion import World, drives_and_stops
 from tests.support.drives.spoofing import inputs
 
@@ -127,7 +128,11 @@ def inertial(job: Job) -> list[Count]:
     values = {"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
     fusion = Fusion(FusionConfig().with_values(values))
     monitors = [
-        Spoofing(SpoofingConfig().with_values(values if rate is None else values | {"long.false_alarm_rate": rate}))
+        Spoofing(
+            SpoofingConfig(grade=Grade.INDUSTRIAL).with_values(
+                values if rate is None else values | {"long.false_alarm_rate": rate}
+            )
+        )
         for rate in DESIGN_RATES
     ]
 
@@ -142,6 +147,7 @@ def inertial(job: Job) -> list[Count]:
                 for monitor in monitors
                 for one in received
                 for statement in monitor.handle(one)
+                if isinstance(statement, TrustMonitor)
                 for test in statement.tests
             ]
             found = {(test.name, test.false_alarm_rate): test.outcome for test in tests}

@@ -76,7 +76,8 @@ class Lesson:
         return LearnedGrade(
             sampled_ns=time_ns, imu=origin.imu, gnss=origin.gnss, imu_rate_hz=origin.imu_rate_hz,
             gnss_rate_hz=origin.gnss_rate_hz, configuration=origin.configuration, windows=len(self._windows),
-            metrics=tuple(metric.value for metric in profile.sigma), sigma=tuple(profile.sigma.values()),
+            metrics=tuple(metric.value for metric in profile.sigma),
+            sigma=tuple((a, b, c, d) for a, b, c, d in profile.sigma.values()),
             threshold=profile.threshold, long_factor=profile.long_factor, false_alarm_rate=profile.false_alarm_rate,
         )  # fmt: skip
 

@@ -77,7 +77,7 @@ class Config(Settings):
 def with_grade(values: Mapping[str, object], grade: Grade) -> dict[str, object]:
     """Complete the values of this section by those of a grade; what is given stands, but for a smaller random walk."""
     long = values.get("long", {})
-    given = dict(long) if isinstance(long, Mapping) else long.model_dump(exclude_unset=True)
+    given = long.model_dump(exclude_unset=True) if isinstance(long, LongSettings) else dict(cast(Table, long))
     for key, value in LONG[grade].items():
         walk = given.get(key) if "random_walk" in key else None
         given[key] = max(value, walk) if isinstance(walk, int | float) else given.get(key, value)

@@ -19,7 +19,7 @@ from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationSolution
-from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.trust import LearnedGrade, MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 
 FloatArray = npt.NDArray[np.float64]
@@ -141,6 +141,8 @@ def run(fusion: Fusion, process: Process, messages: Iterator[Input]) -> Result:
                 if isinstance(solution, NavigationSolution | FilterState):
                     list(process.handle(solution))
         for statement in process.handle(message):
+            if isinstance(statement, LearnedGrade):
+                continue
             result.statements.setdefault(statement.monitor, []).append(statement)
         window = process.monitor.window
         if isinstance(message, Tick) and window is not None and window not in result.windows[-1:]:

@@ -105,14 +105,14 @@ class ErrorMonitor:
         since_s = max(0.0, (outcome.time_ns - self.position.time_ns) * 1e-9) if self.position.time_ns else 0.0
         moved_m = hypot(*navigation.velocity[:2]) * since_s
         held = self.held.confirmed(outcome.time_ns, used=outcome.used, moved_m=moved_m)
+        if height is not None and height.taken_over:
+            held = held.after((0.0, 0.0, down), (0.0, sd_down), outcome.time_ns, grew=False)
+            down = 0.0
         if not outcome.used:
             first = self.rejected_n[:2] == STILL[:2]
             grew = outcome.test_ratio <= GREW_RATIO if first else self.rejected_grew
             return replace(known, rejected_n=(z[0], z[1], down), rejected_sd=sds, rejected_grew=grew, held=held)
         left_out = 0.0 if len(outcome.innovation) == 3 else down
-        if height is not None and height.taken_over:
-            held = held.after((0.0, 0.0, left_out), (0.0, sd_down), outcome.time_ns, grew=False)
-            left_out = 0.0
         age_s = (outcome.time_ns - self.used_ns) * 1e-9
         far = hypot(z[0], z[1]) > limits_m[0], len(z) > 2 and left_out == 0.0 and abs(z[2]) > limits_m[1]
         if self.used_ns and age_s > OUTAGE_S and any(far):

@@ -125,7 +125,7 @@ def reason_after(config: Config, seconds: int = 15) -> str:
             fix = GnssFix(sampled_ns=now_ns, received_ns=now_ns, source="gnss0", fix_type=FixType.THREE_D,
                           velocity_ned_m_s=(0.0, 0.0, 0.0))  # fmt: skip
             list(process.handle(fix))
-            last = list(process.handle(Tick(now_ns=now_ns)))
+            last = [s for s in process.handle(Tick(now_ns=now_ns)) if isinstance(s, TrustMonitor)]
     return last[0].reason
 
 
