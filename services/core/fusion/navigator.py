@@ -20,6 +20,7 @@ from shared.messages.navigation import NavigationPhase
 
 from .alignment.heading import Prior
 from .alignment.warm_start import SavedState, fault, saved_state
+from .integrity.set_up_spread import SetUpSpread
 from .measurements import barometer, magnetometer
 from .measurements.base import Counts, Measurement, Outcome
 from .measurements.gnss import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
@@ -243,6 +244,10 @@ class Navigator:
         self._suspected = position_s, velocity_s
         grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
         self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+
+    def use_spread(self, spread: SetUpSpread) -> None:
+        """Hold what lever arm and delay may be off by in the protection levels, by what the checks have found."""
+        self._uncertainty.spread = spread
 
     @property
     def _oosm(self) -> OutOfSequenceEngine:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from shared.maths.rotation import Vector
 
+from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..measurements.base import Measurement
 from ..settings import Settings
 from . import axes, receiver
@@ -74,6 +75,21 @@ class SetUpMonitor:
             if check.verdict is not Verdict.UNKNOWN
         ] or [0.0]
         return found[0], found[-1]
+
+    @property
+    def spread(self) -> SetUpSpread:
+        """What lever arm and delay may be off by: as assumed, until their checks agree."""
+        return SetUpSpread.of(self._settings, self._agreed("lever_arm"), self._agreed(*DELAYS))
+
+    def _agreed(self, *names: str) -> Measured | None:
+        """Error and standard deviation by the first of some checks that agrees; the first that is known decides."""
+        for name in names:
+            check = self.checks[name][0] if name in self.checks else Check(name)
+            if check.verdict is Verdict.AGREES and check.statistic is not None and check.sd is not None:
+                return Measured(check.statistic, check.sd)
+            if check.verdict is not Verdict.UNKNOWN:
+                return None
+        return None
 
     def _adopt(self, check: Check, time_ns: int) -> None:
         """Keep what is known: a finding needs two evaluations in a row, and ignorance replaces nothing."""
