@@ -44,7 +44,7 @@ HELD_LIMIT = 1000  # largest number of measurements that are held back
 SPEED_PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000  # time for which the receiver's own fix waits for it
-NEW_DELAY_S = 0.1  # change of a suspected delay that matters
+NEW_DELAY_S = 0.05  # change of a suspected delay that matters
 
 
 class Navigator:
@@ -236,7 +236,7 @@ class Navigator:
         self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
 
     def suspect_delay(self, position_s: float, velocity_s: float) -> None:
-        """Allow for delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
+        """Correct delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
         newest, (old_s, old_velocity_s) = self._oosm.newest, self._suspected
         changes = abs(position_s - old_s), abs(velocity_s - old_velocity_s)
         if newest is None or self.settings.estimate_delays or max(changes) < NEW_DELAY_S:
@@ -244,6 +244,12 @@ class Navigator:
         self._suspected = position_s, velocity_s
         grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
         self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+
+    @property
+    def corrected_delay_s(self) -> float | None:
+        """Delay of positions [s] that has been found and is corrected; None if there is none."""
+        position_s, velocity_s = self._suspected
+        return position_s if velocity_s else None
 
     def use_spread(self, spread: SetUpSpread) -> None:
         """Hold what lever arm and delay may be off by in the protection levels, by what the checks have found."""

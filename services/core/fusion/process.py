@@ -90,7 +90,7 @@ class Process:
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
             self._navigator.suspect_delay(*self._set_up.delays)
-            self._navigator.use_spread(self._set_up.spread)
+            self._navigator.use_spread(self._set_up.spread(self._navigator.corrected_delay_s))
             yield messages.set_up_message(self._set_up, self._sampled_ns)
         messages.use_environment(self._navigator, batch)
 

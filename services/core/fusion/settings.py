@@ -100,7 +100,12 @@ class GnssSettings(Section):
         ge=0.0,
         le=2.0,
         description="standard deviation of the delay of fixes, which the protection levels hold, times the speed, "
-        "until the check of the set-up agrees; if not given, 0.1 s, or 0.05 s where `delay_s` is not zero",
+        "until the check of the set-up agrees; if not given, 0.12 s, or 0.05 s where `delay_s` is not zero",
+    )
+    stamps_exact: bool = Field(
+        default=False,
+        description="the stamps of fixes are those of GNSS time: a delay that the check of the set-up finds is that of "
+        "the inertial samples, and positions are published for the receiver's time",
     )
     velocity_delay_s: float = Field(
         default=0.0,

@@ -1,6 +1,8 @@
 """All checks of the set-up, once in ten seconds; a finding holds until a later evaluation contradicts it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from math import hypot
 from typing import NamedTuple
 
 from shared.maths.rotation import Vector
@@ -17,6 +19,7 @@ from .odometer import check_odometer_scale
 PERIOD_NS = 10_000_000_000
 FEWEST_VELOCITIES = 20
 DELAYS = "gnss_delay", "gnss_velocity_delay"  # checks
+BESIDE_VELOCITY_S = 0.05  # standard deviation of the delay of positions, where that of velocities is known alone
 
 
 class ArmError(NamedTuple):
@@ -68,28 +71,39 @@ class SetUpMonitor:
     @property
     def delays(self) -> tuple[float, float]:
         """Delays [s] of positions and of velocities that contradict the settings; 0 where none does."""
-        known = (self.checks[name][0] for name in DELAYS if name in self.checks)
         found = [
-            check.statistic or 0.0 if check.verdict is Verdict.CONTRADICTS else 0.0
-            for check in known
-            if check.verdict is not Verdict.UNKNOWN
+            check.statistic or 0.0 if check.verdict is Verdict.CONTRADICTS else 0.0 for check in self._known(*DELAYS)
         ] or [0.0]
         return found[0], found[-1]
 
-    @property
-    def spread(self) -> SetUpSpread:
-        """What lever arm and delay may be off by: as assumed, until their checks agree."""
-        return SetUpSpread.of(self._settings, self._agreed("lever_arm"), self._agreed(*DELAYS))
+    def spread(self, corrected_s: float | None = None) -> SetUpSpread:
+        """What lever arm and delay may be off by: as assumed, until their checks agree or the delay is corrected.
+
+        Parameters
+        ----------
+        corrected_s : float, optional
+            [s] Delay of positions that the filter corrects beyond the settings.
+        """
+        spread = SetUpSpread.of(self._settings, self._agreed("lever_arm"), self._agreed(*DELAYS))
+        if corrected_s is None:
+            return spread
+        found = next((check for check in self._known(*DELAYS) if check.verdict is Verdict.CONTRADICTS), None)
+        if found is None or found.statistic is None or found.sd is None:
+            return spread
+        beside_s = 0.0 if found.name == DELAYS[0] else BESIDE_VELOCITY_S
+        return replace(spread, delay_s=hypot(found.statistic - corrected_s, found.sd, beside_s))
+
+    def _known(self, *names: str) -> list[Check]:
+        """Checks of some names that are not unknown, in that order."""
+        known = (self.checks[name][0] for name in names if name in self.checks)
+        return [check for check in known if check.verdict is not Verdict.UNKNOWN]
 
     def _agreed(self, *names: str) -> Measured | None:
-        """Error and standard deviation by the first of some checks that agrees; the first that is known decides."""
-        for name in names:
-            check = self.checks[name][0] if name in self.checks else Check(name)
-            if check.verdict is Verdict.AGREES and check.statistic is not None and check.sd is not None:
-                return Measured(check.statistic, check.sd)
-            if check.verdict is not Verdict.UNKNOWN:
-                return None
-        return None
+        """Error and standard deviation by the first of some checks that is known, if it agrees."""
+        first = next(iter(self._known(*names)), Check(names[0]))
+        if first.verdict is not Verdict.AGREES or first.statistic is None or first.sd is None:
+            return None
+        return Measured(first.statistic, first.sd)
 
     def _adopt(self, check: Check, time_ns: int) -> None:
         """Keep what is known: a finding needs two evaluations in a row, and ignorance replaces nothing."""

@@ -1,0 +1,60 @@
+"""Set-ups that are wrong by as much as happens, under a receiver of two centimetres: the levels hold what they do."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from services.sensors.simulator.drive import Drive, simulate
+from shared.messages.navigation import SetUpVerdict
+from tests.support.drives.set_up_runs import SetUpRun, run
+
+KNOWING: dict[str, object] = {"gnss.lever_arm_sd_m": 0.0, "gnss.delay_sd_s": 0.0}
+
+
+@cache
+def drive(scenario: str, seed: int = 3) -> Drive:
+    return simulate(scenario, seed, 120.0)
+
+
+@cache
+def late(scenario: str, *, with_velocity: bool = True) -> SetUpRun:
+    return run(drive(scenario), late_s=0.3, with_velocity=with_velocity)
+
+
+@pytest.mark.parametrize("scenario", ["parking_lot", "urban"])
+@pytest.mark.parametrize("error", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+def test_a_lever_arm_that_is_a_metre_off_is_held_by_the_levels(
+    scenario: str, error: tuple[float, float, float]
+) -> None:
+    solved = run(drive(scenario), arm_error=error)
+    assert np.sqrt((solved.horizontal**2).mean()) > 0.9
+    assert max(solved.above()) <= 0.01, "78 to 99 % without the spread"
+
+
+@pytest.mark.parametrize("scenario", ["parking_lot", "urban"])
+def test_fixes_that_are_0_3_s_late_are_held_by_the_levels_until_the_delay_is_found(scenario: str) -> None:
+    assert max(late(scenario).above()) <= 0.01, "37 to 44 % without the spread"
+
+
+def test_a_delay_that_is_found_is_corrected_and_the_levels_keep_what_is_left_of_it() -> None:
+    solved = late("urban")
+    after = solved.time_s > 100.0
+    assert np.sqrt((solved.horizontal[after] ** 2).mean()) < 0.15, "2.5 m before"
+    assert np.median(solved.level_h[after]) < 1.5 and (solved.horizontal < solved.level_h)[after].all()
+    assert solved.checks["lever_arm"].verdict is not SetUpVerdict.CONTRADICTS
+
+
+def test_levels_of_metres_hardly_grow_where_the_vehicle_file_says_how_well_the_set_up_is_known() -> None:
+    """As that of the simulated vehicle does; what an unknown delay makes at the speed of the town is no small thing."""
+    stated: dict[str, object] = {"gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.02}
+    town = drive("urban")
+    before, after = run(town, KNOWING, rtk=False), run(town, stated, rtk=False)
+    assert np.median(after.level_h) < 1.05 * np.median(before.level_h)
+    assert np.median(after.level_v) < 1.05 * np.median(before.level_v)
+
+
+def test_the_levels_of_a_right_set_up_come_down_when_the_checks_agree() -> None:
+    solved = run(drive("urban"))
+    assert max(solved.above()) == 0.0
+    assert solved.level_h[-1] < 0.7 * np.median(solved.level_h[:300])
