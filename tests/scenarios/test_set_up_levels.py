@@ -58,3 +58,18 @@ def test_the_levels_of_a_right_set_up_come_down_when_the_checks_agree() -> None:
     solved = run(drive("urban"))
     assert max(solved.above()) == 0.0
     assert solved.level_h[-1] < 0.7 * np.median(solved.level_h[:300])
+
+
+@pytest.mark.parametrize("late_s", [0.3, 0.5])
+def test_a_late_receiver_is_no_finding_of_the_lever_arm(late_s: float) -> None:
+    """Positions alone; a delay of 0.3 s looks in turns like an antenna that is 1.5 m elsewhere."""
+    solved = run(drive("urban", 5), late_s=late_s, with_velocity=False)
+    assert solved.checks["gnss_delay"].verdict is SetUpVerdict.CONTRADICTS, "positions alone tell the delay"
+    assert solved.checks["gnss_delay"].statistic == pytest.approx(late_s, abs=0.06)
+    assert solved.lever_arm_found == [] and all(state.lever_arm_error_body_m is None for state in solved.states)
+
+
+def test_a_lever_arm_is_found_when_the_delay_is_known() -> None:
+    solved = run(drive("parking_lot"), arm_error=(0.0, -2.0, 0.0))
+    assert solved.lever_arm_found and solved.states[-1].lever_arm_error_body_m is not None
+    assert solved.lever_arm_found[0] >= solved.checks["gnss_velocity_delay"].since_ns * 1e-9

@@ -324,8 +324,13 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
     )
 
 
-def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
-    """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then."""
+def state_message(
+    navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None, *, delay_known: bool
+) -> NavigationState:
+    """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then.
+
+    While the delay of GNSS is not known, what turns show is no error of the lever arm.
+    """
     counts, exclusions = navigator.counts, navigator.engine.exclusions
     silent = silent_since_ns is not None
     estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
@@ -349,7 +354,7 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         gnss_velocity_delay_sd_s=velocity[1],
         odometer_delay_s=odometer[0],
         odometer_delay_sd_s=odometer[1],
-        lever_arm_error_body_m=navigator.lever_arm_error,
+        lever_arm_error_body_m=navigator.lever_arm_error if delay_known else None,
         alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
         alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
         gnss_excluded_since_ns=exclusions.gnss_since_ns,

@@ -107,7 +107,7 @@ class Process:
         silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
         if silent and current != self._last_state:
             self._last_state = current
-            yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
+            yield self._state_message(received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Publish the state when it changes, and every second."""
@@ -116,7 +116,11 @@ class Process:
         current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
-            yield messages.state_message(self._navigator, sampled_ns)
+            yield self._state_message(sampled_ns)
+
+    def _state_message(self, time_ns: int, silent_since_ns: int | None = None) -> NavigationState:
+        known = self._set_up.delay_known
+        return messages.state_message(self._navigator, time_ns, silent_since_ns, delay_known=known)
 
     def _filter_state(self, imu: str) -> Iterator[FilterState]:
         """Publish the state for a later process, while a filter runs."""

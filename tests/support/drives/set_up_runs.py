@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from services.core.fusion.process import Config, Process
 from services.core.fusion.settings import GnssSettings
-from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_track
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationSolution, NavigationState, SetUpCheck, SetUpState
+from shared.messages.navigation import NavigationSolution, NavigationState, SetUpCheck, SetUpState, SetUpVerdict
 
 FloatArray = npt.NDArray[np.float64]
 RTK_SD = 0.02  # [m]
@@ -29,6 +29,8 @@ class SetUpRun:
     checks : dict
         Newest result of each check.
     states : list of NavigationState
+    lever_arm_found : list of float
+        [s] When the check of the lever arm contradicted the settings.
     """
 
     time_s: FloatArray
@@ -42,6 +44,7 @@ class SetUpRun:
     checks: dict[str, SetUpCheck]
     states: list[NavigationState]
     process: Process
+    lever_arm_found: list[float]
 
     def above(self, after_s: float = 0.0) -> tuple[float, float]:
         """Shares of the horizontal and vertical errors that are above their levels, from a time after the start."""
@@ -94,6 +97,7 @@ def run(
     fixes = _fixes(drive, round(late_s * 1e9), with_velocity, rtk, height_sign)
     stamps = drive.t_ns.tolist()
     rows, states, checks, place = [], [], {}, 0
+    lever_arm_found: list[float] = []
     for begin in range(0, len(stamps), BATCH):
         part = slice(begin, begin + BATCH)
         batch = ImuSamples(
@@ -114,7 +118,11 @@ def run(
                 states.append(message)
             elif isinstance(message, SetUpState):
                 checks = {check.name: check for check in message.checks}
-    return SetUpRun(*np.array(rows).T, checks=checks, states=states, process=process)
+                if checks["lever_arm"].verdict is SetUpVerdict.CONTRADICTS:
+                    lever_arm_found.append(message.sampled_ns * 1e-9)
+    return SetUpRun(
+        *np.array(rows).T, checks=checks, states=states, process=process, lever_arm_found=lever_arm_found
+    )
 
 
 def _fixes(drive: Drive, late_ns: int, with_velocity: bool, rtk: bool, height_sign: float) -> list[GnssFix]:
@@ -162,7 +170,3 @@ def _row(drive: Drive, solution: NavigationSolution) -> tuple[float, ...]:
         float(np.hypot(*drive.velocity_n[now, :2])),
     )
 
-
-def drive_of(scenario: str, seed: int, duration_s: float) -> Drive:
-    """Simulate a drive with fixes every second."""
-    return simulate(scenario, seed, duration_s)

@@ -11,7 +11,7 @@ from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..measurements.base import Measurement
 from ..settings import Settings
 from . import axes, receiver
-from .delay import check_delay
+from .delay import check_delay, lag_of, lag_of_positions
 from .findings import Check, Verdict
 from .motion import Motion, MotionLog, Velocities, intervals_of
 from .odometer import check_odometer_scale
@@ -65,8 +65,15 @@ class SetUpMonitor:
         motion = self._log.motion()
         if motion is None:
             return
-        for check in evaluate(self._settings, motion, arm):
+        for check in evaluate(self._settings, motion, arm, delay_known=self.delay_known):
             self._adopt(check, time_ns)
+        if any(self.delays) and self.checks["lever_arm"][0].verdict is not Verdict.UNKNOWN:
+            self.checks["lever_arm"] = Check("lever_arm"), time_ns  # it was of late fixes
+
+    @property
+    def delay_known(self) -> bool:
+        """Whether stamps are known to agree with the settings, so that what turns show is of the lever arm."""
+        return self._agreed(*DELAYS) is not None
 
     @property
     def delays(self) -> tuple[float, float]:
@@ -117,8 +124,23 @@ class SetUpMonitor:
         self.checks[check.name] = (check, since_ns)
 
 
-def evaluate(settings: Settings, motion: Motion, arm: ArmError | None = None) -> Iterator[Check]:
-    """Evaluate all checks on one window of motion; later ones rest on what the earlier ones have found."""
+def evaluate(
+    settings: Settings, motion: Motion, arm: ArmError | None = None, *, delay_known: bool = False
+) -> Iterator[Check]:
+    """Evaluate all checks on one window of motion; later ones rest on what the earlier ones have found.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the filter.
+    motion : Motion
+        Of the window.
+    arm : ArmError, optional
+        By the innovations of the filter.
+    delay_known : bool
+        Whether the delay has agreed with the settings before: while it is open, a late fix looks in turns like an
+        antenna that is elsewhere.
+    """
     by_receiver, by_positions = motion.of_receiver(), motion.of_positions()
     same = receiver.check_velocity_axes(motion)
     has_velocity = len(by_receiver.begin) >= FEWEST_VELOCITIES
@@ -143,7 +165,8 @@ def evaluate(settings: Settings, motion: Motion, arm: ArmError | None = None) ->
     yield from receiver.check_vertical(motion, intervals, axes.forward_of(fit))
     yield from delays
     yield check_odometer_scale(motion, chosen, settings.odometer.scale)
-    misled = late or any(check.verdict is Verdict.CONTRADICTS for check in (*of_imu, same))
+    delay_open = not delay_known and delay.verdict is not Verdict.AGREES
+    misled = delay_open or any(check.verdict is Verdict.CONTRADICTS for check in (*of_imu, same, *delays))
     yield Check("lever_arm") if misled or arm is None else check_arm(settings, arm)
 
 
@@ -154,7 +177,10 @@ def _delays(
     gnss = settings.gnss
     enough = len(by_positions.begin) >= FEWEST_VELOCITIES
     key = "core.fusion.gnss.delay_s", gnss.delay_s
-    position = check_delay("gnss_delay", "the position of GNSS", motion, by_positions, key) if enough else None
+    position = None
+    if enough:  # velocities of a receiver tell the delay better than positions twice as far apart
+        lag = lag_of(motion, by_positions) if by_receiver is not None else lag_of_positions(motion)
+        position = check_delay("gnss_delay", "the position of GNSS", lag, key)
     yield position or Check("gnss_delay")
     late_s = position.statistic if position is not None and position.verdict is Verdict.CONTRADICTS else None
     if by_receiver is None:
@@ -162,7 +188,7 @@ def _delays(
         return
     if position is not None and position.verdict is not Verdict.UNKNOWN:
         key = "core.fusion.gnss.velocity_delay_s", gnss.velocity_delay_s - (late_s or 0.0)
-    yield check_delay("gnss_velocity_delay", "the velocity of GNSS", motion, by_receiver, key)
+    yield check_delay("gnss_velocity_delay", "the velocity of GNSS", lag_of(motion, by_receiver), key)
 
 
 def check_arm(settings: Settings, arm: ArmError) -> Check:

@@ -1,6 +1,7 @@
 """Checks of the set-up: each fault is reported by its check, and a correct set-up is not reported."""
 
 import tomllib
+from dataclasses import replace
 from functools import cache
 from math import radians
 
@@ -83,6 +84,23 @@ def test_a_correct_set_up_is_not_reported(scenario: str, seed: int) -> None:
     )
     assert not contradicted(checks)
     assert checks["accelerometer_scale"].verdict is checks["imu_upright"].verdict is Verdict.AGREES
+
+
+@pytest.mark.parametrize(("late_s", "verdict"), [(0.0, Verdict.AGREES), (0.5, Verdict.CONTRADICTS)])
+def test_positions_of_a_metre_tell_the_delay_of_a_receiver_without_velocity(late_s: float, verdict: Verdict) -> None:
+    drive = simulated(simulate("urban", 2, duration_s=280.0))
+    drive = replace(drive, fixes=[fix._replace(velocity=None) for fix in drive.fixes])
+    checks = Faults(late_s=late_s, arm=ArmError((2.0, 0.1), 12.0, wrong=True)).checks(drive)
+    assert checks["gnss_delay"].verdict is verdict
+    assert checks["gnss_delay"].statistic == pytest.approx(late_s, abs=0.1)
+    assert checks["lever_arm"].verdict is (Verdict.CONTRADICTS if verdict is Verdict.AGREES else Verdict.UNKNOWN)
+
+
+def test_without_a_known_delay_there_is_no_finding_of_the_lever_arm() -> None:
+    drive = simulated(simulate("degraded", 1, duration_s=SECONDS))
+    drive = replace(drive, fixes=[fix._replace(velocity=None) for fix in drive.fixes])
+    checks = Faults(arm=ArmError((2.0, 0.1), 12.0, wrong=True)).checks(drive)
+    assert checks["gnss_delay"].verdict is checks["lever_arm"].verdict is Verdict.UNKNOWN
 
 
 def test_after_three_minutes_only_delay_and_lever_arm_may_be_unknown() -> None:
