@@ -7,6 +7,7 @@ import pytest
 
 from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.navigation import SetUpVerdict
+from tests.support.drives.set_up import matrix_of
 from tests.support.drives.set_up_runs import SetUpRun, run
 
 KNOWING: dict[str, object] = {"gnss.lever_arm_sd_m": 0.0, "gnss.delay_sd_s": 0.0}
@@ -73,3 +74,31 @@ def test_a_lever_arm_is_found_when_the_delay_is_known() -> None:
     solved = run(drive("parking_lot"), arm_error=(0.0, -2.0, 0.0))
     assert solved.lever_arm_found and solved.states[-1].lever_arm_error_body_m is not None
     assert solved.lever_arm_found[0] >= solved.checks["gnss_velocity_delay"].since_ns * 1e-9
+
+
+def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> None:
+    """700 m above the ellipsoid: the height is wrong by 1.4 km, and nothing tells the right one."""
+    solved = run(simulate("urban", 3, 180.0), height_sign=-1.0)
+    found = solved.checks["gnss_height"]
+    assert found.verdict is SetUpVerdict.CONTRADICTS and "heights of GNSS are not used" in found.sentence
+    after = solved.time_s > found.since_ns * 1e-9 + 0.5
+    assert after.sum() > 300 and (solved.vertical < solved.level_v)[after].all(), "all of them before"
+    assert np.sqrt((solved.horizontal[after] ** 2).mean()) < 0.1 and solved.states[-1].resets == 0
+
+
+@pytest.mark.parametrize("axes", [("y", "-x", "z"), ("-y", "x", "z"), ("-x", "-y", "z")])
+def test_after_a_finding_of_turned_axes_the_heading_is_that_of_the_vehicle(axes: tuple[str, str, str]) -> None:
+    solved = run(drive("urban"), imu=matrix_of(axes))
+    since_s = solved.checks["imu_axes"].since_ns * 1e-9 + 0.5
+    before, after = solved.time_s < since_s - 1.0, solved.time_s > since_s
+    assert np.degrees(np.abs(solved.yaw_error[before]).min()) > 80.0
+    assert np.degrees(np.abs(solved.yaw_error[after]).max()) < 2.0
+    assert (np.abs(solved.yaw_error) < 3.0 * solved.yaw_sd)[after].all()
+
+
+def test_after_a_finding_of_a_skewed_mount_the_heading_is_that_of_the_vehicle() -> None:
+    c, s = np.cos(0.35), np.sin(0.35)
+    solved = run(drive("urban"), imu=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    after = solved.time_s > solved.checks["imu_mounting"].since_ns * 1e-9 + 0.5
+    assert after.sum() > 200 and (np.abs(solved.yaw_error) < 3.0 * solved.yaw_sd)[after].all()
+    assert np.degrees(np.abs(solved.yaw_error[after]).max()) < 3.0, "20 before"

@@ -9,6 +9,7 @@ solution = navigator.solution()
 from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -35,6 +36,7 @@ from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine, key_of
 from .timing.roll_back import RollBack
 from .update.engine import Engine
+from .update.heights import WrongHeights
 from .update.imu_gaps import LostTime
 
 FloatArray = npt.NDArray[np.float64]
@@ -65,6 +67,7 @@ class Navigator:
         self._repeats: Repeats | None = None
         self._newest: dict[tuple[str, type], int] = {}  # newest stamp that was used, by device and kind
         self._suspected = 0.0, 0.0  # [s] delays of GNSS
+        self._heights_wrong = False  # of GNSS: they are left out
         self._devices = Devices(self.rejects, self._now_ns)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -135,6 +138,8 @@ class Navigator:
             return
         if not self._devices.is_known(measurement.source):
             return
+        if self._heights_wrong and isinstance(measurement, GnssPosition):
+            measurement = replace(measurement, axes=2)
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         if isinstance(measurement, GnssPosition | GnssVelocity):
             release_ns += self._await_fault_free(measurement)
@@ -244,6 +249,15 @@ class Navigator:
         self._suspected = position_s, velocity_s
         grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
         self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+
+    def leave_out_heights(self, *, wrong: bool) -> None:
+        """Use positions of GNSS without their heights from now on, because these have the wrong sign, or with them."""
+        newest = self._oosm.newest
+        if newest is None or wrong is self._heights_wrong:
+            return
+        self._heights_wrong = wrong
+        if wrong:
+            self._roll_back.insert(WrongHeights(newest.time_ns + 1))
 
     @property
     def corrected_delay_s(self) -> float | None:

@@ -90,6 +90,7 @@ class Process:
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
             self._navigator.suspect_delay(*self._set_up.delays)
+            self._navigator.leave_out_heights(wrong=self._set_up.heights_wrong)
             self._navigator.use_spread(self._set_up.spread(self._navigator.corrected_delay_s))
             yield messages.set_up_message(self._set_up, self._sampled_ns)
         messages.use_environment(self._navigator, batch)
@@ -132,4 +133,4 @@ class Process:
         solution = self._navigator.solution()
         if solution is not None and solution.time_ns == sampled_ns:  # otherwise the sample was rejected
             self._last_solution = sampled_ns // self._solution_period_ns
-            yield messages.solution_message(solution)
+            yield messages.solution_message(solution, self._set_up.turn)

@@ -71,6 +71,16 @@ class SetUpMonitor:
             self.checks["lever_arm"] = Check("lever_arm"), time_ns  # it was of late fixes
 
     @property
+    def turn(self) -> tuple[float, float] | None:
+        """Turn of the vehicle's axes against the published ones about the axis down, and its 1 σ [rad], if found."""
+        return next((c.turn for c in self._known("imu_axes", "imu_mounting") if c.verdict is Verdict.CONTRADICTS), None)
+
+    @property
+    def heights_wrong(self) -> bool:
+        """Whether heights of GNSS have the wrong sign."""
+        return any(check.verdict is Verdict.CONTRADICTS for check in self._known("gnss_height"))
+
+    @property
     def delay_known(self) -> bool:
         """Whether stamps are known to agree with the settings, so that what turns show is of the lever arm."""
         return self._agreed(*DELAYS) is not None
