@@ -120,8 +120,20 @@ def run(
                 checks = {check.name: check for check in message.checks}
                 if checks["lever_arm"].verdict is SetUpVerdict.CONTRADICTS:
                     lever_arm_found.append(message.sampled_ns * 1e-9)
+    time_s, horizontal, vertical, level_h, level_v, yaw_error, yaw_sd, speed = np.array(rows).T
     return SetUpRun(
-        *np.array(rows).T, checks=checks, states=states, process=process, lever_arm_found=lever_arm_found
+        time_s,
+        horizontal,
+        vertical,
+        level_h,
+        level_v,
+        yaw_error,
+        yaw_sd,
+        speed,
+        checks,
+        states,
+        process,
+        lever_arm_found,
     )
 
 
@@ -154,10 +166,9 @@ def _fixes(drive: Drive, late_ns: int, with_velocity: bool, rtk: bool, height_si
 
 def _row(drive: Drive, solution: NavigationSolution) -> tuple[float, ...]:
     now = int(np.searchsorted(drive.t_ns, solution.sampled_ns))
-    place = Geodetic(
-        np.radians(solution.latitude_deg), np.radians(solution.longitude_deg), solution.height_ellipsoid_m
-    )
+    place = Geodetic(np.radians(solution.latitude_deg), np.radians(solution.longitude_deg), solution.height_ellipsoid_m)
     n, e, d = ned_track(np.array([place]), Geodetic(*drive.position[now].tolist()))[0].tolist()
+    assert solution.protection_level_horizontal_m is not None and solution.protection_level_vertical_m is not None
     yaw = float(np.remainder(solution.yaw_rad - drive.attitude[now, 2] + np.pi, 2.0 * np.pi) - np.pi)
     return (
         solution.sampled_ns * 1e-9,
@@ -169,4 +180,3 @@ def _row(drive: Drive, solution: NavigationSolution) -> tuple[float, ...]:
         float(np.sqrt(solution.attitude_cov_ned_rad2[5])),
         float(np.hypot(*drive.velocity_n[now, :2])),
     )
-

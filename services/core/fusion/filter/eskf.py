@@ -299,7 +299,7 @@ class ErrorStateFilter:
     def _lag(self, late: Late, span_s: float) -> None:
         """Let the velocity of the delay ago follow, and the position be less sure where it changes.
 
-        Its variance grows by (d_p c / 4)² in the delay T, c being the change: delays that are found scatter by a quarter.
+        Its variance grows by (d_p c / 4)² in the delay T, with the change c: found delays scatter by a quarter.
         """
         change, share = late.change(self.velocity), SCATTER * late.position_s / late.longest_s
         self.inflate_along(em.POSITION, share * sqrt(late.longest_s * span_s) * np.array(change))

@@ -135,8 +135,8 @@ def protection_levels(
         Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp + set-up      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
 
     The stamp's part is what P lacks of (v σ_t)² along the velocity. That of the set-up is the variance of the lever arm
-    on each axis, and that of the delay times the velocity: equal at every fix, so that no fix takes them away. The way driven in a delay that is known and not
-    corrected is no random error: it is added to the level.
+    on each axis, and that of the delay times the velocity: equal at every fix, so that no fix takes them away. The way
+    driven in a delay of positions that is known and not corrected is no random error: it is added to the level.
     """
     (nn, ne, _), (_, ee, _), (_, _, dd) = position_cov
     age_s = (time_ns - monitor.used_ns) * 1e-9

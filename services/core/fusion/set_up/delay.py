@@ -28,9 +28,7 @@ REPEATED_APART = 4.0  # as `REPEATED`, of two series that share their noise in p
 LATE_S = 0.15
 
 
-def check_delay(
-    name: str, what: str, found: tuple[float, float, float] | None, setting: tuple[str, float]
-) -> Check:
+def check_delay(name: str, what: str, found: tuple[float, float, float] | None, setting: tuple[str, float]) -> Check:
     """Put the lag of GNSS against the inertial sensors into a finding.
 
     Parameters
