@@ -87,7 +87,7 @@ class GnssSettings(Section):
         ge=0.0,
         le=10.0,
         description="standard deviation of the lever arm on each axis, which the protection levels hold until the "
-        "check of the set-up agrees; if not given, 0.3 m, or 0.5 m where the lever arm is zero",
+        "check of the set-up agrees; if not given, 0.35 m, or 0.5 m where the lever arm is zero",
     )
     delay_s: float = Field(
         default=0.0,

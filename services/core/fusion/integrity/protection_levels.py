@@ -135,7 +135,8 @@ def protection_levels(
         Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp + set-up      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
 
     The stamp's part is what P lacks of (v σ_t)² along the velocity. That of the set-up is the variance of the lever arm
-    on each axis, and that of the delay times the velocity: equal at every fix, so that no fix takes them away. The way
+    on each axis, and what all that lacks of (v σ_d)²: both are equal at every fix, so that no fix takes them away. A
+    delay at the end of what is assumed and a filter at the end of its own are not taken to come together. The way
     driven in a delay of positions that is known and not corrected is no random error: it is added to the level.
     """
     (nn, ne, _), (_, ee, _), (_, _, dd) = position_cov
@@ -151,10 +152,15 @@ def protection_levels(
         stamp = max(0.0, time_sd_s**2 - along / speed2)
     correlated = monitor.correlated_variance_horizontal
     nn, ne, ee = scale_h * nn + stamp * north**2, scale_h * ne + stamp * north * east, scale_h * ee + stamp * east**2
-    arm, late = spread.arm_horizontal_m**2, spread.delay_s**2
-    cov = (nn + correlated + arm + late * north**2, ne + late * north * east, ee + correlated + arm + late * east**2)
+    arm = correlated + spread.arm_horizontal_m**2
+    nn, ee = nn + arm, ee + arm
+    late = 0.0  # [s²] as above
+    if speed2 > 0.0:
+        along = (north * north * nn + 2.0 * north * east * ne + east * east * ee) / speed2
+        late = max(0.0, spread.delay_s**2 - along / speed2)
+    cov = (nn + late * north**2, ne + late * north * east, ee + late * east**2)
     variance = scale_v * dd + monitor.correlated_variance_vertical
-    variance += spread.arm_vertical_m**2 + late * velocity[2] ** 2
+    variance += spread.arm_vertical_m**2 + (spread.delay_s * velocity[2]) ** 2
     if not isfinite(sum(cov) + variance):
         return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
     (fault_h, fault_v), (rejected_h, rejected_v) = monitor.fault_shift, monitor.rejection_bound

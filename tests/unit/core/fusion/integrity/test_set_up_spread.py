@@ -23,7 +23,7 @@ def levels(sd: float, velocity: tuple[float, float, float], spread: SetUpSpread)
 
 
 def test_a_lever_arm_that_is_not_given_is_known_less_than_one_that_is_and_a_stated_spread_is_that() -> None:
-    assert SetUpSpread.of(GIVEN) == SetUpSpread(0.3, 0.3, 0.12)
+    assert SetUpSpread.of(GIVEN) == SetUpSpread(0.35, 0.35, 0.12)
     assert SetUpSpread.of(Settings()) == SetUpSpread(0.5, 0.5, 0.12)
     assert SetUpSpread.of(Settings(gnss=GnssSettings(delay_s=0.4))).delay_s == 0.05
     stated = GIVEN.with_values({"gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.0})
@@ -34,7 +34,7 @@ def test_a_lever_arm_that_is_not_given_is_known_less_than_one_that_is_and_a_stat
 def test_a_check_replaces_what_was_assumed_by_what_it_has_seen_and_never_by_more() -> None:
     found = SetUpSpread.of(GIVEN, arm=Measured(0.03, 0.04), delay=Measured(0.4, 0.02))
     assert found.arm_horizontal_m == pytest.approx(0.05)
-    assert found.arm_vertical_m == 0.3, "turns do not show the height"
+    assert found.arm_vertical_m == 0.35, "turns do not show the height"
     assert found.delay_s == 0.12
 
 
@@ -43,10 +43,10 @@ def test_only_checks_that_agree_replace_it() -> None:
     assert monitor.spread() == SetUpSpread.of(GIVEN)
     monitor._adopt(Check("lever_arm", Verdict.AGREES, statistic=0.03, sd=0.04), 10)
     monitor._adopt(Check("gnss_velocity_delay", Verdict.AGREES, statistic=0.0, sd=0.02), 10)
-    assert monitor.spread() == SetUpSpread(hypot(0.03, 0.04), 0.3, 0.02)
+    assert monitor.spread() == SetUpSpread(hypot(0.03, 0.04), 0.35, 0.02)
     for _ in range(2):
         monitor._adopt(Check("lever_arm", Verdict.CONTRADICTS, statistic=0.9, sd=0.04), 20)
-    assert monitor.spread().arm_horizontal_m == 0.3
+    assert monitor.spread().arm_horizontal_m == 0.35
 
 
 def test_the_levels_hold_an_arm_of_a_metre_and_a_delay_of_0_3_s_and_hardly_grow_above_5_m() -> None:
