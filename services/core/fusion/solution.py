@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw_of_quaternion
 from shared.messages.base import Symmetric3
 from shared.messages.navigation import NavigationPhase
@@ -62,7 +62,6 @@ class UncertaintyCache:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.spread = SetUpSpread.of(settings)  # of lever arm and delay; replaced by what the checks find
-        self.stamps_exact = settings.gnss.stamps_exact
         self._key: tuple[FloatArray, ErrorMonitor, SetUpSpread] | None = None
         self._uncertainty: Uncertainty
 
@@ -97,16 +96,13 @@ def solution_of(engine: Engine, uncertainty: UncertaintyCache) -> Solution | Non
     navigation = engine.filter
     if navigation is None:
         return None
-    time_ns, quaternion, velocity, position = navigation.inertial
-    if navigation.late is not None and uncertainty.stamps_exact:
-        north, east, down = navigation.late.way(velocity)
-        position = geodetic_from_ned_difference((-north, -east, -down), position)
+    time_ns, quaternion, velocity, _ = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
     levels, covariances, triangles, gyroscope_bias_sd = uncertainty.of(navigation, engine.aids.error_monitor)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,
-        position=position,
+        position=navigation.published_position,
         velocity=velocity,
         roll=roll,
         pitch=pitch,

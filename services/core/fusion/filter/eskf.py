@@ -168,6 +168,14 @@ class ErrorStateFilter:
         return Geodetic(*self.state.position)
 
     @property
+    def published_position(self) -> Geodetic:
+        """Position for the time of the receiver where its stamps are the exact ones, otherwise that of the state."""
+        if self.late is None or not self._settings.gnss.stamps_exact:
+            return self.position
+        north, east, down = self.late.way(self.velocity)
+        return geodetic_from_ned_difference((-north, -east, -down), self.position)
+
+    @property
     def ned_from_body(self) -> FloatArray:
         """Attitude as a matrix, shape (3, 3)."""
         return matrix_from_quaternion(self.state.quaternion)
