@@ -65,12 +65,15 @@ CASES = (
 
 
 def judge_run(job: tuple[Case, int]) -> Judged:
-    """Drive once, with GNSS away for 15 s of every minute and stamps off by as much as the settings say."""
+    """Drive once, with GNSS away for 15 s of every minute and stamps off by as much as the settings say.
+
+    Lever arm and delay are stated to be exact, as they are: what is judged is the filter, not what is assumed of them.
+    """
     case, seed = job
     scenario = scenario_of(case.scenario, seed)
     drive = simulate(with_error(scenario, case.error) if case.error else scenario, seed, DURATION_S)
     drive.fix_valid[_hidden(drive.fix_ns)] = False
-    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
+    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, lever_arm_sd_m=0.0, delay_sd_s=0.0))
     rng = np.random.default_rng((seed, STREAM))
     drive.fix_ns[:] += round(abs(settings.gnss.time_sd_s * rng.standard_normal()) * 1e9)
     base_sd = case.base_share * drive.fix_position_sd_n[0]

@@ -67,7 +67,7 @@ def smoothed_track(newest_first: Iterable[ErrorStateFilter], filtered: Track) ->
 
 
 def _row(state: ErrorStateFilter) -> list[float]:
-    latitude, longitude, height = state.inertial.position
+    latitude, longitude, height = state.published_position
     variances = state.P.diagonal()
     sd = np.sqrt(np.concatenate([variances[part] for part in (em.POSITION, em.VELOCITY, em.ATTITUDE)]))
     return [

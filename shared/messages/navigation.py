@@ -66,6 +66,9 @@ class NavigationSolution(Message):
     gyroscope_bias_sd_rad_s: Deviation3 | None = None
     # No GNSS with a later stamp is part of this solution, because core.trust excludes it; None while GNSS is used.
     gnss_excluded_since_ns: Nanoseconds | None = None
+    # Turn of attitude and heading about the axis down against the inertial sensors, whose axes are not the vehicle's
+    # by a check of the set-up; None while no check says so. Rates and biases are of the sensors' axes.
+    heading_turn_rad: float | None = None
 
 
 class NavigationState(Message):

@@ -41,7 +41,7 @@ class LastPositionWriter:
             latitude_deg=solution.latitude_deg,
             longitude_deg=solution.longitude_deg,
             height_ellipsoid_m=solution.height_ellipsoid_m,
-            yaw_rad=solution.yaw_rad,
+            yaw_rad=solution.yaw_rad - (solution.heading_turn_rad or 0.0),  # of the inertial sensors: for the filter
             position_sd_ned_m=(_sd(nn), _sd(ee), _sd(dd)),
             yaw_sd_rad=_sd(solution.attitude_cov_ned_rad2[5]),
         )

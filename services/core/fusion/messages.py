@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix, roll_pitch_yaw_of_quaternion
 from shared.messages.base import Symmetric3, Vector3
 from shared.messages.gnss import CarrierSolution, FaultFreeFix, FixType, GnssFix
 from shared.messages.imu import ImuSamples
@@ -235,8 +236,28 @@ def prior_from_last_position(last: LastPosition) -> Prior:
     return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad)
 
 
-def solution_message(solution: Solution) -> NavigationSolution:
-    """Solution as a message."""
+def turned(solution: Solution, turn: tuple[float, float]) -> Solution:
+    """Solution with the attitude of the vehicle, whose axes are turned about the axis down against the published ones.
+
+    Parameters
+    ----------
+    solution : Solution
+        With the attitude of the published axes.
+    turn : tuple of float
+        [rad] Turn and its standard deviation, which the variance about the vertical holds.
+    """
+    attitude = ned_from_body(solution.roll, solution.pitch, solution.yaw) @ ned_from_body(0.0, 0.0, turn[0])
+    roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion_from_matrix(attitude))
+    cov = solution.attitude_cov + np.diag([0.0, 0.0, turn[1] ** 2])
+    position_cov, velocity_cov, (*others, dd) = solution.triangles
+    nn, ne, nd, ee, ed = others
+    triangles = position_cov, velocity_cov, (nn, ne, nd, ee, ed, dd + turn[1] ** 2)
+    return solution._replace(roll=roll, pitch=pitch, yaw=yaw, attitude_cov=cov, triangles=triangles)
+
+
+def solution_message(solution: Solution, turn: tuple[float, float] | None = None) -> NavigationSolution:
+    """Solution as a message, turned where a check of the set-up has found a turn of the axes and its 1 σ [rad]."""
+    solution = turned(solution, turn) if turn is not None else solution
     position_cov, velocity_cov, attitude_cov = solution.triangles
     return NavigationSolution(
         sampled_ns=solution.time_ns,
@@ -261,6 +282,7 @@ def solution_message(solution: Solution) -> NavigationSolution:
         integrity_risk=solution.integrity_risk,
         gyroscope_bias_sd_rad_s=solution.gyroscope_bias_sd,
         gnss_excluded_since_ns=solution.gnss_excluded_since_ns,
+        heading_turn_rad=None if turn is None else turn[0],
     )
 
 
@@ -327,8 +349,13 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
     )
 
 
-def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
-    """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then."""
+def state_message(
+    navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None, *, delay_known: bool
+) -> NavigationState:
+    """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then.
+
+    While the delay of GNSS is not known, what turns show is no error of the lever arm.
+    """
     counts, exclusions, roll_back = navigator.counts, navigator.engine.exclusions, navigator.roll_back
     conflict, difference, held = roll_back.conflict, roll_back.difference(), navigator.engine.aids.error_monitor.held
     declined = roll_back.unresolved or (conflict.declined if conflict else "")
@@ -354,7 +381,7 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         gnss_velocity_delay_sd_s=velocity[1],
         odometer_delay_s=odometer[0],
         odometer_delay_sd_s=odometer[1],
-        lever_arm_error_body_m=navigator.lever_arm_error,
+        lever_arm_error_body_m=navigator.lever_arm_error if delay_known else None,
         alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
         alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
         gnss_excluded_since_ns=exclusions.gnss_since_ns,

@@ -9,6 +9,7 @@ solution = navigator.solution()
 from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -20,6 +21,7 @@ from shared.messages.navigation import NavigationPhase
 
 from .alignment.heading import Prior
 from .alignment.warm_start import SavedState, fault, saved_state
+from .integrity.set_up_spread import SetUpSpread
 from .measurements import barometer, magnetometer
 from .measurements.base import Counts, Measurement, Outcome
 from .measurements.gnss import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
@@ -34,6 +36,7 @@ from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine, key_of
 from .timing.roll_back import RollBack
 from .update.engine import Engine
+from .update.heights import WrongHeights
 from .update.imu_gaps import LostTime
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,7 +46,7 @@ HELD_LIMIT = 1000  # largest number of measurements that are held back
 SPEED_PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000  # time for which the receiver's own fix waits for it
-NEW_DELAY_S = 0.1  # change of a suspected delay that matters
+NEW_DELAY_S = 0.05  # change of a suspected delay that matters
 
 
 class Navigator:
@@ -64,6 +67,7 @@ class Navigator:
         self._repeats: Repeats | None = None
         self._newest: dict[tuple[str, type], int] = {}  # newest stamp that was used, by device and kind
         self._suspected = 0.0, 0.0  # [s] delays of GNSS
+        self._heights_wrong = False  # of GNSS: they are left out
         self._devices = Devices(self.rejects, self._now_ns)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -134,6 +138,8 @@ class Navigator:
             return
         if not self._devices.is_known(measurement.source):
             return
+        if self._heights_wrong and isinstance(measurement, GnssPosition):
+            measurement = replace(measurement, axes=2)
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         if isinstance(measurement, GnssPosition | GnssVelocity):
             release_ns += self._await_fault_free(measurement)
@@ -246,7 +252,7 @@ class Navigator:
         return self._roll_back
 
     def suspect_delay(self, position_s: float, velocity_s: float) -> None:
-        """Allow for delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
+        """Correct delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
         newest, (old_s, old_velocity_s) = self._oosm.newest, self._suspected
         changes = abs(position_s - old_s), abs(velocity_s - old_velocity_s)
         if newest is None or self.settings.estimate_delays or max(changes) < NEW_DELAY_S:
@@ -254,6 +260,25 @@ class Navigator:
         self._suspected = position_s, velocity_s
         grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
         self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+
+    def leave_out_heights(self, *, wrong: bool) -> None:
+        """Use positions of GNSS without their heights from now on, because these have the wrong sign, or with them."""
+        newest = self._oosm.newest
+        if newest is None or wrong is self._heights_wrong:
+            return
+        self._heights_wrong = wrong
+        if wrong:
+            self._roll_back.insert(WrongHeights(newest.time_ns + 1))
+
+    @property
+    def corrected_delay_s(self) -> float | None:
+        """Delay of positions [s] that has been found and is corrected; None if there is none."""
+        position_s, velocity_s = self._suspected
+        return position_s if velocity_s else None
+
+    def use_spread(self, spread: SetUpSpread) -> None:
+        """Hold what lever arm and delay may be off by in the protection levels, by what the checks have found."""
+        self._uncertainty.spread = spread
 
     @property
     def _oosm(self) -> OutOfSequenceEngine:

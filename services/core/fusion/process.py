@@ -90,6 +90,8 @@ class Process:
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
             self._navigator.suspect_delay(*self._set_up.delays)
+            self._navigator.leave_out_heights(wrong=self._set_up.heights_wrong)
+            self._navigator.use_spread(self._set_up.spread(self._navigator.corrected_delay_s))
             yield messages.set_up_message(self._set_up, self._sampled_ns)
         messages.use_environment(self._navigator, batch)
 
@@ -106,7 +108,7 @@ class Process:
         silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
         if silent and current != self._last_state:
             self._last_state = current
-            yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
+            yield self._state_message(received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Publish the state when it changes, and every second."""
@@ -115,7 +117,11 @@ class Process:
         current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
-            yield messages.state_message(self._navigator, sampled_ns)
+            yield self._state_message(sampled_ns)
+
+    def _state_message(self, time_ns: int, silent_since_ns: int | None = None) -> NavigationState:
+        known = self._set_up.delay_known
+        return messages.state_message(self._navigator, time_ns, silent_since_ns, delay_known=known)
 
     def _filter_state(self, imu: str) -> Iterator[FilterState]:
         """Publish the state for a later process, while a filter runs."""
@@ -127,4 +133,4 @@ class Process:
         solution = self._navigator.solution()
         if solution is not None and solution.time_ns == sampled_ns:  # otherwise the sample was rejected
             self._last_solution = sampled_ns // self._solution_period_ns
-            yield messages.solution_message(solution)
+            yield messages.solution_message(solution, self._set_up.turn)

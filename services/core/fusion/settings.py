@@ -82,11 +82,30 @@ class GnssSettings(Section):
     lever_arm_body_m: Vector3 = Field(
         default=(0.0, 0.0, 0.0), description="lever arm from the IMU to the GNSS antenna: forward, right, down"
     )
+    lever_arm_sd_m: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=10.0,
+        description="standard deviation of the lever arm on each axis, which the protection levels hold until the "
+        "check of the set-up agrees; if not given, 0.35 m, or 0.5 m where the lever arm is zero",
+    )
     delay_s: float = Field(
         default=0.0,
         ge=-2.0,
         le=2.0,
         description="delay of fixes: by how much they are older than their stamps, on the clock of the IMU",
+    )
+    delay_sd_s: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=2.0,
+        description="standard deviation of the delay of fixes, which the protection levels hold, times the speed, "
+        "until the check of the set-up agrees; if not given, 0.12 s, or 0.05 s where `delay_s` is not zero",
+    )
+    stamps_exact: bool = Field(
+        default=False,
+        description="the stamps of fixes are those of GNSS time: a delay that the check of the set-up finds is that of "
+        "the inertial samples, and positions are published for the receiver's time",
     )
     velocity_delay_s: float = Field(
         default=0.0,

@@ -15,6 +15,7 @@ from .filter import error_model as em
 from .filter.eskf import ErrorStateFilter
 from .integrity.error_monitor import ErrorMonitor
 from .integrity.protection_levels import LARGEST_M, Levels, protection_levels
+from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
 from .update.engine import Engine
 
@@ -87,12 +88,14 @@ class UncertaintyCache:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._key: tuple[FloatArray, ErrorMonitor] | None = None
+        self.spread = SetUpSpread.of(settings)  # of lever arm and delay; replaced by what the checks find
+        self._key: tuple[FloatArray, ErrorMonitor, SetUpSpread] | None = None
         self._uncertainty: Uncertainty
 
     def of(self, navigation: ErrorStateFilter, monitor: ErrorMonitor) -> Uncertainty:
         """Uncertainty of a filter; covariance and statistics are never changed in place, so identity is enough."""
-        if self._key is None or self._key[0] is not navigation.P or self._key[1] is not monitor:
+        key = navigation.P, monitor, self.spread
+        if self._key is None or any(one is not other for one, other in zip(self._key, key, strict=True)):
             time_ns, _, velocity, _ = navigation.inertial
             P = navigation.P
             position_cov = P[em.POSITION, em.POSITION]
@@ -111,11 +114,12 @@ class UncertaintyCache:
                 monitor,
                 risk=self._settings.integrity.risk,
                 time_sd_s=self._settings.gnss.time_sd_s,
+                spread=self.spread,
             )
             x, y, z = np.sqrt(P.diagonal()[em.GYROSCOPE_BIAS]).tolist()
             triangles = _upper(rows[0]), _upper(rows[1]), _upper(rows[2])
             self._uncertainty = Uncertainty(levels, covariances, triangles, (x, y, z))
-            self._key = P, monitor
+            self._key = key
         return self._uncertainty
 
 
@@ -124,13 +128,13 @@ def solution_of(engine: Engine, uncertainty: UncertaintyCache) -> Solution | Non
     navigation = engine.filter
     if navigation is None:
         return None
-    time_ns, quaternion, velocity, position = navigation.inertial
+    time_ns, quaternion, velocity, _ = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
     levels, covariances, triangles, gyroscope_bias_sd = uncertainty.of(navigation, engine.aids.error_monitor)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,
-        position=position,
+        position=navigation.published_position,
         velocity=velocity,
         roll=roll,
         pitch=pitch,

@@ -301,7 +301,8 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
     """Read a solution as the start of a propagation."""
     return Anchor(
         time_ns=solution.sampled_ns,
-        ned_from_body=ned_from_body(solution.roll_rad, solution.pitch_rad, solution.yaw_rad),
+        ned_from_body=ned_from_body(solution.roll_rad, solution.pitch_rad, solution.yaw_rad)
+        @ ned_from_body(0.0, 0.0, -(solution.heading_turn_rad or 0.0)),
         velocity_n=np.array(solution.velocity_ned_m_s),
         accelerometer_bias=np.array(solution.accelerometer_bias_m_s2),
         gyroscope_bias=np.array(solution.gyroscope_bias_rad_s),

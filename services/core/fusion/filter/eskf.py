@@ -37,16 +37,17 @@ FloatArray = npt.NDArray[np.float64]
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
-MOVED_SHARE = 0.75  # [-] of the way by which a suspected delay moves the position: delays that are found scatter so
+SCATTER = 0.25  # [-] of delays that are found
+UNCERTAIN_SHARE = 0.5  # [-] of the way in a delay that has just been found
 NO_ERRORS = ImuErrors()
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
 
 class Late(NamedTuple):
-    """Delays [s] of GNSS that no setting corrects, and the velocity [m/s, NED] of the longer one ago.
+    """Delays [s] of GNSS that the filter has found, and the velocity [m/s, NED] of the longer one ago.
 
-    The velocity is that of a first-order lag. What a stamp is off by is the receiver's error or that of the inertial
-    clock: the position stays on the receiver's, attitude and velocity on the other.
+    Stamps are corrected by them. Velocities count less where they change nevertheless: a receiver that is late smooths
+    them too. The velocity is that of a first-order lag.
     """
 
     position_s: float
@@ -66,6 +67,12 @@ class Late(NamedTuple):
         """Covariance [m²/s²] of a late GNSS velocity by its delay, shape (3, 3)."""
         error = self.velocity_s / self.longest_s * np.array(self.change(velocity))
         return np.outer(error, error)
+
+    def way(self, velocity: Vector) -> Vector:
+        """Way [m, NED] in the delay of positions, which a receiver has still to go: by the mean velocity in it."""
+        mean = minus(velocity, [0.5 * abs(self.position_s) / self.longest_s * part for part in self.change(velocity)])
+        north, east, down = (self.position_s * part for part in mean)
+        return north, east, down
 
 
 class ErrorStateFilter:
@@ -159,6 +166,14 @@ class ErrorStateFilter:
     def position(self) -> Geodetic:
         """Position of the IMU."""
         return Geodetic(*self.state.position)
+
+    @property
+    def published_position(self) -> Geodetic:
+        """Position for the time of the receiver where its stamps are the exact ones, otherwise that of the state."""
+        if self.late is None or not self._settings.gnss.stamps_exact:
+            return self.position
+        north, east, down = self.late.way(self.velocity)
+        return geodetic_from_ned_difference((-north, -east, -down), self.position)
 
     @property
     def ned_from_body(self) -> FloatArray:
@@ -272,24 +287,30 @@ class ErrorStateFilter:
         self.P = rescaled(self.P, place, ratios)
         self._set_parameters(place, self.gnss_error / ratios)
 
-    def suspect_delay(self, position_s: float, velocity_s: float) -> None:
-        """Keep the position on the clock of a receiver whose fixes seem to be older than their stamps.
+    def correct_delay(self, position_s: float, velocity_s: float) -> None:
+        """Take fixes to be older than their stamps from now on, and go the way that they were behind.
 
-        A velocity that is in time ends it: positions that lag alone are smoothed, by nobody knows what.
+        What is left of the way is allowed for by a half of it: a delay that is found scatters, and the vehicle did not
+        keep its velocity in it.
         """
-        self.late = Late(position_s, velocity_s, self.velocity) if velocity_s else None
+        more_s = position_s - self.parameter(em.GNSS_DELAY)
+        self.propagate_covariance()
+        self.set_parameter(em.GNSS_DELAY, position_s, 0.0)
+        self.set_parameter(em.GNSS_VELOCITY_DELAY, velocity_s - position_s, 0.0)
+        self.late = Late(position_s, velocity_s, self.velocity) if position_s or velocity_s else None
+        north, east, down = (more_s * part for part in self.velocity)
+        self.inertial = self.inertial._replace(
+            position=geodetic_from_ned_difference((north, east, down), self.position)
+        )
+        self.inflate_along(em.POSITION, UNCERTAIN_SHARE * np.array([north, east, down]))
 
     def _lag(self, late: Late, span_s: float) -> None:
-        """Move the position by the velocity of the delay ago in place of the present one.
+        """Let the velocity of the delay ago follow, and the position be less sure where it changes.
 
-        Its variance grows by (d_p c)² in the delay T: neither that nor the first-order lag is known well.
+        Its variance grows by (d_p c / 4)² in the delay T, with the change c: found delays scatter by a quarter.
         """
-        change, share = late.change(self.velocity), late.position_s / late.longest_s
+        change, share = late.change(self.velocity), SCATTER * late.position_s / late.longest_s
         self.inflate_along(em.POSITION, share * sqrt(late.longest_s * span_s) * np.array(change))
-        share *= -MOVED_SHARE * span_s
-        north, east, down = (share * part for part in change)
-        here = geodetic_from_ned_difference((north, east, down), self.position)
-        self.inertial = self.inertial._replace(position=here)
         left = exp(-span_s / late.longest_s)
         self.late = late._replace(velocity=minus(self.velocity, [left * part for part in change]))
 

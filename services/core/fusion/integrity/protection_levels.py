@@ -16,6 +16,7 @@ from shared.maths.quantiles import circle_factor, line_factor
 from shared.maths.rotation import Vector
 
 from .error_monitor import ErrorMonitor
+from .set_up_spread import NO_SPREAD, SetUpSpread
 
 SPLITS = (0.5, 0.75, 0.95)  # [-] shares of the risk that horizontal errors without a fault may have
 FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
@@ -100,6 +101,7 @@ def protection_levels(
     *,
     risk: float,
     time_sd_s: float,
+    spread: SetUpSpread = NO_SPREAD,
 ) -> Levels:
     """Say how far off a solution may be.
 
@@ -117,6 +119,8 @@ def protection_levels(
         [-] Probability with which the error may be beyond a level, of each of the two.
     time_sd_s : float
         [s] Error of GNSS stamps.
+    spread : SetUpSpread
+        Of lever arm and delay, as far as no check has measured them.
 
     Returns
     -------
@@ -128,10 +132,12 @@ def protection_levels(
     With s² the scale of recent innovations, g the growth in an outage of t, L the variance of time-correlated errors
     of GNSS and P₀ the covariance after the last fix that was used::
 
-        Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
+        Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp + set-up      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
 
-    The stamp's part is what P lacks of (v σ_t)² along the velocity. The way driven in a delay that is known and not
-    corrected is no random error: it is added to the level.
+    The stamp's part is what P lacks of (v σ_t)² along the velocity. That of the set-up is the variance of the lever arm
+    on each axis, and what all that lacks of (v σ_d)²: both are equal at every fix, so that no fix takes them away. A
+    delay at the end of what is assumed and a filter at the end of its own are not taken to come together. The way
+    driven in a delay of positions that is known and not corrected is no random error: it is added to the level.
     """
     (nn, ne, _), (_, ee, _), (_, _, dd) = position_cov
     age_s = (time_ns - monitor.used_ns) * 1e-9
@@ -146,8 +152,15 @@ def protection_levels(
         stamp = max(0.0, time_sd_s**2 - along / speed2)
     correlated = monitor.correlated_variance_horizontal
     nn, ne, ee = scale_h * nn + stamp * north**2, scale_h * ne + stamp * north * east, scale_h * ee + stamp * east**2
-    cov = (nn + correlated, ne, ee + correlated)
+    arm = correlated + spread.arm_horizontal_m**2
+    nn, ee = nn + arm, ee + arm
+    late = 0.0  # [s²] as above
+    if speed2 > 0.0:
+        along = (north * north * nn + 2.0 * north * east * ne + east * east * ee) / speed2
+        late = max(0.0, spread.delay_s**2 - along / speed2)
+    cov = (nn + late * north**2, ne + late * north * east, ee + late * east**2)
     variance = scale_v * dd + monitor.correlated_variance_vertical
+    variance += spread.arm_vertical_m**2 + (spread.delay_s * velocity[2]) ** 2
     if not isfinite(sum(cov) + variance):
         return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
     (fault_h, fault_v), (rejected_h, rejected_v) = monitor.fault_shift, monitor.rejection_bound

@@ -37,6 +37,8 @@ SDS = 5.0
 BIAS_SDS = 3.0
 FORCE_LIMIT = 0.1  # relative error of the mean specific force against gravity
 RATE_LIMIT = 0.25  # relative error of the gyroscopes against the course
+TILT_SD = radians(1.5)  # of roll and pitch by gravity, averaged over slopes and bends of a drive
+UPRIGHT = 0.7  # cosine of the tilt beyond which `check_upright` has the finding
 SKEWED = radians(9.0)  # of a mount beyond the default prior (3 degrees, three standard deviations)
 
 
@@ -134,28 +136,36 @@ def check_axes(fit: AxesFit | None) -> Check:
     seen = [f"{AXES[place]} appears {axis_name(best[:, place])}" for place in range(3) if best[place, place] != 1.0]
     mirrored = "" if np.linalg.det(best) > 0.0 else "; the axes are mirrored, which no mount does"
     text = f"axes are swapped: {', '.join(seen)}{mirrored}"
-    return Check(name, Verdict.CONTRADICTS, text, gap, fit.sd, 0.0, MARGIN, "-", _axes_setting(fit))
+    turned = best[2, 2] == 1.0 and np.linalg.det(best) > 0.0
+    turn = _turn(fit) if turned else None
+    return Check(name, Verdict.CONTRADICTS, text, gap, fit.sd, 0.0, MARGIN, "-", _axes_setting(fit), turn)
 
 
 def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
-    """Find a mount that is askew beyond what the filter assumes."""
+    """Find a mount that is askew beyond what the filter assumes: in roll and pitch by gravity alone, if need be."""
     name = "imu_mounting"
-    if fit is None or fit.columns is None or not _is_motion(fit.columns):
+    if fit is None or fit.down[2] < UPRIGHT:
         return Check(name)
-    best, _ = nearest_permutation(fit.columns)
-    if not np.array_equal(best, np.eye(3)):
+    known = fit.columns is not None and _is_motion(fit.columns)
+    if known and not np.array_equal(nearest_permutation(_columns(fit))[0], np.eye(3)):
         return Check(name)
     limit = max(SKEWED, limit_rad)
-    R = mounting_of(fit.columns)
+    R = mounting_of(_columns(fit)) if known else tilt_of(fit.down)
     yaw, pitch = atan2(R[1, 0], R[0, 0]), -atan2(R[2, 0], hypot(R[0, 0], R[1, 0]))
-    size, sd = max(abs(yaw), abs(pitch)), fit.sd
-    text = (
-        f"the IMU is askew by {degrees(-yaw):.1f}° in yaw and {degrees(-pitch):.1f}° in pitch (1 σ {degrees(sd):.1f}°)"
-    )
+    roll = atan2(R[2, 1], R[2, 2])
+    tilt = max(abs(roll), abs(pitch))
+    seen = [(tilt, TILT_SD)]
+    text = f"the IMU is askew by {degrees(-roll):.1f}° in roll and {degrees(-pitch):.1f}° in pitch"
+    if known:
+        seen.append((abs(yaw), fit.sd))
+        text += f", and by {degrees(-yaw):.1f}° in yaw (1 σ {degrees(fit.sd):.1f}°)"
+    size, sd = max(seen)
     values = degrees(size), degrees(sd), 0.0, degrees(limit), "deg"
-    if size < limit + 3.0 * sd:
-        return Check(name, Verdict.AGREES if size < limit else Verdict.UNKNOWN, text, *values)
-    return Check(name, Verdict.CONTRADICTS, text, *values, _axes_setting(fit))
+    if any(one >= limit + 3.0 * its_sd for one, its_sd in seen):
+        correction = matrix_text(R.T @ fit.present)
+        turn = _turn(fit) if known and abs(yaw) >= limit + 3.0 * fit.sd else None
+        return Check(name, Verdict.CONTRADICTS, text, *values, f"core.fusion.imu.body_from_imu = {correction}", turn)
+    return Check(name, Verdict.AGREES if known and size < limit else Verdict.UNKNOWN, text, *values)
 
 
 def check_gyroscope(fit: AxesFit | None) -> Check:
@@ -213,10 +223,28 @@ def mounting_of(columns: FloatArray) -> FloatArray:
     return np.column_stack([ahead, handed * np.cross(down, ahead), down])
 
 
+def tilt_of(down: FloatArray) -> FloatArray:
+    """Rotation from vehicle to published axes by the direction of gravity, with forward in its plane; shape (3, 3)."""
+    ahead = np.array([1.0, 0.0, 0.0]) - down[0] * down
+    ahead /= np.linalg.norm(ahead)
+    return np.column_stack([ahead, np.cross(down, ahead), down])
+
+
 def axis_name(direction: FloatArray) -> str:
     """Nearest axis to a direction in words."""
     place = int(np.argmax(np.abs(direction)))
     return AXES[place] if direction[place] > 0.0 else OPPOSITE[place]
+
+
+def _turn(fit: AxesFit) -> tuple[float, float]:
+    """Turn of the vehicle's axes about the published axis down, and its standard deviation [rad]."""
+    R = mounting_of(_columns(fit))
+    return atan2(R[1, 0], R[0, 0]), fit.sd
+
+
+def _columns(fit: AxesFit) -> FloatArray:
+    assert fit.columns is not None
+    return fit.columns
 
 
 def _is_motion(columns: FloatArray) -> bool:

@@ -23,24 +23,23 @@ FEWEST = 30
 EXPLAINED = 0.5  # share of the variance of the course rate that the best lag explains
 CLEAR = 12.0  # logarithm of the likelihood over that of no lag
 REPEATED = 3.0  # residuals in a row that count as one
+APART_S = 1.9  # between positions without velocity
+REPEATED_APART = 4.0  # as `REPEATED`, of two series that share their noise in part
 LATE_S = 0.15
 
 
-def check_delay(name: str, what: str, motion: Motion, velocities: Velocities, setting: tuple[str, float]) -> Check:
-    """Find the lag of velocities against the inertial sensors.
+def check_delay(name: str, what: str, found: tuple[float, float, float] | None, setting: tuple[str, float]) -> Check:
+    """Put the lag of GNSS against the inertial sensors into a finding.
 
     Parameters
     ----------
     name, what : str
         Of the check, and of what is late, in words.
-    motion : Motion
-        Of the window.
-    velocities : Velocities
-        Of the receiver, or of its positions.
+    found : tuple of float or None
+        By `lag_of` or `lag_of_positions`.
     setting : tuple of str and float
         Key of the delay, and its present value [s].
     """
-    found = lag_of(motion, velocities)
     if found is None:
         return Check(name)
     lag_s, sd_s, gain = found
@@ -59,16 +58,30 @@ def check_delay(name: str, what: str, motion: Motion, velocities: Velocities, se
 
 def lag_of(motion: Motion, velocities: Velocities) -> tuple[float, float, float] | None:
     """Lag and its standard deviation [s], and the log-likelihood over that of no lag; None while not known."""
-    changes = Changes.of(velocities).within(motion, LARGEST_S + NEAR_S)
-    turning = np.isfinite(changes.course_rate)
-    if turning.sum() < FEWEST:
+    return _lag_of(motion, [Changes.of(velocities)], REPEATED)
+
+
+def lag_of_positions(motion: Motion) -> tuple[float, float, float] | None:
+    """Lag of the positions of a receiver that measures no velocity, as `lag_of`.
+
+    Errors of metres hide the changes of speed between positions a second apart. Over twice the time they are a quarter
+    as large, and positions between those of one series make another.
+    """
+    found = lag_of(motion, motion.of_positions())
+    if found is not None:
+        return found
+    series = [Changes.of(motion.of_positions(APART_S, after_s), APART_S) for after_s in (0.0, 0.5 * APART_S)]
+    return _lag_of(motion, series, REPEATED_APART)
+
+
+def _lag_of(motion: Motion, series: list[Changes], repeated: float) -> tuple[float, float, float] | None:
+    series = [changes.within(motion, LARGEST_S + NEAR_S) for changes in series]
+    if any(np.isfinite(changes.course_rate).sum() < FEWEST for changes in series):
         return None
 
     def log_likelihood(lag_s: float) -> tuple[float, float]:
-        inertial = changes.inertial(motion, lag_s)
-        by_force, _ = _fit(inertial[:, :3], changes.acceleration)
-        by_rate, explained = _fit(inertial[turning, 3:], changes.course_rate[turning])
-        return (by_force + by_rate) / REPEATED, explained
+        parts = [_log_likelihood(motion, changes, lag_s) for changes in series]
+        return sum(part for part, _ in parts) / repeated, min(explained for _, explained in parts)
 
     coarse = [log_likelihood(lag) for lag in COARSE_S]
     best = float(COARSE_S[max(range(len(coarse)), key=lambda place: coarse[place][0])])
@@ -82,6 +95,14 @@ def lag_of(motion: Motion, velocities: Velocities) -> tuple[float, float, float]
     lag = float(weight @ lags)
     sd = float(np.hypot(np.sqrt(weight @ (lags - lag) ** 2), LEAST_SD_S))
     return (lag, sd, float(total.max()) - log_likelihood(0.0)[0]) if sd < LARGEST_SD_S else None
+
+
+def _log_likelihood(motion: Motion, changes: Changes, lag_s: float) -> tuple[float, float]:
+    """Logarithm of the likelihood of one series at a lag, and the share of the course rate that it explains."""
+    turning, inertial = np.isfinite(changes.course_rate), changes.inertial(motion, lag_s)
+    by_force, _ = _fit(inertial[:, :3], changes.acceleration)
+    by_rate, explained = _fit(inertial[turning, 3:], changes.course_rate[turning])
+    return by_force + by_rate, explained
 
 
 def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:

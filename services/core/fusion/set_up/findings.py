@@ -23,6 +23,7 @@ class Check:
     limit: float | None = None  # of the difference
     unit: str = "-"
     setting: str | None = None  # to paste into the vehicle's file or the mapping of the import
+    turn: tuple[float, float] | None = None  # [rad] of the vehicle's axes about the published axis down, and its 1 σ
 
 
 def matrix_text(matrix: npt.NDArray[np.float64]) -> str:

@@ -1,14 +1,17 @@
 """All checks of the set-up, once in ten seconds; a finding holds until a later evaluation contradicts it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from math import hypot
 from typing import NamedTuple
 
 from shared.maths.rotation import Vector
 
+from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..measurements.base import Measurement
 from ..settings import Settings
 from . import axes, receiver
-from .delay import check_delay
+from .delay import check_delay, lag_of, lag_of_positions
 from .findings import Check, Verdict
 from .motion import Motion, MotionLog, Velocities, intervals_of
 from .odometer import check_odometer_scale
@@ -16,6 +19,7 @@ from .odometer import check_odometer_scale
 PERIOD_NS = 10_000_000_000
 FEWEST_VELOCITIES = 20
 DELAYS = "gnss_delay", "gnss_velocity_delay"  # checks
+BESIDE_VELOCITY_S = 0.05  # standard deviation of the delay of positions, where that of velocities is known alone
 
 
 class ArmError(NamedTuple):
@@ -61,19 +65,62 @@ class SetUpMonitor:
         motion = self._log.motion()
         if motion is None:
             return
-        for check in evaluate(self._settings, motion, arm):
+        for check in evaluate(self._settings, motion, arm, delay_known=self.delay_known):
             self._adopt(check, time_ns)
+        if any(self.delays) and self.checks["lever_arm"][0].verdict is not Verdict.UNKNOWN:
+            self.checks["lever_arm"] = Check("lever_arm"), time_ns  # it was of late fixes
+
+    @property
+    def turn(self) -> tuple[float, float] | None:
+        """Turn of the vehicle's axes against the published ones about the axis down, and its 1 σ [rad], if found."""
+        return next((c.turn for c in self._known("imu_axes", "imu_mounting") if c.verdict is Verdict.CONTRADICTS), None)
+
+    @property
+    def heights_wrong(self) -> bool:
+        """Whether heights of GNSS have the wrong sign."""
+        return any(check.verdict is Verdict.CONTRADICTS for check in self._known("gnss_height"))
+
+    @property
+    def delay_known(self) -> bool:
+        """Whether stamps are known to agree with the settings, so that what turns show is of the lever arm."""
+        return self._agreed(*DELAYS) is not None
 
     @property
     def delays(self) -> tuple[float, float]:
         """Delays [s] of positions and of velocities that contradict the settings; 0 where none does."""
-        known = (self.checks[name][0] for name in DELAYS if name in self.checks)
         found = [
-            check.statistic or 0.0 if check.verdict is Verdict.CONTRADICTS else 0.0
-            for check in known
-            if check.verdict is not Verdict.UNKNOWN
+            check.statistic or 0.0 if check.verdict is Verdict.CONTRADICTS else 0.0 for check in self._known(*DELAYS)
         ] or [0.0]
         return found[0], found[-1]
+
+    def spread(self, corrected_s: float | None = None) -> SetUpSpread:
+        """What lever arm and delay may be off by: as assumed, until their checks agree or the delay is corrected.
+
+        Parameters
+        ----------
+        corrected_s : float, optional
+            [s] Delay of positions that the filter corrects beyond the settings.
+        """
+        spread = SetUpSpread.of(self._settings, self._agreed("lever_arm"), self._agreed(*DELAYS))
+        if corrected_s is None:
+            return spread
+        found = next((check for check in self._known(*DELAYS) if check.verdict is Verdict.CONTRADICTS), None)
+        if found is None or found.statistic is None or found.sd is None:
+            return spread
+        beside_s = 0.0 if found.name == DELAYS[0] else BESIDE_VELOCITY_S
+        return replace(spread, delay_s=hypot(found.statistic - corrected_s, found.sd, beside_s))
+
+    def _known(self, *names: str) -> list[Check]:
+        """Checks of some names that are not unknown, in that order."""
+        known = (self.checks[name][0] for name in names if name in self.checks)
+        return [check for check in known if check.verdict is not Verdict.UNKNOWN]
+
+    def _agreed(self, *names: str) -> Measured | None:
+        """Error and standard deviation by the first of some checks that is known, if it agrees."""
+        first = next(iter(self._known(*names)), Check(names[0]))
+        if first.verdict is not Verdict.AGREES or first.statistic is None or first.sd is None:
+            return None
+        return Measured(first.statistic, first.sd)
 
     def _adopt(self, check: Check, time_ns: int) -> None:
         """Keep what is known: a finding needs two evaluations in a row, and ignorance replaces nothing."""
@@ -87,8 +134,23 @@ class SetUpMonitor:
         self.checks[check.name] = (check, since_ns)
 
 
-def evaluate(settings: Settings, motion: Motion, arm: ArmError | None = None) -> Iterator[Check]:
-    """Evaluate all checks on one window of motion; later ones rest on what the earlier ones have found."""
+def evaluate(
+    settings: Settings, motion: Motion, arm: ArmError | None = None, *, delay_known: bool = False
+) -> Iterator[Check]:
+    """Evaluate all checks on one window of motion; later ones rest on what the earlier ones have found.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the filter.
+    motion : Motion
+        Of the window.
+    arm : ArmError, optional
+        By the innovations of the filter.
+    delay_known : bool
+        Whether the delay has agreed with the settings before: while it is open, a late fix looks in turns like an
+        antenna that is elsewhere.
+    """
     by_receiver, by_positions = motion.of_receiver(), motion.of_positions()
     same = receiver.check_velocity_axes(motion)
     has_velocity = len(by_receiver.begin) >= FEWEST_VELOCITIES
@@ -113,7 +175,8 @@ def evaluate(settings: Settings, motion: Motion, arm: ArmError | None = None) ->
     yield from receiver.check_vertical(motion, intervals, axes.forward_of(fit))
     yield from delays
     yield check_odometer_scale(motion, chosen, settings.odometer.scale)
-    misled = late or any(check.verdict is Verdict.CONTRADICTS for check in (*of_imu, same))
+    delay_open = not delay_known and delay.verdict is not Verdict.AGREES
+    misled = delay_open or any(check.verdict is Verdict.CONTRADICTS for check in (*of_imu, same, *delays))
     yield Check("lever_arm") if misled or arm is None else check_arm(settings, arm)
 
 
@@ -124,7 +187,10 @@ def _delays(
     gnss = settings.gnss
     enough = len(by_positions.begin) >= FEWEST_VELOCITIES
     key = "core.fusion.gnss.delay_s", gnss.delay_s
-    position = check_delay("gnss_delay", "the position of GNSS", motion, by_positions, key) if enough else None
+    position = None
+    if enough:  # velocities of a receiver tell the delay better than positions twice as far apart
+        lag = lag_of(motion, by_positions) if by_receiver is not None else lag_of_positions(motion)
+        position = check_delay("gnss_delay", "the position of GNSS", lag, key)
     yield position or Check("gnss_delay")
     late_s = position.statistic if position is not None and position.verdict is Verdict.CONTRADICTS else None
     if by_receiver is None:
@@ -132,7 +198,7 @@ def _delays(
         return
     if position is not None and position.verdict is not Verdict.UNKNOWN:
         key = "core.fusion.gnss.velocity_delay_s", gnss.velocity_delay_s - (late_s or 0.0)
-    yield check_delay("gnss_velocity_delay", "the velocity of GNSS", motion, by_receiver, key)
+    yield check_delay("gnss_velocity_delay", "the velocity of GNSS", lag_of(motion, by_receiver), key)
 
 
 def check_arm(settings: Settings, arm: ArmError) -> Check:

@@ -20,7 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 
 WINDOW_S = 300.0
 NODE_S = 0.05  # between two stored values of the integrals of force and rate
-SHORTEST_S, LONGEST_S = 0.9, 2.5  # of an interval between two velocities
+SHORTEST_S = 0.9  # of an interval between two velocities
+SLACK_S = 1.6  # by which an interval may be longer
+SIMPSON_S = 0.75  # step of means over an interval
 COURSE_M_S = 3.0  # below it a course is noise
 LARGEST_M_S2 = 8.0  # no tyre accelerates a car so much: GNSS has jumped
 SPEED_S = 0.09  # least time between two speeds
@@ -65,12 +67,13 @@ class Motion:
         time = self.velocities[:, 0]
         return Velocities(time, time, self.velocities[:, 1:])
 
-    def of_positions(self) -> Velocities:
-        """Mean velocities between positions that are at least `SHORTEST_S` apart."""
-        chosen = _spaced(self.positions[:, 0])
-        time, ned = self.positions[chosen, 0], self.positions[chosen, 1:]
+    def of_positions(self, shortest_s: float = SHORTEST_S, after_s: float = 0.0) -> Velocities:
+        """Mean velocities between positions that are at least a time apart [s], from a time after the first on."""
+        positions = self.positions[self.positions[:, 0] >= self.positions[:1, 0].sum() + after_s]
+        chosen = _spaced(positions[:, 0], shortest_s)
+        time, ned = positions[chosen, 0], positions[chosen, 1:]
         span = np.diff(time)
-        fit = span <= LONGEST_S
+        fit = span <= shortest_s + SLACK_S
         mean = np.diff(ned, axis=0)[fit] / span[fit, np.newaxis]
         return Velocities(time[:-1][fit], time[1:][fit], mean)
 
@@ -114,17 +117,17 @@ class Changes:
     course_rate: FloatArray  # [rad/s] shape (n,)
 
     @classmethod
-    def of(cls, velocities: Velocities) -> "Changes":
-        """Changes over `SHORTEST_S` to `LONGEST_S`, without those that no tyre makes."""
+    def of(cls, velocities: Velocities, shortest_s: float = SHORTEST_S) -> "Changes":
+        """Changes over at least a time [s], without those that no tyre makes."""
         times = np.column_stack([velocities.begin, velocities.end])
-        chosen = _spaced(times.mean(axis=1))
+        chosen = _spaced(times.mean(axis=1), shortest_s)
         times, ned = times[chosen], velocities.ned[chosen]
         horizontal, course = np.hypot(ned[:, 0], ned[:, 1]), np.arctan2(ned[:, 1], ned[:, 0])
         span = np.diff(times.mean(axis=1))
         turn = np.remainder(np.diff(course) + np.pi, 2.0 * np.pi) - np.pi
         course_rate = np.where(np.minimum(horizontal[1:], horizontal[:-1]) > COURSE_M_S, turn, np.nan) / span
         speed, acceleration = 0.5 * (horizontal[1:] + horizontal[:-1]), np.diff(horizontal) / span
-        sound = (span <= LONGEST_S) & (np.abs(acceleration) < LARGEST_M_S2)
+        sound = (span <= shortest_s + SLACK_S) & (np.abs(acceleration) < LARGEST_M_S2)
         sound &= ~(np.abs(speed * course_rate) > LARGEST_M_S2)
         return cls(times[:-1][sound], times[1:][sound], speed[sound], acceleration[sound], course_rate[sound])
 
@@ -158,21 +161,24 @@ def intervals_of(motion: Motion, velocities: Velocities, lag_s: float = 0.0) -> 
 
 
 def _mean_integrals(motion: Motion, times: FloatArray) -> FloatArray:
-    """Means over times [begin, end] of the integrals, shape (n, 7), by three points (Simpson) where they differ."""
+    """Means over times [begin, end] of the integrals, shape (n, 7), by Simpson's rule where they differ."""
     begin, end = times.T
     if np.array_equal(begin, end):
         return motion.integrals_at(begin)
-    first, middle, last = (motion.integrals_at(time) for time in (begin, 0.5 * (begin + end), end))
-    mean: FloatArray = (first + 4.0 * middle + last) / 6.0
+    steps = 2 * max(1, round(0.5 * float((end - begin).max(initial=0.0)) / SIMPSON_S))
+    weights = np.array([1.0, *([4.0, 2.0] * (steps // 2))[:-1], 1.0])
+    mean = np.zeros((len(begin), 7))
+    for share, weight in zip(np.linspace(0.0, 1.0, steps + 1).tolist(), weights.tolist(), strict=True):
+        mean += weight / (3.0 * steps) * motion.integrals_at((1.0 - share) * begin + share * end)
     return mean
 
 
-def _spaced(time: FloatArray) -> list[int]:
-    """Indices of times that are at least `SHORTEST_S` apart."""
+def _spaced(time: FloatArray, shortest_s: float) -> list[int]:
+    """Indices of times that are at least a time apart [s]."""
     chosen: list[int] = []
     last = -inf
     for place, now in enumerate(time.tolist()):
-        if now - last >= SHORTEST_S - 1e-6:
+        if now - last >= shortest_s - 1e-6:
             chosen.append(place)
             last = now
     return chosen

@@ -96,7 +96,8 @@ def _verdict(name: str, what: str, fit: tuple[float, float], than: str, where: s
         return Check(name, Verdict.AGREES, text, *values)
     if gain > -WRONG_GAIN or 1.0 - gain < SDS * sd:
         return Check(name)
-    return Check(name, Verdict.CONTRADICTS, f"{text}: its sign is wrong; check {where}", *values)
+    used = "; until then heights of GNSS are not used" if where is HEIGHTS else ""
+    return Check(name, Verdict.CONTRADICTS, f"{text}: its sign is wrong; check {where}{used}", *values)
 
 
 def _gain(

@@ -61,10 +61,29 @@ class SuspectedDelay(FilterEvent):
     velocity_s: float
     change_s: float
 
+    @property
+    def corrected(self) -> tuple[float, float]:
+        """Delays of positions and velocities [s] by which stamps are corrected.
+
+        Positions that lag while velocities are in time are smoothed, by nobody knows what: they are not moved.
+        """
+        return (self.position_s, self.velocity_s) if self.velocity_s else (0.0, 0.0)
+
+    @property
+    def left_s(self) -> float:
+        """Delay of positions [s] that is not corrected."""
+        return abs(self.position_s - self.corrected[0])
+
     def apply(self, navigation: "ErrorStateFilter") -> None:
-        """Allow for late fixes from now on, and inflate the covariance for what earlier ones have done."""
-        navigation.suspect_delay(self.position_s, self.velocity_s)
+        """Correct late fixes from now on, and inflate the covariance for what earlier ones have done."""
+        navigation.correct_delay(*self.corrected)
         navigation.inflate(attitude_sd=TURN_RATE * self.change_s, velocity_sd=ACCELERATION * self.change_s)
+
+    def begin(self, started: "ErrorStateFilter") -> None:
+        """Correct late fixes of a filter that starts at the place that a corrected one has given."""
+        place = started.inertial.position
+        started.correct_delay(*self.corrected)
+        started.inertial = started.inertial._replace(position=place)
 
 
 class Timing:
@@ -96,9 +115,9 @@ class Timing:
 
     def corrected(self, measurement: Measurement) -> Measurement:
         """Correct the stamp of a measurement by the delay known for it."""
-        if self._search is None:
+        if self._search is None and not self._removed:
             return measurement
-        if isinstance(measurement, GnssVelocity) and not self._frozen:
+        if self._search is not None and isinstance(measurement, GnssVelocity) and not self._frozen:
             self._search.see(measurement)
         if isinstance(measurement, GnssPosition | GnssVelocity | WheelSpeed):
             removed_s = self._at(type(measurement), measurement.time_ns)
@@ -107,6 +126,11 @@ class Timing:
             removed_s = self._at(GnssPosition, measurement.time_ns)
             return replace(measurement, time_ns=measurement.time_ns - round(removed_s * 1e9))
         return measurement
+
+    def suspect(self, delay: SuspectedDelay) -> None:
+        """Correct stamps that are not in use yet by delays that the check of the set-up has found."""
+        for kind, delay_s in zip((GnssPosition, GnssVelocity), delay.corrected, strict=True):
+            self._remove(kind, delay.time_ns + AHEAD_NS, delay_s)
 
     def learn(self, now_ns: int, navigation: "ErrorStateFilter | None") -> FoundDelay | None:
         """Decide the corrections of stamps later than `AHEAD_NS` from now.

@@ -21,7 +21,7 @@ from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..update.engine import BEFORE_ALL_NS, Engine
 from ..update.exclusion import GnssExcluded, GnssReadmitted
-from .delay_compensation import Timing
+from .delay_compensation import SuspectedDelay, Timing
 
 PERIOD = 8  # samples from snapshot to snapshot
 MOST = 1000  # snapshots, for a device whose stamps hardly advance; 2.7 s at 1 kHz are 340
@@ -130,6 +130,8 @@ class OutOfSequenceEngine:
         """
         if isinstance(measurement, GnssExcluded | GnssReadmitted):
             self._timing.freeze(frozen=isinstance(measurement, GnssExcluded))
+        if isinstance(measurement, SuspectedDelay):
+            self._timing.suspect(measurement)
         measurement = self._timing.corrected(measurement)
         time_ns = measurement.time_ns
         if self._snapshots and time_ns <= max(self._oldest_ns, self._snapshots[0].time_ns):

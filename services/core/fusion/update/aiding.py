@@ -18,6 +18,7 @@ from ..settings import Settings
 from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .duplicate_epochs import Epochs
 from .gating import Gate
+from .lever_arm_monitor import LeverArmMonitor
 from .standstill_detector import Limits, limits_of
 
 ODOMETER_SILENT_NS = 2_000_000_000  # silence of the odometer in use after which another one is used
@@ -45,7 +46,9 @@ class Aids:
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Start with a new filter and the comparison that gave its heading."""
-        if self._delay is not None and not started.parameter(em.GNSS_DELAY):
+        if isinstance(self._delay, SuspectedDelay):
+            self._delay.begin(started)
+        elif self._delay is not None and not started.parameter(em.GNSS_DELAY):
             self._delay.apply(started)
         self.gate.restart(comparison)
         self.error_monitor = self.error_monitor.restarted(time_ns, started)
@@ -54,7 +57,8 @@ class Aids:
         """Keep a found delay for filters that start later."""
         self._delay = delay
         if isinstance(delay, SuspectedDelay):
-            self.error_monitor = replace(self.error_monitor, delay_s=abs(delay.position_s))
+            self.error_monitor = replace(self.error_monitor, delay_s=delay.left_s)
+            self.gate.lever_arm = LeverArmMonitor()  # what late fixes have shown is of the delay
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""

@@ -32,6 +32,7 @@ from ..smoothing.history import HistoryRecorder
 from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .aiding import Aids
 from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, Held, OdometerExclusion
+from .heights import WrongHeights
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
 from .standstill_detector import is_standstill
 
@@ -40,8 +41,8 @@ LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases a
 LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
 KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
 BEFORE_ALL_NS = -(2**64)
-# No measurements.
-Event = FoundDelay | SuspectedDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion | Held
+# Events, which are no measurements.
+Event = FoundDelay | SuspectedDelay | LostTime | WrongHeights | GnssExcluded | GnssReadmitted | OdometerExclusion | Held
 
 
 class Engine:
@@ -300,8 +301,8 @@ class Engine:
         if isinstance(event, Held):
             self.aids.error_monitor = replace(self.aids.error_monitor, held=event.disagreement)
             return
-        if isinstance(event, FoundDelay | SuspectedDelay | LostTime):
-            if not isinstance(event, LostTime):
+        if isinstance(event, FoundDelay | SuspectedDelay | LostTime | WrongHeights):
+            if isinstance(event, FoundDelay | SuspectedDelay):
                 self.aids.keep(event)
             self._try(event.apply)
             return

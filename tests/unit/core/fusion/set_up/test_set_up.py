@@ -1,6 +1,7 @@
 """Checks of the set-up: each fault is reported by its check, and a correct set-up is not reported."""
 
 import tomllib
+from dataclasses import replace
 from functools import cache
 from math import radians
 
@@ -13,6 +14,7 @@ from services.core.fusion.set_up.motion import MotionLog
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
+from shared.maths.rotation import ned_from_body
 from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
 
 SECONDS = 180.0
@@ -83,6 +85,42 @@ def test_a_correct_set_up_is_not_reported(scenario: str, seed: int) -> None:
     )
     assert not contradicted(checks)
     assert checks["accelerometer_scale"].verdict is checks["imu_upright"].verdict is Verdict.AGREES
+
+
+@pytest.mark.parametrize("of", ["roll", "pitch"])
+@pytest.mark.parametrize("degrees_", [15.0, -15.0])
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_tilt_of_15_degrees_is_a_finding_with_the_setting_that_corrects_it(
+    of: str, degrees_: float, moving: bool
+) -> None:
+    """Without fixes gravity tells it alone."""
+    mount = ned_from_body(*((radians(degrees_), 0.0) if of == "roll" else (0.0, radians(degrees_))), 0.0)
+    drive = replace(town(), force=town().force @ mount, rate=town().rate @ mount)
+    checks = Faults().checks(drive if moving else replace(drive, fixes=[]))
+    assert contradicted(checks) == {"imu_mounting"}
+    size_deg = checks["imu_mounting"].statistic
+    assert size_deg == pytest.approx(abs(degrees_), abs=1.5)
+    setting = tomllib.loads(checks["imu_mounting"].setting or "")
+    correction = np.array(setting["core"]["fusion"]["imu"]["body_from_imu"])
+    assert correction @ mount.T == pytest.approx(np.eye(3), abs=radians(2.0))
+    assert checks["imu_mounting"].turn is None, "the heading is right"
+
+
+@pytest.mark.parametrize(("late_s", "verdict"), [(0.0, Verdict.AGREES), (0.5, Verdict.CONTRADICTS)])
+def test_positions_of_a_metre_tell_the_delay_of_a_receiver_without_velocity(late_s: float, verdict: Verdict) -> None:
+    drive = simulated(simulate("urban", 2, duration_s=280.0))
+    drive = replace(drive, fixes=[fix._replace(velocity=None) for fix in drive.fixes])
+    checks = Faults(late_s=late_s, arm=ArmError((2.0, 0.1), 12.0, wrong=True)).checks(drive)
+    assert checks["gnss_delay"].verdict is verdict
+    assert checks["gnss_delay"].statistic == pytest.approx(late_s, abs=0.1)
+    assert checks["lever_arm"].verdict is (Verdict.CONTRADICTS if verdict is Verdict.AGREES else Verdict.UNKNOWN)
+
+
+def test_without_a_known_delay_there_is_no_finding_of_the_lever_arm() -> None:
+    drive = simulated(simulate("degraded", 1, duration_s=SECONDS))
+    drive = replace(drive, fixes=[fix._replace(velocity=None) for fix in drive.fixes])
+    checks = Faults(arm=ArmError((2.0, 0.1), 12.0, wrong=True)).checks(drive)
+    assert checks["gnss_delay"].verdict is checks["lever_arm"].verdict is Verdict.UNKNOWN
 
 
 def test_after_three_minutes_only_delay_and_lever_arm_may_be_unknown() -> None:
