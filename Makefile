@@ -7,7 +7,7 @@ APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
 PORT ?= 8080
 SCENARIO ?= urban
-RUNS ?= 1000
+RUNS ?= 300
 
 .PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x golden picture bench-replay clean
 .DEFAULT_GOAL := help
@@ -110,7 +110,8 @@ drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and
 drives-trust: setup ## print the verdicts on the recordings of OBU_DATA, and the harm of their exclusions (minutes)
 	@$(PYTHON) -m benchmarks.navigation.trust
 
-integrity: setup ## hold protection levels against true errors: RUNS simulated drives, and RECORDINGS=folder (half an hour)
+integrity: setup ## hold protection levels against true errors: 100 drives with a random fault, RUNS without (20 minutes), RECORDINGS=folder
+	@$(PYTHON) -m benchmarks.integrity.faults
 	@$(PYTHON) -m benchmarks.integrity --runs $(RUNS) --keep .obu/integrity $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
 consistency: setup ## hold errors against the filter's covariance: 50 drives a case (a quarter of an hour)

@@ -1,6 +1,6 @@
 """Runs one case through layers 2 to 4, offline."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, takewhile
 from math import radians
 from pathlib import Path
@@ -40,22 +40,26 @@ def run(case: Case) -> Timeline:
 
 
 def _simulated(case: Case) -> Timeline:
+    return simulated(case.drive, case.seed, case.duration_s, [case.attack] if case.attack else [])
+
+
+def simulated(drive: str, seed: int, duration_s: float, attacks: Sequence[ScheduledAttack]) -> Timeline:
+    """Run the whole unit over a simulated drive with any number of attacks."""
     vehicle = load_vehicle(SIMULATED)
     settings = vehicle.section("sensors.simulator", Simulator)
-    neighbours = NEIGHBOURS if case.attack and ATTACK_ROWS[case.attack.attack].accused == "neighbour" else 0
+    neighbours = NEIGHBOURS if any(ATTACK_ROWS[one.attack].accused == "neighbour" for one in attacks) else 0
     equipment = Equipment(settings.protocols, settings.mounting_rpy_deg, settings.second_antenna_m, neighbours)
-    attacks = [case.attack] if case.attack else []
-    end_ns = DEFAULT_START_NS + round(case.duration_s * NS)
-    world = World(scenario_of(case.drive, case.seed), case.seed, DEFAULT_START_NS, equipment, attacks)
+    end_ns = DEFAULT_START_NS + round(duration_s * NS)
+    world = World(scenario_of(drive, seed), seed, DEFAULT_START_NS, equipment, attacks)
     arrivals = takewhile(lambda arrival: arrival[0] <= end_ns, world)
     messages: Iterable[Message] = (message for _, message in arrivals)
-    if _is_cold_start(case.attack):
+    if any(map(_is_cold_start, attacks)):
         messages = _after_parking(messages)
     return _collected(OfflineUnit(vehicle), vehicle, messages, (DEFAULT_START_NS, end_ns), None)
 
 
-def _is_cold_start(attack: ScheduledAttack | None) -> bool:
-    return attack is not None and attack.attack is AttackName.COLD_START
+def _is_cold_start(attack: ScheduledAttack) -> bool:
+    return attack.attack is AttackName.COLD_START
 
 
 def _after_parking(messages: Iterable[Message]) -> Iterator[Message]:

@@ -10,6 +10,7 @@ from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
+from shared.messages.trust import LearnedGrade
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit, arrival_ns
 from shared.topics import BY_NAME, measurements
@@ -18,6 +19,7 @@ from ..recordings.device_data import inputs_among
 
 RECEIVER = ("gnss/raw", "gnss/fix")
 TRUTH = "truth/state"
+LEARNED = "trust/grade"  # what earlier drives had taught when this one began
 CONSUMED = tuple(topic.name for topic in measurements() if topic.consumers)
 
 
@@ -33,7 +35,7 @@ class Inputs:
     def __len__(self) -> int:
         return len(self.envelopes)
 
-    def messages(self, topics: Iterable[str] = (*CONSUMED, TRUTH)) -> Iterator[Message]:
+    def messages(self, topics: Iterable[str] = (*CONSUMED, TRUTH, LEARNED)) -> Iterator[Message]:
         """Decode the messages of the given topics one by one."""
         chosen = frozenset(topics)
         for place, envelope in enumerate(self.envelopes):
@@ -56,10 +58,10 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
     -------
     Inputs
         Raw bytes if recorded, otherwise the typed messages of the same sensors; the outputs of layers 2 to 4 at the
-        time of recording are not used.
+        time of recording are not used, but for what earlier drives had taught.
     """
     found = Inputs()
-    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH)}
+    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH, LEARNED)}
     for envelope in envelopes:
         found.topics[envelope.topic] += 1
         if envelope.topic in kept:
@@ -69,9 +71,22 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
         if topic in played:
             found.envelopes += kept[topic]
     found.envelopes.sort(key=arrival_of)
+    found.envelopes = learned_before(kept[LEARNED], found.envelopes) + found.envelopes
     states = Inputs(kept[TRUTH]).messages()
     found.truth = [state for state in states if isinstance(state, TruthState)]
     return found
+
+
+def learned_before(grades: list[Envelope], inputs: list[Envelope]) -> list[Envelope]:
+    """The newest grade that was known when a drive began; one that this drive has taught is for the next."""
+    first_ns = next((arrival_of(envelope) for envelope in inputs), 0)
+    earlier = []
+    for envelope in grades:
+        with suppress(BadPayload):
+            message = envelope.decode()
+            if isinstance(message, LearnedGrade) and message.sampled_ns <= first_ns:
+                earlier.append(envelope)
+    return earlier[-1:]
 
 
 def arrival_of(envelope: Envelope) -> int:

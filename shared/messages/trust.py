@@ -65,8 +65,9 @@ class LearnedGrade(Message):
     windows: Count  # of 5 s, one a second
     metrics: Annotated[tuple[Name, ...], Field(max_length=16)]
     sigma: Annotated[tuple[tuple[Sigma, Sigma, Sigma, Sigma], ...], Field(max_length=16)]  # of each metric
-    threshold: Annotated[float, Field(gt=0.0, le=100.0)]  # standard deviations
-    long_factor: Annotated[float, Field(ge=1.0, le=100.0)]  # on the deviation of the free propagations
+    threshold: Annotated[float, Field(gt=0.0, le=100.0), unit("standard deviations")]
+    # on the standard deviation of the free propagations
+    long_factor: Annotated[float, Field(ge=1.0, le=100.0), unit("1")]
     false_alarm_rate: Ratio
 
     @model_validator(mode="after")

@@ -80,10 +80,15 @@ def verdicts(published: Sequence[Message]) -> list[TrustState]:
     return [one for one in published if isinstance(one, TrustState)]
 
 
-def test_the_verdict_is_safe_unsafe_dead_reckoning_and_safe_again(published: list[Message]) -> None:
+def test_the_verdict_is_unsafe_and_dead_reckoning_in_the_attack_and_safe_again_after_it(
+    published: list[Message],
+) -> None:
+    """The level reaches to the solution with GNSS, so that the verdict is UNSAFE while the two are far apart."""
     states = [one for one in verdicts(published) if one.sampled_ns > 40 * SECOND_NS]
     sequence = [level for level, _ in groupby(one.state for one in states)]
-    assert sequence == [TrustLevel.SAFE, TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.SAFE]
+    assert sequence[:3] == [TrustLevel.SAFE, TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING]
+    assert sequence[-1] is TrustLevel.SAFE and sequence.count(TrustLevel.SAFE) == 2
+    assert TrustLevel.CAUTION not in sequence
     first = {level: next(one.sampled_ns for one in states if one.state is level) / SECOND_NS for level in sequence}
     assert BEGIN_S < first[TrustLevel.UNSAFE] < BEGIN_S + 8.0
     assert first[TrustLevel.DEAD_RECKONING] < first[TrustLevel.UNSAFE] + 4.0, "the roll-back takes part of a second"
@@ -152,7 +157,7 @@ def test_a_constant_offset_with_authentic_velocity_is_not_readmitted(drive: Driv
     held = list(Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0, held=True)).run())
     last = verdicts(held)[-1]
     passing = {one.monitor for one in last.monitors if one.outcome.value == "pass"}
-    assert {"inertial_short", "inertial_long"} <= passing
+    assert "inertial_short" in passing and "inertial_long" not in passing, "the way tells an offset from none"
     assert last.gnss_excluded
     ratios = [one.excluded_test_ratio for one in held if isinstance(one, NavigationState)]
     assert ratios[-1] is not None and ratios[-1] > 1.0

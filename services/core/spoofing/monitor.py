@@ -65,6 +65,7 @@ class InertialMonitor:
         self.window: Window | None = None  # newest one of 5 s
         self._window_missing = ""
         self._step: PositionStep | None = None  # over the same 5 s
+        self._decided = False  # the odometer agrees with the inertial sensors, and not with GNSS
         self._fix_ns: int | None = None  # newest stamp, before the delay
         self._exceeded: Counter[str] = Counter()  # successive evaluations above the threshold
         self._accusing: dict[str, bool] = {}  # by test of a long window
@@ -240,6 +241,7 @@ class InertialMonitor:
         )  # fmt: skip
         self.window = window
         of_positions = any(fix.of_positions for fix in chosen)  # would be compared with themselves
+        self._decided = self._odometer_decides(window)
         self._step = step = None if of_positions else position_step(chosen)
         self._exceeded[NAME] = self._exceeded[NAME] + 1 if step is not None and step.size > step.limit else 0
         profile = self.settings.profile
@@ -265,6 +267,17 @@ class InertialMonitor:
             self._doubts[length] = self._doubts[length] + 1 if doubt else 0
             if statistic is not None:
                 self.long_statistics[f"way_{length}"] = statistic / ways.accuse
+
+    def _odometer_decides(self, window: Window) -> bool:
+        """Whether the odometer shows the change of speed of the inertial sensors over a window, and not that of GNSS."""
+        begin, end = self._odometer.at(window.start_ns), self._odometer.at(window.end_ns)
+        sigma = self.settings.profile.sigma_of(Metric.ACCELERATION, window)
+        if begin is None or end is None or sigma is None or not self.settings.long.odometer:
+            return False
+        duration_s = (window.end_ns - window.start_ns) / SECOND_NS
+        by_gnss, inertial = (abs(change - (end - begin)) / duration_s for change in window.speed_change_m_s)
+        limit = self.settings.profile.threshold * float(np.hypot(sigma, self._resolution / duration_s / np.sqrt(6.0)))
+        return by_gnss > limit and inertial < 0.5 * by_gnss
 
     def _decide(self, key: str, statistic: float | None, limits: Limits) -> None:
         """Accuse after two evaluations above the threshold; release after ten below a lower one."""
@@ -343,7 +356,7 @@ class InertialMonitor:
         reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
         suspect_ns = window.start_ns - (CONSECUTIVE - 1) * SECOND_NS
         return judged(
-            replace(base, reason=reason),
+            replace(base, reason=reason, accused=GNSS if self._decided else EITHER),
             abs(difference),
             limit,
             accuses=self._exceeded[metric] >= CONSECUTIVE,

@@ -11,6 +11,7 @@ from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
 from services.core.motion_conflict.process import Config as MotionConfig
 from services.core.motion_conflict.process import Process as Motion
+from services.core.spoofing.grade import Grade
 from services.core.spoofing.process import Config as SpoofingConfig
 from services.core.spoofing.process import Process as Spoofing
 from services.core.trust.facts import Monitor
@@ -55,7 +56,7 @@ class Chain:
         self.processes: dict[str, Any] = {
             "core.fusion": Fusion(self._fusion_config),
             "core.motion_conflict": Motion(MotionConfig()),
-            "core.spoofing": Spoofing(SpoofingConfig().with_values(lever)),
+            "core.spoofing": Spoofing(SpoofingConfig(grade=Grade.INDUSTRIAL).with_values(lever)),
             "core.trust": Trust(TrustConfig(required_monitors=required)),
         }
         self._retained: dict[type, Message] = {}

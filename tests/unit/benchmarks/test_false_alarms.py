@@ -48,7 +48,7 @@ def test_a_fast_test_with_a_low_threshold_raises_alarms() -> None:
 
 
 def test_the_inertial_monitors_are_evaluated_with_the_solutions_of_the_fusion() -> None:
-    found = inertial((4, 90))
+    found = inertial((4, 130))
     counts = {(count.test, count.design): count for count in found}
     assert counts["long_30", 1e-3].evaluations == counts["long_30", 1e-5].evaluations > 10
     (heading,) = [count for count in found if count.test == "heading_rate"]

@@ -11,7 +11,7 @@ from shared.messages.navigation import AidingKind
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..measurements.base import Outcome
-from .disagreement import GREW_RATIO, NONE, NOTHING, STILL, Disagreement, Pair, Vector
+from .disagreement import CLOSURE_SDS, GREW_RATIO, NONE, NOTHING, STILL, Disagreement, Pair, Vector
 from .innovation_statistics import ESTIMATED, UNKNOWN, InnovationStatistics
 
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
@@ -44,8 +44,10 @@ class ErrorMonitor:
         held = self.held
         if self.rejected_n != STILL:
             moved_m = hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # by the vehicle since
-            spread = hypot(self.rejected_sd[0], moved_m), self.rejected_sd[1]
-            held = held.after(self.rejected_n, spread, time_ns, grew=self.rejected_grew)
+            north, east, down = self.rejected_n
+            away = 1.0 + moved_m / max(hypot(north, east), 1e-3) if hypot(north, east) > 0.0 else 1.0
+            spread = self.rejected_sd[0] + moved_m / CLOSURE_SDS, self.rejected_sd[1]
+            held = held.after((away * north, away * east, down), spread, time_ns, grew=self.rejected_grew)
         return replace(
             self, used_ns=time_ns, cov_after_fix=block(started), fault_shift=NONE, rejected_n=STILL, held=held
         )

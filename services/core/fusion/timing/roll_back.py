@@ -153,6 +153,9 @@ class Conflict:
         self.converged_s = self.replay.converged_s
         self.published = False  # whether the solution without GNSS is the published one
         self.declined = ""  # why it is not, although core.trust excludes GNSS
+        self.difference: tuple[Vector, Pair] | None = (
+            None  # newest: published minus other position, levels of the other
+        )
         self.farthest_m = 0.0  # largest horizontal distance of the two solutions
 
     def take(self, one: Sample | Measurement) -> None:
@@ -206,21 +209,23 @@ class RollBack:
         return (without or self._main).engine.exclusions.test_ratio
 
     def difference(self) -> tuple[Vector, Pair] | None:
-        """Published minus other position [m, NED], and the levels of the other [m]; None without another."""
-        other = self.other
-        if other is None or other.engine.filter is None:
+        """Published minus other position [m, NED], and the levels of the other [m]; None without another.
+
+        While the other aligns again after a reset, its last difference stands.
+        """
+        other, conflict = self.other, self.conflict
+        if other is None or conflict is None:
             return None
         apart = distance_n(self.engine.engine, other.engine)
         if apart is None:
-            return None
+            return conflict.difference
         horizontal_m, vertical_m = self._levels(other.engine)
-        if (
-            other is self._main and self.conflict is not None
-        ):  # a reset in this conflict holds the same difference again
-            held, before = other.engine.aids.error_monitor.held.bound, self.conflict.held.bound
+        if other is self._main:  # a reset in this conflict holds the same difference again
+            held, before = other.engine.aids.error_monitor.held.bound, conflict.held.bound
             horizontal_m -= max(0.0, held[0] - before[0])
             vertical_m -= max(0.0, held[1] - before[1])
-        return apart, (horizontal_m, vertical_m)
+        conflict.difference = apart, (horizontal_m, vertical_m)
+        return conflict.difference
 
     def _levels(self, engine: Engine) -> Pair:
         """Protection levels of an engine with a filter."""

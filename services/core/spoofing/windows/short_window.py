@@ -35,6 +35,7 @@ class Window:
     speed_m_s: tuple[float, float] = (0.0, 0.0)  # least and largest
     force_m_s2: float = 0.0  # largest | |f| - g |
     missing: dict[Metric, str] = field(default_factory=dict)  # why a metric was not evaluated
+    speed_change_m_s: tuple[float, float] = (0.0, 0.0)  # of the horizontal speed over the window: GNSS, inertial
 
 
 def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | str:
@@ -132,7 +133,9 @@ def compare(
         Metric.HEADING_RATE: turn_sd,
     }
     noise = {metric: hypot(sd, of_anchor.get(metric, 0.0)) for metric, sd in noise.items()}
-    return Window(start_ns, end_ns, difference, noise, speeds, force, missing)
+    inertial_speeds = np.hypot(free[:, 0], free[:, 1]).tolist()
+    change = fixes[-1].speed - fixes[0].speed, inertial_speeds[1] - inertial_speeds[0]
+    return Window(start_ns, end_ns, difference, noise, speeds, force, missing, change)
 
 
 def _attitude_part(anchor: Anchor, acceleration_n: FloatArray, middle_s: float) -> FloatArray:

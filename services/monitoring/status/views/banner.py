@@ -211,7 +211,7 @@ def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdi
     waiting = WAITING.get(e.phase) if e.phase else None
     lost = "; ".join(why for why in (e.cause, waiting) if why)
     detail = {TrustLevel.NO_FIX: lost, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
-    above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT
+    above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and trust.suspect_since_ns is None
     return Verdict(
         Trust.ABOVE_LIMIT if above else Trust(trust.state.value),
         sentence(f"{SENTENCES[trust.state]}: {reason}", detail),

@@ -15,7 +15,7 @@ LABELS = {
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
 ACCUSES = re.compile(r"\bmonitor ([a-z_]+) accuses\b")
 NESTED = re.compile(r"(?<=: )([a-z_]+): ")  # a monitor's reason inside that of a row
-GNSS = re.compile(r"\bgnss\b")
+UPPER = re.compile(r"\b(gnss|imu)\b")
 SINCE = re.compile(r"since (\d{9,10}\.\d) s")  # on the OBU time line, which is UTC
 
 
@@ -42,7 +42,7 @@ def plain(reason: str) -> str:
     joined = NESTED.sub(lambda found: f"{LABELS[found[1]]}: " if found[1] in LABELS else found[0], joined)
     joined = ACCUSES.sub(lambda found: f"{label_of(found[1])} accuses", joined)
     joined = SINCE.sub(lambda found: f"since {datetime.fromtimestamp(float(found[1]), UTC):%H:%M:%S} UTC", joined)
-    return GNSS.sub("GNSS", joined.replace("_", " "))
+    return UPPER.sub(lambda found: found[0].upper(), joined.replace("_", " "))
 
 
 def who(accused: Sequence[str]) -> str:

@@ -215,7 +215,7 @@ def test_an_unsolvable_recording_is_reported_in_one_sentence(recording: Path, tm
         solve(recording, truth="fixed", out=tmp_path)
     with pytest.raises(UserError, match="--outage"):
         solve(recording, outage="10", out=tmp_path)
-    (tmp_path / "vehicle.toml").write_text("[core.fusion]\nlever_arm = 1\n")
+    (tmp_path / "vehicle.toml").write_text("[core.fusion]\nlever_arm_body = 1\n")
     with pytest.raises(UserError, match=r"did you mean 'gnss\.lever_arm_body_m'"):
         solve(recording, vehicle=tmp_path / "vehicle.toml", out=tmp_path)
     (tmp_path / "file").write_text("")

@@ -100,7 +100,7 @@ function VerdictCard() {
     ${stands && t.findings.length > 0 && html`<h3>${w.findings}</h3><ul class="reasons">${t.findings.map((finding) => html`<li>${finding}</li>`)}</ul>`}
     ${stands && html`<dl class="rows">
       ${limits.map(([axis, level, limit]) => html`<${Row} label=${w.level[axis]} value=${metres(level)} extra=${w.alertLimit(metres(limit))} />`)}
-      <${Row} label=${w.gnss} value=${t.gnss_excluded ? w.excluded : w.notExcluded} extra=${t.gnss_excluded && t.suspect_since_ns != null ? w.suspect(sinceText(t.suspect_since_ns)) : null} />
+      <${Row} label=${w.gnss} value=${t.gnss_excluded ? w.excluded : t.suspect_since_ns != null ? w.inConflict : w.notExcluded} extra=${t.suspect_since_ns != null ? w.suspect(sinceText(t.suspect_since_ns)) : null} />
       <${Row} label=${w.odometer} value=${t.odometer_excluded ? w.excluded : w.notExcluded} />
     </dl>`}
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}

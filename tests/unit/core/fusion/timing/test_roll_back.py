@@ -259,7 +259,7 @@ def test_a_conflict_that_is_not_decided_keeps_gnss_and_the_level_reaches_to_the_
     assert solution is not None and solution.gnss_excluded_since_ns is None and difference is not None
     apart_m = hypot(*difference[0][:2])
     assert apart_m == pytest.approx(8.0, abs=2.5)
-    assert solution.protection_level_horizontal == pytest.approx(apart_m + difference[1][0])
+    assert solution.protection_level_horizontal >= apart_m + difference[1][0] - 1e-9
     assert error_m(nav) < solution.protection_level_horizontal
     nn, _, _, ee, _, _ = solution.triangles[0]
     assert nn + ee > apart_m**2, "the ellipse that others read holds both"
