@@ -141,10 +141,15 @@ def rows_of(drives: Sequence[Faulty]) -> list[Row]:
     return rows
 
 
+def percent(value: float) -> str:
+    """Print a share."""
+    return f"{100.0 * value:.3g} %"
+
+
 def page(drives: Sequence[Faulty], made: str) -> list[str]:
     """Draw up the page, line by line."""
     rows = rows_of(drives)
-    total, percent = sum(row.product for row in rows), lambda value: f"{100.0 * value:.3g} %"
+    total = sum(row.product for row in rows)
     worst = sorted((one for one in drives if one.above_s > 0.0), key=lambda one: -one.largest_share)
     return [
         "# Protection levels under random faults",

@@ -174,7 +174,7 @@ class InertialMonitor:
         found: dict[str, Verdict] = {**self._short(time_ns)}
         found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
         found |= {f"way_{length}": self._way(time_ns, length) for length in WAYS_S}
-        if self.learning:
+        if self.learning and self._missing(time_ns) is None:
             found = {name: _withheld(verdict, self.learning) for name, verdict in found.items()}
         self._known = {name: dated(verdict, self._known.get(name), time_ns) for name, verdict in found.items()}
         suspect = [
@@ -269,7 +269,7 @@ class InertialMonitor:
                 self.long_statistics[f"way_{length}"] = statistic / ways.accuse
 
     def _odometer_decides(self, window: Window) -> bool:
-        """Whether the odometer shows the change of speed of the inertial sensors over a window, and not that of GNSS."""
+        """Whether the odometer shows the inertial change of speed over a window, and not that of GNSS."""
         begin, end = self._odometer.at(window.start_ns), self._odometer.at(window.end_ns)
         sigma = self.settings.profile.sigma_of(Metric.ACCELERATION, window)
         if begin is None or end is None or sigma is None or not self.settings.long.odometer:
@@ -412,9 +412,7 @@ class InertialMonitor:
 
 def _withheld(verdict: Verdict, why: str) -> Verdict:
     """Verdict of a test whose threshold is not known yet; one that needs none of the inertial sensors stands."""
-    if verdict.outcome is MonitorOutcome.NOT_EVALUATED or (
-        verdict.outcome is MonitorOutcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT
-    ):
+    if verdict.outcome is MonitorOutcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT:
         return verdict
     return replace(
         verdict, outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,

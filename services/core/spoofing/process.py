@@ -56,22 +56,17 @@ class Config(Settings):
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, given: object, info: ValidationInfo) -> object:
-        vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
-        if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
+        """Fill up from the section of core.fusion, then with the thresholds of the stated grade."""
+        if not isinstance(given, dict):
             return given
-        sections = {"gnss": _gnss_of_fusion(vehicle), "long": _long_of_fusion(vehicle)}
-        values = given | {key: {**found, **given.get(key, {})} for key, found in sections.items()}
-        if isinstance(name := values.get("profile"), str):
-            values["profile"] = read_profile(Path(vehicle.path).parent / name)
-        return values
-
-    @model_validator(mode="before")
-    @classmethod
-    def _graded(cls, given: object) -> object:
-        """Fill up with the thresholds of the stated grade, or of the lowest where none is stated."""
-        if not isinstance(given, dict) or not given.keys() >= {"grade"}:
-            return given
-        return given if given["grade"] not in list(Grade) else with_grade(given, Grade(given["grade"]))
+        values, vehicle = dict(given), cast("Mapping[str, object]", info.context or {}).get("vehicle")
+        if isinstance(vehicle, VehicleFile):
+            sections = {"gnss": _gnss_of_fusion(vehicle), "long": _long_of_fusion(vehicle)}
+            values |= {key: {**found, **given.get(key, {})} for key, found in sections.items()}
+            if isinstance(name := values.get("profile"), str):
+                values["profile"] = read_profile(Path(vehicle.path).parent / name)
+        grade = values.get("grade")
+        return with_grade(values, Grade(grade)) if grade in list(Grade) else values
 
 
 def with_grade(values: Mapping[str, object], grade: Grade) -> dict[str, object]:

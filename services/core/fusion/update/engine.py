@@ -19,7 +19,7 @@ from ..alignment.velocity_matching import Comparison
 from ..alignment.warm_start import SavedState, restored
 from ..filter.eskf import ErrorStateFilter
 from ..filter.propagation import Intervals, Samples, Stop, samples_of
-from ..integrity.disagreement import CLOSURE_SDS, NOTHING
+from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
 from ..measurements import odometer, zupt
 from ..measurements.base import Counts, Measurement, Outcome
 from ..measurements.dual_antenna import BaselineHeading
@@ -41,6 +41,7 @@ LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases a
 LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
 KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
 BEFORE_ALL_NS = -(2**64)
+PARKED_M_S, PARKED_S = 0.5, 3.0  # a vehicle that moves within this time of its first fix may have left its place
 # Events, which are no measurements.
 Event = FoundDelay | SuspectedDelay | LostTime | WrongHeights | GnssExcluded | GnssReadmitted | OdometerExclusion | Held
 
@@ -77,7 +78,7 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.started_ns: int | None = None  # of the filter
         self._prior: Prior | None = None  # until the first position has been compared with it
-        self._aside = NOTHING  # first position of a parked vehicle against the saved one
+        self._first: GnssPosition | None = None  # position, until a filter starts
         self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
         self._alignment: Alignment | None = Alignment(settings, first=not lost_reason)
         self._saved: SavedState | None = None  # to be restored with the first sample
@@ -358,8 +359,8 @@ class Engine:
     def _align(self, measurement: Measurement) -> None:
         """Use a measurement in the alignment, and start the filter when it is complete."""
         assert self._alignment is not None
-        if isinstance(measurement, GnssPosition) and self._prior is not None:
-            self._compare_with_saved(measurement, self._prior)
+        if isinstance(measurement, GnssPosition) and self._first is None:
+            self._first = measurement
         if isinstance(measurement, GnssVelocity):
             self._alignment.use_velocity(measurement)
         elif isinstance(measurement, BaselineHeading):
@@ -374,29 +375,32 @@ class Engine:
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, reason)
         self.exclusions = replace(self.exclusions, readmitted_after_s=None)
 
-    def _compare_with_saved(self, first: GnssPosition, prior: Prior) -> None:
-        """Compare the first position with the saved one, where the vehicle has not moved since it was switched on."""
-        self._prior = None
-        if not self.stationary:
-            return
+    def _aside(self, first: GnssPosition, prior: Prior, started: ErrorStateFilter) -> Disagreement:
+        """Compare the first position with the saved one; a vehicle that moves already may have left its place."""
+        moving_s = (started.time_ns - first.time_ns) * 1e-9
+        if hypot(*started.velocity[:2]) > PARKED_M_S and moving_s < PARKED_S:
+            return NOTHING
         integrity, axes = self._settings.integrity, first.axes
         north, east, down = ned_from_geodetic_difference(first.position, prior.position)
         sd = np.sqrt(first.cov.diagonal()[:axes])
         spread = hypot(sd[0], sd[1], *prior.position_sd[:2]), hypot(sd[2], prior.position_sd[2]) if axes == 3 else inf
         far = hypot(north, east) > max(CLOSURE_SDS * spread[0], integrity.alert_limit_horizontal_m)
         high = abs(down) > max(CLOSURE_SDS * spread[1], integrity.alert_limit_vertical_m)
-        if far or high:
-            vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)
-            spread = spread[0], min(spread[1], abs(down))
-            self._aside = NOTHING.after(vector, spread, first.time_ns, grew=False, at_start=True)
+        if not (far or high):
+            return NOTHING
+        vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)
+        spread = spread[0], min(spread[1], abs(down))
+        return NOTHING.after(vector, spread, first.time_ns, grew=False, at_start=True)
 
     def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
         """Continue with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
         self.started_ns = time_ns
-        if self._aside.is_open:
-            self.aids.error_monitor = replace(self.aids.error_monitor, held=self._aside)
-            self._aside = NOTHING
+        if self._prior is not None and self._first is not None:
+            aside = self._aside(self._first, self._prior, started)
+            if aside.is_open:
+                self.aids.error_monitor = replace(self.aids.error_monitor, held=aside)
+        self._prior = self._first = None
         self.filter, self._alignment, self._lost_reason, self._rejections = started, None, "", 0
         if self.recorder is not None:
             self.recorder.start(started)
