@@ -59,7 +59,8 @@ class Row:
     interval: tuple[float, float]  # of the probability, Clopper-Pearson
     safe_above: int  # drives with such an error while SAFE
     prior: float
-    product: float  # prior times the upper end of the interval
+    product: float  # prior times the share of these drives
+    at_most: float  # prior times the upper end of the interval
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -137,7 +138,8 @@ def rows_of(drives: Sequence[Faulty]) -> list[Row]:
             above = sum(one.above_s > 0.0 for one in found)
             interval = binomial_interval(above, len(found))
             safe = sum(one.safe_above_s > 0.0 for one in found)
-            rows.append(Row(kind, len(found), above, interval, safe, PRIOR[kind], PRIOR[kind] * interval[1]))
+            rows.append(Row(kind, len(found), above, interval, safe, PRIOR[kind], PRIOR[kind] * above / len(found),
+                            PRIOR[kind] * interval[1]))  # fmt: skip
     return rows
 
 
@@ -149,7 +151,7 @@ def percent(value: float) -> str:
 def page(drives: Sequence[Faulty], made: str) -> list[str]:
     """Draw up the page, line by line."""
     rows = rows_of(drives)
-    total = sum(row.product for row in rows)
+    total, most = sum(row.product for row in rows), sum(row.at_most for row in rows)
     worst = sorted((one for one in drives if one.above_s > 0.0), key=lambda one: -one.largest_share)
     return [
         "# Protection levels under random faults",
@@ -158,15 +160,15 @@ def page(drives: Sequence[Faulty], made: str) -> list[str]:
         "fault each, the whole unit with `core.trust`. A drive counts as above if one error, horizontal or vertical, "
         "is above its level at any time from the fault on. Prior: faults an hour, present for an hour.",
         "",
-        "| fault in | drives | above a level | probability, 95 % | above while SAFE | prior | prior x upper end |",
+        "| fault in | drives | above a level | probability, 95 % | above while SAFE | prior | product |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
         *(
             f"| {row.kind} | {row.drives} | {row.above} | {percent(row.interval[0])} to {percent(row.interval[1])} "
-            f"| {row.safe_above} | {row.prior:g} | {percent(row.product)} |"
+            f"| {row.safe_above} | {row.prior:g} | {percent(row.product)}, at most {percent(row.at_most)} |"
             for row in rows
         ),
         "",
-        f"Together {percent(total)} (goal: at most {percent(RISK)}).",
+        f"Together {percent(total)}, with the upper ends of the intervals {percent(most)} (goal: {percent(RISK)}).",
         "",
         "## Drives with an error above its level",
         "",

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from math import degrees, hypot, inf, radians
+from math import degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
@@ -348,8 +348,21 @@ class Engine:
             )
             self.exclusions = replace(self.exclusions, readmitted_after_s=None)
         if outcome.used and left_out != self.exclusions.satellites:
+            if left_out and not self.exclusions.satellites:
+                self._hold_satellite_fault(outcome)
             self.exclusions = replace(self.exclusions, satellites=left_out)
         self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
+
+    def _hold_satellite_fault(self, outcome: Outcome) -> None:
+        """Hold what a satellite may have done before it was found: the first fix without it against the solution."""
+        z, sd = outcome.innovation, outcome.innovation_sd
+        spread = hypot(sd[0], sd[1]), sd[2] if len(sd) == 3 else 0.0
+        far = hypot(z[0], z[1]) > spread[0] / sqrt(2.0), len(z) == 3 and abs(z[2]) > spread[1]
+        if any(far):
+            vector = (*((z[0], z[1]) if far[0] else (0.0, 0.0)), z[2] if far[1] else 0.0)
+            monitor = self.aids.error_monitor
+            held = monitor.held.after(vector, spread, outcome.time_ns, grew=True)
+            self.aids.error_monitor = replace(monitor, held=held)
 
     def _is_reset_due(self, time_ns: int) -> bool:
         """Whether enough consecutive positions were rejected for long enough."""
