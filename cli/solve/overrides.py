@@ -1,6 +1,7 @@
 """Command-line overrides of the settings of a vehicle file."""
 
 import difflib
+import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -55,6 +56,11 @@ def with_settings(vehicle: VehicleFile, settings: Sequence[str]) -> VehicleFile:
     return replace(vehicle, tables=tables)
 
 
+# A name or a path need no quotes, which a shell would take away; what reads like true or false is no word.
+WORD = re.compile(r"[A-Za-z/~.][\w/~.-]*")
+NO_WORDS = {"true", "false", "yes", "no", "on", "off", "none", "null", "nan", "inf"}
+
+
 def _parsed(text: str) -> tuple[str, str, object]:
     path, equals, value = text.partition("=")
     parts = path.strip().split(".")
@@ -67,6 +73,8 @@ def _parsed(text: str) -> tuple[str, str, object]:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
         hint = f"did you mean {near[0]}?" if near else "`obu topics --processes` lists them"
         raise UserError(f"--set {text}: unknown process {name!r}; {hint}")
+    if WORD.fullmatch(value.strip()) and value.strip().lower() not in NO_WORDS:
+        return name, key, value.strip()
     try:
         return name, key, tomllib.loads(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError as error:

@@ -84,7 +84,7 @@ def solve(  # noqa: PLR0913  # one argument an option
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="Override a setting of the vehicle, as in the last example; may be repeated.",
+            help="Override a setting of the vehicle, as in the examples; may be repeated.",
         ),
     ] = None,
     out: Annotated[
@@ -110,6 +110,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     [bold]obu solve drive.mcap --smooth[/]
     [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]
     [bold]obu solve drive.mcap --set core.fusion.gnss.delay_s=0.1[/]
+    [bold]obu solve drive.mcap --set core.spoofing.grade=consumer[/]
     [bold]obu solve drive.mcap --without trust --out without-trust[/]
     """
     with_trust = _with_trust(without)

@@ -2,6 +2,7 @@ import pytest
 
 from cli.solve.overrides import SWITCHES, Aiding, with_settings
 from services.core.fusion.process import Config
+from services.core.spoofing.process import Config as Spoofing
 from shared.errors import UserError
 from shared.runtime.config import parse_vehicle
 
@@ -33,6 +34,16 @@ def test_a_setting_without_a_process_belongs_to_core_fusion() -> None:
 def test_aiding_modes_switch_odometer_and_nhc(aiding: Aiding, odometer: bool, non_holonomic: bool) -> None:
     changed = fusion(*SWITCHES[aiding])
     assert (changed.odometer.enabled, changed.non_holonomic.enabled) == (odometer, non_holonomic)
+
+
+def test_a_word_or_a_path_needs_no_quotes() -> None:
+    for text in ("core.spoofing.grade=consumer", 'core.spoofing.grade="consumer"'):
+        changed = with_settings(VEHICLE, [text])
+        assert changed.section("core.spoofing", Spoofing).grade == "consumer"
+    assert (
+        with_settings(VEHICLE, ["core.spoofing.profile=/a/b-1.json"]).tables["core.spoofing"]["profile"]
+        == "/a/b-1.json"
+    )
 
 
 @pytest.mark.parametrize(
