@@ -110,6 +110,7 @@ class NavigationState(Message):
         None  # horizontal, of the solution that is not published from the published one
     )
     other_level_m: Deviation | None = None  # horizontal protection level of the solution that is not published
+    without_gnss_level_m: Deviation | None = None  # horizontal protection level of the solution without GNSS
     exclusion_declined: Reason | None = None  # why the solution without GNSS is not published, or was given up
     # difference of positions that no evidence has decided: part of the protection level until it ends
     held_horizontal_m: Deviation = 0.0
@@ -217,6 +218,11 @@ class FilterState(Message):
     covariance: Annotated[tuple[Covariance, ...], Field(max_length=2048)]  # upper triangle, row by row
     position_used_ns: Nanoseconds | None = None  # stamp of the last GNSS position that was used
     gnss_excluded_since_ns: Nanoseconds | None = None  # no GNSS with a later stamp is part of the state
+    # difference of positions that the level holds: north, east, down, then standard deviation and slack, each of them
+    # horizontal and vertical; empty without one
+    held_m: Annotated[tuple[Annotated[float, Field(ge=-1e8, le=1e8)], ...], Field(max_length=7)] = ()
+    held_grew: bool = False  # without a step
+    held_at_start: bool = False  # between the saved position of a parked vehicle and the first fix
 
 
 class TruthState(Message):

@@ -68,7 +68,7 @@ class LearnedGrade(Message):
     threshold: Annotated[float, Field(gt=0.0, le=100.0), unit("standard deviations")]
     # on the standard deviation of the free propagations
     long_factor: Annotated[float, Field(ge=1.0, le=100.0), unit("1")]
-    false_alarm_rate: Ratio
+    false_alarm_rate: Annotated[float, Field(ge=0.0, le=1.0), unit("1")]
 
     @model_validator(mode="after")
     def _complete(self) -> "LearnedGrade":

@@ -27,6 +27,7 @@ from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from .alignment.heading import Prior
 from .alignment.warm_start import SavedState, fingerprint
 from .filter.strapdown import InertialState
+from .integrity.disagreement import NOTHING, Disagreement
 from .measurements.base import Measurement, Outcome
 from .measurements.dual_antenna import BaselineHeading
 from .measurements.gnss import Reading, Stamp, gnss_measurements, true_time_ns
@@ -44,6 +45,7 @@ COURSE_SPEED_M_S = 0.5  # lowest speed at which the course of a receiver is used
 GROUND_SPEED_SD = 0.3  # [m/s] of speed over ground and course, which receivers smooth
 IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LEAST_BASELINE_SD = 1e-3  # [rad]
+HELD_NUMBERS = 7  # of a disagreement in a saved state
 REASON_LENGTH = 400  # of a message
 WORST_DOP = 1000.0  # upper limit of a stated dilution of precision
 UERE_M = 2.5  # [m] user-equivalent range error of a receiver that states no covariance
@@ -308,7 +310,20 @@ def filter_state_message(saved: SavedState, settings: Settings, imu: str) -> Fil
         covariance=saved.covariance,
         position_used_ns=saved.accepted_ns,
         gnss_excluded_since_ns=saved.gnss_excluded_since_ns,
+        held_m=(*saved.held.vector_n, *saved.held.spread, *saved.held.slack) if saved.held.is_open else (),
+        held_grew=saved.held.grew,
+        held_at_start=saved.held.at_start,
     )
+
+
+def _held(state: FilterState) -> Disagreement:
+    if len(state.held_m) != HELD_NUMBERS:
+        return NOTHING
+    north, east, down, spread_h, spread_v, slack_h, slack_v = state.held_m
+    return Disagreement(
+        (north, east, down), (abs(spread_h), abs(spread_v)), state.held_grew, (abs(slack_h), abs(slack_v)),
+        at_start=state.held_at_start,
+    )  # fmt: skip
 
 
 def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
@@ -330,6 +345,7 @@ def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None
             state.covariance,
             state.position_used_ns,
             state.gnss_excluded_since_ns,
+            _held(state),
         )
         navigator.restore(saved, first.sampled_ns[0])
 
@@ -392,6 +408,7 @@ def state_message(
         conflict_since_ns=None if conflict is None else conflict.since_ns,
         other_distance_m=None if difference is None else hypot(*difference[0][:2]),
         other_level_m=None if difference is None else difference[1][0],
+        without_gnss_level_m=None if roll_back.without_gnss_m is None else roll_back.without_gnss_m[0],
         exclusion_declined=declined[:REASON_LENGTH] or None,
         held_horizontal_m=held.bound[0],
         held_vertical_m=held.bound[1],

@@ -234,7 +234,8 @@ class Navigator:
         engine = self._oosm.engine
         if engine.filter is None or engine.last is None:
             return None
-        return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns)
+        return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns,
+                           self._roll_back.held)  # fmt: skip
 
     def apply_exclusions(
         self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool, exclude: bool = True

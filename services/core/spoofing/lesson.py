@@ -17,6 +17,7 @@ from .windows.short_window import Window
 
 NEEDED_S = 600  # of windows, one a second
 KEPT = 3600  # windows
+SILENT_NS = 5 * SECOND_NS  # after which the last verdict says nothing any more
 PERIOD_NS = 60 * SECOND_NS
 VOUCHING = ("satellites", "motion", "motion_fast")
 
@@ -30,11 +31,15 @@ class Lesson:
         self._long: deque[float] = deque(maxlen=2 * KEPT)
         self._published_ns: int | None = None
         self._quiet = self._vouched = False
+        self._heard_ns: int | None = None  # newest verdict
 
     def heed(self, state: TrustState) -> None:
         """Use the verdict: whether there is a conflict, and whether another source vouches for GNSS."""
         accusing = any(one.outcome is MonitorOutcome.ACCUSES for one in state.monitors)
-        self._quiet = state.suspect_since_ns is None and not accusing
+        self._quiet, self._heard_ns = state.suspect_since_ns is None and not accusing, state.sampled_ns
+        suspect_ns = state.suspect_since_ns
+        while suspect_ns is not None and self._windows and self._windows[-1].end_ns > suspect_ns:
+            self._windows.pop()
         self._vouched = any(one.monitor in VOUCHING and one.outcome is MonitorOutcome.PASS for one in state.monitors)
 
     def add(self, time_ns: int, window: Window | None, long_statistics: Iterable[float]) -> None:
@@ -42,7 +47,8 @@ class Lesson:
         if self._published_ns is None:
             self._published_ns = time_ns
         known = bool(self._windows) and window is self._windows[-1]
-        if window is not None and not known and self._quiet and self._vouched:
+        fresh = self._heard_ns is not None and time_ns - self._heard_ns <= SILENT_NS
+        if window is not None and not known and fresh and self._quiet and self._vouched:
             self._windows.append(window)
             self._long += long_statistics
 
@@ -78,7 +84,8 @@ class Lesson:
             gnss_rate_hz=origin.gnss_rate_hz, configuration=origin.configuration, windows=len(self._windows),
             metrics=tuple(metric.value for metric in profile.sigma),
             sigma=tuple((a, b, c, d) for a, b, c, d in profile.sigma.values()),
-            threshold=profile.threshold, long_factor=profile.long_factor, false_alarm_rate=profile.false_alarm_rate,
+            threshold=profile.threshold, long_factor=min(profile.long_factor, 100.0),
+            false_alarm_rate=profile.false_alarm_rate,
         )  # fmt: skip
 
 

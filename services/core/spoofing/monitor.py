@@ -47,9 +47,9 @@ KEPT_S = 10  # of increments, fixes and solutions
 class InertialMonitor:
     """Takes stamped measurements and solutions in order of arrival, and gives verdicts once a second."""
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(self, settings: Settings | None = None, rejected: Counter[str] | None = None) -> None:
         self.settings = s = settings or Settings()
-        self.rejected: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter() if rejected is None else rejected
         self._decimator, self._heights = Decimator(), Heights()
         self._decimator.rejected = self._heights.rejected = self.rejected
         self._lever_arm = np.array(s.gnss.lever_arm_body_m)

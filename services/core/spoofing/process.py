@@ -229,8 +229,13 @@ class Process:
         """Take the thresholds that an earlier drive has taught, unless the vehicle's file names a profile."""
         if self._settings.profile.origin is not None and self._adopted is None:
             return
+        try:
+            profile = profile_of_learned(learned)
+        except ValueError:  # of a version with other metrics
+            self.rejects["learned grade of another version"] += 1
+            return
         self._adopted = learned
-        self._settings = self._settings.model_copy(update={"profile": profile_of_learned(learned)})
+        self._settings = self._settings.model_copy(update={"profile": profile})
         self._restart_monitor()
 
     def _learning(self) -> str:
@@ -239,9 +244,7 @@ class Process:
         return "" if known else self._lesson.progress
 
     def _restart_monitor(self) -> None:
-        rejected = self.rejects
-        self.monitor = InertialMonitor(self._settings)
-        self.rejects.update(rejected)
+        self.monitor = InertialMonitor(self._settings, self.rejects)
 
     def _is_chosen(self, message: ImuSamples | GnssFix | VehicleSpeed) -> bool:
         """Whether a message comes from the one source of its kind that is used."""

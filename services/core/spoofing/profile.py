@@ -19,6 +19,7 @@ LEAST_WINDOWS = 100  # of a class; with fewer it takes the largest standard devi
 LEAST_THRESHOLD = 5.0  # [standard deviations] as of the built-in profile
 SHORT_S, LONG_S = 5.0, 60.0  # of independent windows; they are evaluated once a second
 MOST_GRADES = 3.0  # by which what is learned may exceed the stated grade
+MOST_THRESHOLD = 50.0  # [standard deviations] beyond it a metric tells nothing
 MAD = 1.4826  # standard deviation over median magnitude of a normal variable
 SPEED_METRICS = (Metric.HEADING_RATE, Metric.ALTITUDE_RATE)
 
@@ -165,7 +166,7 @@ def learn(
     k = threshold
     if k is None:
         k = max(LEAST_THRESHOLD, _tolerance(len(known), SHORT_S) * _quiet(known, draft))
-    factor = 1.0
+    k, factor = min(k, MOST_THRESHOLD), 1.0
     if len(long):
         factor = max(1.0, _tolerance(len(known), LONG_S) * float(np.sqrt(long.max())))
     profile = draft.model_copy(update={"threshold": k, "long_factor": factor})

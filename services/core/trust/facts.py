@@ -104,6 +104,7 @@ class Facts:
     excluded_test_ratio: float | None = None
     other_distance_m: float | None = None  # between the two solutions of a conflict, None without a second one
     other_level_m: float | None = None  # horizontal protection level of the one that is not published
+    without_gnss_level_m: float | None = None  # horizontal protection level of the solution without GNSS
     exclusion_declined: str | None = None  # fusion's reason why GNSS goes on being used
     held: str | None = None  # difference of positions that the level holds, and what would end it
     odometer_in_use: bool = False  # by fusion

@@ -166,6 +166,7 @@ class Process:
             excluded_test_ratio=None if state is None else state.excluded_test_ratio,
             other_distance_m=None if state is None else state.other_distance_m,
             other_level_m=None if state is None else state.other_level_m,
+            without_gnss_level_m=None if state is None else state.without_gnss_level_m,
             exclusion_declined=None if state is None else state.exclusion_declined,
             held=None if state is None else state.held_reason,
             odometer_in_use=state is not None

@@ -138,7 +138,7 @@ def judge_gnss(facts: Facts) -> Judgement:
     odometer = facts.odometer_in_use and not by_accused_odometer(facts)
     decided = any(one.monitor is Monitor.SATELLITES or (odometer and IMU not in one.accused) for one in accusing)
     passing = any(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
-    ratio, level_m = facts.excluded_test_ratio, facts.other_level_m
+    ratio, level_m = facts.excluded_test_ratio, facts.without_gnss_level_m
     # Of a state that was saved during an exclusion there is one solution only.
     exceeded = facts.level_exceeded if level_m is None else level_m > facts.limits.horizontal_m
     limit = AGREES_ABOVE_LIMIT if exceeded else AGREES

@@ -23,6 +23,7 @@ from ..filter import error_model as em
 from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter
 from ..filter.propagation import ZERO, ImuErrors, Intervals, implausible, initial_state, samples_of
 from ..filter.strapdown import InertialState
+from ..integrity.disagreement import NOTHING, Disagreement
 from ..plausibility.imu_faults import Sample, credible, mean
 from ..settings import Settings
 from ..update.standstill_detector import CERTAIN, UNSETTLED
@@ -30,7 +31,7 @@ from .alignment import gnss_error_model
 
 FloatArray = npt.NDArray[np.float64]
 
-LAYOUT = 2  # version of the saved state; increased when the meaning of its elements changes
+LAYOUT = 3  # version of the saved state; increased when the meaning of its elements changes
 LONGEST_GAP_S = 5.0
 STEP_S = 0.05  # of the propagation over the gap
 # Unmeasured motion: power spectral densities of the noise that drives the random walks,
@@ -58,6 +59,7 @@ class SavedState(NamedTuple):
     covariance: tuple[float, ...]  # upper triangle, row by row
     accepted_ns: int | None  # stamp of the last GNSS position that was used
     gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
+    held: Disagreement = NOTHING  # what the level holds
 
 
 def fingerprint(settings: Settings) -> str:
@@ -67,7 +69,11 @@ def fingerprint(settings: Settings) -> str:
 
 
 def saved_state(
-    navigation: ErrorStateFilter, sample: Sample, accepted_ns: int | None, gnss_excluded_since_ns: int | None = None
+    navigation: ErrorStateFilter,
+    sample: Sample,
+    accepted_ns: int | None,
+    gnss_excluded_since_ns: int | None = None,
+    held: Disagreement = NOTHING,
 ) -> SavedState | None:
     """State of a filter for saving; None if its covariance is not positive."""
     current = copy(navigation)
@@ -89,6 +95,7 @@ def saved_state(
         covariance=tuple((current.P * np.outer(units, units))[UPPER].tolist()),
         accepted_ns=accepted_ns,
         gnss_excluded_since_ns=gnss_excluded_since_ns,
+        held=held,
     )
 
 

@@ -20,6 +20,7 @@ STILL: Vector = (0.0, 0.0, 0.0)
 
 CONFIRMED_S = 60.0  # of used positions without a rejection, which decide for GNSS where the difference grew
 DRIVEN_M = 2000.0  # with positions that agree, after which the saved position is no longer held against them
+LONGEST_S = 3.0  # between two positions of one agreement
 CLOSURE_SDS = 3.0
 GREW_RATIO = 9.0  # [-] largest test ratio of the first rejected position of a difference that grew: three gates
 
@@ -31,6 +32,7 @@ class Disagreement:
     vector_n: Vector = STILL  # [m, NED] position in use minus the one that was given up
     spread: Pair = NONE  # [m] standard deviation of the vector
     grew: bool = False  # without a step: displacement decides
+    slack: Pair = NONE  # [m] by which a solution that was given up may itself have been off
     agreeing_ns: int | None = None  # since when positions have been used without a rejection
     at_start: bool = False  # between the saved position and the first fix
     driven_m: float = 0.0  # since then, while positions agreed
@@ -38,13 +40,13 @@ class Disagreement:
     @property
     def is_open(self) -> bool:
         """Whether there is anything to hold."""
-        return self.vector_n != STILL
+        return self.vector_n != STILL or self.slack != NONE
 
     @property
     def bound(self) -> Pair:
-        """Length of the vector [m, horizontal and vertical]."""
+        """Length of the vector, with the slack [m, horizontal and vertical]."""
         north, east, down = self.vector_n
-        return hypot(north, east), abs(down)
+        return hypot(north, east) + self.slack[0], abs(down) + self.slack[1]
 
     @property
     def reason(self) -> str:
@@ -63,9 +65,9 @@ class Disagreement:
         return f"positions differ by {size} and nothing decides which is right; ends by a step back by the same vector"
 
     def after(
-        self, vector_n: Vector, spread: Pair, time_ns: int, *, grew: bool, at_start: bool = False
+        self, vector_n: Vector, spread: Pair, time_ns: int, *, grew: bool, at_start: bool = False, slack: Pair = NONE
     ) -> "Disagreement":
-        """Add a further vector; the sum is closed on an axis where it is within its spread.
+        """Add a further vector; an axis is closed where it comes back: the sum is within its spread and half as long.
 
         Parameters
         ----------
@@ -79,20 +81,29 @@ class Disagreement:
             The difference grew and did not step.
         at_start : bool
             It is between a saved position and the first fix.
+        slack : tuple of float
+            [m] Protection levels of a solution that was given up.
         """
         (n, e, d), (dn, de, dd) = self.vector_n, vector_n
         sum_n, spreads = (n + dn, e + de, d + dd), (hypot(self.spread[0], spread[0]), hypot(self.spread[1], spread[1]))
-        if self.is_open:
-            if hypot(sum_n[0], sum_n[1]) <= CLOSURE_SDS * spreads[0]:
-                sum_n = (0.0, 0.0, sum_n[2])
-            if abs(sum_n[2]) <= CLOSURE_SDS * spreads[1]:
-                sum_n = (sum_n[0], sum_n[1], 0.0)
-        if sum_n == STILL:
+        slacks = self.slack[0] + slack[0], self.slack[1] + slack[1]
+        before_m, after_m = (hypot(n, e), abs(d)), (hypot(*sum_n[:2]), abs(sum_n[2]))
+        moved = (dn, de) != (0.0, 0.0), dd != 0.0
+        closed = [
+            moved[k] and after_m[k] <= min(CLOSURE_SDS * spreads[k], 0.5 * before_m[k]) for k in (0, 1)
+        ]  # fmt: skip
+        # Beside an axis that closes, the noise of the step on an axis where nothing was held is nothing to hold.
+        noise = [before_m[k] == 0.0 and after_m[k] <= CLOSURE_SDS * spread[k] and closed[1 - k] for k in (0, 1)]
+        if closed[0] or noise[0]:
+            sum_n, slacks = (0.0, 0.0, sum_n[2]), (0.0, slacks[1])
+        if closed[1] or noise[1]:
+            sum_n, slacks = (sum_n[0], sum_n[1], 0.0), (slacks[0], 0.0)
+        if sum_n == STILL and slacks == NONE:
             return NOTHING
         first = not self.is_open
-        return Disagreement(sum_n, spreads, grew and (self.grew or first), time_ns, at_start and first)
+        return Disagreement(sum_n, spreads, grew and (self.grew or first), slacks, time_ns, at_start and first)
 
-    def confirmed(self, time_ns: int, *, used: bool, moved_m: float) -> "Disagreement":
+    def confirmed(self, time_ns: int, *, used: bool, since_s: float, speed: float) -> "Disagreement":
         """Use the outcome of a position: displacement ends a difference that grew, a drive that of a start.
 
         Parameters
@@ -101,18 +112,20 @@ class Disagreement:
             Stamp.
         used : bool
             Whether the position was used.
-        moved_m : float
-            [m] Way since the position before.
+        since_s : float
+            [s] Since the position before; an outage begins the agreement anew, for nothing has agreed in it.
+        speed : float
+            [m/s] Of the vehicle.
         """
         if not self.is_open:
             return self
-        if not used or self.agreeing_ns is None:
+        if not used or self.agreeing_ns is None or since_s > LONGEST_S:
             return replace(self, agreeing_ns=time_ns)
         if self.grew and (time_ns - self.agreeing_ns) * 1e-9 >= CONFIRMED_S:
             return NOTHING
         if not self.at_start:
             return self
-        driven_m = self.driven_m + moved_m
+        driven_m = self.driven_m + speed * since_s
         return NOTHING if driven_m >= DRIVEN_M else replace(self, driven_m=driven_m)
 
 

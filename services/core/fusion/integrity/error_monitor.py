@@ -105,8 +105,8 @@ class ErrorMonitor:
         sd_down = self.rejected_sd[1] if len(sd) < 3 else sd[2]
         sds = hypot(sd[0], sd[1]), sd_down
         since_s = max(0.0, (outcome.time_ns - self.position.time_ns) * 1e-9) if self.position.time_ns else 0.0
-        moved_m = hypot(*navigation.velocity[:2]) * since_s
-        held = self.held.confirmed(outcome.time_ns, used=outcome.used, moved_m=moved_m)
+        speed = hypot(*navigation.velocity[:2])
+        held = self.held.confirmed(outcome.time_ns, used=outcome.used, since_s=since_s, speed=speed)
         if height is not None and height.taken_over:
             held = held.after((0.0, 0.0, down), (0.0, sd_down), outcome.time_ns, grew=False)
             down = 0.0

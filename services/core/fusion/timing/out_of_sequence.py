@@ -8,13 +8,14 @@ are processed again in the order of their stamps. So the result is that of a mea
 from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
 from ..alignment.heading import Prior
 from ..alignment.warm_start import SavedState
 from ..filter.propagation import Samples, samples_of
-from ..measurements.base import Measurement, Outcome
+from ..measurements.base import Counts, Measurement, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..plausibility.imu_faults import Sample
 from ..settings import Settings
@@ -105,6 +106,8 @@ class OutOfSequenceEngine:
             self._settings, Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         )
         fresh.engine.recorder, fresh._outcomes = self.engine.recorder, self._outcomes
+        aids, held = fresh.engine.aids, self.engine.aids.error_monitor.held
+        aids.error_monitor = replace(aids.error_monitor, held=held)  # a clock that goes back decides nothing
         return fresh
 
     def resumed(self, snapshot: Snapshot) -> "OutOfSequenceEngine":
@@ -114,6 +117,13 @@ class OutOfSequenceEngine:
         twin._snapshots.append(snapshot)
         twin._timing = self._timing.at(snapshot.time_ns)
         return twin
+
+    def carry(self, counts: Counts, recorder: HistoryRecorder | None) -> None:
+        """Take over counts and history of another engine, now and in all snapshots."""
+        for engine in (self.engine, *(snapshot.engine for snapshot in self._snapshots)):
+            engine.counts, engine.recorder = counts, recorder
+        if recorder is not None:
+            self._snapshots = deque(one._replace(records=recorder.size) for one in self._snapshots)
 
     @property
     def settled(self) -> Snapshot:

@@ -8,13 +8,13 @@ published only if core.trust excludes GNSS and if that solution is good: `Confli
 """
 
 from collections import deque
-from math import hypot, sqrt
+from dataclasses import replace
+from math import hypot
 from operator import attrgetter
 
 from shared.maths.earth import ned_from_geodetic_difference
 
-from ..integrity.disagreement import Disagreement, Pair, Vector
-from ..integrity.error_monitor import block
+from ..integrity.disagreement import CLOSURE_SDS, Disagreement, Pair, Vector
 from ..measurements.base import Measurement, Outcome
 from ..plausibility.imu_faults import Sample
 from ..settings import Settings
@@ -29,6 +29,7 @@ PART = 40  # samples that are processed again with each new one: two minutes at 
 LONGEST_DELAY_NS = 3_000_000_000  # by which the stamp of a measurement may still be moved
 CONVERGED_S = 60.0  # of the filter before the suspect time, without which GNSS is not excluded
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
+LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
 
 
@@ -65,6 +66,12 @@ class Memory:
         """Newest snapshot of a time or earlier; the oldest without one."""
         earlier = [snapshot for snapshot in self._snapshots if snapshot.time_ns <= time_ns]
         return earlier[-1] if earlier else self._snapshots[0]
+
+    def restart(self, snapshot: Snapshot) -> None:
+        """Begin anew with a snapshot of another engine; samples and measurements since then stay."""
+        self._snapshots = deque([snapshot])
+        while self._samples and self._samples[0].time_ns <= snapshot.time_ns:
+            self._samples.popleft()
 
     @property
     def oldest_ns(self) -> int:
@@ -142,35 +149,47 @@ def distance_n(one: Engine, other: Engine) -> Vector | None:
 
 
 class Conflict:
-    """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it."""
+    """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it.
 
-    def __init__(self, since_ns: int, main: OutOfSequenceEngine, memory: Memory) -> None:
+    One that begins again with an earlier suspect time goes on with what the `earlier` one had until its replay is over.
+    """
+
+    resets: int  # of the engine with GNSS when the conflict began
+    held: Disagreement  # by its level at that time
+    engine: OutOfSequenceEngine | None  # without GNSS; None until the first replay is over
+    published: bool  # whether the solution without GNSS is published
+    difference: tuple[Vector, Pair] | None  # newest: published minus other position, levels of the other
+
+    def __init__(
+        self, since_ns: int, main: OutOfSequenceEngine, memory: Memory, earlier: "Conflict | None" = None
+    ) -> None:
         self.since_ns = since_ns
-        self.resets = main.engine.counts.resets  # of the engine with GNSS, when the conflict began
-        self.held = main.engine.aids.error_monitor.held  # by its level at that time
+        self.resets = earlier.resets if earlier else main.engine.counts.resets
+        self.held = earlier.held if earlier else main.engine.aids.error_monitor.held
         self.replay: Replay | None = Replay(main, memory, since_ns)
-        self.engine: OutOfSequenceEngine | None = None  # without GNSS, when the replay is over
+        self.engine = earlier.engine if earlier else None
         self.converged_s = self.replay.converged_s
-        self.published = False  # whether the solution without GNSS is the published one
+        self.published = earlier is not None and earlier.published
         self.declined = ""  # why it is not, although core.trust excludes GNSS
-        self.difference: tuple[Vector, Pair] | None = (
-            None  # newest: published minus other position, levels of the other
-        )
-        self.farthest_m = 0.0  # largest horizontal distance of the two solutions
+        # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
+        self.apart_n: Vector | None = earlier.apart_n if earlier else None
+        self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
+        self.difference = earlier.difference if earlier else None
+        self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
 
     def take(self, one: Sample | Measurement) -> None:
         """Pass a sample or a measurement on."""
+        if self.engine is not None:
+            if isinstance(one, Sample):
+                self.engine.add(one)
+            else:
+                insert_if_remembered(self.engine, one)
         if self.replay is not None:
             self.replay.take(one)
             if isinstance(one, Sample):
                 self.replay.advance()
                 if self.replay.is_over:
                     self.engine, self.replay = self.replay.engine, None
-        elif self.engine is not None:
-            if isinstance(one, Sample):
-                self.engine.add(one)
-            else:
-                insert_if_remembered(self.engine, one)
 
 
 class RollBack:
@@ -227,6 +246,21 @@ class RollBack:
         conflict.difference = apart, (horizontal_m, vertical_m)
         return conflict.difference
 
+    @property
+    def without_gnss_m(self) -> Pair | None:
+        """Levels of the solution without GNSS in a conflict [m, horizontal and vertical]; None without one."""
+        conflict = self.conflict
+        return None if conflict is None or conflict.engine is None else conflict.levels_m
+
+    @property
+    def held(self) -> Disagreement:
+        """What the level holds, for a later process: with the difference of an open conflict."""
+        held, conflict = self.engine.engine.aids.error_monitor.held, self.conflict
+        if conflict is None or conflict.apart_n is None:
+            return held
+        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+        return held.after(conflict.apart_n, spread, self.engine.engine.time_ns, grew=False, slack=conflict.levels_m)
+
     def _levels(self, engine: Engine) -> Pair:
         """Protection levels of an engine with a filter."""
         assert engine.filter is not None
@@ -245,9 +279,9 @@ class RollBack:
         self._memory.sample(sample)
         self._memory.snapshot(self._main.settled)
         if self.conflict is not None:
-            waited = self.conflict.engine is None
+            before = self.conflict.engine
             self.conflict.take(sample)
-            begins = waited and self.conflict.engine is not None
+            begins = before is not self.conflict.engine
             if begins or sample.time_ns // PERIOD_NS != self._decided_ns:
                 self._decided_ns = sample.time_ns // PERIOD_NS
                 self._decide()
@@ -305,44 +339,57 @@ class RollBack:
     def _begin(self, since_ns: int) -> None:
         """Begin a conflict, or begin it again where its suspect time is earlier than was known."""
         conflict = self.conflict
-        if conflict is not None and (conflict.since_ns <= since_ns or self._memory.oldest_ns > since_ns):
+        if conflict is not None and conflict.since_ns <= since_ns:
             return
-        self.conflict = Conflict(since_ns, self._main, self._memory)
+        if conflict is not None and self._memory.oldest_ns > since_ns and conflict.engine is not None:
+            # No snapshot is older: what GNSS may have done between the two times is added to the solution without it.
+            span_s = (conflict.since_ns - since_ns) * 1e-9
+            conflict.engine.insert(GnssExcluded(self._main.engine.time_ns + 1, since_ns, span_s))
+            conflict.since_ns = since_ns
+            return
+        self.conflict = Conflict(since_ns, self._main, self._memory, conflict)
 
     def _decide(self) -> None:
         """Choose which of the two solutions is published, once a second and with every verdict."""
         conflict = self.conflict
         if conflict is None or conflict.engine is None or self._wanted is None:
             return
-        if conflict.engine.engine.filter is None:
+        without, integrity = conflict.engine.engine, self._settings.integrity
+        if without.filter is None:
             self._leave("the solution without GNSS is lost")
             return
-        apart = distance_n(self._main.engine, conflict.engine.engine)
+        conflict.levels_m = horizontal_m, vertical_m = self._levels(without)
+        apart = distance_n(self._main.engine, without)
         if apart is not None:  # the one with GNSS may align again after a reset
-            conflict.farthest_m = max(conflict.farthest_m, hypot(apart[0], apart[1]))
-        (horizontal_m, vertical_m), integrity = self._levels(conflict.engine.engine), self._settings.integrity
-        if (
-            horizontal_m > MOST_LIMITS * integrity.alert_limit_horizontal_m
-            or vertical_m > MOST_LIMITS * integrity.alert_limit_vertical_m
-        ):
-            self._leave(
+            conflict.apart_n = apart
+            far_h, far_v = conflict.farthest_m
+            conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
+        limits = integrity.alert_limit_horizontal_m, integrity.alert_limit_vertical_m
+        share = max(horizontal_m / limits[0], vertical_m / limits[1])
+        if share > LAST_LIMITS:
+            self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")
+        elif share > MOST_LIMITS:
+            conflict.declined = (
                 f"without GNSS the protection levels are {horizontal_m:.0f} m horizontal and {vertical_m:.0f} m "
                 "vertical, so that this solution decides nothing any more"
             )
-            return
-        exclude, converged_s = self._wanted[1], conflict.converged_s
-        conflict.declined = (
-            f"the filter had run for {converged_s:.0f} s before the suspect time, {CONVERGED_S:.0f} s are needed"
-            if exclude and converged_s < CONVERGED_S
-            else ""
-        )
-        conflict.published = exclude and not conflict.declined
+        elif conflict.converged_s < CONVERGED_S:
+            conflict.declined = (
+                f"the filter had run for {conflict.converged_s:.0f} s before the suspect time, {CONVERGED_S:.0f} s are "
+                "needed"
+            )
+        else:
+            conflict.declined = ""
+        conflict.published = self._wanted[1] and not conflict.declined
 
     def _leave(self, why: str) -> None:
-        """Give the solution without GNSS up: GNSS is used again, and the level holds what the two differed by."""
+        """Give the solution without GNSS up: the level holds what the two differed by, and its level."""
         conflict, self.conflict, self.unresolved = self.conflict, None, why
-        if conflict is not None and conflict.engine is not None:
-            self._hold(conflict.engine.engine)
+        if conflict is not None and conflict.apart_n is not None:
+            main = self._main.engine
+            before = main.aids.error_monitor.held
+            spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+            self._hold(before.after(conflict.apart_n, spread, main.time_ns, grew=False, slack=conflict.levels_m))
 
     def _end(self, now_ns: int) -> None:
         """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
@@ -355,38 +402,42 @@ class RollBack:
             self.insert(GnssReadmitted(now_ns + 1))
         if conflict is None or conflict.engine is None:
             return
-        apart, without = distance_n(main.engine, conflict.engine.engine), conflict.engine
-        closed = apart is None or hypot(apart[0], apart[1]) <= max(
-            CLOSED_SHARE * conflict.farthest_m, self._levels(main.engine)[0]
-        )
-        held = main.engine.aids.error_monitor.held if closed else self._held(without.engine)
+        apart = distance_n(main.engine, conflict.engine.engine) or conflict.apart_n
+        left = None if apart is None else self._left(apart, conflict)
+        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         if conflict.published or main.engine.counts.resets > conflict.resets:
-            self._go_on_with(without)
+            self._go_on_with(conflict.engine)
             self.insert(GnssReadmitted(now_ns + 1))
-            held = self._main.engine.aids.error_monitor.held if closed else held
-        if held != self._main.engine.aids.error_monitor.held:
-            self.insert(Held(now_ns + 1, held))
+        if left is not None:
+            before = self._main.engine.aids.error_monitor.held
+            self._hold(before.after(left, spread, now_ns, grew=False))
+
+    def _left(self, apart_n: Vector, conflict: Conflict) -> Vector | None:
+        """Part of a difference that no return has closed: above half of the largest, and above the own level."""
+        main = self._main.engine
+        levels = (0.0, 0.0) if main.filter is None else self._levels(main)
+        closed_h, closed_v = (
+            distance <= max(CLOSED_SHARE * far, level)
+            for distance, far, level in zip(
+                (hypot(apart_n[0], apart_n[1]), abs(apart_n[2])), conflict.farthest_m, levels, strict=True
+            )
+        )
+        if closed_h and closed_v:
+            return None
+        north, east, down = apart_n
+        return (0.0 if closed_h else north, 0.0 if closed_h else east, 0.0 if closed_v else down)
 
     def _go_on_with(self, without: OutOfSequenceEngine) -> None:
         """Continue with the engine without GNSS in place of the one with it; the smoother's history starts anew."""
         counts, recorder = self._main.engine.counts, self._main.engine.recorder
-        self._main, engine = without, without.engine
-        engine.counts, engine.recorder = counts, recorder
-        if recorder is not None and engine.filter is not None:
-            recorder.start(engine.filter)
-        self._memory = Memory()
-        self._memory.snapshot(self._main.settled)
+        self._main = without
+        without.carry(counts, recorder)
+        if recorder is not None and without.engine.filter is not None:
+            recorder.start(without.engine.filter)
+        self._memory.restart(without.settled)
 
-    def _hold(self, without: Engine) -> None:
-        """Add the difference of the two solutions to what the level of the one with GNSS holds."""
-        held, main = self._held(without), self._main.engine
-        if held != main.aids.error_monitor.held:
-            self.insert(Held(main.time_ns + 1, held))
-
-    def _held(self, without: Engine) -> Disagreement:
+    def _hold(self, held: Disagreement) -> None:
+        """Let the level of the engine in use hold a disagreement, at once and when late measurements roll it back."""
         main = self._main.engine
-        held, apart = main.aids.error_monitor.held, distance_n(main, without)
-        if apart is None or without.filter is None:
-            return held
-        nn, _, ee, dd = block(without.filter)
-        return held.after(apart, (sqrt(nn + ee), sqrt(dd)), main.time_ns, grew=False)
+        main.aids.error_monitor = replace(main.aids.error_monitor, held=held)
+        self.insert(Held(main.time_ns + 1, held))

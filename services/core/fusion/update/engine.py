@@ -428,6 +428,7 @@ class Engine:
         self._start(started, time_ns, Comparison())
         self.accepted_ns = saved.accepted_ns
         self.exclusions = replace(self.exclusions, gnss_since_ns=saved.gnss_excluded_since_ns)
+        self.aids.error_monitor = replace(self.aids.error_monitor, held=saved.held)
         coasting = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
         phase = NavigationPhase.COASTING if coasting else NavigationPhase.NAVIGATING

@@ -46,7 +46,7 @@ def state(*passing: str, accusing: Sequence[str] = (), suspect_ns: int | None = 
 def taught(verdict: TrustState, windows: int) -> Lesson:
     lesson = Lesson(UNIT_IMU)
     for k in range(windows):
-        lesson.heed(verdict)
+        lesson.heed(verdict.model_copy(update={"sampled_ns": k * SECOND_NS}))
         lesson.add(k * SECOND_NS, window(k), [0.1])
     return lesson
 
@@ -101,8 +101,8 @@ def test_nothing_is_learned_in_doubt_or_without_a_source_that_vouches(verdict: T
 
 def test_a_slow_drag_cannot_teach_more_than_three_times_the_stated_grade() -> None:
     lesson = Lesson(UNIT_IMU)
-    lesson.heed(state("motion"))
     for k in range(NEEDED_S):
+        lesson.heed(state("motion").model_copy(update={"sampled_ns": k * SECOND_NS}))
         lesson.add(k * SECOND_NS, replace(window(k), difference={Metric.ACCELERATION_EAST: 2.0}), [1e4])
     found = lesson.result(0, ORIGIN)
     limit = found.threshold * found.sigma[0][0]

@@ -175,8 +175,8 @@ def test_dead_inertial_monitors_keep_a_conflict_open() -> None:
     ("changes", "agrees"),
     [
         ({}, True),
-        ({"excluded_test_ratio": 1.2, "other_level_m": 11.0}, True),
-        ({"excluded_test_ratio": 1.2, "other_level_m": 9.0}, False),
+        ({"excluded_test_ratio": 1.2, "without_gnss_level_m": 11.0}, True),
+        ({"excluded_test_ratio": 1.2, "without_gnss_level_m": 9.0}, False),
         ({"excluded_test_ratio": None, "exclusion_declined": "given up"}, True),
         ({"excluded_test_ratio": 1.2}, False),
         ({"excluded_test_ratio": None}, False),

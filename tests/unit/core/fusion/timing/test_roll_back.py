@@ -197,6 +197,7 @@ def test_without_a_snapshot_before_the_suspect_time_the_largest_pull_of_gnss_is_
 ) -> None:
     monkeypatch.setattr(roll_back, "CONVERGED_S", 0.0)
     monkeypatch.setattr(roll_back, "MOST_LIMITS", 1000.0)
+    monkeypatch.setattr(roll_back, "LAST_LIMITS", 1000.0)
     levels = {}
     for suspect_s in (60.0, -10.0):  # the oldest snapshot is of the first sample
         saved = stage(70).saved_state()
@@ -224,7 +225,11 @@ def test_a_state_saved_during_an_exclusion_continues_without_gnss() -> None:
     run(second, 80.0, 81.0)
     after = second.solution()
     assert after is not None and after.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
-    assert after.protection_level_horizontal < before.protection_level_horizontal + 2.0, "no effect of GNSS is added"
+    difference_m = second.engine.aids.error_monitor.held.bound[0]
+    assert 0.0 < difference_m < 8.0, "of the conflict that was open"
+    assert after.protection_level_horizontal < before.protection_level_horizontal + difference_m + 2.0, (
+        "no effect of GNSS is added"
+    )
 
 
 def test_a_readmitted_receiver_is_used_at_once_and_the_reason_states_it() -> None:
@@ -275,22 +280,82 @@ def test_a_filter_that_had_not_converged_before_the_suspect_time_declines_to_exc
     assert solution is not None and solution.gnss_excluded_since_ns is None
 
 
-def test_a_solution_without_gnss_that_outgrows_its_bound_is_given_up_and_the_level_holds_the_difference() -> None:
-    nav = Navigator(Settings().with_values({
+def without_aiding(alert_limit_m: float) -> Navigator:
+    """A navigator on GNSS and inertial sensors alone."""
+    return Navigator(Settings().with_values({
         "gnss.lever_arm_body_m": tuple(drive().lever_arm_b), "odometer.enabled": False, "non_holonomic.enabled": False,
-        "integrity.alert_limit_horizontal_m": 3.0,
+        "integrity.alert_limit_horizontal_m": alert_limit_m,
     }))  # fmt: skip
+
+
+def test_a_solution_without_gnss_that_outgrows_its_bound_is_not_published_and_the_level_still_reaches_to_it() -> None:
+    nav = without_aiding(5.0)
+    run(nav, 0.0, VERDICT_S)
+    nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
+    run(nav, VERDICT_S, 92.0)
+    conflict, difference, solution = nav.roll_back.conflict, nav.roll_back.difference(), nav.solution()
+    assert conflict is not None and "decides nothing" in conflict.declined and difference is not None
+    assert solution is not None and solution.gnss_excluded_since_ns is None
+    assert solution.protection_level_horizontal >= hypot(*difference[0][:2]) + difference[1][0] - 1e-9 > 15.0
+
+
+def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_its_difference_and_its_level() -> None:
+    nav = without_aiding(3.0)
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 110.0)
-    assert nav.roll_back.conflict is None and "decides nothing" in nav.roll_back.unresolved
+    assert nav.roll_back.conflict is None and "of no use" in nav.roll_back.unresolved
     held_m = nav.engine.aids.error_monitor.held.bound[0]
     solution = nav.solution()
-    assert held_m > 0.0 and solution is not None and solution.protection_level_horizontal > held_m
+    assert held_m > 90.0 and solution is not None and solution.protection_level_horizontal > held_m
     assert solution.gnss_excluded_since_ns is None and solution.gnss_age_s is not None and solution.gnss_age_s < 2.0
     nav.apply_exclusions(None, odometer_excluded=False)
     run(nav, 110.0, 119.0)
     assert nav.engine.aids.error_monitor.held.bound[0] == held_m, "no time ends it"
+
+
+def test_an_earlier_suspect_time_keeps_the_published_solution_until_the_new_replay_is_over() -> None:
+    nav, _ = excluded_at(VERDICT_S, 70, 80.0, moved_m=8.0)
+    assert nav.engine.exclusions.gnss_since_ns == 70 * SECOND_NS
+    nav.apply_exclusions(50 * SECOND_NS, odometer_excluded=False)
+    assert nav.engine.exclusions.gnss_since_ns == 70 * SECOND_NS, "not GNSS, which is suspect"
+    run(nav, 80.0, 83.0, moved_m=8.0)
+    assert nav.engine.exclusions.gnss_since_ns == 50 * SECOND_NS
+
+
+def test_a_gap_of_the_imu_in_a_conflict_keeps_the_last_difference() -> None:
+    nav = fault_free(SUSPECT_S)
+    run(nav, SUSPECT_S, VERDICT_S, moved_m=8.0)
+    nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
+    run(nav, VERDICT_S, 80.0, moved_m=8.0)
+    run(nav, 82.0, 100.0, moved_m=8.0)
+    assert "lost" in nav.roll_back.unresolved
+    assert nav.engine.aids.error_monitor.held.bound[0] > 8.0 and error_m(nav) > 5.0
+
+
+def test_a_state_saved_in_a_conflict_holds_the_difference_of_both_solutions() -> None:
+    nav = fault_free(SUSPECT_S)
+    run(nav, SUSPECT_S, VERDICT_S, moved_m=8.0)
+    nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
+    run(nav, VERDICT_S, 80.0, moved_m=8.0)
+    saved = nav.saved_state()
+    assert saved is not None and saved.held.bound[0] > 8.0
+    second = navigator()
+    second.restore(saved, round(80.01 * SECOND_NS))
+    run(second, 80.0, 85.0, moved_m=8.0)
+    solution = second.solution()
+    assert solution is not None and solution.protection_level_horizontal > max(8.0, error_m(second))
+
+
+def test_a_second_conflict_after_a_decided_one_has_a_solution_without_gnss() -> None:
+    nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 85.0)
+    nav.apply_exclusions(None, odometer_excluded=False)
+    run(nav, 85.0, 95.0)
+    nav.apply_exclusions(88 * SECOND_NS, odometer_excluded=False)
+    run(nav, 95.0, 100.0)
+    conflict = nav.roll_back.conflict
+    assert conflict is not None and conflict.engine is not None and conflict.levels_m[0] < 20.0
+    assert nav.counts.fixes_used > 60, "counts of the drive go on"
 
 
 def test_a_position_that_comes_back_closes_a_conflict_and_nothing_is_held() -> None:
