@@ -214,8 +214,7 @@ def _not_evaluated(facts: Facts) -> str | None:
 
 
 def _near_alert_limit(facts: Facts) -> str | None:
-    found = _levels(facts, facts.limits.near_share)
-    return None if found is None else found + _both_sides(facts)
+    return _levels(facts, facts.limits.near_share)
 
 
 def _excluded(facts: Facts) -> bool:
