@@ -34,8 +34,9 @@ KEPT = (
 NOTES = """
 These receivers were not attacked: each second without GNSS is a false alarm, and so is each second UNSAFE, DEAD
 RECKONING or NO FIX that follows from it. Every drive is solved once with the aiding of its vehicle file, as the vehicle
-does. Monitors whose inputs are not in a recording (satellites, neighbours) are not evaluated, and without them the
-verdict is at best CAUTION ([how the verdict is found](../explanation/trust.md)).
+does, with the grade of the IMU that it states. Until 20 s after the alignment no inertial window is evaluated, and the
+verdict is CAUTION; UNSAFE are seconds with a protection level above the alert limit
+([how the verdict is found](../explanation/trust.md)).
 
 *Above the level* is the share of the errors above the published protection level; the integrity risk allows 0.1 %.
 *Harm* is the horizontal error (root mean square) over that of a run without `core.trust` at the same times, where a
