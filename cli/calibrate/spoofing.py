@@ -51,7 +51,7 @@ def calibrate_spoofing(
         typer.Option(
             min=1.0,
             metavar="VALUE",
-            help="Standard deviations; default: the least from 5 on with no alarm, and a quarter more.",
+            help="Standard deviations; default: the least from 5 on with no alarm, and a tolerance.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the profile as one JSON object.")] = False,
@@ -170,7 +170,7 @@ def _print(profile: Profile, windows: list[Window], output: Path) -> None:
     for line in (
         f"Standard deviations; classes of {names} end at {speeds} m/s, those of accelerations at {forces} m/s2.",
         f"Threshold {profile.threshold:.1f} standard deviations: {episodes} alarms in {len(windows)} windows of 5 s.",
-        f"Free propagations over 30 and 60 s: standard deviations times {profile.long_factor:.2f}.",
+        f"Free propagations over 30 to 120 s: standard deviations times {profile.long_factor:.2f}.",
         f'Wrote {output}; next: put `profile = "{output.name}"` under [core.spoofing] of the vehicle file beside it.',
     ):
         console.print(line, soft_wrap=True, markup=False, highlight=False)

@@ -37,9 +37,8 @@ AnchorKind = TypeVar("AnchorKind", bound=Anchor)
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
 ODOMETER_GAP_S = 2.5
 RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
-SHORT_WARM_UP_S = (
-    20.0  # after the alignment, before the first window of 5 s, whose limits hold the anchor's uncertainty
-)
+# After the alignment, before the first window of 5 s: its limits hold the uncertainty of attitude and gyroscope biases.
+SHORT_WARM_UP_S = 20.0
 BREAK_NS = 2_000_000_000  # without a solution, after which the filter has started again
 KEPT_S = 10  # of increments, fixes and solutions
 

@@ -24,6 +24,7 @@ from shared.runtime.config import Table, VehicleFile
 
 from .grade import LONG, UNKNOWN, Grade, profile_of
 from .inertial.strapdown import Anchor, FilterAnchor
+from .inertial.tracks import UNKNOWN_VERTICAL_SD
 from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
 from .profile import Origin, Profile
@@ -40,7 +41,6 @@ SILENT_NS = 5_000_000_000  # after which another source takes the place of one t
 # Elements of FilterState: velocity, attitude, both biases, scale of the odometer, yaw and pitch of the mounting.
 ODOMETER_SCALE, MOUNTING_PITCH, MOUNTING_YAW = 21, 22, 23
 ELEMENTS = (3, 4, 5, 0, 1, 2, 9, 10, 11, 12, 13, 14, ODOMETER_SCALE, MOUNTING_YAW, MOUNTING_PITCH)
-UNKNOWN_VERTICAL_SD = 10.0  # [m/s] of a vehicle
 RATED_S = 10.0  # of a source, after which its rate is known
 
 log = logging.getLogger(__name__)
