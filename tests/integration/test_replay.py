@@ -65,7 +65,8 @@ def test_a_drive_is_shown_in_recorded_time_as_a_replay(address: str) -> None:
     shown = state(address)
     assert shown["origin"]["kind"] == "replay"
     assert abs(shown["now_ns"] - BEGIN_NS - 100 * SECOND) < SECOND // 10
-    assert shown["banner"]["word"] == "UNSAFE", "from 100 s to 120 s the recorded verdict is unsafe"
+    # From 100 s to 120 s the recorded verdict is unsafe; it is another message than the solution and may come after it.
+    eventually(lambda: state(address)["banner"]["word"] == "UNSAFE")
     latitude_deg = 48.0 + 100.0 * NORTH_M_S / 111_194.9
     assert shown["solution"]["latitude_deg"] == pytest.approx(latitude_deg, abs=2e-5)
 
