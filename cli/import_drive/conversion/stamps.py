@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.dates import BEYOND_NS, NS
 from shared.maths.earth import FloatArray
 
 from ..mapping import units
@@ -38,6 +39,9 @@ def stamped(spec: TableFile, table: Table, start_s: float) -> tuple[Table, Stamp
         sampled = c + min(a - c) - least_latency
     """
     time = spec.time
+    for column in filter(None, (time.column, time.arrival_column)):
+        told_s = table[column] * units.TIME[time.unit] + time.offset_s + start_s
+        table = table.keep(np.abs(told_s) < BEYOND_NS / NS, "date after 2100")  # one would make all others late
     clock = table.row_numbers * (time.period_s or 0.0)
     if time.column is not None:
         clock = table[time.column] * units.TIME[time.unit]

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from shared.maths.clock_mapping import ClockMapping
+from shared.maths.dates import DAY_NS, NS, WEEK_NS, DeviceDates
 from shared.messages.gnss import (
     GnssConfiguration,
     GnssFix,
@@ -18,7 +19,7 @@ from shared.messages.gnss import (
 from . import ubx_messages, ubx_raw, ubx_signal
 from .configuration import Configurator
 from .framer import Frame, Framer, Protocol
-from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
+from .gnss_time import MS, Unwrapper
 from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
 from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
@@ -39,6 +40,7 @@ class Receiver:
         self._source = source
         self._rejects = rejects
         self._framer = Framer(rejects)
+        self._dates = DeviceDates(rejects)
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
@@ -51,6 +53,7 @@ class Receiver:
 
     def take(self, raw: GnssRaw) -> Iterator[Output]:
         """Process the next bytes; yield the completed messages."""
+        self._dates.host_ns = None if raw.recorded else raw.received_ns
         for frame in self._framer.feed(raw.data):
             try:
                 if frame.protocol is Protocol.NMEA:
@@ -88,7 +91,7 @@ class Receiver:
         self._ubx_fix_ns = epoch.last_received_ns
         sampled_ns = self._ubx_clock.stamp(self._week.unwrap(epoch.itow_ms * MS), epoch.first_received_ns)
         self._last_stamp = epoch.itow_ms, sampled_ns
-        yield fix_from_epoch(epoch, epoch.pvt, sampled_ns=sampled_ns, source=self._source)
+        yield fix_from_epoch(epoch, epoch.pvt, sampled_ns=sampled_ns, source=self._source, dates=self._dates)
         yield from self._signal_quality(sampled_ns, epoch.last_received_ns, self._ubx_clock)
         for kind, (itow, message) in list(self._waiting.items()):
             if _same_epoch(itow, epoch.itow_ms):
@@ -114,8 +117,10 @@ class Receiver:
     def _take_raw(self, kind: str | None, payload: bytes, received_ns: int) -> Iterator[Output]:
         if kind == "RAWX":
             raw = ubx_raw.decode_raw(payload, self._rejects)
+            if (gps_time_ns := self._dates.gps_time_ns(raw.gps_time_ns, "ubx_date")) is None:
+                return
             epoch = GnssRawEpoch(
-                sampled_ns=received_ns, received_ns=received_ns, source=self._source, gps_time_ns=raw.gps_time_ns,
+                sampled_ns=received_ns, received_ns=received_ns, source=self._source, gps_time_ns=gps_time_ns,
                 leap_seconds=raw.leap_seconds, clock_reset=raw.clock_reset, measurements=raw.measurements,
             )  # fmt: skip
             yield from self._stamped(raw.itow_ms, epoch)
@@ -180,6 +185,7 @@ class Receiver:
             sampled_ns=self._nmea_clock.stamp(device_ns, epoch.first_received_ns),
             source=f"{self._source}/nmea",
             rejects=self._rejects,
+            dates=self._dates,
         )
 
 
