@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
+from shared.faults import FOREIGN
+
 from .candump import CanFrame
 
 if TYPE_CHECKING:
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 UNITS_M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704}
 FASTEST_M_S = 150.0
+LARGEST = 1e9  # [unit of the signal]
 
 
 class WheelSpeedDecoder:
@@ -60,7 +63,7 @@ class WheelSpeedDecoder:
             return {}
         try:
             values = cast("dict[str, float]", message.decode(frame.data[: message.length], decode_choices=False))
-        except self._decode_error:  # an undefined value of the multiplexer
+        except (self._decode_error, *FOREIGN):  # such as an undefined value of the multiplexer
             self._rejects["dbc_frame"] += 1
             return {}
         if wheels.keys() & values:
@@ -93,7 +96,7 @@ class WheelSpeedDecoder:
 
 def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | None:
     """Convert a decoded value to m/s; None if it is outside the signal's range or above `FASTEST_M_S`."""
-    if not isinstance(value, int | float) or not math.isfinite(value):
+    if not isinstance(value, int | float) or not abs(value) <= LARGEST:  # an integer may be too large for a float
         return None
     low = -math.inf if signal.minimum is None else signal.minimum
     high = math.inf if signal.maximum is None else signal.maximum

@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from shared.errors import UserError
+from shared.faults import Faults
 from shared.messages.base import Message
 from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Section
@@ -53,6 +54,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
+        self._faults = Faults(self.rejects)
         self._config = config
         self._readers: dict[str, LineReader] = {}
         self._decoder = self._load(config)
@@ -65,22 +67,26 @@ class Process:
             self.rejects["too_many_sources"] += 1
             return
         for frame in self._readers.setdefault(message.source, LineReader(self.rejects)).feed(message.data):
-            received_ns = self._received_ns(frame, message)
-            if speed := standard_speed(frame):
-                yield VehicleSpeed(
-                    sampled_ns=received_ns - round(self._config.vehicle_speed_delay_s * NS),
-                    received_ns=received_ns,
-                    source=f"{message.source}/{speed.name}",
-                    speed_m_s=speed.speed_m_s,
-                    resolution_m_s=speed.resolution_m_s,
-                )
-            if self._decoder and (speeds := self._decoder.decode(frame, received_ns, message.source)):
-                yield WheelSpeeds(
-                    sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
-                    received_ns=received_ns,
-                    source=message.source,
-                    **{f"{wheel}_m_s": speed for wheel, speed in speeds.items()},
-                )
+            with self._faults.decoding(message.received_ns):
+                yield from self._speeds(frame, message)
+
+    def _speeds(self, frame: CanFrame, message: CanRaw) -> Iterator[VehicleSpeed | WheelSpeeds]:
+        received_ns = self._received_ns(frame, message)
+        if speed := standard_speed(frame):
+            yield VehicleSpeed(
+                sampled_ns=received_ns - round(self._config.vehicle_speed_delay_s * NS),
+                received_ns=received_ns,
+                source=f"{message.source}/{speed.name}",
+                speed_m_s=speed.speed_m_s,
+                resolution_m_s=speed.resolution_m_s,
+            )
+        if self._decoder and (speeds := self._decoder.decode(frame, received_ns, message.source)):
+            yield WheelSpeeds(
+                sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
+                received_ns=received_ns,
+                source=message.source,
+                **{f"{wheel}_m_s": speed for wheel, speed in speeds.items()},
+            )
 
     def _received_ns(self, frame: CanFrame, message: CanRaw) -> int:
         """Time stamp of a line if it is consistent with that of its batch, otherwise that of the batch."""

@@ -13,6 +13,7 @@ from typing import Any
 
 from pynmea2.nmea import NMEASentence, ParseError
 
+from shared.faults import FOREIGN
 from shared.maths.dates import DAY_NS, NS, DeviceDates
 from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
@@ -149,7 +150,7 @@ def time_of_day_ns(text: str) -> int:
 def _read(sentence: bytes) -> Sentence:
     try:
         return _parse(sentence.rpartition(b"*")[0].decode("ascii"))  # the framer has verified the checksum
-    except ParseError as error:
+    except (ParseError, *FOREIGN) as error:
         raise NmeaError("nmea_form") from error
 
 

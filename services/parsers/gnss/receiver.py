@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 
+from shared.faults import Faults
 from shared.maths.clock_mapping import ClockMapping
 from shared.maths.dates import DAY_NS, NS, WEEK_NS, DeviceDates
 from shared.messages.gnss import (
@@ -40,7 +41,7 @@ class Receiver:
         self._source = source
         self._rejects = rejects
         self._framer = Framer(rejects)
-        self._dates = DeviceDates(rejects)
+        self._dates, self._faults = DeviceDates(rejects), Faults(rejects)
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
@@ -55,15 +56,19 @@ class Receiver:
         """Process the next bytes; yield the completed messages."""
         self._dates.host_ns = None if raw.recorded else raw.received_ns
         for frame in self._framer.feed(raw.data):
-            try:
-                if frame.protocol is Protocol.NMEA:
-                    yield from self._take_nmea(frame, raw.received_ns)
-                elif frame.protocol is Protocol.UBX:
-                    yield from self._take_ubx(frame, raw.received_ns)
-            except ubx_messages.UbxError as fault:
-                self._rejects[f"ubx_{fault}"] += 1
-            except NmeaError as fault:
-                self._rejects[str(fault)] += 1
+            with self._faults.decoding(raw.received_ns):
+                yield from self._take_frame(frame, raw.received_ns)
+
+    def _take_frame(self, frame: Frame, received_ns: int) -> Iterator[Output]:
+        try:
+            if frame.protocol is Protocol.NMEA:
+                yield from self._take_nmea(frame, received_ns)
+            elif frame.protocol is Protocol.UBX:
+                yield from self._take_ubx(frame, received_ns)
+        except ubx_messages.UbxError as fault:
+            self._rejects[f"ubx_{fault}"] += 1
+        except NmeaError as fault:
+            self._rejects[str(fault)] += 1
 
     def _take_ubx(self, frame: Frame, received_ns: int) -> Iterator[Output]:
         if frame.data[2] == ubx_raw.RXM:
@@ -82,8 +87,9 @@ class Receiver:
             decoded = self._satellites(payload, received_ns) if kind == "SAT" else self._signals(payload, received_ns)
             yield from self._stamped(itow, decoded)
             return
-        for epoch in self._ubx.take(kind, payload, received_ns):
-            yield from self._ubx_fix(epoch)
+        for epoch in tuple(self._ubx.take(kind, payload, received_ns)):  # a fault in one costs not the present message
+            with self._faults.decoding(received_ns):
+                yield from self._ubx_fix(epoch)
 
     def _ubx_fix(self, epoch: Epoch) -> Iterator[Output]:
         if epoch.pvt is None:
@@ -172,11 +178,12 @@ class Receiver:
         self._waiting[type(message)] = itow, message
 
     def _take_nmea(self, frame: Frame, received_ns: int) -> Iterator[Output]:
-        for epoch in self._nmea.take(frame.data, received_ns):
+        for epoch in tuple(self._nmea.take(frame.data, received_ns)):
             if self._ubx_fix_ns is None or abs(epoch.last_received_ns - self._ubx_fix_ns) > NMEA_WAITS_NS:
-                fix = self._nmea_fix(epoch)
-                yield fix
-                yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
+                with self._faults.decoding(received_ns):
+                    fix = self._nmea_fix(epoch)
+                    yield fix
+                    yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
 
     def _nmea_fix(self, epoch: NmeaEpoch) -> GnssFix:
         device_ns = self._day.unwrap(epoch.time_of_day_ns)
