@@ -28,6 +28,7 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "export": ("export.export", "export"),
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
+    "migrate": ("migrate", "migrate"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "record repair": ("recordings.record", "repair"),
 }

@@ -26,7 +26,7 @@ PURE_SHARED = {
     "shared.toll",
 }
 PURE_SHARED |= {"shared.v2x.generation", "shared.v2x.its_time"}
-PURE_SHARED |= {"shared.runtime.config"}  # for `Section`, the base of settings
+PURE_SHARED |= {"shared.runtime.config", "shared.runtime.old_keys"}  # `Section`, the base of settings; names of keys
 PURE_SHARED |= {"shared.maths.compiled"}  # it changes how fast mathematics runs, and not what comes of it
 
 

@@ -57,7 +57,7 @@ def statements(learned: Learned, vehicle: VehicleFile) -> list[TrustMonitor]:
     """Statements of core.spoofing on the 5 s metrics in a drive that is not part of the profile."""
     with Recording(learned.folder / "later.mcap") as opened:
         inputs = inputs_of(opened)
-    said = OfflineUnit(vehicle, PROCESSES).run(inputs.messages())
+    said = OfflineUnit(vehicle, PROCESSES).run(inputs.messages(vehicle))
     return [message for message in said if isinstance(message, TrustMonitor) and message.monitor == "inertial_short"]
 
 
