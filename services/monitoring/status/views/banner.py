@@ -27,6 +27,7 @@ from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
+NOTHING_TO_JUDGE = "there is no position to judge"
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 RATIO_MAXIMUM = 9.99
@@ -243,7 +244,8 @@ def _monitor_checks(e: Evidence) -> list[Check]:
     checks = []
     for statement in e.trust.monitors[:MONITORS_MAXIMUM]:
         earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
-        missing = no_verdict(e.trust_age_s) or earlier
+        nothing = NOTHING_TO_JUDGE if e.trust.state is TrustLevel.NO_FIX else None
+        missing = no_verdict(e.trust_age_s) or earlier or nothing
         text = plain(statement.reason)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:

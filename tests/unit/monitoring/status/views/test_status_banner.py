@@ -146,6 +146,13 @@ def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_wha
     assert show(missing).sentence == "No position yet: none yet (no usable GNSS fix is received)."
 
 
+def test_without_a_position_no_monitor_is_green_for_there_is_nothing_to_judge() -> None:
+    monitors = (monitor(START_NS, "motion"), monitor(START_NS, "evidence", outcome=MonitorOutcome.ACCUSES))
+    evidence = changed(trust=trust(START_NS, TrustLevel.NO_FIX, monitors=monitors, reasons=("solution is old",)))
+    for name in ("motion", "evidence"):
+        assert check(evidence, name) == (Trust.STALE, "there is no position to judge")
+
+
 def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
     monitors = (
         monitor(START_NS, "motion"),
