@@ -124,6 +124,11 @@ class ProcessFlow:
         self.last_error: str | None = None
         self._past: deque[ProcessHealth] = deque(maxlen=HEARTBEATS)
 
+    @property
+    def memory_bytes(self) -> int | None:
+        """Proportional set size; of a recording that has none, the resident set size. None if nothing is known."""
+        return (self.health.pss_bytes or self.health.rss_bytes) if self.health else None
+
     def note(self, health: ProcessHealth, heartbeat_ns: int) -> None:
         """Take one health message."""
         before = self.health

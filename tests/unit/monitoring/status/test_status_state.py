@@ -161,7 +161,7 @@ def test_what_was_known_of_a_process_outlives_its_will(driving: World) -> None:
     driving.pass_time(0.3)
     row = snapshot.processes(driving.state, driving.now_ns)["parsers.gnss"]
     assert isinstance(row, dict)
-    assert (row["last_error"], row["rss_bytes"]) == ("checksum of UBX-NAV-PVT", 31_000_000)
+    assert (row["last_error"], row["memory_bytes"]) == ("checksum of UBX-NAV-PVT", 31_000_000)
 
 
 def test_a_process_that_ended_as_asked_is_ended_and_not_stale(driving: World) -> None:
