@@ -87,6 +87,11 @@ def rows(found: object) -> list[dict[str, Any]]:
     return found
 
 
+def fields(found: object) -> dict[str, Any]:
+    assert isinstance(found, dict)
+    return found
+
+
 def problems(world: World) -> list[str]:
     return [problem.text for problem in world.state.judgement.problems]
 
@@ -121,7 +126,7 @@ def test_every_age_is_that_of_the_data_however_promptly_it_arrives(driving: Worl
     assert position.solution(state, now_ns)["age_s"] == pytest.approx(13.8, abs=0.11)
     shown = snapshot.dashboard(state, now_ns)
     for part in ("solution", "fix"):
-        assert now_ns - shown[part]["updated_ns"] == pytest.approx(13.8 * SECOND_NS, abs=0.11 * SECOND_NS)
+        assert now_ns - fields(shown[part])["updated_ns"] == pytest.approx(13.8 * SECOND_NS, abs=0.11 * SECOND_NS)
     assert state.topics["navigation/solution"].freshness(now_ns) == "stale"
     assert not position.solution(state, now_ns)["live"]
     checks = {check.name: check.state for check in state.verdict.checks}
