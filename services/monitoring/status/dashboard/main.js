@@ -138,6 +138,7 @@ function WhyDrawer({ onClose }) {
   return html`<${Drawer} title=${words.banner.drawer(v.word)} onClose=${onClose} head=${html`<button onClick=${report}>${words.copyReport}</button>`}>
     <p class="lead-text">${v.sentence}</p>
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
+    ${v.reasons?.length > 0 && html`<h3>${words.banner.reasons}</h3><ul class="reasons">${v.reasons.map((reason) => html`<li key=${reason}>${reason}</li>`)}</ul>`}
     <h3>${words.banner.checks}</h3>
     ${role() === "obu" && html`<p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>`}
     ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}

@@ -98,6 +98,7 @@ def banner(state: State) -> Json:
         "word": WORDS[verdict.state],
         "sentence": verdict.sentence,
         "action": verdict.action,
+        "reasons": list(verdict.reasons),
         "since_ns": verdict.since_ns,
         "row": verdict.row,
         "checks": [
