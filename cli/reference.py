@@ -105,7 +105,7 @@ def attacks_page() -> str:
         "`obu demo --attack`, `obu attack-lab --attack`, the page *Trust* and `simulation/attack` start them. The "
         "notation is `name(parameter=value,...)@start:duration` in seconds; parameters may be shortened. "
         "[The simulator](../explanation/simulator.md#attacks) describes what each makes of the messages.\n\n"
-        f"{table(('attack', 'what happens', 'a monitor should accuse', 'parameters: default, limits'), rows)}\n"
+        f"{table(('attack', 'what happens', 'a monitor should suspect', 'parameters: default, limits'), rows)}\n"
     )
 
 
