@@ -135,18 +135,20 @@ def page(card: dict[str, object], runs: Sequence[Run]) -> str:
 <p class="muted">Scored against the truth at every time from the start of an attack to the end of its run. "Detected":
 runs in which a monitor suspects a source, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO FIX),
 between the start and the end of the attack. "Suspected rightly": runs in which a source at fault is suspected
-meanwhile, and no healthy one is excluded until the end of the run. In brackets the {interval} interval of the rate, of Clopper and Pearson. "SAFE
-above level" and "above limit": time, over all runs, that is SAFE although the horizontal or vertical error is above the
-published protection level, or above the alert limit. "Errors above level": the share of all times, SAFE or not. The
-other columns are those of the worst run: the largest error while SAFE, horizontal and vertical; how long a healthy
-source is excluded, and how long the attacked one after the end of the attack; the time from the start until the verdict
-is not SAFE, and from the end until it stays SAFE or CAUTION; horizontal error and level at the end of the run.</p>
+meanwhile, and no healthy one is excluded until the end of the run. In brackets the {interval} interval of the rate,
+of Clopper and Pearson. "SAFE above level" and "above limit": time, over all runs, that is SAFE although the
+horizontal or vertical error is above the published protection level, or above the alert limit. "Errors above level":
+the share of all times, SAFE or not. The other columns are those of the worst run: the largest error while SAFE,
+horizontal and vertical; how long a healthy source is excluded, and how long the attacked one after the end of the
+attack; the time from the start until the verdict is not SAFE, and from the end until it stays SAFE or CAUTION;
+horizontal error and level at the end of the run.</p>
 {_table(*answer_rows(runs))}
 <h2>Detection by monitor</h2>
 <p class="muted">Runs in which the monitor suspects a source, or the verdict withdraws the position, between the start
-and the end of the attack, with the {interval} Clopper-Pearson interval of the rate and the median delay. The last three columns:
-largest horizontal error of the fused position before the verdict withdraws it, time that is SAFE although an error is
-above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of the attack.</p>
+and the end of the attack, with the {interval} Clopper-Pearson interval of the rate and the median delay. The last
+three columns: largest horizontal error of the fused position before the verdict withdraws it, time that is SAFE
+although an error is above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of
+the attack.</p>
 {_table(*detection_rows(runs))}
 <h2>False alarms</h2>
 <p class="muted">Suspicions that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as
