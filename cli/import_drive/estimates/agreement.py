@@ -1,6 +1,7 @@
 """Compares the clocks of files by when they were recorded and by the motion that each of them saw."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import cos, nan, sin
@@ -57,37 +58,57 @@ class Agreement:
     correlation_unshifted: float  # 0 without overlap
 
 
+class MotionLog:
+    """Collects what the messages of one device say of the motion."""
+
+    def __init__(self) -> None:
+        self._rows, self._width = array("d"), 1
+        self._names: tuple[str, ...] = ()
+
+    def add(self, message: Message) -> None:
+        """Add a message; one of another kind than the first is ignored."""
+        for names, row in _said(message):
+            if not self._names:
+                self._names, self._width = names, len(row)
+            if names == self._names:
+                self._rows.extend(row)
+
+    def motion(self) -> Motion | None:
+        """When the messages were made, and the motion that they say; None without a stamp."""
+        if not self._rows:
+            return None
+        values = np.frombuffer(self._rows).reshape(-1, self._width)
+        values = values[np.r_[True, np.diff(values[:, 0]) > 0.0]]
+        motion = Motion(float(values[0, 0]), float(values[-1, 0]))
+        values = values[values[:, 0] < motion.first_s + LONGEST_S]
+        if len(values) > 2 and motion.last_s - motion.first_s >= LEAST_OVERLAP_S:
+            positions = self._names[0] == "north"
+            motion.channels = _of_positions(values) if positions else _of_sensor(values, self._names)
+        return motion
+
+
 def motion_of(messages: Iterable[Message]) -> Motion | None:
-    """The span of some messages of one device, and the motion they tell of; None without a stamp."""
-    rows: list[tuple[float, ...]] = []
-    names: tuple[str, ...] = ()
+    """The motion that some messages of one device say; None without a stamp."""
+    log = MotionLog()
     for message in messages:
-        match message:
-            case ImuSamples():
-                names = ("acceleration", "rate")
-                forces, rates = message.specific_force_body_m_s2, message.angular_rate_body_rad_s
-                stamped = zip(message.sampled_ns, forces, rates, strict=True)
-                rows += [(stamp * 1e-9, force[0], rate[2]) for stamp, force, rate in stamped]
-            case VehicleSpeed():
-                names = ("speed",)
-                rows.append((message.sampled_ns * 1e-9, abs(message.speed_m_s)))
-            case WheelSpeeds() if known := [speed for speed in _wheels(message) if speed is not None]:
-                names = ("speed",)
-                rows.append((message.sampled_ns * 1e-9, abs(sum(known)) / len(known)))
-            case GnssFix() | TruthState() if message.latitude_deg is not None and message.longitude_deg is not None:
-                names = ("north", "east")
-                rows.append(
-                    (message.sampled_ns * 1e-9, message.latitude_deg, message.longitude_deg, *_velocity(message))
-                )
-    if not rows:
-        return None
-    values = np.array(rows)
-    values = values[np.r_[True, np.diff(values[:, 0]) > 0.0]]
-    motion = Motion(float(values[0, 0]), float(values[-1, 0]))
-    values = values[values[:, 0] < motion.first_s + LONGEST_S]
-    if len(values) > 2 and motion.last_s - motion.first_s >= LEAST_OVERLAP_S:
-        motion.channels = _of_positions(values) if names[0] == "north" else _of_sensor(values, names)
-    return motion
+        log.add(message)
+    return log.motion()
+
+
+def _said(message: Message) -> Iterator[tuple[tuple[str, ...], tuple[float, ...]]]:
+    """Names of the quantities, and rows of a stamp [s] and their values."""
+    match message:
+        case ImuSamples():
+            forces, rates = message.specific_force_body_m_s2, message.angular_rate_body_rad_s
+            for stamp, force, rate in zip(message.sampled_ns, forces, rates, strict=True):
+                yield ("acceleration", "rate"), (stamp * 1e-9, force[0], rate[2])
+        case VehicleSpeed():
+            yield ("speed",), (message.sampled_ns * 1e-9, abs(message.speed_m_s))
+        case WheelSpeeds() if known := [speed for speed in _wheels(message) if speed is not None]:
+            yield ("speed",), (message.sampled_ns * 1e-9, abs(sum(known)) / len(known))
+        case GnssFix() | TruthState() if message.latitude_deg is not None and message.longitude_deg is not None:
+            position = message.latitude_deg, message.longitude_deg
+            yield ("north", "east"), (message.sampled_ns * 1e-9, *position, *_velocity(message))
 
 
 def _wheels(message: WheelSpeeds) -> tuple[float | None, ...]:
