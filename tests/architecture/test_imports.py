@@ -25,6 +25,7 @@ PURE_SHARED = {
     "shared.errors",
     "shared.toll",
 }
+PURE_SHARED |= {"shared.faults"}  # what one item of the input may cost
 PURE_SHARED |= {"shared.v2x.generation", "shared.v2x.its_time"}
 PURE_SHARED |= {"shared.runtime.config"}  # for `Section`, the base of settings
 PURE_SHARED |= {"shared.chosen"}  # which of several devices is used

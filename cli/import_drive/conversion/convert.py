@@ -89,9 +89,6 @@ def convert(
     table = _changes(spec, table)
     if isinstance(spec, Gnss | Truth):
         table = usable_fixes(spec, table)
-    if not len(table):
-        reasons = ", ".join(f"{count} {reason}" for reason, count in table.rejects.items())
-        raise UserError(f"{spec.file} holds no row that can be used: {reasons}; check the columns and `quality`")
     table, sampled, received = stamped(spec, table, start_s)
     if isinstance(spec, Gyroscope):
         if accelerometer is None:

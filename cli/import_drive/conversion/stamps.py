@@ -3,6 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
+from shared.errors import UserError
+from shared.maths.dates import BEYOND_NS, NS
 from shared.maths.earth import FloatArray
 
 from ..mapping import units
@@ -41,6 +43,12 @@ def stamped(spec: TableFile, table: Table, start_s: float) -> tuple[Table, Stamp
         sampled = c + min(a - c) - least_latency
     """
     time = spec.time
+    for column in filter(None, (time.column, time.arrival_column)):
+        told_s = table[column] * units.TIME[time.unit] + _days(time, table) + time.offset_s + start_s
+        table = table.keep(np.abs(told_s) < BEYOND_NS / NS, "date after 2100")  # one would make all others late
+    if not len(table):
+        reasons = ", ".join(f"{count} {reason}" for reason, count in table.rejects.items())
+        raise UserError(f"{spec.file} holds no row that can be used: {reasons}; check the columns and `quality`")
     clock = table.row_numbers * (time.period_s or 0.0)
     if time.column is not None:
         clock = _continued(spec, table, time.column, _days(time, table))

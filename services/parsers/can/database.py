@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
+from shared.faults import FOREIGN
+
 from .candump import CanFrame
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ UNITS_M_S = {
 }  # fmt: skip
 FASTEST_M_S = 150.0
 LEAST_RANGE_M_S = 40.0  # a range of a road vehicle's speed reaches at least this far, if its bits do
+LARGEST = 1e9  # [unit of the signal]
 
 
 class WheelSpeedDecoder:
@@ -73,7 +76,7 @@ class WheelSpeedDecoder:
             return {}
         try:
             values = cast("dict[str, float]", message.decode(frame.data[: message.length], decode_choices=False))
-        except self._decode_error:  # an undefined value of the multiplexer
+        except (self._decode_error, *FOREIGN):  # such as an undefined value of the multiplexer
             self._rejects["dbc_frame"] += 1
             return {}
         if wheels.keys() & values:
@@ -114,7 +117,7 @@ def unit_of(text: str | None) -> float | None:
 
 def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | None:
     """Convert a decoded value to m/s; None if it is outside the signal's range or above `FASTEST_M_S`."""
-    if not isinstance(value, int | float) or not math.isfinite(value):
+    if not isinstance(value, int | float) or not abs(value) <= LARGEST:  # an integer may be too large for a float
         return None
     low, high = range_of(signal, unit_m_s)
     speed_m_s = value * unit_m_s

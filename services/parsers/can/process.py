@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from shared.errors import UserError
+from shared.faults import Faults
 from shared.messages.base import Message
 from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Section
@@ -56,9 +57,10 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
+        self._faults = Faults(self.rejects)
         self._config = config
         self._readers: dict[str, LineReader] = {}
-        self._speeds = StandardSpeeds()
+        self._standards = StandardSpeeds()
         self._decoder = self._load(config)
 
     def handle(self, message: Message) -> Iterator[VehicleSpeed | WheelSpeeds]:
@@ -69,24 +71,28 @@ class Process:
             self.rejects["too_many_sources"] += 1
             return
         for frame in self._readers.setdefault(message.source, LineReader(self.rejects)).feed(message.data):
-            received_ns = self._received_ns(frame, message)
-            # A file may hold the frames of several interfaces; those of the bus itself have its name.
-            bus = message.source if frame.interface == message.source else f"{message.source}/{frame.interface}"
-            if speed := self._speeds.decode(frame):
-                yield VehicleSpeed(
-                    sampled_ns=received_ns - round(self._config.vehicle_speed_delay_s * NS),
-                    received_ns=received_ns,
-                    source=f"{bus}/{speed.name}",
-                    speed_m_s=speed.speed_m_s,
-                    resolution_m_s=speed.resolution_m_s,
-                )
-            if self._decoder and (speeds := self._decoder.decode(frame, received_ns, bus)):
-                yield WheelSpeeds(
-                    sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
-                    received_ns=received_ns,
-                    source=bus,
-                    **{f"{wheel}_m_s": speed for wheel, speed in speeds.items()},
-                )
+            with self._faults.decoding(message.received_ns):
+                yield from self._decoded(frame, message)
+
+    def _decoded(self, frame: CanFrame, message: CanRaw) -> Iterator[VehicleSpeed | WheelSpeeds]:
+        received_ns = self._received_ns(frame, message)
+        # A file may hold the frames of several interfaces; those of the bus itself have its name.
+        bus = message.source if frame.interface == message.source else f"{message.source}/{frame.interface}"
+        if speed := self._standards.decode(frame):
+            yield VehicleSpeed(
+                sampled_ns=received_ns - round(self._config.vehicle_speed_delay_s * NS),
+                received_ns=received_ns,
+                source=f"{bus}/{speed.name}",
+                speed_m_s=speed.speed_m_s,
+                resolution_m_s=speed.resolution_m_s,
+            )
+        if self._decoder and (speeds := self._decoder.decode(frame, received_ns, bus)):
+            yield WheelSpeeds(
+                sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
+                received_ns=received_ns,
+                source=bus,
+                **{f"{wheel}_m_s": speed for wheel, speed in speeds.items()},
+            )
 
     def _received_ns(self, frame: CanFrame, message: CanRaw) -> int:
         """Time stamp of a line if it is consistent with that of its batch, otherwise that of the batch."""
