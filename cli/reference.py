@@ -72,7 +72,7 @@ def metrics_page() -> str:
     return (
         "# What `obu solve` writes\n\n"
         "Names end in their unit (see [conventions](conventions.md)). An unknown metric is `null`.\n\n"
-        f"## metrics.json\n\n{metrics}\n\n"
+        f"## metrics.json\n\n`verdict` is the sentence with which the report begins.\n\n{metrics}\n\n"
         "A name with a dot is a key of an object: `trust_seconds` holds `safe`, `caution`, ... With `--without trust` "
         "everything from `trust_seconds` on is `null`.\n\n"
         "Root mean squares and percentiles are computed over the times of the truth while the filter navigates or "

@@ -6,6 +6,7 @@ ObuError
 ├── BadPayload           a message on the bus that breaks the contract
 ├── RejectedFrame        a received V2X frame that cannot be used
 ├── BadRecording         a recording that cannot be read at all
+├── TooManyFaults        errors that nobody foresaw, too many to go on
 └── FilterDiverged       an estimator whose numbers no longer mean anything
 """
 
@@ -36,6 +37,10 @@ class RejectedFrame(ObuError):
 
 class BadRecording(ObuError):
     """A recording that cannot be read at all."""
+
+
+class TooManyFaults(ObuError):
+    """Errors that nobody foresaw, too many to go on: the process ends, and is started again."""
 
 
 class FilterDiverged(ObuError):

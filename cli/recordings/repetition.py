@@ -1,7 +1,7 @@
 """Repeats one incarnation of a process: feeds its inputs in the journal's order, and compares its messages."""
 
 import heapq
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -9,10 +9,11 @@ from functools import partial
 
 from shared.bus import codec
 from shared.bus.bus import Envelope
-from shared.errors import BadPayload
+from shared.errors import BadPayload, TooManyFaults
+from shared.faults import Faults
 from shared.messages.base import Message, Sender, Tick
 from shared.messages.operation import Consumed
-from shared.runtime.live import Reactor
+from shared.runtime.live import Reactor, handled
 from shared.topics import topic_of
 
 PATIENCE_NS = 5_000_000_000  # QoS 1 may overtake QoS 0 on the way to the recorder by less than this
@@ -54,6 +55,7 @@ class Repetition:
         self.consumed = self.compared = self.unrecorded = 0
         self.reason: str | None = None
         self._process, self._find = process, find
+        self._faults = Faults(Counter())
         self._runs: deque[Run] = deque()
         self._rebuilt: deque[Output] = deque()
         self._recorded: list[tuple[int, int, Envelope | None]] = []
@@ -119,7 +121,7 @@ class Repetition:
             if run.count > 1:
                 self._runs.appendleft(replace(run, first=run.first + 1, count=run.count - 1))
             self.consumed += 1
-            self._keep(partial(self._process.handle, message))
+            self._keep(partial(handled, self._process, message, self._faults, run.journal_ns))
 
     def _input(self, run: Run) -> Message | None:
         if run.topic == "tick":
@@ -136,7 +138,8 @@ class Repetition:
             for message in work():
                 self._rebuilt.append((codec.topic_name(message), codec.encode(message)))
         except Exception as error:  # noqa: BLE001  # the error that ends a process is a result
-            self._failed, self.reason = True, f"it now ends by {type(error).__name__}: {error}"
+            cause = error.__cause__ if isinstance(error, TooManyFaults) else error
+            self._failed, self.reason = True, f"it now ends by {type(cause).__name__}: {cause}"
             self._runs.clear()
 
     def _compare(self) -> None:

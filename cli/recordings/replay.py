@@ -155,7 +155,8 @@ def _playable(file: Path, vehicle: VehicleFile, folder: Path, console: Console) 
 
 def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Console) -> Path:
     """Write the inputs of a recording, and the outputs of layers 2 to 4, into a new one."""
-    from shared.runtime.offline import OfflineUnit, arrival_ns
+    from shared.runtime.live import arrival_ns
+    from shared.runtime.offline import OfflineUnit
 
     from ..solve.inputs import inputs_of
 

@@ -12,8 +12,9 @@ from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
 from shared.messages.trust import LearnedGrade
 from shared.runtime.config import VehicleFile
+from shared.runtime.live import arrival_ns
 from shared.runtime.mounting import RecordedAxes
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.offline import OfflineUnit
 from shared.topics import BY_NAME, measurements
 
 from ..recordings.device_data import inputs_among

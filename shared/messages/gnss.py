@@ -34,6 +34,8 @@ MAX_RADIO_PATHS = 8  # of one receiver: one a band
 class GnssRaw(RawBytes):
     """Bytes that a GNSS receiver sent: UBX, NMEA or both."""
 
+    recorded: bool = False  # read from a file: dates in them are those of the recording
+
 
 class GnssWrite(RawBytes):
     """Bytes to be written to a GNSS receiver."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from ..errors import UserError
+from ..maths.dates import plausible_host_ns
 
 FAILED, UNSYNCHRONISED = -1, 5  # answers of ntp_gettime(3)
 
@@ -20,12 +21,13 @@ def boot_id() -> str:
 def fixed_offset_ns(state_dir: Path) -> int:
     """Agree with every other process of this boot on the offset of the monotonic clock to UTC.
 
-    The first process to ask writes it down; a clock that is set later does not move the time line.
+    The first process to ask writes it down; a clock that is set later does not move the time line. A clock that shows
+    an impossible date begins the line at the earliest date that is possible: every stamp is from 1980 to 2100.
     """
     path = state_dir / f"clock-{boot_id()}"
     if path.exists():
         return int(path.read_text())
-    proposal = time.time_ns() - time.monotonic_ns()
+    proposal = plausible_host_ns(time.time_ns()) - time.monotonic_ns()
     draft = state_dir / f"clock-draft-{uuid4().hex}"  # containers share the folder, and in each the process is number 1
     try:
         draft.write_text(str(proposal))

@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Protocol, cast
@@ -16,7 +17,10 @@ from typing import Protocol, cast
 from ..bus import codec
 from ..bus.bus import Bus, Envelope, decoded
 from ..errors import BadPayload
-from ..messages.base import Message, Tick
+from ..faults import Faults
+from ..maths.dates import is_plausible
+from ..messages.base import Message, RawBytes, Stamped, Tick
+from ..messages.imu import ImuSamples
 from ..messages.operation import Consumed
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
@@ -34,6 +38,17 @@ class Reactor(Protocol):
     def handle(self, message: Message) -> Iterable[Message]:
         """Process one message and return the messages to publish."""
         ...
+
+
+def arrival_ns(message: Message) -> int | None:
+    """When the bytes of a message arrived at their driver; None for a message without such a stamp."""
+    return message.received_ns if isinstance(message, (RawBytes, Stamped, ImuSamples)) else None
+
+
+def handled(process: Reactor, message: Message, faults: Faults, now_ns: int) -> Iterator[Message]:
+    """Give a message to a process, and yield what follows; a fault costs this message, and not the process."""
+    with faults.handling(now_ns):
+        yield from process.handle(message)
 
 
 class Runner(Protocol):
@@ -121,7 +136,8 @@ class LiveReactor:
         self._journal = Journal(bus.process, bus.incarnation)
         self._next_tick_ns = (bus.now_ns() // TICK_NS + 1) * TICK_NS
         self._next_journal = time.monotonic() + JOURNAL_S
-        self._rejects: dict[str, int] = getattr(process, "rejects", {})
+        self._faulty: Counter[str] = Counter()
+        self._faults = Faults(self._faulty)
 
     def run(self) -> None:
         """Receive, feed, publish, until `bus.stopping`."""
@@ -150,10 +166,12 @@ class LiveReactor:
         message = decoded(self._bus, envelope)
         if message is None:
             return
-        self._publish(self._process.handle(message))  # first, for the latency
+        if (stamp_ns := arrival_ns(message)) is not None and not is_plausible(stamp_ns):
+            self._bus.rejects["stamp"] += 1
+            return
+        self._publish(self._handled(message))  # first, for the latency
         self._journal.add(envelope)
-        if self._rejects:
-            self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
+        self._count_rejects()
 
     def _tick(self) -> None:
         now_ns = self._bus.now_ns()
@@ -162,7 +180,7 @@ class LiveReactor:
         tick = Tick(now_ns=now_ns // TICK_NS * TICK_NS)
         self._next_tick_ns = tick.now_ns + TICK_NS
         self._journal.add_tick(tick)
-        self._publish(self._process.handle(tick))
+        self._publish(self._handled(tick))
 
     def _publish(self, messages: Iterable[Message]) -> None:
         """Publish messages; those of persistent topics are saved as well."""
@@ -187,7 +205,17 @@ class LiveReactor:
             self._journal.add(
                 Envelope(topic.name, b"", 0, self._bus.process, self._bus.incarnation, self._bus.sequence)
             )
-            self._publish(self._process.handle(message))
+            self._publish(self._handled(message))
+
+    def _handled(self, message: Message) -> Iterator[Message]:
+        return handled(self._process, message, self._faults, self._bus.now_ns())
+
+    def _count_rejects(self) -> None:
+        rejects: Mapping[str, int] = getattr(self._process, "rejects", {})
+        for kind in rejects.keys() | self._faulty.keys():
+            self._bus.rejects[kind] = rejects.get(kind, 0) + self._faulty[kind]
+        if self._faults.last is not None:
+            self._bus.last_error, self._faults.last = self._faults.last, None
 
     def _publish_journal(self, *, at_once: bool = False) -> None:
         if at_once or time.monotonic() >= self._next_journal:

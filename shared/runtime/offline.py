@@ -1,22 +1,15 @@
 """The offline runtime: all processes of layers 2 to 4 in one thread, in time order."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import cast
 
-from ..messages.base import Message, RawBytes, Stamped, Tick
-from ..messages.imu import ImuSamples
+from ..faults import Faults
+from ..messages.base import Message, Tick
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE
 from .config import VehicleFile
-from .live import TICK_NS, Reactor, load_process
-
-
-def arrival_ns(message: Message) -> int | None:
-    """The stamp that orders the inputs; None for a message without one."""
-    if isinstance(message, (RawBytes, Stamped, ImuSamples)):
-        return message.received_ns
-    return None
+from .live import TICK_NS, Reactor, arrival_ns, handled, load_process
 
 
 class OfflineUnit:
@@ -26,6 +19,7 @@ class OfflineUnit:
         names = [name for name in processes or vehicle.processes if 2 <= BY_NAME[name].layer <= 4]
         self._processes = {name: cast(Reactor, load_process(name, vehicle)) for name in names}
         self._next_tick_ns: int | None = None
+        self._faults = {name: Faults(Counter()) for name in names}
 
     def process(self, name: str) -> Reactor:
         """One of the processes."""
@@ -54,8 +48,8 @@ class OfflineUnit:
             # A gap in a recording is one step of time, as for a live process after suspension.
             tick = Tick(now_ns=stamp_ns // TICK_NS * TICK_NS)
             self._next_tick_ns = tick.now_ns + TICK_NS
-            for process in self._processes.values():
-                for message in process.handle(tick):
+            for name in self._processes:
+                for message in self._handled(name, tick):
                     yield from self._deliver(message)
 
     def _deliver(self, first: Message) -> Iterator[Message]:
@@ -66,4 +60,7 @@ class OfflineUnit:
             row = BY_MESSAGE[type(message)]
             for name in row.consumers:
                 if name in self._processes and name not in row.producers:  # not its own message
-                    waiting.extend(self._processes[name].handle(message))
+                    waiting.extend(self._handled(name, message))
+
+    def _handled(self, name: str, message: Message) -> Iterator[Message]:
+        return handled(self._processes[name], message, self._faults[name], self._next_tick_ns or 0)

@@ -16,6 +16,7 @@ from asn1tools.compiler import Specification
 from asn1tools.errors import Error
 
 from ..errors import RejectedFrame
+from ..faults import FOREIGN
 from ..messages.v2x import (
     CamContent,
     DriveDirection,
@@ -47,6 +48,7 @@ ACCELERATION_CONFIDENCE_OUT_OF_RANGE, ACCELERATION_CONFIDENCE_UNAVAILABLE = 101,
 CURVATURE_UNAVAILABLE = 1023  # 1e-4 1/m
 YAW_RATE_UNAVAILABLE = 32767  # 0.01 degrees/s
 DELTA_DEGREES_UNAVAILABLE, DELTA_ALTITUDE_UNAVAILABLE = 131_072, 12_800
+PATH_DELTA_TIMES = range(1, 65_536)  # 0.01 s
 
 ALTITUDE_CONFIDENCE_M = {
     "alt-000-01": 0.01,
@@ -142,9 +144,9 @@ def decode(payload: bytes) -> tuple[Record, int]:
         raise RejectedFrame("message_id", payload[1])
     try:
         record = specification().decode("CAM", payload, check_constraints=True)
-    except (Error, ValueError, NotImplementedError) as error:  # the latter: lengths that asn1tools does not decode
+        return _content(record), record["cam"]["generationDeltaTime"]
+    except (Error, *FOREIGN) as error:
         raise RejectedFrame("uper", error) from error
-    return _content(record), record["cam"]["generationDeltaTime"]
 
 
 def encode(content: CamContent, generation_delta_time: int) -> bytes:
@@ -237,11 +239,16 @@ def _low_frequency(low: Record) -> LowFrequencyContainer:
                 delta_latitude_deg=_scaled(point["pathPosition"]["deltaLatitude"], DELTA_DEGREES_UNAVAILABLE, 1e7),
                 delta_longitude_deg=_scaled(point["pathPosition"]["deltaLongitude"], DELTA_DEGREES_UNAVAILABLE, 1e7),
                 delta_height_m=_scaled(point["pathPosition"]["deltaAltitude"], DELTA_ALTITUDE_UNAVAILABLE, 100),
-                delta_time_s=point["pathDeltaTime"] / 100 if "pathDeltaTime" in point else None,
+                delta_time_s=_path_time_s(point.get("pathDeltaTime", 0)),
             )
             for point in low["pathHistory"]
         ),
     )
+
+
+def _path_time_s(code: int) -> float | None:
+    """Decode pathDeltaTime, whose type is extensible: a code without a meaning in this version is as none."""
+    return code / 100 if code in PATH_DELTA_TIMES else None
 
 
 def _scaled(code: int, unavailable: int, per_unit: float) -> float | None:
@@ -343,7 +350,7 @@ def _path_point_record(point: PathPoint) -> Record:
     }
     record: Record = {"pathPosition": position}
     if point.delta_time_s is not None:
-        record["pathDeltaTime"] = max(1, min(65535, round(point.delta_time_s * 100)))
+        record["pathDeltaTime"] = max(PATH_DELTA_TIMES[0], min(PATH_DELTA_TIMES[-1], round(point.delta_time_s * 100)))
     return record
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from pydantic import PrivateAttr
 
+from shared.chosen import ChosenSource
 from shared.messages.base import Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
@@ -61,6 +62,7 @@ class Process:
         self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
+        self._speed = ChosenSource()
         self._imu: str | None = None  # source in use
         self._imu_received_ns: int | None = None
 
@@ -69,6 +71,8 @@ class Process:
         match message:
             case ImuSamples():
                 yield from self._inertial(message)
+            case VehicleSpeed() if not self._speed.takes(message.source, message.received_ns):
+                self.rejects["speed of a second source"] += 1
             case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
                 if not messages.use(self._navigator, message):
                     self.rejects["fix without position"] += 1

@@ -3,6 +3,7 @@
 import os
 
 from shared.bus.bus import Bus, Envelope, decoded
+from shared.faults import Faults
 from shared.messages.operation import DeadlineReport, ProcessHealth, RecordingState
 from shared.runtime.config import Section, parse_vehicle
 
@@ -27,11 +28,13 @@ class Process:
     def run(self, bus: Bus) -> None:
         """Watch until `bus.stopping`."""
         watch = Watch(parse_vehicle(bus.vehicle_toml).processes, bus.now_ns())
+        faults = Faults(bus.rejects)
         report_ns = step_ns = 0
         while not bus.stopping:
             until_step_s = (step_ns - bus.now_ns()) * 1e-9
             for envelope in bus.receive(min(max(until_step_s, 0.01), 0.04)):
-                _take(watch, envelope, bus)
+                with faults.handling(bus.now_ns()):
+                    _take(watch, envelope, bus)
                 if envelope.topic.startswith("health/"):
                     step_ns = min(step_ns, bus.now_ns() + WILL_NS)
             now_ns = bus.now_ns()

@@ -1,11 +1,13 @@
 """Feeds the ledger from the bus and publishes what is committed. Without a usable database nothing is charged."""
 
 import logging
+from collections import Counter
 from pathlib import Path
 
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
+from shared.faults import Faults
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.toll import LedgerState
@@ -45,6 +47,8 @@ class Process:
         self._store: Store | None = None
         self._problem: str | None = None
         self._replaying = False
+        self._faulty: Counter[str] = Counter()
+        self._faults = Faults(self._faulty)
         self._retry_ns = self._state_ns = self._reconcile_ns = self._scrub_ns = 0
 
     def run(self, bus: Bus) -> None:
@@ -82,9 +86,7 @@ class Process:
         assert self._ledger is not None
         ledger = self._ledger
         if messages:
-            with self._store.transaction():
-                for message in messages:
-                    ledger.use(message, now_ns)
+            self._use(ledger, self._store, messages, now_ns)
         if now_ns >= self._reconcile_ns:
             self._reconcile_ns = now_ns + RECONCILE_NS
             with self._store.transaction():
@@ -102,7 +104,15 @@ class Process:
         if self._problem:
             log.info("the ledger is usable again")
         self._problem = None
-        bus.rejects.update({kind: n - bus.rejects[kind] for kind, n in ledger.rejects.items()})
+        for kind, number in (ledger.rejects + self._faulty).items():
+            bus.rejects[kind] = number
+
+    def _use(self, ledger: Ledger, store: Store, messages: list[Message], now_ns: int) -> None:
+        """Store a batch in one transaction; of a message that the ledger cannot handle, nothing is stored."""
+        with store.transaction():
+            for message in messages:
+                with self._faults.handling(now_ns), store.part():
+                    ledger.use(message, now_ns)
 
     def _fail(self, bus: Bus, problem: str) -> None:
         """Count the fault, close the database and try again later; what is not committed comes again."""

@@ -55,6 +55,19 @@ class Store:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
 
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """Store everything of the block, or nothing of it, within a transaction that goes on."""
+        with self._guarded():
+            self._db.execute("SAVEPOINT part")
+            try:
+                yield
+            except BaseException:
+                self._db.execute("ROLLBACK TO part")
+                raise
+            finally:
+                self._db.execute("RELEASE part")
+
     def execute(self, sql: str, *values: Value) -> int:
         """Run a statement; return the number of rows that it changed."""
         return self._db.execute(sql, values).rowcount

@@ -16,6 +16,7 @@ from pydantic import Field
 from shared import VERSION
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
+from shared.faults import Faults
 from shared.library.library import Library
 from shared.messages.operation import RecordingState
 from shared.runtime.config import ADDRESS_FILE, Section, parse_vehicle
@@ -106,13 +107,13 @@ class Process:
         threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
-        look_ns = 0
+        faults, look_ns = Faults(bus.rejects), 0
         while not bus.stopping:
             if bus.now_ns() >= look_ns:
                 look_ns = bus.now_ns() + LOOK_NS
                 library.look(open_name(state))
             if feed is None:
-                take_in(bus, state, lock)
+                take_in(bus, state, lock, faults)
                 track_file.append([row._asdict() for row in state.track.unsaved()])
             else:
                 take_in_replay(bus, state, lock, feed)
@@ -169,16 +170,17 @@ def open_name(state: State) -> str | None:
     return message.file if isinstance(message, RecordingState) else None
 
 
-def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
+def take_in(bus: Bus, state: State, lock: threading.Lock, faults: Faults) -> None:
     """Receive once, and let time pass."""
     envelopes = bus.receive(0.05)
     with lock:
         for envelope in envelopes:
-            try:
-                state.receive(envelope)
-            except BadPayload as error:
-                bus.rejects["payload"] += 1
-                bus.last_error = str(error)[:400]
+            with faults.handling(bus.now_ns()):
+                try:
+                    state.receive(envelope)
+                except BadPayload as error:
+                    bus.rejects["payload"] += 1
+                    bus.last_error = str(error)[:400]
         state.tick(bus.now_ns(), broker=bus.connected)
 
 

@@ -2,11 +2,9 @@
 
 from datetime import UTC, datetime, timedelta
 
-NS = 1_000_000_000
+from shared.maths.dates import GPS_EPOCH_UTC_NS, NS, WEEK_NS
+
 MS = 1_000_000
-GPS_EPOCH_UTC_NS = 315_964_800 * NS  # 1980-01-06
-WEEK_NS = 604_800 * NS
-DAY_NS = 86_400 * NS
 MAXIMUM_LEAP_S = 40  # 18 since 2017
 
 

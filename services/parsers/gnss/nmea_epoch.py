@@ -13,10 +13,10 @@ from typing import Any
 
 from pynmea2.nmea import NMEASentence, ParseError
 
+from shared.faults import FOREIGN
+from shared.maths.dates import DAY_NS, NS, DeviceDates
 from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
-
-from .gnss_time import DAY_NS, NS
 
 KNOT_M_S = 1852 / 3600  # exact
 FASTEST_M_S = 600.0
@@ -90,11 +90,14 @@ class NmeaAssembler:
         self._done = True
 
 
-def fix_from_sentences(epoch: NmeaEpoch, *, sampled_ns: int, source: str, rejects: Counter[str]) -> GnssFix:
+def fix_from_sentences(
+    epoch: NmeaEpoch, *, sampled_ns: int, source: str, rejects: Counter[str], dates: DeviceDates | None = None
+) -> GnssFix:
     """Combine the sentences of an epoch into one fix; an invalid field is counted as `nmea_field` and omitted.
 
     NMEA has no vertical velocity: the velocity is ground speed and course. The accuracy is taken from GST. The
-    ellipsoidal height is the height above the geoid plus the geoid separation.
+    ellipsoidal height is the height above the geoid plus the geoid separation. `dates` gives UTC its era (None: as
+    told); an impossible date is counted as `nmea_date`.
     """
     rmc, gga, gsa, gst = (epoch.sentences.get(kind) or absent for kind, absent in _ABSENT.items())
     read = _Reader(rejects)
@@ -112,7 +115,7 @@ def fix_from_sentences(epoch: NmeaEpoch, *, sampled_ns: int, source: str, reject
         sampled_ns=sampled_ns,
         received_ns=epoch.last_received_ns,
         source=source,
-        utc_ns=_utc(rmc, epoch.time_of_day_ns),
+        utc_ns=_utc(rmc, epoch.time_of_day_ns, dates or DeviceDates(rejects)),
         fix_type=fix_type,
         carrier_solution={4: CarrierSolution.FIXED, 5: CarrierSolution.FLOAT}.get(quality, CarrierSolution.NONE),
         differential=quality in (2, 4, 5),
@@ -147,7 +150,7 @@ def time_of_day_ns(text: str) -> int:
 def _read(sentence: bytes) -> Sentence:
     try:
         return _parse(sentence.rpartition(b"*")[0].decode("ascii"))  # the framer has verified the checksum
-    except ParseError as error:
+    except (ParseError, *FOREIGN) as error:
         raise NmeaError("nmea_form") from error
 
 
@@ -159,12 +162,13 @@ def _fix_type(rmc: Sentence, gga: Sentence, gsa: Sentence) -> FixType:
     return FixType.TWO_D if gsa.mode_fix_type == "2" else FixType.THREE_D
 
 
-def _utc(rmc: Sentence, time_of_day: int) -> int | None:
-    """UTC [ns] if RMC is marked valid: the date before is arbitrary."""
+def _utc(rmc: Sentence, time_of_day: int, dates: DeviceDates) -> int | None:
+    """UTC [ns] if RMC is marked valid (the date before is arbitrary) and holds a date."""
     day = rmc.datestamp
-    if rmc.status != "A" or not isinstance(day, date):
+    if rmc.status != "A" or not day:
         return None
-    return (day - date(1970, 1, 1)).days * DAY_NS + time_of_day
+    known = isinstance(day, date)  # pynmea2 leaves what is no date as text
+    return dates.utc_ns((day - date(1970, 1, 1)).days * DAY_NS + time_of_day if known else None, "nmea_date")
 
 
 class _Reader:

@@ -3,7 +3,9 @@
 from collections import Counter
 from collections.abc import Iterator
 
+from shared.faults import Faults
 from shared.maths.clock_mapping import ClockMapping
+from shared.maths.dates import DAY_NS, NS, WEEK_NS, DeviceDates
 from shared.messages.gnss import (
     GnssConfiguration,
     GnssFix,
@@ -18,7 +20,7 @@ from shared.messages.gnss import (
 from . import ubx_messages, ubx_raw, ubx_signal
 from .configuration import Configurator
 from .framer import Frame, Framer, Protocol
-from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
+from .gnss_time import MS, Unwrapper
 from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
 from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
@@ -39,6 +41,7 @@ class Receiver:
         self._source = source
         self._rejects = rejects
         self._framer = Framer(rejects)
+        self._dates, self._faults = DeviceDates(rejects), Faults(rejects)
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
@@ -51,16 +54,21 @@ class Receiver:
 
     def take(self, raw: GnssRaw) -> Iterator[Output]:
         """Process the next bytes; yield the completed messages."""
+        self._dates.host_ns = None if raw.recorded else raw.received_ns
         for frame in self._framer.feed(raw.data):
-            try:
-                if frame.protocol is Protocol.NMEA:
-                    yield from self._take_nmea(frame, raw.received_ns)
-                elif frame.protocol is Protocol.UBX:
-                    yield from self._take_ubx(frame, raw.received_ns)
-            except ubx_messages.UbxError as fault:
-                self._rejects[f"ubx_{fault}"] += 1
-            except NmeaError as fault:
-                self._rejects[str(fault)] += 1
+            with self._faults.decoding(raw.received_ns):
+                yield from self._take_frame(frame, raw.received_ns)
+
+    def _take_frame(self, frame: Frame, received_ns: int) -> Iterator[Output]:
+        try:
+            if frame.protocol is Protocol.NMEA:
+                yield from self._take_nmea(frame, received_ns)
+            elif frame.protocol is Protocol.UBX:
+                yield from self._take_ubx(frame, received_ns)
+        except ubx_messages.UbxError as fault:
+            self._rejects[f"ubx_{fault}"] += 1
+        except NmeaError as fault:
+            self._rejects[str(fault)] += 1
 
     def _take_ubx(self, frame: Frame, received_ns: int) -> Iterator[Output]:
         if frame.data[2] == ubx_raw.RXM:
@@ -79,8 +87,9 @@ class Receiver:
             decoded = self._satellites(payload, received_ns) if kind == "SAT" else self._signals(payload, received_ns)
             yield from self._stamped(itow, decoded)
             return
-        for epoch in self._ubx.take(kind, payload, received_ns):
-            yield from self._ubx_fix(epoch)
+        for epoch in tuple(self._ubx.take(kind, payload, received_ns)):  # a fault in one costs not the present message
+            with self._faults.decoding(received_ns):
+                yield from self._ubx_fix(epoch)
 
     def _ubx_fix(self, epoch: Epoch) -> Iterator[Output]:
         if epoch.pvt is None:
@@ -88,7 +97,7 @@ class Receiver:
         self._ubx_fix_ns = epoch.last_received_ns
         sampled_ns = self._ubx_clock.stamp(self._week.unwrap(epoch.itow_ms * MS), epoch.first_received_ns)
         self._last_stamp = epoch.itow_ms, sampled_ns
-        yield fix_from_epoch(epoch, epoch.pvt, sampled_ns=sampled_ns, source=self._source)
+        yield fix_from_epoch(epoch, epoch.pvt, sampled_ns=sampled_ns, source=self._source, dates=self._dates)
         yield from self._signal_quality(sampled_ns, epoch.last_received_ns, self._ubx_clock)
         for kind, (itow, message) in list(self._waiting.items()):
             if _same_epoch(itow, epoch.itow_ms):
@@ -114,8 +123,10 @@ class Receiver:
     def _take_raw(self, kind: str | None, payload: bytes, received_ns: int) -> Iterator[Output]:
         if kind == "RAWX":
             raw = ubx_raw.decode_raw(payload, self._rejects)
+            if (gps_time_ns := self._dates.gps_time_ns(raw.gps_time_ns, "ubx_date")) is None:
+                return
             epoch = GnssRawEpoch(
-                sampled_ns=received_ns, received_ns=received_ns, source=self._source, gps_time_ns=raw.gps_time_ns,
+                sampled_ns=received_ns, received_ns=received_ns, source=self._source, gps_time_ns=gps_time_ns,
                 leap_seconds=raw.leap_seconds, clock_reset=raw.clock_reset, measurements=raw.measurements,
             )  # fmt: skip
             yield from self._stamped(raw.itow_ms, epoch)
@@ -167,11 +178,12 @@ class Receiver:
         self._waiting[type(message)] = itow, message
 
     def _take_nmea(self, frame: Frame, received_ns: int) -> Iterator[Output]:
-        for epoch in self._nmea.take(frame.data, received_ns):
+        for epoch in tuple(self._nmea.take(frame.data, received_ns)):
             if self._ubx_fix_ns is None or abs(epoch.last_received_ns - self._ubx_fix_ns) > NMEA_WAITS_NS:
-                fix = self._nmea_fix(epoch)
-                yield fix
-                yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
+                with self._faults.decoding(received_ns):
+                    fix = self._nmea_fix(epoch)
+                    yield fix
+                    yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
 
     def _nmea_fix(self, epoch: NmeaEpoch) -> GnssFix:
         device_ns = self._day.unwrap(epoch.time_of_day_ns)
@@ -180,6 +192,7 @@ class Receiver:
             sampled_ns=self._nmea_clock.stamp(device_ns, epoch.first_received_ns),
             source=f"{self._source}/nmea",
             rejects=self._rejects,
+            dates=self._dates,
         )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from shared.maths.dates import DeviceDates
 from shared.messages.base import Symmetric3, Vector3
 from shared.messages.gnss import FixType, GnssFix
 
@@ -87,7 +88,7 @@ def _store(epoch: Epoch, kind: str, message: Any) -> None:
         epoch.baseline = ubx_messages.decode_baseline(message)
 
 
-def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, source: str) -> GnssFix:
+def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, source: str, dates: DeviceDates) -> GnssFix:
     """Combine an epoch into one fix: the most precise position, and only values that the receiver marks valid.
 
     Parameters
@@ -100,6 +101,8 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
         [ns, OBU time line] Time of validity of the fix.
     source : str
         Name of the receiver.
+    dates : DeviceDates
+        Gives UTC its era; an impossible date is counted as `ubx_date`, and the fix is without UTC.
 
     Returns
     -------
@@ -121,7 +124,8 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
     position_cov = _covariance(stated.position_ned_m2, _position_sd(position))
     velocity_cov = _covariance(stated.velocity_ned_m2_s2, _velocity_sd(pvt))
     dop = epoch.dop or ubx_messages.Dop(pvt.itow_ms, pvt.pdop, None, None)
-    utc = utc_ns(pvt.calendar, pvt.nanosecond) if pvt.time_valid and pvt.fix_ok else None
+    known = pvt.time_valid and pvt.fix_ok
+    utc = dates.utc_ns(utc_ns(pvt.calendar, pvt.nanosecond), "ubx_date") if known else None
     return GnssFix(
         sampled_ns=sampled_ns,
         received_ns=epoch.last_received_ns,

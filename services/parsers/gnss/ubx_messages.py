@@ -8,8 +8,10 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
+from pyubx2.exceptions import UBXMessageError, UBXTypeError
 from pyubx2.ubxmessage import UBXMessage
 
+from shared.faults import FOREIGN
 from shared.messages.base import Symmetric3
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssSignal, Satellite, SignalQuality
 
@@ -152,7 +154,10 @@ def parse(kind: str, payload: bytes) -> Any:
         raise UbxError("short")
     if kind == "PVT" and len(payload) < _PVT_WITH_FLAGS3:
         payload = payload[: _SIZES[kind]]
-    message: Any = UBXMessage(bytes((NAV,)), _IDS[kind], 0, payload=payload)  # 0: output message (GET)
+    try:
+        message: Any = UBXMessage(bytes((NAV,)), _IDS[kind], 0, payload=payload)  # 0: output message (GET)
+    except (UBXMessageError, UBXTypeError, *FOREIGN) as error:
+        raise UbxError("content") from error
     _in_week(message.iTOW)
     return message
 

@@ -10,15 +10,14 @@ from collections import Counter
 from dataclasses import dataclass
 from math import isfinite
 
+from shared.maths.dates import NS, WEEK_NS
 from shared.messages.gnss import MAX_NAVIGATION_WORDS, Constellation, RawMeasurement
 
-from .gnss_time import MAXIMUM_LEAP_S, NS, WEEK_NS
+from .gnss_time import MAXIMUM_LEAP_S
 from .ubx_messages import SIGNALS, UbxError, constellation_of
 
 RXM = 0x02
 KINDS = {0x13: "SFRBX", 0x15: "RAWX"}
-# From 2012-08-05, before there was RXM-RAWX, to 2095: a receiver that lacks the time sends another week.
-EARLIEST_WEEK, LATEST_WEEK = 1700, 6000
 MAX_PSEUDORANGE_M = 1e8  # satellites in geostationary orbits are 42,000 km away; a receiver's clock adds up to 300 km
 MAX_DOPPLER_HZ = 1e5
 MAX_CYCLES = 1e10
@@ -71,11 +70,11 @@ def decode_raw(payload: bytes, rejects: Counter[str]) -> RawEpoch:
     Raises
     ------
     UbxError
-        Length or time cannot be.
+        Length or time of week cannot be.
 
     Notes
     -----
-    Standard deviations are 0.01 m 2^n, 0.004 cycles n and 0.002 Hz 2^n.
+    The week is as told: `DeviceDates` judges it. Standard deviations are 0.01 m 2^n, 0.004 cycles n and 0.002 Hz 2^n.
     """
     if len(payload) < _HEAD.size:
         raise UbxError("short")
@@ -84,8 +83,6 @@ def decode_raw(payload: bytes, rejects: Counter[str]) -> RawEpoch:
         raise UbxError("short")
     if not 0.0 <= tow_s < WEEK_NS / NS:
         raise UbxError("time_of_week")
-    if not EARLIEST_WEEK <= week <= LATEST_WEEK:
-        raise UbxError("week")
     known = status & _LEAP_KNOWN and 0 <= leap_s <= MAXIMUM_LEAP_S
     return RawEpoch(
         gps_time_ns=week * WEEK_NS + round(tow_s * NS),

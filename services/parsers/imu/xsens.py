@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from shared.devices import xbus
+from shared.faults import Faults
 from shared.maths.clock_mapping import ClockMapping
 from shared.messages.base import Vector3
 from shared.messages.imu import ImuRaw, ImuSamples
@@ -49,7 +50,7 @@ class Tracker:
         self._source = source
         self._body_from_sensor = body_from_sensor
         self._rejects = rejects
-        self._reader = xbus.XbusReader(rejects)
+        self._reader, self._faults = xbus.XbusReader(rejects), Faults(rejects)
         self._clock = ClockMapping(minimum_delay_s)
         self._counter: int | None = None
         self._ticks: int | None = None  # unwrapped
@@ -60,11 +61,15 @@ class Tracker:
         batch = _Batch()
         for message in self._reader.feed(raw.data):
             if message.mid == xbus.MTDATA2:
-                try:
-                    self._add(batch, xbus.decode_mtdata2(message.payload, self._rejects))
-                except SampleError as fault:
-                    self._rejects[str(fault)] += 1
+                with self._faults.decoding(raw.received_ns):
+                    self._take_measurement(batch, message.payload)
         return self._message(batch, raw.received_ns) if batch.device_ns else None
+
+    def _take_measurement(self, batch: _Batch, payload: bytes) -> None:
+        try:
+            self._add(batch, xbus.decode_mtdata2(payload, self._rejects))
+        except SampleError as fault:
+            self._rejects[str(fault)] += 1
 
     def _add(self, batch: _Batch, values: dict[int, tuple[float, ...]]) -> None:
         self._count_gap(values)

@@ -7,6 +7,7 @@ from math import hypot, radians
 from pydantic import Field, ValidationError
 
 from shared.errors import RejectedFrame
+from shared.faults import Faults
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
@@ -39,6 +40,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
+        self._faults = Faults(self.rejects)
         self._config = config
         self._utc_offset_ns = 0  # UTC - OBU time line; the line begins at the host's UTC
         self._position: Geodetic | None = None
@@ -59,15 +61,20 @@ class Process:
                     self._position = _geodetic(message.latitude_deg, message.longitude_deg)
 
     def _decode_batch(self, batch: CamFrames) -> Iterator[Cam]:
-        try:
-            for number, (received_ns, frame) in enumerate(frames.unpack(batch.data)):
-                if number == MAX_FRAMES:
-                    self.rejects["batch"] += 1
-                    return
+        for received_ns, frame in self._unpacked(batch.data):
+            with self._faults.decoding(batch.received_ns):
                 try:
                     yield self._decode(frame, received_ns, batch.encapsulation)
                 except RejectedFrame as error:
                     self.rejects[error.reason] += 1
+
+    def _unpacked(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Split a batch; what follows a record of an impossible length is lost, and counted once."""
+        try:
+            for number, record in enumerate(frames.unpack(data)):
+                if number == MAX_FRAMES:
+                    raise ValueError("too many frames")
+                yield record
         except ValueError:
             self.rejects["batch"] += 1
 

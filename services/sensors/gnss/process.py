@@ -23,14 +23,14 @@ class Process:
     """Publishes the receiver's bytes unchanged."""
 
     def __init__(self, config: Config) -> None:
-        split_url(config.device)  # an invalid URL is a configuration error, raised at the start
+        # An invalid URL is a configuration error, raised at the start.
+        self._recorded = split_url(config.device)[0].scheme == "file"
         self._config = config
 
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
         link = Link(lambda: open_device(self._config.device))
-        recorded = split_url(self._config.device)[0].scheme == "file"
-        clock = None if recorded else HostClockPublisher()
+        clock = None if self._recorded else HostClockPublisher()
 
         def handle(envelopes: Sequence[Envelope]) -> None:
             self._write(bus, link, envelopes)
@@ -40,7 +40,7 @@ class Process:
         run_driver(bus, link, self._config.device, self._raw, handle)
 
     def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
-        return GnssRaw(received_ns=received_ns, source=self._config.source, data=data)
+        return GnssRaw(received_ns=received_ns, source=self._config.source, data=data, recorded=self._recorded)
 
     def _write(self, bus: Bus, link: Link, envelopes: Sequence[Envelope]) -> None:
         for envelope in envelopes:

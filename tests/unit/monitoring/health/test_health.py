@@ -1,6 +1,9 @@
 from pathlib import Path
 
+import pytest
+
 from services.monitoring.health.process import Config, Process
+from services.monitoring.health.watch import Watch
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.operation import DeadlineReport, Outage, ProcessHealth, ProcessState
@@ -41,6 +44,16 @@ def test_a_bad_heartbeat_is_counted_and_nothing_else_happens(tmp_path: Path) -> 
 
     assert bus.rejects == {"payload": 2}
     assert bus.last_error is not None
+
+
+def test_a_heartbeat_that_cannot_be_handled_costs_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise OverflowError("too large")
+
+    monkeypatch.setattr(Watch, "take_health", fails)
+    bus = FakeBus(tmp_path, lambda call: [heartbeat(call)] if call < 2 else None, start_ns=START_NS)
+    Process(Config()).run(bus.as_bus())
+    assert bus.rejects == {"fault": 2}
 
 
 def test_nothing_is_judged_before_the_broker_was_met(tmp_path: Path) -> None:

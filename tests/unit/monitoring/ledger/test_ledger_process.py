@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.process import Config, Process
 from services.monitoring.ledger.store import Store
 from shared.bus.envelope import Envelope
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
-from shared.messages.toll import LedgerState, OpenPassages, PassageState, TollTransaction
+from shared.messages.toll import LedgerState, OpenPassages, PassageState, TollPassage, TollTransaction
 from tests.support.bus.envelopes import sent, sent_bytes
 from tests.support.bus.fake_bus import FakeBus
 from tests.support.v2x.tolling import START_NS, Vehicle
@@ -60,6 +61,25 @@ def test_a_restart_charges_nothing_again_and_sends_what_has_no_receipt(tmp_path:
     assert newest(again).transactions == 1
     ids = {t.transaction_id for bus in (first, again) for t in bus.published if isinstance(t, TollTransaction)}
     assert len(ids) == 1 and published(again, TollTransaction)
+
+
+def test_a_message_that_the_ledger_cannot_handle_costs_itself_and_leaves_nothing_of_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use = Ledger.use
+
+    def fails_at_the_crossing(self: Ledger, message: Message, now_ns: int) -> None:
+        use(self, message, now_ns)
+        if isinstance(message, TollPassage) and message.state is PassageState.CROSSED:
+            raise OverflowError("too large")
+
+    monkeypatch.setattr(Ledger, "use", fails_at_the_crossing)
+    vehicle = Vehicle()
+    bus = run(tmp_path, {3: [vehicle.registration(), vehicle.says(PassageState.CROSSED)]}, 3 * SECOND)
+    assert bus.rejects["fault"] == 1 and not bus.rejects["database"]
+    assert newest(bus).problem is None and not newest(bus).recent, "the passage was rolled back"
+    opened = published(bus, OpenPassages)[-1]
+    assert isinstance(opened, OpenPassages) and opened.registered, "what came before it is stored"
 
 
 def test_a_replay_writes_nothing(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
+from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.messages.base import Message
 from shared.messages.gnss import (
     CarrierSolution,
@@ -84,6 +85,45 @@ def fixes(messages: list[Message]) -> list[GnssFix]:
 def only_fix(data: bytes) -> GnssFix:
     (fix,) = fixes(feed(Process(Config()), data))
     return fix
+
+
+@pytest.mark.parametrize(
+    ("date", "recorded", "utc_ns"),
+    [
+        ("050207", False, 1_789_948_800 * NS),  # 2026-09-21 in the era of the host
+        ("050207", True, 1_170_633_600 * NS),  # 2007-02-05: a file is as recorded
+        ("010175", False, None),
+    ],
+)
+def test_a_date_of_rmc_is_that_of_the_hosts_era_and_an_impossible_one_is_one_reject(
+    date: str, recorded: bool, utc_ns: int | None
+) -> None:
+    process = Process(Config())
+    data = nmea(f"GNRMC,000000.00,A,4230.0,N,01315.0,E,10.0,90.0,{date},,,A,V") + rmc(1)
+    (fix,) = fixes(list(process.handle(GnssRaw(received_ns=START_NS, source="g", data=data, recorded=recorded))))
+    assert (fix.utc_ns, fix.latitude_deg) == (utc_ns, 42.5)
+    assert process.rejects == ({"nmea_date": 1} if utc_ns is None else {})
+
+
+@pytest.mark.parametrize("impossible", [{"year": 2300}, {"year": 1979}, {"month": 13}, {"day": 0}, {"hour": 24}])
+def test_an_impossible_date_of_nav_pvt_is_one_reject_and_the_fix_is_without_utc(impossible: dict[str, int]) -> None:
+    process = Process(Config())
+    fix, good = fixes(feed(process, pvt(**impossible) + eoe() + pvt(1) + eoe(1)))
+    assert (fix.utc_ns, fix.gps_time_ns, fix.latitude_deg, good.utc_ns) == (None, None, 42.5, START_NS + NS)
+    assert process.rejects == {"ubx_date": 1}
+
+
+def test_a_date_of_nav_pvt_that_is_not_called_valid_is_no_reject() -> None:
+    process = Process(Config())
+    (fix,) = fixes(feed(process, pvt(year=2300, validDate=0) + eoe()))
+    assert fix.utc_ns is None and not process.rejects
+
+
+def test_a_date_of_nav_pvt_is_that_of_the_hosts_era() -> None:
+    process = Process(Config())
+    (fix,) = fixes(feed(process, pvt(year=2006, month=5, day=18) + eoe()))  # 1024 weeks before 2026-01-01
+    assert fix.utc_ns == START_NS and fix.gps_time_ns is not None
+    assert fix.gps_time_ns == START_NS - GPS_EPOCH_UTC_NS + 18 * NS
 
 
 def test_an_epoch_gives_one_fix_with_the_values_of_all_its_messages() -> None:

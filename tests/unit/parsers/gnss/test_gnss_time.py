@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.parsers.gnss.gnss_time import DAY_NS, NS, WEEK_NS, Unwrapper, gps_time_ns, utc_ns
+from services.parsers.gnss.gnss_time import Unwrapper, gps_time_ns, utc_ns
+from shared.maths.dates import DAY_NS, NS, WEEK_NS
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 

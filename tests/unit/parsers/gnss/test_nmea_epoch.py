@@ -106,7 +106,9 @@ def test_an_incomplete_position_is_none() -> None:
 
 @pytest.mark.parametrize("date", ["", "320126", "xx0126", "1"])
 def test_an_invalid_date_gives_no_utc(date: str) -> None:
-    assert fix_of(f"GNRMC,000000.00,A,4230.6,N,01315.3,E,,,{date},,").utc_ns is None
+    rejects = Counter[str]()
+    assert fix_of(f"GNRMC,000000.00,A,4230.6,N,01315.3,E,,,{date},,", rejects=rejects).utc_ns is None
+    assert rejects == ({"nmea_date": 1} if date else {}), "an absent date is none that is wrong"
 
 
 def test_a_leap_second_is_accepted() -> None:

@@ -14,6 +14,7 @@ from services.parsers.gnss import ubx_raw
 from services.parsers.gnss.framer import UBX_SYNC, Framer, Protocol, ubx_checksum
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.ubx_messages import UbxError
+from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.messages.gnss import (
     Constellation,
     GnssFix,
@@ -170,8 +171,6 @@ def test_a_value_not_marked_valid_is_none_and_not_counted() -> None:
         (rawx(GOOD, tow_s=604_800.0), "time_of_week"),
         (rawx(GOOD, tow_s=math.nan), "time_of_week"),
         (rawx(GOOD, tow_s=-1.0), "time_of_week"),
-        (rawx(GOOD, week=0), "week"),
-        (rawx(GOOD, week=65535), "week"),
     ],
 )
 def test_an_impossible_epoch_is_rejected(payload: bytes, reason: str) -> None:
@@ -203,6 +202,28 @@ def test_invalid_words_are_rejected(payload: bytes, reason: str) -> None:
         ubx_raw.decode_navigation_bits(payload)
 
 
+@pytest.mark.parametrize(
+    ("week", "recorded", "published"),
+    [(WEEK - 1024, False, WEEK), (WEEK + 1024, False, WEEK), (WEEK - 1024, True, WEEK - 1024), (65535, False, None)],
+)
+def test_the_week_is_that_of_the_hosts_era_and_an_impossible_one_is_one_reject(
+    week: int, recorded: bool, published: int | None
+) -> None:
+    process = Process(Config())
+    host_ns = WEEK * 604_800 * NS + GPS_EPOCH_UTC_NS
+    found = [
+        one
+        for k in range(2)  # the first waits for the stamp of its epoch
+        for one in process.handle(
+            GnssRaw(received_ns=host_ns + k, source="g", data=frame(0x15, rawx(GOOD, week=week)), recorded=recorded)
+        )
+    ]
+    assert [one.gps_time_ns // (604_800 * NS) for one in found if isinstance(one, GnssRawEpoch)] == (
+        [] if published is None else [published]
+    )
+    assert process.rejects["ubx_date"] == (2 if published is None else 0)
+
+
 @given(st.binary(max_size=200), st.sampled_from([0x13, 0x15]))
 def test_any_payload_is_decoded_or_rejected(payload: bytes, kind: int) -> None:
     process = Process(Config())
@@ -223,6 +244,7 @@ def test_measurements_of_any_content_are_decoded_or_rejected(parts: list[bytes],
         assert process.rejects[f"ubx_{fault}"] == 2
     else:
         assert len(found.measurements) == len(parts)
+        assert process.rejects["ubx_date"] in (0, 2)
 
 
 @pytest.mark.parametrize("first", [True, False])

@@ -22,7 +22,7 @@ def test_received_and_written_bytes_are_unchanged() -> None:
         bus.published.clear()
         os.write(far, everything)
         eventually(lambda: everything in b"".join(raw.data for raw in bus.of(GnssRaw)))
-        assert {raw.source for raw in bus.of(GnssRaw)} == {"roof"}
+        assert {(raw.source, raw.recorded) for raw in bus.of(GnssRaw)} == {("roof", False)}
         bus.deliver(GnssWrite(received_ns=1, source="roof", data=everything))
         bus.deliver(GnssWrite(received_ns=1, source="another receiver", data=b"not for us"))
         eventually(bus.all_received)
@@ -46,6 +46,7 @@ def test_the_clock_of_the_host_is_stated_beside_a_receiver_and_not_beside_a_reco
     with running(Process(Config(device=f"file://{tmp_path / 'receiver.ubx'}")).run) as bus:
         eventually(lambda: bool(bus.of(GnssRaw)))
         assert not bus.of(HostClock)
+        assert all(raw.recorded for raw in bus.of(GnssRaw)), "so that its dates are taken as recorded"
 
 
 def test_an_invalid_device_url_is_rejected_at_the_start() -> None:

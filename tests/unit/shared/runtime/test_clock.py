@@ -3,12 +3,14 @@
 import ctypes
 import os
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from shared.errors import UserError
+from shared.maths.dates import EARLIEST_HOST_NS
 from shared.runtime import clock
 
 
@@ -49,6 +51,14 @@ def test_an_agreed_offset_is_read_without_writing(tmp_path: Path, monkeypatch: p
     assert clock.fixed_offset_ns(tmp_path) == offset
     with pytest.raises(UserError, match="OBU_STATE"):
         clock.fixed_offset_ns(tmp_path / "elsewhere")
+
+
+@pytest.mark.parametrize("shown_ns", [0, 86_400 * 10**9, 10**19])
+def test_a_host_that_shows_an_impossible_date_begins_the_time_line_at_the_earliest_one_that_is_possible(
+    shown_ns: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "time_ns", lambda: shown_ns)
+    assert 0 <= clock.Clock(tmp_path).now_ns() - EARLIEST_HOST_NS < 10 * 10**9
 
 
 class Library:

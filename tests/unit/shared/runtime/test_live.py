@@ -6,12 +6,16 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+import pytest
 
 from shared.bus import codec
 from shared.bus.bus import Bus, Envelope
+from shared.errors import TooManyFaults
+from shared.maths.dates import EARLIEST_NS
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import FilterState
 from shared.messages.operation import Consumed
+from shared.messages.vehicle import CanRaw
 from shared.runtime.live import LiveReactor
 
 OLD_LIFE, LIFE = 1_000, 2_000
@@ -39,6 +43,7 @@ class Broker:
 
     def __init__(self, inbox: list[Envelope], readings: int = 1) -> None:
         self.rejects: Counter[str] = Counter()
+        self.last_error: str | None = None
         self.published: list[Message] = []
         self.readings_s: list[float] = []
         self._inbox, self._readings = inbox, readings
@@ -88,3 +93,35 @@ def test_a_process_with_a_pause_reads_the_bus_no_more_often_than_that() -> None:
     assert len(waits_s) == 4
     assert min(waits_s) >= 0.05
     assert state(1) in process.messages
+
+
+class Faulty(Given):
+    """A process that cannot handle what it is told to."""
+
+    def handle(self, message: Message) -> tuple[Message, ...]:
+        if getattr(message, "sampled_ns", 0) < 0:
+            raise OverflowError("too large")
+        return super().handle(message)
+
+
+def test_a_message_that_a_process_cannot_handle_costs_itself_and_is_said() -> None:
+    bus, process = Broker([envelope(state(n), OLD_LIFE, k) for k, n in enumerate((1, -2, 3))]), Faulty()
+    LiveReactor(process, cast(Bus, bus)).run()
+    assert [m for m in process.messages if not isinstance(m, Tick)] == [state(1), state(3)]
+    assert bus.rejects["fault"] == 1 and bus.last_error == "OverflowError: too large"
+    (journal,) = [m for m in bus.published if isinstance(m, Consumed)]
+    assert ("navigation/filter_state", "core.fusion", OLD_LIFE, 0, 3) in journal.runs, "so that it can be repeated"
+
+
+def test_the_third_message_that_a_process_cannot_handle_ends_it() -> None:
+    bus, process = Broker([envelope(state(-1), OLD_LIFE, k) for k in range(3)]), Faulty()
+    with pytest.raises(TooManyFaults):
+        LiveReactor(process, cast(Bus, bus)).run()
+
+
+@pytest.mark.parametrize(("received_ns", "used"), [(EARLIEST_NS - 1, False), (EARLIEST_NS, True)])
+def test_a_message_that_arrived_before_1980_or_after_2100_is_one_reject(received_ns: int, used: bool) -> None:
+    raw = CanRaw(received_ns=received_ns, source="can0", data=b"")
+    bus, process = Broker([Envelope("can/raw", codec.encode(raw), 0, "sensors.can", 1, 1)]), Given()
+    LiveReactor(process, cast(Bus, bus)).run()
+    assert (raw in process.messages, bus.rejects["stamp"]) == (used, int(not used))

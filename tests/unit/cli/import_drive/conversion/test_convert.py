@@ -64,7 +64,7 @@ def test_a_missing_column_is_named_with_a_suggestion() -> None:
 
 
 def test_a_file_without_a_row_of_numbers_is_an_error() -> None:
-    with pytest.raises(UserError, match="holds no valid row of numbers"):
+    with pytest.raises(UserError, match=r"row 1 \(line 1\), column 't': 'a' is not a number"):
         converted(IMU, "t,ax,ay,az,gx,gy,gz\na,b,c,d,e,f,g")
 
 
@@ -292,3 +292,11 @@ opposite = true
 """
     (message,) = converted(spec, "t,w\n0,-180").messages
     assert isinstance(message, VehicleSpeed) and message.speed_m_s == pytest.approx(0.3 * math.pi)
+
+
+def test_a_date_after_2100_costs_its_row_and_not_those_behind_it() -> None:
+    rows = "t,ax,ay,az,gx,gy,gz\n1.0,0,0,1,0,0,0\n1e300,0,0,1,0,0,0\n5e9,0,0,1,0,0,0\n2.0,0,0,1,0,0,0"
+    found = converted("start_utc_s = 1700000000.0\n" + IMU, rows)
+    stamps = [stamp for message in found.messages if isinstance(message, ImuSamples) for stamp in message.sampled_ns]
+    assert [stamp // 10**9 for stamp in stamps] == [1_700_000_000, 1_700_000_001], "of 1 and 2 s, told 0.25 s late"
+    assert found.rejects["date after 2100"] == 2
