@@ -78,8 +78,7 @@ def test_a_radio_frame_is_published_as_cam_and_invalid_bytes_are_counted(
     rejects: dict[str, int] = {}
 
     def exchange() -> bool:
-        time_ms = its_time.its_time_ms(time.time_ns()) % its_time.CYCLE_MS
-        packet = geonetworking.encode_packet(cam.encode(cams.BRAKING, time_ms), cams.SENDER)
+        packet = cams.packet(cams.BRAKING, its_time.its_time_ms(time.time_ns()))
         for data in (packet, packet[:-3], b"\x12" + packet[1:], bytes(100)):
             radio.sendto(data, ("127.0.0.1", port))
         for envelope in listener.receive(0.05):
