@@ -82,7 +82,7 @@ def decode_payload(packet: bytes) -> bytes:
 
 
 def source_time_ms(packet: bytes) -> int:
-    """Return the ITS time, modulo 2^32 ms, of the sender's position vector in a packet that `decode_payload` accepts."""
+    """Return the ITS time, modulo 2^32 ms, of the position vector in a packet that `decode_payload` accepts."""
     return int(POSITION.unpack_from(packet, POSITION_AT)[2])
 
 

@@ -15,7 +15,7 @@ from shared.messages.operation import ProcessHealth
 from shared.messages.v2x import CamList, OwnCam
 from shared.runtime.config import BrokerAddress
 from shared.topics import BY_NAME
-from shared.v2x import cam, geonetworking, its_time
+from shared.v2x import geonetworking, its_time
 from tests.support.bus import brokers
 from tests.support.v2x import cams
 

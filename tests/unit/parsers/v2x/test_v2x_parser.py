@@ -11,7 +11,7 @@ from shared.bus import codec
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.v2x import Cam, CamContent, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
-from shared.v2x import cam, frames, geonetworking, its_time
+from shared.v2x import frames, geonetworking, its_time
 from tests.support.data import recording
 from tests.support.gnss.captures import packets
 from tests.support.v2x import cams
