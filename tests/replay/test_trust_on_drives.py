@@ -31,7 +31,8 @@ from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.trust import TrustState
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile, parse_vehicle
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.live import arrival_ns
+from shared.runtime.offline import OfflineUnit
 from tests.support.data import REPOSITORY, recording
 from tests.support.drives.spoofing import inputs as typed_messages
 

@@ -15,7 +15,8 @@ from shared.errors import ConfigError, UserError
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.live import arrival_ns
+from shared.runtime.offline import OfflineUnit
 from tests.support.bus.envelopes import sent
 
 pytestmark = pytest.mark.slow  # three drives of a minute or more through fusion
