@@ -4,6 +4,7 @@ import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -38,14 +39,14 @@ class Gate:
         self.ledger.detect(at.pulse(self.pulses), at.crossing_ns)
         self.pulses += 1
 
-    def end(self, vehicle: Vehicle, *ahead: Vehicle, registered: bool = True) -> None:
+    def end(self, vehicle: Vehicle, *ahead: Vehicle, registered: bool = True, **changes: Any) -> None:
         """The statement behind the exit line; the ledger works every second."""
         now_ns = vehicle.crossing_ns + EXIT_S * NS
         if registered:
             self.ledger.register(vehicle.registration(), vehicle.opened_ns)
         overlaps = tuple(one.passage_id for one in ahead)
         state = CHARGED if registered else UNREGISTERED
-        self.ledger.passage(vehicle.says(state, overlaps=overlaps, exit_ns=now_ns), now_ns)
+        self.ledger.passage(vehicle.says(state, overlaps=overlaps, exit_ns=now_ns, **changes), now_ns)
         self.work(vehicle, EXIT_S)
 
     def work(self, vehicle: Vehicle, after_s: float) -> int:
