@@ -55,7 +55,6 @@ from shared.v2x import frames
 NS = 1_000_000_000
 BATCH_NS = 100_000_000  # of what is delivered together; each frame keeps its own time of arrival
 SECOND_STEPS = NS // BATCH_NS
-RECONCILE_STEPS = 10 * SECOND_STEPS
 START_NS = 1_790_000_000 * NS
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
@@ -202,7 +201,7 @@ class Campaign:
         counted: set[int] = set()
         for step, (now_ns, items) in enumerate(self._batches()):
             self._receive(now_ns, items)
-            self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0, reconcile=step % RECONCILE_STEPS == 0)
+            self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
             if step % SECOND_STEPS == 0 and self.core is not None:
                 self._publish(self._answers(Tick(now_ns=now_ns)), now_ns)
             if stop_ns is None and len(self.truth) >= passages:
@@ -315,7 +314,7 @@ class Campaign:
         self.store = KillableStore(self.path)
         self.ledger = Ledger(self.store, self.plaza, plaza_path(PLAZA_FILE).read_text(), Settings(), now_ns)
 
-    def _serve_ledger(self, now_ns: int, *, second: bool, reconcile: bool) -> None:
+    def _serve_ledger(self, now_ns: int, *, second: bool) -> None:
         self.world_now_ns = now_ns
         messages, self.inbox = [*self.inbox, *self.receipts], []
         self.receipts = []
@@ -331,7 +330,7 @@ class Campaign:
                     self.ledger.use(message, now_ns)
                 if messages:
                     self._die_at("COMMIT")
-            if reconcile:
+            if second:
                 with self.store.transaction():
                     self.ledger.reconcile(now_ns)
                     self.ledger.expire(now_ns)
@@ -364,7 +363,7 @@ class Campaign:
         balances = self.ledger.balances(0)
         outcomes: Counter[str] = Counter()
         for lane in balances:
-            for name in ("charged", "undecided", "unregistered", "suspect", "void", "missed", "pending"):
+            for name in ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held", "pending"):
                 outcomes[name] += getattr(lane, name)
         detections = sum(lane.detections for lane in balances)
         return Result(

@@ -28,6 +28,7 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "export": ("export.export", "export"),
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
+    "migrate": ("migrate", "migrate"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "record repair": ("recordings.record", "repair"),
 }
@@ -102,7 +103,7 @@ def demo(  # noqa: PLR0913, PLR0917  # one argument an option
             help="Seconds to drive, counted from the first message; without it until Ctrl-C.",
         ),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
     port: Annotated[
         int, typer.Option(min=0, max=65535, metavar="PORT", help="Port of the dashboard; if taken, a free one.")
     ] = 8080,

@@ -190,7 +190,7 @@ PROCESSES = (
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
         consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
-        produces=("toll/open_passages", "toll/transaction", "ledger/state"),
+        produces=("toll/open_passages", "toll/transaction", "toll/review", "ledger/state"),
         roles=(Role.RSU,),
     ),
     ProcessRow(

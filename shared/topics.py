@@ -54,6 +54,7 @@ from .messages.toll import (
     TollPassage,
     TollReceipt,
     TollRegistration,
+    TollReview,
     TollTracks,
     TollTransaction,
 )
@@ -162,6 +163,8 @@ TOPICS = (
     Topic("toll/open_passages", OpenPassages, "passages in progress and settled, as the ledger holds them",
           rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
     Topic("toll/transaction", TollTransaction, "charges and reversals for the operator", qos=1, personal=True),
+    Topic("toll/review", TollReview, "passages that a person has to judge: not confirmed, or contradictory",
+          qos=1, personal=True),
     Topic("toll/receipt", TollReceipt, "answers of the operator", qos=1, personal=True),
     Topic("ledger/state", LedgerState, "charges, outbox and reconciliation",
           rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),

@@ -26,7 +26,7 @@ SETTLED_NS = 20_000_000_000  # a passage needs so long from the gate line to its
 
 @dataclass(frozen=True)
 class PlazaSummary:
-    """The balance of a run; passages are those of the simulator's truth at the gate line."""
+    """The summary of a run; passages are those of the simulator's truth at the gate line."""
 
     healthy: bool
     duration_s: float

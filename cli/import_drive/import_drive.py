@@ -7,7 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -32,6 +32,7 @@ from shared.topics import BY_MESSAGE
 
 from ..progress import progress_on
 from .conversion.convert import Accelerometer, Converted, Imported, convert, wanted_columns
+from .estimates.agreement import Motion, motion_of, told
 from .estimates.clocks import offset_of, shifted
 from .estimates.delay import Delay, delay_of_fixes, delay_of_reference
 from .estimates.mounting import mounting_of, rotated
@@ -39,8 +40,10 @@ from .mapping import units
 from .mapping.mapping import Mapping, parse_mapping
 from .mapping.schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
 from .readers.arrays import FORMATS, arrays_of
+from .readers.dates import checked_dates, is_day, is_time_of_day
 from .readers.gnss_logger import is_log, messages_of, read_log
-from .readers.table import Table, arrays_table, read_table
+from .readers.rtklib import SCALES, Header, header_of, mapping_of
+from .readers.table import Forms, Table, arrays_table, read_table
 
 T = TypeVar("T")
 
@@ -48,12 +51,14 @@ T = TypeVar("T")
 def import_drive(
     mapping: Annotated[
         Path,
-        typer.Argument(help="TOML file that defines the columns, or a log of Android's GnssLogger."),
+        typer.Argument(
+            help="TOML file that defines the columns, a log of Android's GnssLogger, or a solution of RTKLIB (.pos)."
+        ),
     ],
     folder: Annotated[
         Path | None,
         typer.Argument(
-            help="Folder with the files named in the mapping, or one file for all tables; none with a GnssLogger log."
+            help="Folder with the files named in the mapping, or one file for all tables; none with a log or solution."
         ),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Output recording.")] = Path(
@@ -78,17 +83,24 @@ def import_drive(
     [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
     [bold]obu import benchmarks/recordings/mappings/phone_drives_1hz.toml 2023-08-09_16-37-41.csv -o phone.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt -o phone.mcap[/]
+    [bold]obu import rover.pos -o fixes.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt --axes "z,-x,-y" -o phone.mcap[/]
     """
     if output.exists():
         raise UserError(f"{output} already exists; choose another file with --output, or remove it")
-    if mapping.suffix != ".toml" and is_log(_beginning(mapping)):
+    beginning = [] if mapping.suffix == ".toml" else _beginning(mapping)
+    if is_log(beginning):
         return _import_log(mapping, output, vehicle, body_from_phone(axes))
-    if folder is None:
+    if (header := header_of(beginning)) is not None:
+        folder = folder or mapping.parent
+        text = mapping_of(header, next(iter(beginning[header.lines :]), ""), mapping.name)
+    elif folder is None:
         raise UserError(
-            f"{mapping} is no log of GnssLogger; give a mapping (TOML) and the folder of its files: `obu import --help`"
+            f"{mapping} is neither a log of GnssLogger nor a solution of RTKLIB; give a mapping (TOML) and the folder "
+            "of its files: `obu import --help`"
         )
-    text = _text(mapping)
+    else:
+        text = _text(mapping)
     spec = parse_mapping(text, str(mapping))
     file = _vehicle(spec, mapping, vehicle)
     tables = list(spec.files())
@@ -100,11 +112,14 @@ def import_drive(
             raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or edit {mapping}")
     console = Console(stderr=True)
     with progress_on(console) as progress:
-        parts = _converted(tables, [_read(table, folder, progress) for table in tables], spec.start_utc_s)
+        read = [_read(table, folder, progress) for table in tables]
+        tables = [table for table, _, _ in read]
+        parts = _converted(read, spec.start_utc_s)
         parts = _corrected(tables, parts, file, progress)
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
-    for sentence in (*(part.correction for part in parts if part.correction), *spec.made()):
+    notes = [note for part in parts for note in part.converted.notes]
+    for sentence in (*notes, *(part.correction for part in parts if part.correction), *_clocks(parts), *spec.made()):
         print(sentence)
     return 0
 
@@ -247,8 +262,18 @@ def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
     return parse_vehicle("", "<no vehicle file>")
 
 
-def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[str, Table]:
-    """Read the columns of a file, and compute its SHA-256."""
+def _clocks(parts: Sequence[Part]) -> list[str]:
+    """Compare the clocks of the files: with that of the IMU, or else of the first one."""
+    motions: dict[str, Motion] = {}
+    for part in parts:
+        if (motion := motion_of(part.converted.messages)) is not None:
+            kind = BY_MESSAGE[type(part.converted.messages[0])].name
+            motions[f"{part.name} ({kind})" if part.name in motions else part.name] = motion
+    return told(motions)
+
+
+def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[TableFile, str, Table]:
+    """Read the columns of a file, and compute its SHA-256; what the file states of its clock is in its table."""
     path = folder / spec.file
     task = progress.add_task(f"reading {spec.file}", total=path.stat().st_size)
     digest = hashlib.sha256()
@@ -256,7 +281,7 @@ def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[str, Table
         data = path.read_bytes()
         digest.update(data)
         progress.advance(task, len(data))
-        return digest.hexdigest(), arrays_table(arrays_of(data, spec.file), wanted_columns(spec), spec.file)
+        return spec, digest.hexdigest(), arrays_table(arrays_of(data, spec.file), wanted_columns(spec), spec.file)
 
     def lines() -> Iterator[str]:
         with path.open("rb") as file:
@@ -265,14 +290,16 @@ def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[str, Table
                 progress.advance(task, len(line))
                 yield line.decode("utf-8", errors="replace")
 
-    table = _table(spec, lines())
-    return digest.hexdigest(), table
+    spec, table = _table(spec, lines())
+    return spec, digest.hexdigest(), table
 
 
-def _converted(tables: Sequence[TableFile], read: Sequence[tuple[str, Table]], start_s: float) -> list[Part]:
+def _converted(read: Sequence[tuple[TableFile, str, Table]], start_s: float) -> list[Part]:
     """Convert every file; the accelerometer of an IMU in two files is converted with its gyroscope."""
     parts, accelerometer = [], None
-    for spec, (digest, table) in zip(tables, read, strict=True):
+    for spec, digest, table in read:
+        if start_s == 0.0 and spec.time.unit == units.DATE and spec.time.column and not spec.time.date_column:
+            checked_dates(float(table[spec.time.column][0]), spec.file, spec.time.column)
         if isinstance(spec, Imu) and spec.angular_rate is None:
             accelerometer = Accelerometer(spec, table)
             converted = Converted([], len(table) + table.rejects.total(), table.rejects)
@@ -282,22 +309,45 @@ def _converted(tables: Sequence[TableFile], read: Sequence[tuple[str, Table]], s
     return parts
 
 
-def _table(spec: TableFile, lines: Iterator[str]) -> Table:
-    skipped = islice(lines, spec.skip_rows, None)
-    rows = _rows(spec, skipped)
+def _table(spec: TableFile, lines: Iterator[str]) -> tuple[TableFile, Table]:
+    skipped = header_of(list(islice(lines, spec.skip_rows)))
+    rows = _rows(spec, lines)
     try:
         # Spreadsheets write a byte order mark, which is not part of the first name.
         header = list(spec.header) or [name.strip().lstrip("\ufeff") for name in next(rows, [])]
-        return read_table(rows, header, wanted_columns(spec), spec.file, _dates(spec.time))
+        first = next(rows, [])
+        spec, notes = _with_what_the_file_states(spec, skipped, header, first)
+        first_line = spec.skip_rows + (1 if spec.header else 2)
+        forms = Forms(_dates(spec.time), spec.decimal, first_line)
+        table = read_table(chain([first] if first else [], rows), header, wanted_columns(spec), spec.file, forms)
+        table.notes.extend(notes)
+        return spec, table
     except csv.Error as error:
         raise UserError(
             f"{spec.file} is not a CSV file ({error}); check `file` and `separator` of the mapping"
         ) from error
 
 
+def _with_what_the_file_states(
+    spec: TableFile, rtklib: Header | None, header: Sequence[str], first: Sequence[str]
+) -> tuple[TableFile, list[str]]:
+    """Add what the file says of its clock where the mapping does not: its time scale, and the column of the dates."""
+    time, notes, found = spec.time, list[str](), dict[str, object]()
+    if rtklib is not None and time.scale is None and time.offset_s == 0.0:
+        found |= SCALES[rtklib.scale]
+        notes.append(f"{spec.file}: its header says {rtklib.scale}; the stamps were converted to UTC.")
+    if time.unit == units.DATE and time.date_column is None and time.column in header:
+        place = header.index(time.column)
+        if 0 < place < len(first) and is_time_of_day(first[place]) and is_day(first[place - 1]):
+            found["date_column"] = header[place - 1]
+            notes.append(f"{spec.file}: the dates of the times {time.column!r} are those of {header[place - 1]!r}.")
+    return spec.model_copy(update={"time": time.model_copy(update=found)}), notes
+
+
 def _dates(time: Time) -> tuple[str, ...]:
     """Columns that hold dates instead of numbers."""
-    return tuple(name for name in (time.column, time.arrival_column) if name and time.unit == units.DATE)
+    clocks = (time.column, time.arrival_column) if time.unit == units.DATE else ()
+    return tuple(name for name in (*clocks, time.date_column) if name)
 
 
 def _rows(spec: TableFile, lines: Iterator[str]) -> Iterator[list[str]]:

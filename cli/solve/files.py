@@ -10,9 +10,9 @@ from shared.errors import UserError
 from shared.track_files import TrackPoint, kml_lines
 
 from .metrics.drift import drift_lines
-from .metrics.metrics import Run, Value, as_objects
+from .metrics.metrics import Run, Value
 from .reference_track import Reference
-from .report.report import Heading, page
+from .report.report import Heading, document, page
 from .track import NAMES, Track
 
 HEADER = ("sampled_ns", "time_s", "phase", *NAMES, "verdict")
@@ -53,7 +53,7 @@ def write(
         if heading.outage is not None:
             with (folder / "outages.csv").open("w", encoding="utf-8") as file:
                 file.writelines(drift_lines(run.drifts(), run.first_ns))
-        (folder / "metrics.json").write_text(json.dumps(as_objects(metrics), indent=2) + "\n", encoding="utf-8")
+        (folder / "metrics.json").write_text(json.dumps(document(heading, metrics), indent=2) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(report, encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error

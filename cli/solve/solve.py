@@ -20,11 +20,13 @@ from services.core.fusion.smoothing.rts import smoothed_filters
 from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
+from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState, SetUpState
 from shared.messages.trust import TrustState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
+from ..import_drive.estimates.agreement import MotionLog, told
 from ..import_drive.readers.table import read_table
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
@@ -34,12 +36,12 @@ from .inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .metrics.counters import Counters
 from .metrics.errors import errors_against
 from .metrics.gnss_alone import GnssAlone, gnss_alone
-from .metrics.metrics import Run, Value, as_objects, metrics_of
+from .metrics.metrics import Run, Value, metrics_of
 from .metrics.trust import Harm, Trust, harm_of
 from .outages import Outages
 from .overrides import SWITCHES, Aiding, with_settings
 from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
-from .report.report import Heading, summary
+from .report.report import Heading, document, is_hardly_used, summary
 from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
@@ -150,6 +152,7 @@ def solve(  # noqa: PLR0913  # one argument an option
         gnss_alone=_gnss_alone(drive, solved, reference) if reference is given else None,
     )
     metrics = metrics_of(run)
+    clocks = solved.clocks() if is_hardly_used(metrics) else []
     again = None
     if smoothed is not None:
         again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).gnss.lever_arm_body_m)
@@ -157,18 +160,18 @@ def solve(  # noqa: PLR0913  # one argument an option
     truth_is = reference.description if reference else "none"
     risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
     facts = _facts(drive, changes, with_trust=with_trust)
-    heading = Heading(drive.name, truth_is, outage, facts, risk, made, findings(solved.counters.set_up))
+    heading = Heading(drive.name, truth_is, outage, facts, risk, made, findings(solved.counters.set_up), clocks)
     write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
         "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
     }
     if as_json:
-        print(json.dumps(as_objects(metrics | timings)))
+        print(json.dumps(document(heading, metrics | timings)))
     else:
         for sentence in summary(heading, metrics):
             print(sentence)
-        print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times real time.")
+        print(f"Processed in {solved.seconds:.1f} s, {timings['realtime_factor']} times real time.")
         smoothed_too = ", solution_smoothed.csv, solution_smoothed.kml" if smooth else ""
         print(f"Wrote {folder / 'report.html'}, metrics.json, solution.csv, solution.kml{smoothed_too}.")
     return 0
@@ -205,6 +208,12 @@ class Solved:
     verdicts: VerdictLog
     fixes: list[GnssFix]  # inputs of the filter
     seconds: float
+    motions: dict[str, MotionLog]  # what each kind of sensor says of the motion
+
+    def clocks(self) -> list[str]:
+        """What the comparison of the sensors' clocks says."""
+        found = {name: log.motion() for name, log in self.motions.items()}
+        return told({name: motion for name, motion in found.items() if motion is not None})
 
 
 def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
@@ -276,8 +285,9 @@ def _run(
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
         cast(Process, unit.process("core.fusion")).record_history(HistoryRecorder(history, period_ns))
     fixes: list[GnssFix] = []
+    motions = {"the IMU": MotionLog(), "GNSS": MotionLog()}
     started = time.perf_counter()
-    for message in unit.run(_fed(drive.inputs, outages, counters, progress)):
+    for message in unit.run(_fed(drive, outages, counters, progress)):
         match message:
             case NavigationSolution():
                 builder.add(message)
@@ -292,7 +302,10 @@ def _run(
                 counters.set_up = message
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
-    return Solved(builder, counters, outages, verdicts, fixes, time.perf_counter() - started)
+                motions["GNSS"].add(message)
+            case ImuSamples():
+                motions["the IMU"].add(message)
+    return Solved(builder, counters, outages, verdicts, fixes, time.perf_counter() - started, motions)
 
 
 def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progress) -> Track:
@@ -301,10 +314,10 @@ def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progre
     return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
 
 
-def _fed(inputs: Inputs, outages: Outages | None, counters: Counters, progress: Progress) -> Iterator[Message]:
+def _fed(drive: Drive, outages: Outages | None, counters: Counters, progress: Progress) -> Iterator[Message]:
     """Yield the inputs one by one, without the GNSS messages within outages."""
-    task = progress.add_task("solving", total=len(inputs))
-    for number, message in enumerate(inputs.messages()):
+    task = progress.add_task("solving", total=len(drive.inputs))
+    for number, message in enumerate(drive.inputs.messages(drive.vehicle)):
         if number % 1000 == 0:
             progress.update(task, completed=number)
         if outages is not None and isinstance(message, GnssFix | GnssRaw):
@@ -362,11 +375,12 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         state = solved.counters.state
         reason = f"last state: {state.phase.value}, {state.reason}" if state else "no inertial samples received"
         raise UserError(
-            f"the filter was never aligned ({reason}); check lever arm, axes and stamps, or use a longer drive"
+            f"the filter was never aligned ({reason}); "
+            + (" ".join(solved.clocks()) or "check lever arm, axes and stamps, or use a longer drive")
         )
     config = _fusion(drive.vehicle)
     lever_arm = config.gnss.lever_arm_body_m
-    outages = solved.outages
+    outages, aligned_ns = solved.outages, solved.counters.aligned_ns
     return Run(
         track,
         solved.counters,
@@ -376,6 +390,7 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         drive.last_ns,
         len(fixes),
         len(fixes) - len(solved.fixes),
+        fixes_offered=len({fix.sampled_ns for fix in solved.fixes if fix.sampled_ns >= (aligned_ns or 0)}),
         alert_limits_m=(config.integrity.alert_limit_horizontal_m, config.integrity.alert_limit_vertical_m),
     )
 

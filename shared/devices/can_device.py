@@ -2,7 +2,8 @@
 
 socketcan://can0                            a network interface of the kernel
 slcan:///dev/ttyACM1?bitrate=500000         a serial adapter with the Lawicel (SLCAN) protocol
-file:///drive.log                           a candump log, replayed at its recorded rate
+file:///drive.log                           a candump log (candump -L), or what candump shows on a screen, replayed
+                                            at its recorded rate, or at 100 frames a second without time stamps
 """
 
 import re
@@ -18,7 +19,19 @@ NS = 1_000_000_000
 MOST_FRAMES = 500  # in one read
 KNOWN: dict[str, set[str]] = {"socketcan": set(), "slcan": {"bitrate"}, "virtual": set(), "file": set()}
 EXAMPLES = "socketcan://can0, slcan:///dev/ttyACM1?bitrate=500000 or file:///drive.log"
-_LINE = re.compile(r"\((\d{1,10})\.(\d{1,9})\) (\S+ \S+)")
+LOG_LINE = "(1436509052.249713) can0 7E8#03410D3200000000"
+WITHOUT_STAMPS_NS = 10_000_000  # between the frames of a log without time stamps
+ERROR_FLAG = 0x20000000  # of the identifier of an error frame, as in the kernel and in candump's logs
+_STAMP = (
+    r"(?:\((?:\d{4}-\d{2}-\d{2} )?(?:(?P<hours>\d{1,2}):(?P<minutes>\d{2}):)?"
+    r"(?P<seconds>\d{1,10})\.(?P<fraction>\d{1,9})\)\s+)?"
+)
+_LINE = re.compile(rf"\s*{_STAMP}(?P<bus>\S{{1,16}})\s+(?P<frame>[0-9A-Fa-f]+#\S*)")
+# `can0  7E8   [8]  03 41 0D 32 00 00 00 00`, with `RX - -` after the interface or the text of the bytes at the end.
+_SHOWN = re.compile(
+    rf"\s*{_STAMP}(?P<bus>\S{{1,16}})\s+(?:[TR]X\s+\S+\s+\S+\s+)?(?P<identifier>[0-9A-Fa-f]{{3}}|[0-9A-Fa-f]{{8}})"
+    r"\s+\[\s*(?P<length>\d{1,2})\](?P<bytes>\s+remote request|(?:\s+[0-9A-Fa-f]{2})*)(?:\s.*)?"
+)
 Clock = Callable[[], int]
 
 
@@ -54,7 +67,7 @@ class CanDevice:
         lines: list[bytes] = []
         try:
             while len(lines) < MOST_FRAMES and (frame := self._bus.recv(0 if lines else wait_s)) is not None:
-                lines.append(b"" if frame.is_error_frame else self._line(frame))
+                lines.append(self._line(frame))
         except (can.CanError, OSError) as error:
             hint = f"ip link set {self._channel} up type can bitrate 500000"
             raise DeviceLost(f"lost {self._channel}: {error}; check its cable, or try: {hint}") from error
@@ -85,11 +98,21 @@ class CanDevice:
 
 
 class LogDevice:
-    """A candump log, replayed at its recorded rate; no bytes after its end."""
+    """A candump log, replayed at its recorded rate; no bytes after its end.
+
+    Lines of a log and lines as candump shows them are read, other ones are left out; raises `DeviceLost` if there is
+    no other.
+    """
 
     def __init__(self, path: Path, now_ns: Clock) -> None:
         self._file, self._now_ns = path.open(encoding="ascii", errors="replace"), now_ns
+        self._last_ns = 0
         self._next = self._scan()
+        if self._next is None:
+            self._file.close()
+            raise DeviceLost(
+                f"{path} holds no line of a candump log; write one with `candump -L can0`, whose lines are {LOG_LINE!r}"
+            )
         self._offset_ns = now_ns() - (self._next[0] if self._next else 0)
 
     def read(self, wait_s: float) -> bytes:
@@ -112,15 +135,39 @@ class LogDevice:
     def _scan(self) -> tuple[int, str] | None:
         """Time stamp [ns] and remainder of the next valid line; None at the end."""
         for line in self._file:
-            if match := _LINE.match(line):
-                seconds, fraction, rest = match.groups()
-                return int(seconds) * NS + int(fraction.ljust(9, "0")), rest
+            if found := _frame_of(line):
+                time_ns, rest = found
+                self._last_ns = self._last_ns + WITHOUT_STAMPS_NS if time_ns is None else time_ns
+                return self._last_ns, rest
         return None
+
+
+def _frame_of(line: str) -> tuple[int | None, str] | None:
+    """Time stamp [ns], if there is one, and frame of a line, as in a log; None if it is none of candump."""
+    if match := _LINE.match(line):
+        return _time_ns(match), f"{match['bus']} {match['frame']}"
+    match = _SHOWN.fullmatch(line.rstrip())
+    if match is None:
+        return None
+    data = "R" if match["bytes"].strip() == "remote request" else "".join(match["bytes"].split())
+    if data != "R" and len(data) != 2 * int(match["length"]):
+        return None
+    flags = "#0" if len(match["length"]) == 2 else ""  # candump shows the length of a CAN FD frame with two digits
+    return _time_ns(match), f"{match['bus']} {match['identifier']}#{flags}{data}"
+
+
+def _time_ns(match: re.Match[str]) -> int | None:
+    if match["seconds"] is None:
+        return None
+    seconds = int(match["hours"] or 0) * 3600 + int(match["minutes"] or 0) * 60 + int(match["seconds"])
+    return seconds * NS + int(match["fraction"].ljust(9, "0"))
 
 
 def candump_line(time_ns: int, channel: str, frame: can.Message) -> bytes:
     """Format a frame as a line of `candump -L`."""
     name = f"{frame.arbitration_id:08X}" if frame.is_extended_id else f"{frame.arbitration_id:03X}"
+    if frame.is_error_frame:
+        name = f"{frame.arbitration_id | ERROR_FLAG:08X}"
     data = frame.data.hex().upper()
     if frame.is_remote_frame:
         data = "R"

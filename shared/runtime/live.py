@@ -135,10 +135,14 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
     bus.guard()
     gc.collect()
     gc.freeze()  # excludes what exists now from garbage collection, which would take 4 to 9 ms
-    if BY_NAME[name].layer in (1, 5):
-        cast(Runner, process).run(bus)
-    else:
-        LiveReactor(cast(Reactor, process), bus, pause_s=BY_NAME[name].pause_s).run()
+    try:
+        if BY_NAME[name].layer in (1, 5):
+            cast(Runner, process).run(bus)
+        else:
+            LiveReactor(cast(Reactor, process), bus, pause_s=BY_NAME[name].pause_s).run()
+    except Exception as error:
+        bus.failed(error)
+        raise
     bus.close()
 
 

@@ -25,8 +25,8 @@ from .truth import true_states
 MAXIMUM_IMU_MESSAGES_HZ = 100.0  # samples at higher rates are batched, as on the bus
 LONGEST_STEPS = 3.0  # median intervals of an accelerometer, over which its specific force is interpolated
 GRAVITY_RANGE_M_S2 = (7.0, 13.0)  # plausible median magnitude of a vehicle's specific force
-SCALARS = ("column", "arrival_column", "satellites_used", "front_left", "front_right", "rear_left", "rear_right",
-           "hdop", "vdop")  # fmt: skip
+SCALARS = ("column", "arrival_column", "date_column", "week_column", "satellites_used", "front_left", "front_right",
+           "rear_left", "rear_right", "hdop", "vdop")  # fmt: skip
 Imported: TypeAlias = ImuSamples | GnssFix | GnssRawEpoch | GnssSatellites | VehicleSpeed | WheelSpeeds | TruthState
 
 
@@ -37,6 +37,7 @@ class Converted:
     messages: Sequence[Imported]
     rows: int
     rejects: Counter[str]
+    notes: Sequence[str] = ()  # what was found of the clock and of rejected rows, one sentence each
 
 
 def wanted_columns(spec: TableFile) -> list[str]:
@@ -93,7 +94,7 @@ def convert(
         if accelerometer is None:
             raise ValueError("a gyroscope without accelerometer")
         return _both(spec, accelerometer, Rows(table, sampled, received), start_s, rows)
-    return Converted(list(_messages(spec, table, sampled, received)), rows, table.rejects)
+    return Converted(list(_messages(spec, table, sampled, received)), rows, table.rejects, table.notes)
 
 
 def _changes(spec: TableFile, table: Table) -> Table:
@@ -163,7 +164,7 @@ def _both(spec: Gyroscope, accelerometer: Accelerometer, gyroscope: Rows, start_
     at, received = at[near], gyroscope.received[near]
     between = np.column_stack([np.interp(at, stamps, axis) for axis in force.T])
     messages = _samples(spec.source, between, _rate(spec, spec.angular_rate, kept, at), at, received)
-    return Converted(list(messages), rows, kept.rejects)
+    return Converted(list(messages), rows, kept.rejects, [*table.notes, *kept.notes])
 
 
 def _samples(

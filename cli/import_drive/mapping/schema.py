@@ -11,6 +11,7 @@ from shared.maths.rotation import ned_from_body
 from shared.messages.base import Vector3
 from shared.runtime.config import Section
 
+from ..conversion.scales import Scale
 from . import units
 
 Columns = tuple[str, str, str]
@@ -31,13 +32,20 @@ class Time(Section):
     """Sampling time of a row: a column plus an offset, or the row number times a period.
 
     With `arrival_column`, `column` is the device clock; its offset to the clock of the arrivals is the smallest
-    difference of the two, less the minimum latency `least_latency_s`.
+    difference of the two, less the minimum latency `least_latency_s`. With `date_column` or `week_column`, `column` is
+    the time of that day or of that GPS week.
     """
 
     column: str | None = None
     unit: units.TimeUnit = "s"
     period_s: float | None = Field(default=None, gt=0.0)
     offset_s: float = 0.0
+    date_column: str | None = None
+    week_column: str | None = None
+    scale: Scale | None = None  # default: UTC, or GPS time with a week; what leap seconds are removed
+    wraps_s: float | None = Field(
+        default=None, gt=0.0
+    )  # period after which the clock starts anew, if it is no known one
     arrival_column: str | None = None
     least_latency_s: float = Field(default=0.0, ge=0.0)
 
@@ -47,7 +55,20 @@ class Time(Section):
             raise ValueError("time is either a `column` or `period_s` times the row number")
         if self.arrival_column is not None and self.column is None:
             raise ValueError("`arrival_column` requires a `column` with the device clock")
+        if (self.date_column or self.week_column) and (self.column is None or self.arrival_column is not None):
+            raise ValueError(
+                "`date_column` and `week_column` require a `column` with the time, and no `arrival_column`"
+            )
+        if self.date_column is not None and self.week_column is not None:
+            raise ValueError("the day is given by `date_column` or by `week_column`, not by both")
+        if self.unit == units.DATE and (self.week_column is not None or self.wraps_s is not None):
+            raise ValueError("`week_column` and `wraps_s` require a `unit` other than date")
         return self
+
+    @property
+    def known_scale(self) -> Scale:
+        """The time scale of the stamps."""
+        return self.scale or ("gps" if self.week_column is not None else "utc")
 
 
 class TableFile(Section):
@@ -59,6 +80,7 @@ class TableFile(Section):
     file: str
     optional: bool = False  # whether the file may be missing
     separator: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
+    decimal: Literal[".", ","] = "."
     skip_rows: int = Field(default=0, ge=0)
     header: tuple[str, ...] = ()
     source: str = Field(default="file", max_length=64)

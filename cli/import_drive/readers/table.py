@@ -2,16 +2,22 @@
 
 import difflib
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray
+
+from .dates import unix_time
+
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+OTHER_SEPARATORS = (";", "\t", ",", "|", " ")
+DATE_LIKE = re.compile(r"\d{1,2}:\d{2}|\d{4}[-/.]\d{1,2}[-/.]\d{1,2}")
 
 
 @dataclass
@@ -22,6 +28,7 @@ class Table:
     values: FloatArray  # shape (rows, columns)
     row_numbers: FloatArray  # shape (rows,): number of each row in its file, from 0, omitted rows included
     rejects: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)  # what was found in rows, one sentence each
 
     def __len__(self) -> int:
         return len(self.values)
@@ -39,11 +46,22 @@ class Table:
         rejects = Counter(self.rejects)
         if dropped := int(len(wanted) - wanted.sum()):
             rejects[reason] += dropped
-        return Table(self.columns, self.values[wanted], self.row_numbers[wanted], rejects)
+        return Table(self.columns, self.values[wanted], self.row_numbers[wanted], rejects, self.notes)
+
+
+@dataclass(frozen=True)
+class Forms:
+    """How the fields of a file are written."""
+
+    dates: Sequence[
+        str
+    ] = ()  # columns of dates or times of day, which are converted to Unix time [s]; default zone: UTC
+    decimal: str = "."
+    first_line: int = 1  # line number of the first row, from 1
 
 
 def read_table(
-    lines: Iterable[list[str]], header: Sequence[str], wanted: Sequence[str], where: str, dates: Sequence[str] = ()
+    lines: Iterable[list[str]], header: Sequence[str], wanted: Sequence[str], where: str, forms: Forms | None = None
 ) -> Table:
     """Extract the wanted columns of a CSV file.
 
@@ -57,8 +75,8 @@ def read_table(
         The columns to keep; each must be in the header.
     where : str
         File name for error messages.
-    dates : sequence of str
-        Columns with dates (ISO 8601), which are converted to Unix time [s]; without a zone they are UTC.
+    forms : Forms, optional
+        How the fields are written.
 
     Returns
     -------
@@ -71,21 +89,25 @@ def read_table(
     UserError
         A wanted column is missing in the header, or no valid row remains.
     """
+    forms = forms or Forms()
     columns = tuple(dict.fromkeys(wanted))
-    places = {_place(column, header, where): _unix_time if column in dates else float for column in columns}
+    as_number = _number_of(forms.decimal)
+    places = {_place(column, header, where): unix_time if column in forms.dates else as_number for column in columns}
     values: list[list[float]] = []
     numbers: list[int] = []
     rejects: Counter[str] = Counter()
+    first = ""
     for number, fields in enumerate(lines):
         row = _numbers(fields, places)
         if isinstance(row, str):
             rejects[row] += 1
+            first = first or f"row {number + 1} (line {number + forms.first_line}), {_fault(fields, places, header)}"
             continue
         values.append(row)
         numbers.append(number)
-    if not values:
-        raise UserError(f"{where} holds no valid row of numbers; check `separator` and `skip_rows` of the mapping")
-    return Table(columns, np.array(values), np.array(numbers, dtype=float), rejects)
+    _check_any(len(values), first, where)
+    notes = [f"{where}: the first rejected row is {first}."] if first else []
+    return Table(columns, np.array(values), np.array(numbers, dtype=float), rejects, notes)
 
 
 def arrays_table(arrays: Mapping[str, npt.NDArray[np.generic]], wanted: Sequence[str], where: str) -> Table:
@@ -119,8 +141,25 @@ def arrays_table(arrays: Mapping[str, npt.NDArray[np.generic]], wanted: Sequence
     values = np.column_stack(found)
     if not len(values):
         raise UserError(f"{where} holds empty arrays: nothing to import")
-    table = Table(columns, values, np.arange(len(values), dtype=float))
-    return table.keep(np.isfinite(values.sum(axis=1)), "not finite")
+    finite: npt.NDArray[np.bool_] = np.isfinite(values)
+    first = ""
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0].tolist()
+        first = f"row {row + 1}, column {columns[column]!r}: {values[row, column]} is not finite"
+    notes = [f"{where}: the first rejected row is {first}."] if first else []
+    table = Table(columns, values, np.arange(len(values), dtype=float), notes=notes)
+    table = table.keep(np.asarray(finite.all(axis=1)), "not finite")
+    _check_any(len(table), first, where)
+    return table
+
+
+def _check_any(rows: int, first: str, where: str) -> None:
+    """Raise UserError if no row is left, with the first field that is no number."""
+    if rows:
+        return
+    if not first:
+        raise UserError(f"{where} holds no row behind its header; check `skip_rows` and `header` of the mapping")
+    raise UserError(f"{where} holds no row whose wanted columns are all numbers; the first one that fails: {first}")
 
 
 def _names(key: str, array: npt.NDArray[np.generic]) -> list[str]:
@@ -147,10 +186,48 @@ def _numbers(fields: list[str], places: Mapping[int, Callable[[str], float]]) ->
     return row if all(map(math.isfinite, row)) else "not finite"
 
 
-def _unix_time(text: str) -> float:
-    """Seconds since 1970 of a date."""
-    date = datetime.fromisoformat(text.strip())
-    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+def _number_of(decimal: str) -> Callable[[str], float]:
+    """Parser of numbers with a decimal point or comma."""
+    if decimal == ".":
+        return float
+
+    def parse(text: str) -> float:
+        return float(text.replace(decimal, "."))
+
+    return parse
+
+
+def _fault(fields: Sequence[str], places: Mapping[int, Callable[[str], float]], header: Sequence[str]) -> str:
+    """Which field of a rejected row is no number, and why."""
+    for place, number in places.items():
+        if place >= len(fields):
+            held = ",".join(fields)[:40]
+            return (
+                f"column {header[place]!r}: it is number {place + 1}, and the row has {len(fields)} fields ({held!r}); "
+                "check `separator`"
+            )
+        text = fields[place]
+        try:
+            if not math.isfinite(number(text)):
+                return f"column {header[place]!r}: {text!r} is not finite"
+        except ValueError as error:
+            return f"column {header[place]!r}: {text[:40]!r} {_why(text.strip(), number, error)}"
+    raise ValueError("a row without fault")
+
+
+def _why(text: str, number: Callable[[str], float], error: ValueError) -> str:
+    """Why a field is no number, and what to set where the form is known."""
+    if number is unix_time:
+        return str(error)
+    if not text:
+        return "is empty"
+    if DECIMAL_COMMA.fullmatch(text):
+        return 'is not a number: it has a decimal comma; set `decimal = ","` in the table of this file'
+    if any(mark in text for mark in OTHER_SEPARATORS):
+        return "is not a number, but several; check `separator`"
+    if DATE_LIKE.search(text):
+        return 'is not a number, but a date or time of day; set `unit = "date"` in `time`'
+    return "is not a number; check `separator`, `skip_rows` and the name of the column"
 
 
 def _place(column: str, header: Sequence[str], where: str) -> int:

@@ -24,7 +24,7 @@ LONGEST_STEP_NS = 2_000_000_000  # between two solutions, above which there is n
 
 GNSS_ALONE: dict[str, str] = {
     "gnss_alone_count": "fixes given to the filter that are compared with an independent truth, at the antenna",
-    "gnss_alone_horizontal_rmse_m": "horizontal error of these fixes: GNSS alone, root mean square",
+    "gnss_alone_horizontal_rmse_m": "horizontal error of these fixes: receiver only, root mean square",
     "gnss_alone_vertical_rmse_m": "vertical error of these fixes, root mean square",
     "at_fixes_horizontal_rmse_m": "horizontal error of the solution at these fixes, root mean square",
     "gnss_alone_standstill_horizontal_rmse_m": "horizontal error of these fixes while standstill is detected",
@@ -42,6 +42,8 @@ METRICS: dict[str, str] = {
     "fixes_removed": "GNSS fixes removed by --outage",
     "fixes_used": "GNSS positions used by the filter",
     "fixes_rejected": "GNSS positions rejected by the innovation gate",
+    "fixes_offered": "epochs of GNSS positions from the alignment on, those removed by --outage excluded",
+    "fixes_used_fraction": "fraction of these that the filter used",
     "filter_resets": "number of filter resets",
     "innovation_horizontal_rms_m": "horizontal innovation of used GNSS positions, root mean square: the error of the "
     "prediction to the next fix",
@@ -105,6 +107,7 @@ class Run:
     alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
     gnss_alone: GnssAlone | None = None
     trust: Trust | None = None  # None without core.trust
+    fixes_offered: int = 0  # epochs with a position from the alignment on
 
     def scored(self) -> Errors | None:
         """The errors that are evaluated."""
@@ -139,7 +142,7 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "fixes_recorded": run.fixes_recorded,
         "fixes_removed": run.fixes_removed,
         "filter_resets": None if run.counters.state is None else run.counters.state.resets,
-        **_innovations(run.counters),
+        **_innovations(run.counters, run.fixes_offered),
         **({} if scored is None else _against_truth(scored)),
         **_standstill(run, scored),
         **({} if run.gnss_alone is None else _gnss_alone(run.gnss_alone.since(run.scored_from_ns))),
@@ -180,13 +183,16 @@ def _above_level(integrity: Mapping[str, Value]) -> tuple[Value, Value]:
     )
 
 
-def _innovations(counters: Counters) -> dict[str, Value]:
+def _innovations(counters: Counters, offered: int) -> dict[str, Value]:
     position, velocity = counters.updates(AidingKind.GNSS_POSITION), counters.updates(AidingKind.GNSS_VELOCITY)
     kept = position.innovation[position.used]
     normalised = kept / position.innovation_sd[position.used]
+    used = int(position.used.sum())
     return {
-        "fixes_used": int(position.used.sum()),
+        "fixes_used": used,
         "fixes_rejected": int((~position.used).sum()),
+        "fixes_offered": offered,
+        "fixes_used_fraction": min(1.0, used / offered) if offered else None,
         "innovation_horizontal_rms_m": _rms(np.hypot(kept[:, 0], kept[:, 1])),
         "innovation_velocity_rms_m_s": _rms(np.hypot(*velocity.innovation[velocity.used, :2].T)),
         "normalised_innovation_rms": _rms(normalised.ravel()),
@@ -224,7 +230,7 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
 
 
 def _standstill(run: Run, scored: Errors | None) -> dict[str, Value]:
-    """Errors while the vehicle stands, of the solution and of GNSS alone."""
+    """Errors while the vehicle stands, of the solution and of the receiver only."""
     flags = run.track.columns("stationary", 1)[:, 0]
 
     def still(stamps_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:

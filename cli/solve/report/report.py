@@ -7,7 +7,7 @@ from html import escape
 from math import degrees
 
 from ..metrics.gnss_alone import WORSE
-from ..metrics.metrics import METRICS, Value
+from ..metrics.metrics import METRICS, Value, as_objects
 from ..metrics.trust import WORDS
 from ..smoothing import SMOOTHED_METRICS
 from .drawing import Figure
@@ -44,6 +44,9 @@ code { font-size: .85em; overflow-wrap: anywhere; }
 figure { margin: 0; } svg { width: 100%; height: auto; display: block; } svg text { fill: var(--ink); }
 """
 
+LEAST_USED = 0.5  # fraction of the fixes below which a solution is not sound; a receiver that is told twice counts once
+FEW_RESETS, RESET_PERIOD_S = 2, 300.0  # resets that a sound drive may have: this many, or one in this time
+
 
 @dataclass(frozen=True)
 class Heading:
@@ -56,6 +59,7 @@ class Heading:
     integrity_risk: float | None = None  # integrity risk of the protection levels
     made: str = ""  # statement on computed instead of measured data
     set_up: Sequence[str] = ()  # findings of the checks of the set-up
+    clocks: Sequence[str] = ()  # what the comparison of the clocks says, where fixes were hardly used
 
 
 def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure]) -> str:
@@ -74,8 +78,8 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
     drawn = "\n".join(others)
     facts = "\n".join(f"<tr><td>{escape(k)}</td><td><code>{escape(v)}</code></td></tr>" for k, v in heading.facts)
     tiles = "\n".join(f"<div><dt>{escape(what)}</dt><dd>{escape(value)}</dd></div>" for what, value in numbers(metrics))
-    judged = re.sub(r"(\d) (m)\b", "\\1\u00a0\\2", verdict(metrics))  # a number stays with its unit
-    worse = " worse" if worse_axes(metrics) else ""
+    judged = re.sub(r"(\d) (m)\b", "\\1\u00a0\\2", verdict(metrics, heading.clocks))  # a number stays with its unit
+    worse = " worse" if worse_axes(metrics) or is_hardly_used(metrics) else ""
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -123,10 +127,51 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
 """
 
 
-def verdict(metrics: dict[str, Value]) -> str:
-    """Judge the drive in one sentence, and say in a second one if parts of it have no solution."""
+def document(heading: Heading, metrics: dict[str, Value]) -> dict[str, Value | str | dict[str, Value]]:
+    """What metrics.json holds: the verdict, then every metric."""
+    return {"verdict": verdict(metrics, heading.clocks), **as_objects(metrics)}
+
+
+def verdict(metrics: dict[str, Value], clocks: Sequence[str] = ()) -> str:
+    """Judge the drive in one sentence, and say in a second one if parts of it have no solution.
+
+    Where the filter used few of the fixes, or was reset often, no other number says anything of the drive: then the
+    first sentence is that, and the second one what to try.
+    """
     missing = metrics.get("without_solution_s")
-    return _judged(metrics) + (f" There is no solution for {_seconds(missing)} s." if missing else "")
+    judged = hardly_used(metrics, clocks) or _judged(metrics)
+    return judged + (f" There is no solution for {_seconds(missing)} s." if missing else "")
+
+
+def is_hardly_used(metrics: dict[str, Value]) -> bool:
+    """Whether the filter used less than half of the fixes, or was reset again and again."""
+    share, resets = metrics.get("fixes_used_fraction"), metrics.get("filter_resets") or 0
+    often = resets > max(FEW_RESETS, (metrics.get("duration_s") or 0.0) / RESET_PERIOD_S)
+    return often or (share is not None and share < LEAST_USED)
+
+
+def hardly_used(metrics: dict[str, Value], clocks: Sequence[str] = ()) -> str:
+    """Say what share of the fixes was used, how often the filter was reset, and what to try; empty for a sound run."""
+    if not is_hardly_used(metrics):
+        return ""
+    if clocks:
+        advice = " ".join(clocks)
+    elif metrics.get("gnss_excluded_s"):
+        advice = "core.trust excluded GNSS; --without trust shows the run without it."
+    else:
+        advice = (
+            "Check that the stamps of the files are of one clock (`obu import` compares them), then the axes of the "
+            "IMU and the lever arm."
+        )
+    return f"This is no sound solution: {_use(metrics)}. {advice}"
+
+
+def _use(metrics: dict[str, Value]) -> str:
+    share, resets = metrics.get("fixes_used_fraction"), metrics.get("filter_resets")
+    used = f"{metrics['fixes_used']} of {metrics.get('fixes_offered')} fixes since the alignment were used"
+    percent = "" if share is None else f" ({100.0 * share:.3g} %)"
+    times = "never" if not resets else "once" if resets == 1 else f"{resets} times"
+    return f"{used}{percent}, and the filter was reset {times}"
 
 
 def _judged(metrics: dict[str, Value]) -> str:
@@ -134,7 +179,7 @@ def _judged(metrics: dict[str, Value]) -> str:
     if ours is not None and gnss is not None and _same_input(metrics):
         axes = worse_axes(metrics)
         equal = "better than" if ours < gnss / WORSE else "as good as"
-        compared = f"worse than GNSS alone {' and '.join(axes)}" if axes else f"{equal} GNSS alone"
+        compared = f"worse than the receiver {' and '.join(axes)}" if axes else f"{equal} the receiver"
         height = metrics["at_fixes_vertical_rmse_m"], metrics["gnss_alone_vertical_rmse_m"]
         vertical = f", vertically {_metres(height[0])} instead of {_metres(height[1])}" if None not in height else ""
         return f"Position {compared}: horizontally {_metres(ours)} RMS instead of {_metres(gnss)}{vertical}."
@@ -169,8 +214,9 @@ def numbers(metrics: dict[str, Value]) -> list[tuple[str, str]]:
 
 
 def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
-    """Summarise the results in a few sentences."""
-    found = [f"{_number(metrics['duration_s'])} s of driving, {_number(metrics['distance_m'])} m."]
+    """Summarise the results in a few sentences, the first of which says if they are of no use."""
+    driven = f"{_number(metrics['duration_s'])} s of driving, {_number(metrics['distance_m'])} m."
+    found = [hardly_used(metrics, heading.clocks), driven] if is_hardly_used(metrics) else [driven, f"{_use(metrics)}."]
     if metrics["horizontal_rmse_m"] is not None:
         found.append(
             f"Position error: {_metres(metrics['horizontal_rmse_m'])} horizontal RMS (95th percentile "
@@ -213,7 +259,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
 
 
 def against_gnss(metrics: dict[str, Value]) -> list[str]:
-    """Compare the solution with GNSS alone at the same times; state if it is worse. Empty without a comparison."""
+    """Compare the solution with the receiver only, at the same times; state if it is worse. Empty without one."""
     gnss, fused = _errors("gnss_alone", metrics), _errors("at_fixes", metrics)
     shown = ", ".join(
         f"{_metres(a)} {axis} RMS (fused {_metres(b)})"
@@ -222,17 +268,17 @@ def against_gnss(metrics: dict[str, Value]) -> list[str]:
     )
     if not shown:
         return []
-    found = [f"GNSS alone at the same {metrics['gnss_alone_count']} fixes: {shown}."]
+    found = [f"Receiver only, at the same {metrics['gnss_alone_count']} fixes: {shown}."]
     if axes := worse_axes(metrics):
         found.append(
-            f"Fusion is worse than GNSS alone {' and '.join(axes)}: check lever arm, axes and delays, or the settings "
-            "of the GNSS error model."
+            f"Fusion is worse than the receiver {' and '.join(axes)}: check lever arm, axes and delays, or the "
+            "settings of the GNSS error model."
         )
     return found
 
 
 def worse_axes(metrics: dict[str, Value]) -> list[str]:
-    """How the solution is worse than GNSS alone: horizontally, vertically, both or not at all.
+    """How the solution is worse than the receiver: horizontally, vertically, both or not at all.
 
     Fixes at the end of an outage are compared with a solution without GNSS, which says nothing of a fault: then it is
     not said. Where the receiver's own fixes are the truth, there is no such comparison.

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from shared.chosen import ChosenSource
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
@@ -13,7 +14,6 @@ from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT
 from .sources import Sources, age_s
 
 NS = 1_000_000_000
-SPEED_SILENT_S = 5.0
 NMEA = "/nmea"
 
 
@@ -26,7 +26,7 @@ class Unit:
     receivers: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))
     gnss: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))  # UBX and NMEA of one receiver are two
     imu: Sources = field(default_factory=lambda: Sources(IMU_SILENT_S))
-    speed: Sources = field(default_factory=lambda: Sources(SPEED_SILENT_S))
+    speed: ChosenSource = field(default_factory=ChosenSource)
     fix_ns: int | None = None
     utc_offset_ns: int | None = None  # UTC - OBU time line
     solution: NavigationSolution | None = None
@@ -45,7 +45,7 @@ class Unit:
                 self.imu.note_received(message.source, self.now_ns)
             case VehicleSpeed():
                 self._advance(message.received_ns)
-                self.speed.note_received(message.source, self.now_ns)
+                self.speed.takes(message.source, self.now_ns)
             case GnssFix():
                 return self._note_fix(message)
             case NavigationSolution():
@@ -94,7 +94,7 @@ class Unit:
             reason=reason[:400],
             gnss_source=self.gnss.choose(self.now_ns),
             imu_source=self.imu.choose(self.now_ns),
-            speed_source=self.speed.choose(self.now_ns),
+            speed_source=self.speed.current(self.now_ns),
         )
 
     def _advance(self, stamp_ns: int) -> None:

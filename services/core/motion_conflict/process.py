@@ -7,6 +7,7 @@ from typing import cast
 
 from pydantic import ValidationInfo, model_validator
 
+from shared.chosen import ChosenSource
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
@@ -46,6 +47,7 @@ class Process:
     def __init__(self, config: Config) -> None:
         self._monitor = MotionMonitor(config)
         self._newest_ns, self._odometer = 0, config.odometer
+        self._speed = ChosenSource()
 
     @property
     def rejects(self) -> Counter[str]:
@@ -58,7 +60,7 @@ class Process:
             case GnssFix():
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._use_fix(message)
-            case VehicleSpeed() if self._odometer:
+            case VehicleSpeed() if self._odometer and self._speed.takes(message.source, message.received_ns):
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case TrustState():

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError, ValidationInfo, model_validator
 
+from shared.chosen import ChosenSource
 from shared.errors import ConfigError
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import matrix_from_quaternion, ned_from_body
@@ -154,6 +155,7 @@ class Process:
         self._lesson = Lesson(self._settings.profile)
         self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
+        self._speed = ChosenSource()
         self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
         self._imu, self._gnss = Rate(), Rate()
         self._warning: str | None = None  # of a profile for another unit; None until it has been compared
@@ -171,7 +173,7 @@ class Process:
             case GnssFix() if self._is_chosen(message):
                 self._gnss.count(message.source, message.sampled_ns)
                 self.monitor.fix(message.sampled_ns, *velocity_of(message), *position_of(message))
-            case VehicleSpeed() if self._is_chosen(message):
+            case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case NavigationSolution() if message.phase in WITH_HEADING:
                 self.monitor.solution(anchor_of(message))
@@ -246,7 +248,7 @@ class Process:
     def _restart_monitor(self) -> None:
         self.monitor = InertialMonitor(self._settings, self.rejects)
 
-    def _is_chosen(self, message: ImuSamples | GnssFix | VehicleSpeed) -> bool:
+    def _is_chosen(self, message: ImuSamples | GnssFix) -> bool:
         """Whether a message comes from the one source of its kind that is used."""
         kind, now_ns = type(message), message.received_ns
         chosen, last_ns = self._sources.get(kind, (message.source, now_ns))

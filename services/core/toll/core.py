@@ -375,7 +375,7 @@ class Core:
         return self._statement(older, older.here.time_ns, checkpoint=True)
 
     def _changed(self, passage: Passage, track: Track, here: Here) -> TollPassage:
-        """Make the statement on a change of a passage's state; one that overlaps another passage is suspect."""
+        """Make the statement on a change of a passage's state; note which ones it overlaps."""
         crossing = passage.crossing
         if passage.state is PassageState.CROSSED and crossing:
             passage.suspect(self._overlapped(passage, here))
@@ -385,11 +385,12 @@ class Core:
         statement = self._statement(passage, here.time_ns, evidence=evidence)
         return self._kept(statement) if passage.state.is_final else statement
 
-    def _overlapped(self, passage: Passage, here: Here) -> Passage | None:
-        """Find a passage that crossed the gate line before in the same lane, and whose vehicle is still there."""
+    def _overlapped(self, passage: Passage, here: Here) -> list[Passage]:
+        """Find the passages that crossed the gate line before in the same lane, and whose vehicles are still there."""
         lane = passage.crossing.lane if passage.crossing else None
         if lane is None:
-            return None
+            return []
+        found = []
         model = self._model
         relative_sd = sqrt(2.0) * sqrt(model.vehicle_sd**2 + self._settings.errors.white_sd_m**2)
         for other in self._passages.values():
@@ -398,8 +399,8 @@ class Core:
                 continue
             length_m = self._length_of(other)
             if overlap(other, here, length_m, relative_sd=relative_sd):
-                return other
-        return None
+                found.append(other)
+        return found
 
     def _length_of(self, passage: Passage) -> float:
         track = self._table.by_station.get(passage.station_ids[-1])
@@ -510,6 +511,7 @@ class Core:
             doubt=statement.reason,
             crossing=crossing,
             stated_ns=statement.sampled_ns,
+            overlaps=list(statement.overlaps),
         )
 
     def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
@@ -615,6 +617,7 @@ class Core:
             position_sd_m=here.sd,
             delta_ns=crossing.delta_ns if crossing else here.delta_ns,
             trust=self._trust(here.time_ns),
+            overlaps=tuple(passage.overlaps),
             evidence=evidence,
         )
 

@@ -17,6 +17,10 @@ from .measurement import Measured, observation
 from .settings import Settings
 from .trackers.filters import Estimates, imm
 
+REMEMBERED_NS = 70 * 10**9  # generationDeltaTime is the same again after 65.536 s
+MAX_REMEMBERED = 300_000  # CAM; 2,000 a second are 140,000
+CHANNEL_NS = 5 * 10**9  # longest delay of what the channel repeats
+
 LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
 LINK_ACROSS_M = 2.0  # that it may be beside its prediction; the next lane is 3.5 m away
 LINK_SPEED_M_S = 1.0  # by which its speed may differ, beside what it has accelerated
@@ -91,6 +95,34 @@ def away_from_prediction(
     return np.where(can_be, np.hypot(along, across), np.inf)
 
 
+class Repetitions:
+    """The CAM of the last 70 s, to tell those that are received again: by the channel, or by who replays them.
+
+    A replay may have other headers than the original, so that the digest is that of what a CAM states: who, when and
+    where. A CAM that is received again is remembered from then on.
+    """
+
+    def __init__(self) -> None:
+        self._received_ns: dict[int, int] = {}  # by digest, in the order of reception
+
+    def add(self, cam: Cam) -> str | None:
+        """Remember a CAM; return why it is rejected if it was received before."""
+        digest = hash((cam.station_id, cam.generation_delta_time, cam.latitude_deg, cam.longitude_deg))
+        before_ns = self._received_ns.pop(digest, None)
+        self._received_ns[digest] = cam.received_ns
+        while len(self._received_ns) > MAX_REMEMBERED or self._is_old(cam.received_ns):
+            del self._received_ns[next(iter(self._received_ns))]
+        if before_ns is None:
+            return None
+        return "replayed" if cam.received_ns - before_ns > CHANNEL_NS else "late_or_repeated"
+
+    def __len__(self) -> int:
+        return len(self._received_ns)
+
+    def _is_old(self, now_ns: int) -> bool:
+        return abs(now_ns - next(iter(self._received_ns.values()))) > REMEMBERED_NS
+
+
 class TrackTable:
     """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
 
@@ -103,6 +135,7 @@ class TrackTable:
         self.by_station: dict[int, Track] = {}
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
+        self._repetitions = Repetitions()
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
         self._x = np.zeros((size, *start.x.shape[1:]))
         self._P = np.zeros((size, *start.P.shape[1:]))
@@ -153,6 +186,9 @@ class TrackTable:
 
     def _measured(self, cam: Cam) -> Measured | None:
         """Place of a CAM in the plane; None if it cannot be used."""
+        if reason := self._repetitions.add(cam):
+            self.rejected[reason] += 1
+            return None
         if cam.latitude_deg is None or cam.longitude_deg is None:
             self.rejected["no_position"] += 1
             return None

@@ -14,7 +14,7 @@ from shared.runtime.config import Section
 
 from .candump import CanFrame, LineReader
 from .database import WheelSpeedDecoder
-from .standards import standard_speed
+from .standards import StandardSpeeds
 
 NS = 1_000_000_000
 OLDEST_LINE_NS = 10 * NS
@@ -44,6 +44,9 @@ class Config(Section):
     dbc_file: Path | None = Field(
         default=None, description="path of the DBC file, relative to the working folder or to the repository"
     )
+    wheel_speed_unit: str | None = Field(
+        default=None, description="unit of the wheel-speed signals, if that of the DBC file is missing or wrong"
+    )
     wheel_speed_signals: WheelSignals = Field(
         default=WheelSignals(), description="name of the wheel-speed signal of each wheel in the DBC file"
     )
@@ -57,6 +60,7 @@ class Process:
         self._faults = Faults(self.rejects)
         self._config = config
         self._readers: dict[str, LineReader] = {}
+        self._standards = StandardSpeeds()
         self._decoder = self._load(config)
 
     def handle(self, message: Message) -> Iterator[VehicleSpeed | WheelSpeeds]:
@@ -68,23 +72,25 @@ class Process:
             return
         for frame in self._readers.setdefault(message.source, LineReader(self.rejects)).feed(message.data):
             with self._faults.decoding(message.received_ns):
-                yield from self._speeds(frame, message)
+                yield from self._decoded(frame, message)
 
-    def _speeds(self, frame: CanFrame, message: CanRaw) -> Iterator[VehicleSpeed | WheelSpeeds]:
+    def _decoded(self, frame: CanFrame, message: CanRaw) -> Iterator[VehicleSpeed | WheelSpeeds]:
         received_ns = self._received_ns(frame, message)
-        if speed := standard_speed(frame):
+        # A file may hold the frames of several interfaces; those of the bus itself have its name.
+        bus = message.source if frame.interface == message.source else f"{message.source}/{frame.interface}"
+        if speed := self._standards.decode(frame):
             yield VehicleSpeed(
                 sampled_ns=received_ns - round(self._config.vehicle_speed_delay_s * NS),
                 received_ns=received_ns,
-                source=f"{message.source}/{speed.name}",
+                source=f"{bus}/{speed.name}",
                 speed_m_s=speed.speed_m_s,
                 resolution_m_s=speed.resolution_m_s,
             )
-        if self._decoder and (speeds := self._decoder.decode(frame, received_ns, message.source)):
+        if self._decoder and (speeds := self._decoder.decode(frame, received_ns, bus)):
             yield WheelSpeeds(
                 sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
                 received_ns=received_ns,
-                source=message.source,
+                source=bus,
                 **{f"{wheel}_m_s": speed for wheel, speed in speeds.items()},
             )
 
@@ -104,7 +110,8 @@ class Process:
         try:
             path = config.dbc_file if config.dbc_file.exists() else REPOSITORY / config.dbc_file
             period_ns = round(config.wheel_speed_period_s * NS)
-            return WheelSpeedDecoder(path.read_text(encoding="latin-1"), signals, period_ns, self.rejects)
+            text, unit = path.read_text(encoding="latin-1"), config.wheel_speed_unit
+            return WheelSpeedDecoder(text, signals, period_ns, self.rejects, unit)
         except (OSError, ValueError) as error:
             raise UserError(
                 f"[parsers.can] dbc_file = {str(config.dbc_file)!r}: {error}; correct the path or the file"

@@ -194,3 +194,35 @@ def test_times_before_1970_are_reported_in_one_sentence(drive: Path) -> None:
     with pytest.raises(UserError, match="are before 1970; add `start_utc_s"):
         import_drive(drive / "m.toml", drive, drive / "out.mcap")
     assert not list(drive.glob("out*"))
+
+
+def test_a_drive_over_the_end_of_the_gps_week_is_imported_whole(
+    drive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = "".join(f"{(604_799.75 + k * 0.01) % 604_800.0:.2f};0;0;-9.8;0;0;0;\n" for k in range(50))
+    (drive / "log.csv").write_text("made by hand\nt; ax; ay; az; gx; gy; gz;\n" + rows)
+    (drive / "fix.csv").write_text("604799.8,49,6,300\n0.2,49,6,300\n")
+    (drive / "m.toml").write_text("start_utc_s = 1789862400.0\n" + MAPPING)
+    assert import_drive(drive / "m.toml", drive, drive / "out.mcap") == 0
+    with Recording(drive / "out.mcap") as recording:
+        messages = [envelope.decode() for envelope in recording]
+    stamps = [stamp for m in messages if isinstance(m, ImuSamples) for stamp in m.sampled_ns]
+    assert len(stamps) == 50 and stamps[-1] - stamps[0] == 490_000_000
+    assert [m.sampled_ns - stamps[0] for m in messages if isinstance(m, GnssFix)] == [50_000_000, 450_000_000]
+    out = capsys.readouterr().out
+    assert "log.csv: the clock 't' starts anew after a week at row 26; the stamps were continued." in out
+    assert "not later" not in out
+
+
+def test_clocks_that_do_not_overlap_are_told(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (drive / "fix.csv").write_text("3600.1,49,6,300\n3600.3,49,6,300\n")
+    assert import_drive(drive / "m.toml", drive, drive / "out.mcap") == 0
+    out = capsys.readouterr().out
+    assert "log.csv and fix.csv do not overlap in time" in out
+    assert "a time zone of 1 h" in out and "Add -3600 to `offset_s` in `time` of fix.csv" in out
+
+
+def test_a_file_of_which_no_row_can_be_used_is_an_error(drive: Path) -> None:
+    (drive / "fix.csv").write_text("0.1,149,6,300\n0.3,149,6,300\n")
+    with pytest.raises(UserError, match=r"fix\.csv holds no row that can be used: 2 invalid position"):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap")

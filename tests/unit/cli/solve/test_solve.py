@@ -25,12 +25,12 @@ from shared.messages.imu import ImuSamples
 from shared.messages.neighbours import NeighbourStates
 from shared.messages.trust import TrustLevel
 from shared.recording import Recording, RecordingWriter
-from shared.runtime.offline import arrival_ns
+from shared.runtime.live import arrival_ns
 from tests.support.bus.envelopes import sent
 from tests.support.drives.csv_drive import write_drive
 
 Metrics = dict[str, float]
-WRITTEN = list(as_objects(dict.fromkeys(METRICS)))  # keys of metrics.json
+WRITTEN = ["verdict", *as_objects(dict.fromkeys(METRICS))]  # keys of metrics.json
 
 DURATION_S = 70.0
 
@@ -277,3 +277,27 @@ def test_a_smoothed_solution_is_accepted_as_truth(
     compared = metrics_in(tmp_path)
     assert compared["truth_count"] > 400
     assert compared["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)
+
+
+def test_clocks_18_s_apart_are_the_verdict_with_what_to_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], without_figures: None
+) -> None:
+    mapping = write_drive(tmp_path, simulate("parking_lot", seed=3, duration_s=DURATION_S))
+    lines = mapping.read_text().splitlines()
+    gnss = lines.index("[gnss]")
+    clock = next(k for k in range(gnss, len(lines)) if lines[k].startswith("time = "))
+    lines[clock] = lines[clock].replace(" }", ", offset_s = 18.0 }")
+    mapping.write_text("\n".join(lines))
+    assert import_drive(mapping, tmp_path, tmp_path / "drive.mcap") == 0
+    assert "probably 18 s apart" in capsys.readouterr().out
+    assert solve(tmp_path / "drive.mcap", out=tmp_path / "out") == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    found = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert first.startswith("This is no sound solution: ") and "probably 18 s apart" in first
+    assert found["verdict"].startswith(first) and found["fixes_used_fraction"] < 0.5
+    assert first.partition(" and ")[0] in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_sound_drive_says_what_share_of_the_fixes_was_used(solution: Path) -> None:
+    found = json.loads((solution / "metrics.json").read_text())
+    assert found["fixes_used_fraction"] > 0.95 and "sound" not in found["verdict"]

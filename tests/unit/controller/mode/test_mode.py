@@ -220,7 +220,7 @@ def test_the_number_of_sources_is_bounded() -> None:
 def test_one_source_of_each_kind_is_selected() -> None:
     process = Process(Config(configure_gnss=False))
     out = newest(feed(process, [fix(0.0), imu(0.1), speed(0.2), speed(0.3, "can0/j1939"), Tick(now_ns=at(1))]))
-    assert (out.gnss_source, out.imu_source, out.speed_source) == ("gnss0", "imu0", "can0/obd")
+    assert (out.gnss_source, out.imu_source, out.speed_source) == ("gnss0", "imu0", "can0/j1939")
 
 
 def kept(messages: Sequence[Message]) -> list[float]:

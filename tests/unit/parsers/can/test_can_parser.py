@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from services.parsers.can.candump import LineReader, parse_line
 from services.parsers.can.process import Config, Process, WheelSignals
+from shared.chosen import ChosenSource
 from shared.errors import UserError
 from shared.messages.imu import ImuRaw
 from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
@@ -59,6 +60,113 @@ def test_an_obd_response_gives_a_speed_stamped_with_the_configured_delay(identif
 
 
 @pytest.mark.parametrize(
+    ("identifier", "source"),
+    [
+        *((f"7E{k:X}", f"can0/obd/7E{k:X}") for k in range(9, 16)),
+        ("18DAF11D", "can0/obd/18DAF11D"), ("18DAF128", "can0/obd/18DAF128"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("padding", ["AAAAAAAA", "55555555", ""])
+def test_the_answer_of_any_control_unit_is_a_speed_of_its_own_source(
+    identifier: str, source: str, padding: str
+) -> None:
+    (speed,) = feed(Process(Config()), line(f"{identifier}#03410D32{padding}"))
+    assert isinstance(speed, VehicleSpeed)
+    assert speed.source == source and speed.speed_m_s == pytest.approx(50 / 3.6)
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        ["7E8#06410C1AF80D3200"],  # engine speed, then speed
+        ["7E8#05410D320F5A0000"],  # speed, then intake temperature
+        ["7E8#07410401055A0D32"],
+        ["7E8#100941000D0D0D0D", "7E8#210D3200000000"],  # supported PIDs, whose value is no PID
+        ["7E8#100C4120000D000D", "7E8#210C0D0D0D325555"],
+    ],
+)
+def test_the_speed_of_an_answer_to_several_pids_is_found(frames: list[str]) -> None:
+    data = b"".join(line(text, 0.001 * k) for k, text in enumerate(frames))
+    (found,) = feed(Process(Config()), data)
+    assert isinstance(found, VehicleSpeed) and found.speed_m_s == pytest.approx(50 / 3.6)
+
+
+def test_answers_of_several_frames_are_joined_by_sender_and_lost_with_a_missing_frame() -> None:
+    first, second = "100B410000000000", "210C1AF80D325555"
+    mixed = line(f"7E8#{first}") + line(f"7E9#{first}") + line(f"7E9#{second}") + line(f"7E8#{second}")
+    assert [m.source for m in feed(Process(Config()), mixed)] == ["can0/obd/7E9", "can0/obd"]
+    assert not feed(Process(Config()), line(f"7E8#{first}") + line("7E8#220C1AF80D325555"))
+    assert not feed(Process(Config()), line(f"7E8#{second}"))
+
+
+def test_two_senders_of_a_speed_are_two_sources_of_which_one_is_chosen() -> None:
+    process, chosen = Process(Config()), ChosenSource()
+    frames = [("18FEF10B#F700000FFFFFFFFF", 0.0), ("18FEF100#F700500FFFFFFFFF", 80 / 3.6)] * 5
+    found = feed(process, b"".join(line(text, 0.01 * k) for k, (text, _) in enumerate(frames)), 0.1)
+    speeds: dict[str, set[float]] = {}
+    for speed in found:
+        assert isinstance(speed, VehicleSpeed)
+        speeds.setdefault(speed.source, set()).add(round(speed.speed_m_s * 3.6, 3))
+    assert speeds == {"can0/j1939/0B": {0.0}, "can0/j1939/00": {80.0}}
+    used = [speed.source for speed in found if chosen.takes(speed.source, speed.received_ns)]
+    assert set(used[1:]) == {"can0/j1939/00"}
+
+
+def test_the_frames_of_two_interfaces_in_one_file_are_two_sources() -> None:
+    text = "18FEF100#F700500FFFFFFFFF"
+    found = feed(Process(Config()), line(text) + line(text, 0.001, "can1"))
+    assert [speed.source for speed in found] == ["can0/j1939/00", "can0/can1/j1939/00"]
+
+
+def test_error_frames_are_counted() -> None:
+    process = Process(Config())
+    assert not feed(process, line("20000088#0000000000000000") + line("20000000#"))
+    assert process.rejects == {"error_frame": 2}
+
+
+@pytest.mark.parametrize(
+    ("signal", "data", "speed_m_s"),
+    [
+        ('0|16@1+ (0.01,0) [0|1] "km/h"', "8813", 50 / 3.6),
+        ('0|16@1+ (0.01,0) [0|0] "km/h"', "8813", 50 / 3.6),
+        ('0|16@1+ (0.01,0) [1|0] "km/h"', "8813", 50 / 3.6),
+        ('0|16@1+ (0.01,0) [700|900] "km/h"', "8813", 50 / 3.6),
+        ('0|16@1- (0.01,0) [-1|1] "km/h"', "78EC", -50 / 3.6),
+        ('0|16@1+ (0.01,0) [0|1] "KPH"', "8813", 50 / 3.6),
+        ('0|16@1+ (0.01,0) [0|655.35] "km / h"', "8813", 50 / 3.6),
+        ('0|16@1+ (0.01,0) [0|300] "MPH"', "8813", 50 * 0.44704),
+        ('0|16@1+ (0.01,0) [0|300] "knots"', "8813", 50 * 1852 / 3600),
+        ('0|8@1+ (1,0) [0|1] "km/h"', "32", 50 / 3.6),
+        ('0|16@1+ (0.01,0) [0|300] "km/h"', "FF9C", None),  # 401.91 km/h, above a range that is believed
+        ('0|12@1+ (0.1,0) [0|1] "km/h"', "FF0F", None),  # all bits: there is no value
+    ],
+)  # fmt: skip
+def test_a_range_that_contradicts_the_bits_is_ignored(
+    signal: str, data: str, speed_m_s: float | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(f'VERSION ""\nBU_: ECU\nBO_ 212 WHEELS: {len(data) // 2} ECU\n SG_ WS : {signal} ECU\n')
+    process = Process(Config(dbc_file=path, wheel_speed_signals=WheelSignals(rear_left="WS")))
+    found = [one.rear_left_m_s for one in feed(process, line(f"0D4#{data}")) if isinstance(one, WheelSpeeds)]
+    assert found == ([] if speed_m_s is None else [pytest.approx(speed_m_s)])
+    assert process.rejects["wheel_speed"] == (speed_m_s is None)
+
+
+@pytest.mark.parametrize("unit", ["", "Speed", "deg"])
+def test_the_unit_can_be_set_where_the_file_has_none_that_is_known(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(f'VERSION ""\nBU_: ECU\nBO_ 212 W: 2 ECU\n SG_ WS : 0|16@1+ (0.01,0) [0|300] "{unit}" ECU\n')
+    signals = WheelSignals(rear_left="WS")
+    with pytest.raises(UserError, match="state it as `wheel_speed_unit`"):
+        Process(Config(dbc_file=path, wheel_speed_signals=signals))
+    process = Process(Config(dbc_file=path, wheel_speed_signals=signals, wheel_speed_unit="km/h"))
+    (speeds,) = feed(process, line("0D4#8813"))
+    assert isinstance(speeds, WheelSpeeds) and speeds.rear_left_m_s == pytest.approx(50 / 3.6)
+    with pytest.raises(UserError, match="has the unit 'furlong'"):
+        Process(Config(dbc_file=path, wheel_speed_signals=signals, wheel_speed_unit="furlong"))
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "7E8#037F0111",  # negative response
@@ -80,8 +188,8 @@ def test_other_frames_give_no_speed_and_no_reject(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "source", "speed_m_s"),
     [
-        ("18FEF100#F7803E0FFFFFFFFF", "can0/j1939", 62.5 / 3.6),
-        ("0CFE6CEE#0000C0C0FFFF003C", "can0/tachograph", 60 / 3.6),
+        ("18FEF100#F7803E0FFFFFFFFF", "can0/j1939/00", 62.5 / 3.6),
+        ("0CFE6CEE#0000C0C0FFFF003C", "can0/tachograph/EE", 60 / 3.6),
     ],
 )
 def test_j1939_gives_the_wheel_based_and_the_tachograph_speed(text: str, source: str, speed_m_s: float) -> None:
@@ -273,4 +381,4 @@ def test_a_parked_truck_has_zero_wheel_and_tachograph_speed() -> None:
                 for speed in process.handle(CanRaw(received_ns=frame.time_ns, source="can0", data=text)):
                     assert isinstance(speed, VehicleSpeed)
                     found[speed.source, speed.speed_m_s] += 1
-    assert found == {("can0/j1939", 0.0): 3993, ("can0/tachograph", 0.0): 215}
+    assert found == {("can0/can1/j1939/00", 0.0): 3993, ("can0/can1/tachograph/EE", 0.0): 215}

@@ -64,8 +64,8 @@ def test_frames_of_an_interface_are_lines_stamped_in_the_obu_time_line() -> None
         far.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\xbe\xef"))
         far.send(can.Message(arbitration_id=0x18FEF100, data=bytes(8)))
         far.send(can.Message(is_error_frame=True))
-        lines = read_lines(device, 2)
-    assert without_stamps(lines) == ["lines 123#BEEF", "lines 18FEF100#0000000000000000"]
+        lines = read_lines(device, 3)
+    assert without_stamps(lines) == ["lines 123#BEEF", "lines 18FEF100#0000000000000000", "lines 20000000#"]
     stamp_s = float(lines[0].split(")")[0][1:])
     assert before_ns * 1e-9 - 1e-3 <= stamp_s <= time.monotonic()
     device.close()
@@ -132,6 +132,49 @@ def test_a_log_is_replayed_at_its_recorded_rate_with_present_stamps(tmp_path: Pa
     assert [stamp - stamps_s[0] for stamp in stamps_s] == pytest.approx([0.0, 0.1, 0.3], abs=2e-6)
     assert device.read(0.02) == b""
     device.close()
+
+
+def test_what_candump_shows_is_read_as_its_log(tmp_path: Path) -> None:
+    shown = [
+        "  can0  7E8   [8]  03 41 0D 32 00 00 00 00",
+        " (1000.050000)  can0  18FEF100   [8]  F7 80 3E 0F FF FF FF FF   '..>.....'",
+        " (1000.060000)  vcan1  RX - -  7E9   [4]  03 41 0D 32",
+        "  can0  123   [0]  remote request",
+        "  can0  123  [02]  AB CD",
+        "  can0  20000088   [8]  00 00 00 00 00 00 00 00   ERRORFRAME",
+        " (2026-09-21 10:20:00.000000)  can0  001   [1]  01",
+        "  can0  7E8   [8]  03 41",
+        "$ candump can0",
+    ]
+    path = tmp_path / "screen.log"
+    path.write_text("\n".join(shown) + "\n")
+    device = open_can(f"file://{path}", 0x7DF, lambda: 2_000_000_000 * 1_000_000_000)
+    lines = [found[1] for found in iter(device._scan, None)]  # type: ignore[attr-defined]  # without waiting
+    assert [device._next[1], *lines][:1] == ["can0 7E8#03410D3200000000"]  # type: ignore[attr-defined]
+    assert lines == [
+        "can0 18FEF100#F7803E0FFFFFFFFF", "vcan1 7E9#03410D32", "can0 123#R", "can0 123##0ABCD",
+        "can0 20000088#0000000000000000", "can0 001#01",
+    ]  # fmt: skip
+    device.close()
+
+
+def test_frames_without_time_stamps_are_replayed_at_100_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "screen.log"
+    path.write_text("can0  7E8   [4]  03 41 0D 32\n" * 6)
+    device = open_can(f"file://{path}", 0x7DF, time.monotonic_ns)
+    lines = read_lines(device, 6)
+    assert without_stamps(lines) == ["can0 7E8#03410D32"] * 6
+    stamps_s = [float(line.split(")")[0][1:]) for line in lines]
+    assert stamps_s[-1] - stamps_s[0] == pytest.approx(0.05, abs=2e-6)
+    device.close()
+
+
+@pytest.mark.parametrize("text", ["", "rubbish\n", "1000.0,7E8,03410D32\n", "can0 7E8 8 03 41 0D 32\n"])
+def test_a_log_without_a_usable_line_is_an_error_that_names_the_form(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text(text)
+    with pytest.raises(DeviceLost, match=r"holds no line of a candump log; write one with `candump -L can0`.*7E8#03"):
+        open_can(f"file://{path}", 0x7DF, time.monotonic_ns)
 
 
 @pytest.mark.recording

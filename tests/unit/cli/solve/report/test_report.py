@@ -4,11 +4,14 @@ import re
 from functools import cache
 from html.parser import HTMLParser
 
+import pytest
+
 from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.errors import errors_against
-from cli.solve.metrics.metrics import Run, metrics_of
+from cli.solve.metrics.metrics import METRICS, Run, Value, metrics_of
+from cli.solve.report.drawing import Figure
 from cli.solve.report.plots import figures_of
-from cli.solve.report.report import Heading, page
+from cli.solve.report.report import Heading, document, page, summary, verdict
 from shared.messages.navigation import AidingKind, AidingUpdate
 from tests.support.drives.tracks import START_NS, reference, solution, track
 
@@ -109,3 +112,48 @@ def test_every_colour_of_a_figure_follows_the_dark_mode_of_the_page() -> None:
 def test_equal_runs_give_equal_pages_of_bounded_size() -> None:
     assert draw_report() == report()
     assert len(report()) < 500_000
+
+
+def judged(**values: Value) -> dict[str, Value]:
+    known = {"duration_s": 600.0, "fixes_used": 590, "fixes_offered": 600, "fixes_used_fraction": 590 / 600,
+             "filter_resets": 0, "innovation_horizontal_rms_m": 2.12}  # fmt: skip
+    return {**dict.fromkeys(METRICS), **known, **values}
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"fixes_used": 17, "fixes_offered": 229, "fixes_used_fraction": 17 / 229, "filter_resets": 121},
+        {"fixes_used": 290, "fixes_used_fraction": 290 / 600},
+        {"filter_resets": 3},
+        {"filter_resets": 121, "fixes_offered": 0, "fixes_used_fraction": None},
+    ],
+)
+def test_a_solution_that_hardly_used_the_fixes_is_not_sound(values: dict[str, Value]) -> None:
+    metrics = judged(**values)
+    assert verdict(metrics).startswith("This is no sound solution: ")
+    assert "2.12 m" not in verdict(metrics)
+    assert "clock" in verdict(metrics) and "axes" in verdict(metrics), "what to try"
+    heading = Heading("drive", "none", None, [], clocks=["The clocks are probably 18 s apart."])
+    assert summary(heading, metrics)[0] == verdict(metrics, heading.clocks)
+    assert document(heading, metrics)["verdict"] == verdict(metrics, heading.clocks)
+    assert '<p class="verdict worse">This is no sound solution' in page(heading, metrics, figures_of_nothing())
+    assert verdict(metrics, heading.clocks).endswith("The clocks are probably 18 s apart.")
+
+
+def figures_of_nothing() -> list[Figure]:
+    return [Figure("Trajectory", "", "<svg></svg>")]
+
+
+def test_the_share_of_the_fixes_and_the_resets_are_in_the_verdict() -> None:
+    text = verdict(judged(fixes_used=17, fixes_offered=229, fixes_used_fraction=17 / 229, filter_resets=121))
+    assert "17 of 229 fixes since the alignment were used (7.42 %), and the filter was reset 121 times" in text
+    excluded = judged(fixes_used=17, fixes_used_fraction=0.03, gnss_excluded_s=500.0)
+    assert "core.trust excluded GNSS; --without trust" in verdict(excluded)
+
+
+def test_a_sound_drive_may_be_reset_rarely() -> None:
+    assert verdict(judged(filter_resets=2)) == "There is no truth; the next fix is predicted to 2.12 m (RMS)."
+    assert "no sound" not in verdict(judged(filter_resets=12, duration_s=7200.0))
+    said = summary(Heading("drive", "none", None, []), judged(filter_resets=1))
+    assert "590 of 600 fixes since the alignment were used (98.3 %), and the filter was reset once." in said
