@@ -108,7 +108,7 @@ PROCESSES = (
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
-            "gnss/signal_quality", "gnss/configuration",
+            "gnss/signal_quality", "gnss/receiver", "gnss/configuration",
         ),
         roles=BOTH,
     ),
@@ -131,7 +131,8 @@ PROCESSES = (
     ProcessRow(
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
         consumes=(
-            "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
+            "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
+            "navigation/state",
         ),
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
         pause_s=0.1,

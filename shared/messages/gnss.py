@@ -267,6 +267,16 @@ class GnssConfigure(Message):
     optional_messages: tuple[Name, ...] = ()  # those that a receiver may refuse, such as RXM-RAWX
 
 
+class GnssReceiver(Message):
+    """What a receiver sends, by its bytes and whether or not it has a position: every two seconds."""
+
+    received_ns: Nanoseconds
+    source: Name
+    messages: tuple[Name, ...] = ()  # kinds of the last ten seconds: `UBX NAV-PVT`, `NMEA GGA`, `RTCM 1005`
+    bytes_received: Annotated[int, unit("bytes")]  # since the last statement
+    bytes_other: Annotated[int, unit("bytes")]  # of these, in no message: many at a wrong rate of the port
+
+
 class GnssConfiguration(Message):
     """What a receiver answered to a `GnssConfigure`, as read back from it."""
 
