@@ -19,7 +19,6 @@ from cli.papers.report import publish
 from services.core.cooperative.paper.monte_carlo import RATIOS, Rates, row
 
 
-@pytest.mark.slow
 def test_the_command_prints_every_ratio_and_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paper = reproduce(6, progress=False)
     publish(paper, json=True, out=tmp_path)
@@ -46,6 +45,8 @@ def test_the_four_highest_satellites_as_real_ones_make_the_test_blind_for_the_st
 def test_numbers_outside_the_tolerance_are_deviations() -> None:
     one = row(5, runs=60)
     poor = replace(one, open_loop=Rates(4.0, 0.4, 43.9), leave_one_out=Rates(0.5, 0.1, 61.0))
+    better = replace(one, open_loop=Rates(0.0, 0.0, 0.0), leave_one_out=Rates(0.0, 0.0, 0.0))
+    assert deviations([better], [Sensitivity(ASSUMPTIONS[0], Rates(0.0, 0.0, 0.0))]) == [], "better is no deviation"
     changed = Sensitivity(ASSUMPTIONS[0], Rates(0.0, 0.0, ASSUMPTIONS[0].missed_ramp + 1.6))
     texts = deviations([poor], [changed])
     assert len(texts) == 4, "false alarms of the open loop, the ramp of the bank twice, one assumption"

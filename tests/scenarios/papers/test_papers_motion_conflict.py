@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.papers.motion_conflict.drives import FAULTS
-from cli.papers.motion_conflict.paper import reproduce
+from cli.papers.motion_conflict.paper import is_worse, reproduce
 from cli.papers.report import Paper, publish
 
 
@@ -45,6 +45,15 @@ def test_a_number_outside_its_tolerance_fails_the_command(paper: Paper, capsys: 
     assert publish(off, json=False, out=None) == 1
     printed = capsys.readouterr().out
     assert "delay [s] at 9 s" in printed and "all limits met" not in printed
+
+
+@pytest.mark.parametrize(
+    ("name", "ratio", "worse"),
+    [("delay, MT", 1.26, True), ("delay, MT", 0.1, False), ("bias", 1.25, False), ("scale, median", 1.3, True),
+     ("gap, median", 0.74, True), ("gap, median", 3.0, False)],
+)  # fmt: skip
+def test_break_points_may_only_be_better(name: str, ratio: float, worse: bool) -> None:
+    assert is_worse(name, ratio) is worse
 
 
 @pytest.mark.recording
