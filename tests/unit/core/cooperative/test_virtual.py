@@ -82,6 +82,19 @@ def test_the_tests_fire_at_the_reference_biases() -> None:
     assert not below and above
 
 
+@pytest.mark.parametrize(("scale", "global_fires", "local_fires"), [(4.6, False, False), (5.0, False, True),
+                                                                    (5.4, True, True)])  # fmt: skip
+def test_a_local_test_alone_excludes_nothing(scale: float, global_fires: bool, local_fires: bool) -> None:
+    """Residuals along a column of W have T = t_1²: t_1 = 5 is above 4.708, and T = 25 below 28.47."""
+    for row in range(4):
+        q = scale * W[row] / sqrt(W[row, row])
+        test = residual_test(q, W, P_FA)
+        assert float(test.statistic) == pytest.approx(scale**2) and test.t[row] == pytest.approx(scale)
+        assert (test.statistic > test.threshold, test.t[row] > test.local) == (global_fires, local_fires)
+        assert test.excluded[row] == (global_fires and local_fires)
+        assert test.excluded.any() == global_fires
+
+
 def test_baardas_statistic_fires_at_its_bias() -> None:
     for row, bias in enumerate(baarda_biases(W, P_FA)):
         w = baarda_statistics(bias * np.eye(4)[row], W)
