@@ -28,6 +28,12 @@ def test_the_published_break_points_are_reproduced_and_nothing_is_detected_witho
     assert drives["urban"]["detections"]["delay 10 s"]["median_above"] > 0
 
 
+def test_break_points_of_drives_that_were_not_fitted_are_listed_beside_the_published_ones(paper: Paper) -> None:
+    assert paper.fitted
+    texts = [text for text in paper.not_reproduced if "were not fitted" in text]
+    assert any(text.startswith("highway") and "delay, median" in text and "published 6" in text for text in texts)
+
+
 def test_an_absent_recording_is_skipped_with_a_remedy(paper: Paper) -> None:
     assert len(paper.skipped) == 3
     assert all("set OBU_DATA" in text for text in paper.skipped)

@@ -84,6 +84,7 @@ def test_exceeded_limits_are_printed(capsys: pytest.CaptureFixture[str], monkeyp
     document = json.loads(capsys.readouterr().out)
     assert document["runs"] == 3
     assert document["outages"][2]["median_m"] == pytest.approx([0.3, 0.5, 9.0])
+    assert document["fitted"] and "the paper has 0.90 0.70 1.02 m" in document["not_reproduced"][0]
     # ratio and mean of the five drives, eleven axes, white errors, two with known errors, outages of 30 and 60 s
     assert len(document["shortcomings"]) == 2 + 11 + 1 + 2 + 2
 
