@@ -184,14 +184,15 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/delta"),
-        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/restored_cam", "toll/delta"),
+        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate", "toll/used_cam"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
-        produces=("toll/open_passages", "toll/transaction", "toll/review", "ledger/state"),
+        consumes=("toll/registration", "toll/passage", "toll/used_cam", "plaza/detector", "toll/receipt",
+                  "origin/state"),
+        produces=("toll/open_passages", "toll/restored_cam", "toll/transaction", "toll/review", "ledger/state"),
         roles=(Role.RSU,),
     ),
     ProcessRow(

@@ -51,6 +51,7 @@ from .messages.toll import (
     PlazaDescription,
     PlazaDetector,
     PlazaTruth,
+    RestoredCams,
     TollDelta,
     TollPassage,
     TollReceipt,
@@ -58,6 +59,7 @@ from .messages.toll import (
     TollReview,
     TollTracks,
     TollTransaction,
+    UsedCams,
 )
 from .messages.trust import LearnedGrade, TrustEvent, TrustMonitor, TrustState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
@@ -164,6 +166,10 @@ TOPICS = (
     Topic("toll/gate", GateCommand, "when the gate of a lane opens, and for which passage", qos=1),
     Topic("toll/open_passages", OpenPassages, "passages in progress and settled, as the ledger holds them",
           rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
+    Topic("toll/used_cam", UsedCams, "CAM that were used, which the ledger keeps for a minute in memory", qos=1,
+          personal=True),
+    Topic("toll/restored_cam", RestoredCams, "CAM that were used before a restart of `core.toll`", qos=1,
+          personal=True),
     Topic("toll/transaction", TollTransaction, "charges and reversals for the operator", qos=1, personal=True),
     Topic("toll/review", TollReview, "passages that a person has to judge: not confirmed, or contradictory",
           qos=1, personal=True),
