@@ -1,7 +1,7 @@
 """What GNSS receivers say, and what is said to them."""
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -34,6 +34,7 @@ MAX_RADIO_PATHS = 8  # of one receiver: one a band
 class GnssRaw(RawBytes):
     """Bytes that a GNSS receiver sent: UBX, NMEA or both."""
 
+    is_stream: ClassVar[bool] = True
     recorded: bool = False  # read from a file: dates in them are those of the recording
 
 

@@ -20,6 +20,7 @@ PURE_SHARED = {
     "shared.maths",
     "shared.messages",
     "shared.devices.xbus",
+    "shared.devices.framing",
     "shared.processes",
     "shared.topics",
     "shared.errors",
