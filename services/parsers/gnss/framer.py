@@ -152,6 +152,9 @@ def _nmea(buffer: bytearray, start: int) -> Frame:
             raise _Bad("nmea_form")
         raise _Incomplete
     body, star, digits = sentence.rstrip(b"\r").rpartition(b"*")
+    digits, _, arrival_ms = digits.partition(b",")  # Android's logs append the time of arrival
+    if arrival_ms and not arrival_ms.strip().isdigit():
+        raise _Bad("nmea_form")
     if not star or len(digits) != 2:
         raise _Bad("nmea_form")
     try:
