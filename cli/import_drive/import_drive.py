@@ -41,7 +41,7 @@ from .mapping.mapping import Mapping, parse_mapping
 from .mapping.schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
 from .readers.arrays import FORMATS, arrays_of
 from .readers.dates import checked_dates, is_day, is_time_of_day
-from .readers.gnss_logger import is_log, messages_of, read_log
+from .readers.gnss_logger import contents, is_log, messages_of, read_log
 from .readers.rtklib import SCALES, Header, header_of, mapping_of
 from .readers.table import Forms, Table, arrays_table, read_table
 
@@ -166,8 +166,7 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
     log = read_log(data.decode("utf-8", errors="replace").splitlines())
     messages = messages_of(log, axes)
     if not messages:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in log.rejects.items()) or "no lines"
-        raise UserError(f"{path} holds nothing that can be used ({reasons}); log `Fix`, `Raw` or the sensors")
+        raise UserError(f"{path} holds nothing that can be used: {contents(log)}; log `Fix` or `Raw`, and the sensors")
     digest = hashlib.sha256(data).hexdigest()
     kinds = dict.fromkeys(type(message) for message in messages)
     parts = [
