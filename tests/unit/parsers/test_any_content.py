@@ -216,7 +216,11 @@ def _three_items(kind: str) -> tuple[gnss.Process | can.Process | imu.Process, M
         return gnss.Process(gnss.Config()), GnssRaw(received_ns=NOW_NS, source="g", data=data), (Receiver, "_nmea_fix")
     if kind == "can":
         data = b"(1795000000.000000) can0 7E8#03410D32AAAAAAAA\n" * 3
-        return can.Process(can.Config()), CanRaw(received_ns=NOW_NS, source="c", data=data), (can.StandardSpeeds, "decode")
+        return (
+            can.Process(can.Config()),
+            CanRaw(received_ns=NOW_NS, source="c", data=data),
+            (can.StandardSpeeds, "decode"),
+        )
     from services.parsers.imu import xsens
 
     fields = [
