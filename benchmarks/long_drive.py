@@ -10,7 +10,8 @@ from pathlib import Path
 from services.sensors.simulator.world import DEFAULT_START_NS, messages
 from shared.recording import RecordingWriter
 from shared.runtime.config import load_vehicle
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.live import arrival_ns
+from shared.runtime.offline import OfflineUnit
 from shared.topics import BY_MESSAGE
 from tests.support.bus.envelopes import sent
 from tests.support.data import REPOSITORY

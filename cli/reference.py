@@ -12,7 +12,7 @@ from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
 from shared.messages.trust import TrustLevel
 from shared.processes import PROCESSES, Role, running
-from shared.runtime.config import Section
+from shared.runtime.config import Section, VehicleSection
 
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
@@ -24,7 +24,7 @@ HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\
 
 def configuration_pages() -> str:
     """Print every setting of every process."""
-    parts: list[str] = []
+    parts = [*_tables("vehicle", VehicleSection)]
     for row in PROCESSES:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
         parts += _tables(row.name, config)
@@ -105,7 +105,7 @@ def attacks_page() -> str:
         "`obu demo --attack`, `obu attack-lab --attack`, the page *Trust* and `simulation/attack` start them. The "
         "notation is `name(parameter=value,...)@start:duration` in seconds; parameters may be shortened. "
         "[The simulator](../explanation/simulator.md#attacks) describes what each makes of the messages.\n\n"
-        f"{table(('attack', 'what happens', 'a monitor should accuse', 'parameters: default, limits'), rows)}\n"
+        f"{table(('attack', 'what happens', 'a monitor should suspect', 'parameters: default, limits'), rows)}\n"
     )
 
 
@@ -154,8 +154,8 @@ def pages() -> dict[str, str]:
         "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
-        f"the section `[vehicle]` holds its `name` and its `role` "
-        f"(`obu`, an on-board unit, or `rsu`, a road-side unit).\n\n{configuration_pages()}",
+        "`[vehicle]` holds what several of them need. `obu migrate FILE` rewrites a file of an earlier version."
+        f"\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
         "attacks.md": HEAD + attacks_page(),
         "asyncapi.json": asyncapi_json() + "\n",

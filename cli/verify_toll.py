@@ -15,10 +15,9 @@ from rich.console import Console
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
 from shared.errors import ConfigError, RejectedFrame, UserError
-from shared.messages.toll import EvidenceFrame, EvidencePack, PassageState, TollPassage, TollTransaction
-from shared.messages.v2x import Cam
+from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
-from shared.v2x import cam, geonetworking
+from shared.v2x.evidence import cam_of
 
 from .progress import progress_on
 
@@ -33,6 +32,7 @@ class Evidence:
     name: str
     pack: bytes
     transaction: TollTransaction | None = None
+    damage: str = ""  # why the ledger's row cannot be read
 
 
 def verify_toll(
@@ -47,7 +47,7 @@ def verify_toll(
     """Derive each charge again from its evidence, and compare it bit for bit.
 
     Lane, probabilities, crossing time, passage ID, tariff and digest are computed from the received frames, the delta
-    positions, the plaza's file and the settings in the evidence pack. Ends with 1 if anything differs.
+    positions, the plaza's file and the settings in the evidence pack. Ends with 1 if anything differs or is damaged.
 
     Examples:
     [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
@@ -58,17 +58,22 @@ def verify_toll(
     with progress_on(Console(stderr=True)) as progress:
         packs = (each for path in evidence for each in read(path))
         for found in progress.track(packs, total=sum(map(count, evidence)), description="verifying"):
-            pack = parse(found)
-            if passage and not pack.charged.passage_id.startswith(passage):
+            pack = None if found.damage else parse(found)
+            passage_id = pack.charged.passage_id if pack else found.name
+            if passage and not passage_id.startswith(passage):
                 continue
             number += 1
+            if pack is None:
+                wrong += 1
+                print(f"{passage_id}  {found.damage}")
+                continue
             differences = differences_of(found, pack)
             wrong += bool(differences)
             good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
-            print(f"{pack.charged.passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
+            print(f"{passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
             if export:
                 export.mkdir(parents=True, exist_ok=True)
-                (export / f"{pack.charged.passage_id}.json").write_bytes(found.pack)
+                (export / f"{passage_id}.json").write_bytes(found.pack)
     if not number:
         raise UserError(f"no evidence of {passage or 'a charge'} in {', '.join(map(str, evidence))}")
     print(f"{number - wrong} of {number} charges verified")
@@ -81,7 +86,20 @@ def read(path: Path) -> Iterator[Evidence]:
         yield Evidence(path.name, path.read_bytes())
         return
     for passage_id, pack, content in _rows(path, "passage_id, pack, content", "ORDER BY booked_ns"):
-        yield Evidence(passage_id, zlib.decompress(pack), TollTransaction.model_validate_json(content))
+        yield _evidence(passage_id, pack, content)
+
+
+def _evidence(passage_id: str, compressed: object, content: object) -> Evidence:
+    """Read a row; one that is damaged is reported as such, and the others are verified."""
+    what = "evidence"
+    try:
+        pack = zlib.decompress(compressed)  # type: ignore[arg-type]  # SQLite stores any type in any column
+        EvidencePack.model_validate_json(pack)
+        what = "transaction"
+        return Evidence(passage_id, pack, TollTransaction.model_validate_json(content))  # type: ignore[arg-type]
+    except (zlib.error, TypeError, ValidationError) as error:
+        first = str(error).splitlines()[0]
+        return Evidence(passage_id, b"", damage=f"its {what} is damaged: {first}; restore the ledger from its backup")
 
 
 def count(path: Path) -> int:
@@ -129,7 +147,7 @@ def differences_of(evidence: Evidence, pack: EvidencePack) -> list[str]:
             found.append("the transaction differs from its pack")
     try:
         return found + list(_derivation(pack))
-    except (ConfigError, ValidationError, RejectedFrame) as error:
+    except (ConfigError, RejectedFrame, ValueError, ArithmeticError) as error:
         return [*found, f"cannot be derived: {error}"]
 
 
@@ -175,13 +193,3 @@ def _compared(again: TollPassage, said: TollPassage, names: Sequence[str]) -> It
         derived, stated = getattr(again, name), getattr(said, name)
         if derived != stated:
             yield f"{name} is {stated}, derived {derived}"
-
-
-def cam_of(frame: EvidenceFrame) -> Cam:
-    """Decode a frame as `parsers.v2x` did; its times are those of the evidence."""
-    bare = frame.data[:1] == bytes([cam.PROTOCOL_VERSION])  # UPER without headers, else GeoNetworking
-    content, delta_time = cam.decode(frame.data if bare else geonetworking.decode_payload(frame.data))
-    return Cam(
-        **content, sampled_ns=frame.sampled_ns, received_ns=frame.received_ns, generation_delta_time=delta_time,
-        frame=frame.data,
-    )  # fmt: skip

@@ -84,7 +84,7 @@ H, V = "horizontal_rmse_m", "vertical_rmse_m"
 YAW, VELOCITY = "yaw_rmse_rad", "velocity_horizontal_rmse_m_s"
 WORST, MEDIAN, SHARE = "outage_largest_error_rms_m", "outage_end_error_median_m", "outage_end_error_share_median"
 INNOVATION, STILL = "innovation_horizontal_rms_m", "standstill_horizontal_rmse_m"
-# The metrics of GNSS alone, and of the solution at the same fixes, that stand beside one of ours.
+# The metrics of the receiver only, and of the solution at the same fixes, that stand beside one of ours.
 GNSS_ALONE = {
     H: ("gnss_alone_horizontal_rmse_m", "at_fixes_horizontal_rmse_m"),
     V: ("gnss_alone_vertical_rmse_m", "at_fixes_vertical_rmse_m"),
@@ -101,7 +101,7 @@ class Row:
     unit: str  # m, m/s, deg, %
     goal: float | None = None
     peers: str = ""
-    at_most_gnss: bool = False  # whether the goal is also that of GNSS alone
+    at_most_gnss: bool = False  # whether the goal is also that of the receiver only
 
 
 RMS_OF_WORST = "60 s outages, RMS of the largest error"

@@ -49,7 +49,7 @@ outages of 60 s come every 180 s in three runs shifted by 60 s. Those of `navmat
 `free` is GNSS, IMU and standstill; `nhc` adds wheels that do not slide; `odometer` and `wheel` add the speed as well.
 The odometer of `navmatlab` is made from its reference with 0.1 m/s of noise, for the car had none. Recordings are not
 part of the repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
-*GNSS alone* is the receiver's position against the same truth, at the antenna and at the times of the fixes given to
+*Receiver only* is the receiver's position against the same truth, at the antenna and at the times of the fixes given to
 the filter (docs/reference/metrics.md), with our error at the same fixes in brackets, which is compared with it: that of
 the solution before the fix is used, where it is largest. The column *ours* holds errors at all times of the truth.
 
@@ -192,7 +192,7 @@ def real_drives(cases: dict[str, Metrics]) -> str:
         found = (_metres(metrics.get(metric)) for metric in ("horizontal_rmse_m", "innovation_horizontal_rms_m"))
         ours, innovation = found
         rows.append((name, ours, alone, innovation, gap))
-    head = ("drive", "horizontal RMSE [m]", "GNSS alone [m]", "horizontal innovation RMS [m]",
+    head = ("drive", "horizontal RMSE [m]", "receiver only [m]", "horizontal innovation RMS [m]",
             "end of a 10 s outage: median, maximum [m]")  # fmt: skip
     return _markdown(head, rows)
 
@@ -209,7 +209,7 @@ def page(document: Document) -> str:
         + ("**Of the shifted runs the first alone was made.** " if document["quick"] else "")
         + "Peers: published or measured by others on the same data, none of them in this run.\n\n"
         + _markdown(
-            ("drive", "quantity", "ours", "GNSS alone", "goal", "holds", "peers"),
+            ("drive", "quantity", "ours", "receiver only", "goal", "holds", "peers"),
             list(rows_of(document["cases"])),
         )
         + NOTES
@@ -223,7 +223,7 @@ def page(document: Document) -> str:
 
 
 def rows_of(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
-    """One row for each goal: drive, quantity, our value, GNSS alone, goal, whether it holds, and peers."""
+    """One row for each goal: drive, quantity, our value, receiver only, goal, whether it holds, and peers."""
     for row in ROWS:
         metrics = cases.get(row.case, {})
         value, (alone, at_fixes) = shown(row, metrics), gnss_alone(row, metrics)
@@ -232,7 +232,7 @@ def rows_of(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
         wanted = (row.goal is not None) + row.at_most_gnss
         holds = "" if not wanted or (len(met) < wanted and all(met)) else ("yes" if all(met) else "**no**")
         goals = [f"<= {row.goal:g}"] if row.goal is not None else []
-        goals += ["<= GNSS alone"] if row.at_most_gnss else []
+        goals += ["<= receiver only"] if row.at_most_gnss else []
         yield (f"{row.case}{_count(metrics)}", row.quantity, _with_unit(value, row), _alone(row, alone, at_fixes),
                " and ".join(goals), holds, row.peers)  # fmt: skip
 
@@ -242,7 +242,7 @@ def _with_unit(value: float | None, row: Row) -> str:
 
 
 def _alone(row: Row, alone: float | None, at_fixes: float | None) -> str:
-    """GNSS alone beside a row, and ours at the same fixes; empty where it says nothing, as against its own fixes."""
+    """The receiver only, and ours at its fixes, beside a row; empty where it says nothing, as against its own fixes."""
     if alone is None or at_fixes is None:
         return UNMEASURED if row.at_most_gnss else ""
     return f"{_with_unit(alone, row)} (ours {_with_unit(at_fixes, row)})"

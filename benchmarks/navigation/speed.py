@@ -45,7 +45,7 @@ def timed(navigator: Navigator, chunk: list[Message]) -> float:
     began = time.process_time()
     for message in chunk:
         if isinstance(message, ImuSamples):
-            for stamp, force, rate in messages.samples_of(message, navigator.settings):
+            for stamp, force, rate in messages.samples_of(message):
                 navigator.imu(stamp, force, rate, message.received_ns)
         elif isinstance(message, GnssFix | VehicleSpeed | WheelSpeeds):
             messages.use(navigator, message)

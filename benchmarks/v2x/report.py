@@ -44,6 +44,7 @@ VEHICLES, RATE_HZ = 200, 10
 PLAZA = Path("deploy/plazas/example.geojson")
 SPEED_M_S, GAP_M = 5.0, 17.0  # a slow queue before and behind the gates
 PATH_POINTS = 10  # in each CAM with a low-frequency container: two of the ten CAM of a second
+HEADER_TIME_AT = geonetworking.POSITION_AT + 8  # behind the address
 DELTA_TIME_AT = geonetworking.PAYLOAD_AT + 6  # of generationDeltaTime in a packet: behind the 48 bits of the header
 SETTLING_S = 5.0
 TITLE = """# Receiving and tracking CAM: cost and latency
@@ -145,10 +146,13 @@ class Sender:
         first, start = cls.sent, time.monotonic()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
             while (elapsed := time.monotonic() - start) < seconds:
-                stamp = struct.pack(">H", its_time.its_time_ms(time.time_ns()) % its_time.CYCLE_MS)
+                time_ms = its_time.its_time_ms(time.time_ns())
+                stamp = struct.pack(">H", time_ms % its_time.CYCLE_MS)
+                header_stamp = struct.pack(">I", time_ms % geonetworking.TIME_CYCLE_MS)
                 while (cls.sent - first) / (VEHICLES * RATE_HZ) <= elapsed:
                     data = cls.encoded[cls.sent]
-                    radio.sendto(data[:DELTA_TIME_AT] + stamp + data[DELTA_TIME_AT + 2 :], ("127.0.0.1", port))
+                    header = data[:HEADER_TIME_AT] + header_stamp + data[HEADER_TIME_AT + 4 : DELTA_TIME_AT]
+                    radio.sendto(header + stamp + data[DELTA_TIME_AT + 2 :], ("127.0.0.1", port))
                     cls.sent += 1
                 time.sleep(0.001)
         return cls.sent - first

@@ -24,7 +24,7 @@ from .run import run
 from .score import CONFIDENCE, WARM_UP_S, Run
 
 # Columns of the report's table of answers that a terminal has room for.
-SHOWN = ("detected", "accused rightly", "SAFE above level", "SAFE above limit", "usable again after")
+SHOWN = ("detected", "suspected rightly", "SAFE above level", "SAFE above limit", "usable again after")
 QUICK = ("drag_off", "position_jump", "jam", "odometer_scale")
 CLEAN_S, QUICK_CLEAN_S = 600.0, 180.0
 
@@ -149,7 +149,7 @@ def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path
         table.add_column(name)
     for row in rows:
         cells = dict(zip(head, row, strict=True))
-        cells["accused rightly"] += f"\n{cells['accused']}"
+        cells["suspected rightly"] += f"\n{cells['suspected']}"
         table.add_row(cells["attack"], *(cells[name] for name in SHOWN))
     console.print(table)
     share = card["safe_share_clean"]

@@ -133,23 +133,25 @@ def page(card: dict[str, object], runs: Sequence[Run]) -> str:
 {_not_run_text(card)}
 <h2>Answers to the attacks</h2>
 <p class="muted">Scored against the truth at every time from the start of an attack to the end of its run. "Detected":
-runs in which a monitor accuses, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO FIX), between the
-start and the end of the attack. "Accused rightly": runs in which a source at fault is accused meanwhile, and no healthy
-one is excluded until the end of the run. In brackets the {interval} interval of the rate, of Clopper and Pearson. "SAFE
-above level" and "above limit": time, over all runs, that is SAFE although the horizontal or vertical error is above the
-published protection level, or above the alert limit. "Errors above level": the share of all times, SAFE or not. The
-other columns are those of the worst run: the largest error while SAFE, horizontal and vertical; how long a healthy
-source is excluded, and how long the attacked one after the end of the attack; the time from the start until the verdict
-is not SAFE, and from the end until it stays SAFE or CAUTION; horizontal error and level at the end of the run.</p>
+runs in which a monitor suspects a source, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO FIX),
+between the start and the end of the attack. "Suspected rightly": runs in which a source at fault is suspected
+meanwhile, and no healthy one is excluded until the end of the run. In brackets the {interval} interval of the rate,
+of Clopper and Pearson. "SAFE above level" and "above limit": time, over all runs, that is SAFE although the
+horizontal or vertical error is above the published protection level, or above the alert limit. "Errors above level":
+the share of all times, SAFE or not. The other columns are those of the worst run: the largest error while SAFE,
+horizontal and vertical; how long a healthy source is excluded, and how long the attacked one after the end of the
+attack; the time from the start until the verdict is not SAFE, and from the end until it stays SAFE or CAUTION;
+horizontal error and level at the end of the run.</p>
 {_table(*answer_rows(runs))}
 <h2>Detection by monitor</h2>
-<p class="muted">Runs in which the monitor accuses, or the verdict withdraws the position, between the start and the end
-of the attack, with the {interval} Clopper-Pearson interval of the rate and the median delay. The last three columns:
-largest horizontal error of the fused position before the verdict withdraws it, time that is SAFE although an error is
-above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of the attack.</p>
+<p class="muted">Runs in which the monitor suspects a source, or the verdict withdraws the position, between the start
+and the end of the attack, with the {interval} Clopper-Pearson interval of the rate and the median delay. The last
+three columns: largest horizontal error of the fused position before the verdict withdraws it, time that is SAFE
+although an error is above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of
+the attack.</p>
 {_table(*detection_rows(runs))}
 <h2>False alarms</h2>
-<p class="muted">Accusations that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as
+<p class="muted">Suspicions that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as
 one episode; {interval} intervals, exact for a Poisson rate.</p>
 {_false_alarm_table(runs)}
 {figures}
@@ -194,7 +196,8 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def answer_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of answers: one row an attack."""
     head = [
-        "attack", "runs", "detected", "accused rightly", "should be accused", "accused", "accused after the end",
+        "attack", "runs", "detected", "suspected rightly", "should be suspected", "suspected",
+        "suspected after the end",
         "SAFE above level", "SAFE above limit", "errors above level", "largest error while SAFE",
         "healthy source excluded", "attacked source excluded after", "not SAFE after", "usable again after",
         "error at the end", "level at the end",

@@ -93,7 +93,7 @@ def _recorded(case: Case) -> Timeline:
     if not len(inputs):
         raise UserError(f"{case.drive} holds no inputs of a unit; record one with `obu record` or `obu import`")
     start_ns, end_ns = (arrival_of(inputs.envelopes[place]) for place in (0, -1))
-    messages = list(typed(vehicle, inputs.messages()))
+    messages = list(typed(vehicle, inputs.messages(vehicle)))
     fusion = vehicle.section("core.fusion", Fusion)
     reference: Reference | None = None
     if provenance.get("truth_is", "recorded") == "recorded" and inputs.truth:

@@ -32,7 +32,7 @@ from shared.runtime.offline import OfflineUnit
 
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
-from ..solve.inputs import Inputs, arrival_of, inputs_of
+from ..solve.inputs import arrival_of, inputs_of
 
 PROCESSES = ("parsers.gnss", "parsers.imu", "parsers.can", "core.fusion", "core.spoofing")
 
@@ -107,7 +107,7 @@ def _learned(
     windows: list[Window] = []
     long: list[float] = []
     task = progress.add_task(f"learning from {path.name}", total=len(inputs))
-    for message in unit.run(_counted(inputs, progress, task)):
+    for message in unit.run(_counted(inputs.messages(file), progress, task)):
         window = process.monitor.window
         if isinstance(message, TrustMonitor) and window is not None and window not in windows[-1:]:
             windows.append(window)
@@ -128,8 +128,8 @@ def _learned(
     return drive, origin, windows, long
 
 
-def _counted(inputs: Inputs, progress: Progress, task: TaskID) -> Iterator[Message]:
-    for number, message in enumerate(inputs.messages()):
+def _counted(messages: Iterator[Message], progress: Progress, task: TaskID) -> Iterator[Message]:
+    for number, message in enumerate(messages):
         if number % 1000 == 0:
             progress.update(task, completed=number)
         yield message

@@ -24,12 +24,13 @@ from .detection import NS, AttackSummary, seconds_in_states, summarise
 
 T = TypeVar("T")
 FloatArray = npt.NDArray[np.float64]
+WITHOUT_FIX_S = 10.0  # at the end of a run that is healthy; a receiver sends a fix a second
 KEPT = 36_000  # the last hour of what comes ten times a second
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The balance of a run. Errors are root mean squares over the run, in metres; 3-D where nothing else is said.
+    """The summary of a run. Errors are root mean squares over the run, in metres; 3-D where nothing else is said.
 
     `gnss_*` and `fusion_at_fixes_*` are errors at the same times, those of the fixes: of the antenna and of the IMU.
     """
@@ -58,6 +59,7 @@ class Summary:
     end_to_end_latency_p99_ms: float | None
     worst_topic: str | None
     worst_topic_age_s: float | None
+    without_fix_s: float | None  # at the end, since the last GNSS fix with a position; None without any
     trust: dict[str, float]  # seconds in each state
     safe_above_alert_limit_s: float  # time in which the verdict was SAFE and the error above the alert limit
     attacks: tuple[AttackSummary, ...]
@@ -79,10 +81,15 @@ class Balance:
         self._simulation: SimulationState | None = None
         self._begin_ns: int | None = None  # start of the drive
         self._first_ns = self._last_ns = 0
+        self._fixed_ns: int | None = None  # arrival of the last fix with a position
+        self._solved = False
         self.messages = self.broken_messages = 0
 
     def add(self, topic: str, message: Message, received_ns: int) -> None:
         """Take one message as it arrived."""
+        self._solved |= isinstance(message, NavigationSolution)
+        if isinstance(message, GnssFix) and _fix_position(message) is not None:
+            self._fixed_ns = received_ns
         match message:
             case TruthState() if self._keep:
                 _keep(self._truth, message)
@@ -118,8 +125,10 @@ class Balance:
         ready = [h for h in self._health.values() if h.state == ProcessState.READY]
         dated = [t for t in self._report.topics if _has_deadline(t)] if self._report else []
         worst = max(dated, key=lambda t: t.age_s or 0.0, default=None)
+        without_fix_s = None if self._fixed_ns is None else max((self._last_ns - self._fixed_ns) * 1e-9, 0.0)
+        located = self._solved and without_fix_s is not None and without_fix_s <= WITHOUT_FIX_S
         return Summary(
-            healthy=alive == expected and len(ready) >= expected - 1 and bool(self._solutions),
+            healthy=alive == expected and len(ready) >= expected - 1 and located,
             duration_s=round((self._last_ns - self._first_ns) * 1e-9, 1),
             processes_alive=alive,
             processes_expected=expected,
@@ -143,6 +152,7 @@ class Balance:
             end_to_end_latency_p99_ms=_quantile(self._latencies, 0.99),
             worst_topic=worst.topic if worst else None,
             worst_topic_age_s=round(worst.age_s, 2) if worst and worst.age_s is not None else None,
+            without_fix_s=None if without_fix_s is None else round(without_fix_s, 1),
             trust=seconds_in_states(self._verdicts),
             safe_above_alert_limit_s=self._misleading_s([s.sampled_ns for s in judged], fusion),
             attacks=summarise(runs, self._verdicts, self._begin_ns or self._first_ns),
@@ -205,7 +215,7 @@ class Balance:
 
 
 def _worse(fused: FloatArray, gnss: FloatArray) -> bool | None:
-    """Whether the solution is worse than GNSS alone; None without fixes to compare with."""
+    """Whether the solution is worse than the receiver; None without fixes to compare with."""
     if not len(gnss):
         return None
     return any(bool((fused[:, :axes] ** 2).sum() > WORSE**2 * (gnss[:, :axes] ** 2).sum()) for axes in (2, 3))

@@ -22,11 +22,12 @@ from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicl
 from shared.topics import TOPICS
 
 from . import plaza_balance
-from .balance import Balance, Summary
+from .balance import WITHOUT_FIX_S, Balance, Summary
 from .detection import AttackSummary
 from .local import ROADSIDE, as_toml, broker_command, free_port, fresh_folder, only_one, port_or_free, unit
 from .plaza_balance import PlazaBalance, PlazaSummary
 from .supervisor import Supervisor
+from .words import lines
 
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
 OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw",
@@ -192,13 +193,17 @@ def _how_to_listen(bus: Bus) -> str:
     return f"to listen: export OBU_BROKER={broker} OBU_VEHICLE={bus.state_dir / 'vehicle.toml'}"
 
 
-def _why_unhealthy(summary: Summary | PlazaSummary) -> str:
+def why_unhealthy(summary: Summary | PlazaSummary) -> str:
     if summary.processes_alive < summary.processes_expected:
         return (
             f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
         )
     if isinstance(summary, PlazaSummary):
         return "no passage was charged: the first one takes about 30 s; try --duration 60"
+    if summary.solutions and summary.without_fix_s is None:
+        return "no GNSS fix with a position was received: check the receiver and its antenna"
+    if summary.without_fix_s is not None and summary.without_fix_s > WITHOUT_FIX_S:
+        return f"no GNSS fix with a position for the last {summary.without_fix_s:.0f} s"
     if not summary.solutions:
         return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
     return "not every process has reported to be ready: see the logs"
@@ -213,7 +218,7 @@ def _detection(attack: AttackSummary) -> str:
 
 def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Console) -> None:
     if not summary.healthy:
-        console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
+        console.print(f"not healthy: {why_unhealthy(summary)}", soft_wrap=True, highlight=False)
     if options.json_output:
         print(json.dumps(asdict(summary)))
         return
@@ -225,11 +230,11 @@ def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Conso
         del shown["attacks"]
         if summary.fusion_worse_than_gnss:
             console.print(
-                f"  The fused position is worse than GNSS alone at the same fixes: "
+                f"  The fused position is worse than the receiver at the same fixes: "
                 f"{summary.fusion_at_fixes_horizontal_rmse_m} m horizontal RMS instead of "
                 f"{summary.gnss_horizontal_rmse_m} m.", soft_wrap=True, highlight=False)  # fmt: skip
-    for name, value in shown.items():
-        console.print(f"  {name:32} {value if value is not None else '-'}")
+    for line in lines(shown):
+        console.print(f"  {line}", soft_wrap=True, highlight=False)
     sys.stderr.flush()
 
 

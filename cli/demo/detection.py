@@ -35,7 +35,7 @@ def signs(state: TrustState, attack: AttackName) -> tuple[str, ...]:
     for monitor in state.monitors:
         accused = [one for one in monitor.accused if one.startswith("neighbour") == by_neighbours]
         if monitor.outcome is MonitorOutcome.ACCUSES and accused:
-            found.append(f"{monitor.monitor} accuses {', '.join(accused)}")
+            found.append(f"{monitor.monitor} suspects {', '.join(accused)}")
     return tuple(found)
 
 

@@ -1,6 +1,7 @@
 """Functions shared by the commands on recordings: open one, read its vehicle, print its problems, await a broker."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -10,6 +11,7 @@ from shared.errors import BadRecording, UserError
 from shared.recording import Recording
 from shared.recording.writer import VEHICLE_FILE
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
+from shared.runtime.migration import migrated, mounting_of_samples
 
 PATIENCE_S = 5.0
 
@@ -32,11 +34,12 @@ def open_recording(path: Path) -> Recording:
 
 
 def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:
-    """Read the vehicle's file that was given, otherwise the recorded one."""
-    if path is not None:
-        return load_vehicle(path)
+    """Read the vehicle's file that was given, otherwise the recorded one, with the keys of this version."""
+    name = f"{recording.path}: {VEHICLE_FILE}"
     text = recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace")
-    return parse_vehicle(text, f"{recording.path}: {VEHICLE_FILE}")
+    recorded = parse_vehicle(migrated(text, name)[0], name)
+    chosen = load_vehicle(path) if path is not None else recorded
+    return replace(chosen, samples_mounting=mounting_of_samples(text, name))
 
 
 def print_problems(recording: Recording, console: Console) -> None:

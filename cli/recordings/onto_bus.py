@@ -11,10 +11,11 @@ from shared.errors import BadPayload, UserError
 from shared.messages.operation import Origin, OriginKind
 from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, load_vehicle, state_dir
+from shared.runtime.mounting import RecordedAxes
 from shared.topics import BY_NAME
 
 from ..progress import progress_on
-from .common import await_broker, open_recording, print_problems
+from .common import await_broker, open_recording, print_problems, vehicle_of
 from .device_data import inputs_among, shifted
 
 ORIGIN_S = 2.0
@@ -32,6 +33,7 @@ def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | 
     console = Console(stderr=True)
     with open_recording(file) as recording:
         wanted = inputs_among({envelope.topic for envelope in recording})
+        axes = RecordedAxes(vehicle_of(recording, None))
         print_problems(recording, console)
         if not wanted:
             raise UserError(f"{file} holds no data of a device; record a unit with sensors or a simulator")
@@ -40,7 +42,7 @@ def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | 
             await_broker(bus)
             _insist_on_silence(bus)
             count = Player(bus, Origin(now_ns=0, kind=OriginKind.REPLAY, name=file.stem[:64], speed=speed)).play(
-                recording, wanted, console
+                recording, wanted, axes, console
             )
         finally:
             bus.close()
@@ -55,14 +57,14 @@ class Player:
         self._bus, self._origin = bus, origin
         self._origin_due = 0.0
 
-    def play(self, recording: Recording, wanted: frozenset[str], console: Console) -> int:
+    def play(self, recording: Recording, wanted: frozenset[str], axes: RecordedAxes, console: Console) -> int:
         """Publish a recording to its end; returns the number of messages."""
         count = 0
         with progress_on(console) as progress:
             task = progress.add_task(recording.path.name, total=recording.size)
             for envelope, shift_ns in self._paced(e for e in recording if e.topic in wanted):
                 try:
-                    message = shifted(envelope, shift_ns)
+                    message = axes.apply(shifted(envelope, shift_ns))
                 except BadPayload:
                     continue  # its consumers would reject it as well
                 self._bus.publish(message)

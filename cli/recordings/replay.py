@@ -169,7 +169,7 @@ def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Con
         with progress_on(console) as progress:
             task = progress.add_task("solving", total=len(inputs.envelopes))
             now_ns = 0
-            for count, message in enumerate(chain(unit.run(inputs.messages()), unit.close())):
+            for count, message in enumerate(chain(unit.run(inputs.messages(vehicle)), unit.close())):
                 now_ns = max(now_ns, arrival_ns(message) or 0)
                 writer.write(_envelope(message, now_ns, count))
                 if count % 1000 == 0:

@@ -56,7 +56,13 @@ def verify(
         raise UserError(f"{process!r} cannot be repeated; name one of {', '.join(sorted(wanted))}")
     console = Console(stderr=True)
     with open_recording(files[0]) as first:
-        audit = Audit(vehicle_of(first, vehicle), {process} if process else wanted)
+        file = vehicle_of(first, vehicle)
+        if file.mounting != file.samples_mounting:
+            raise UserError(
+                f"the inertial samples of {files[0]} were made with another mounting of the IMU than the vehicle's "
+                "file states, so nothing can be repeated byte for byte; `obu solve` processes it anew"
+            )
+        audit = Audit(file, {process} if process else wanted)
     with progress_on(console) as progress:
         for path in files:
             with open_recording(path) as recording:

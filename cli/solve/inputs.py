@@ -13,6 +13,7 @@ from shared.messages.navigation import TruthState
 from shared.messages.trust import LearnedGrade
 from shared.runtime.config import VehicleFile
 from shared.runtime.live import arrival_ns
+from shared.runtime.mounting import RecordedAxes
 from shared.runtime.offline import OfflineUnit
 from shared.topics import BY_NAME, measurements
 
@@ -36,13 +37,13 @@ class Inputs:
     def __len__(self) -> int:
         return len(self.envelopes)
 
-    def messages(self, topics: Iterable[str] = (*CONSUMED, TRUTH, LEARNED)) -> Iterator[Message]:
-        """Decode the messages of the given topics one by one."""
-        chosen = frozenset(topics)
+    def messages(self, vehicle: VehicleFile, topics: Iterable[str] = (*CONSUMED, TRUTH, LEARNED)) -> Iterator[Message]:
+        """Decode the messages of the given topics one by one, inertial samples in the axes of a vehicle's file."""
+        chosen, axes = frozenset(topics), RecordedAxes(vehicle)
         for place, envelope in enumerate(self.envelopes):
             if envelope.topic in chosen:
                 try:
-                    yield envelope.decode()
+                    yield axes.apply(envelope.decode())
                 except BadPayload:
                     self.undecodable.add(place)
 
@@ -73,8 +74,11 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
             found.envelopes += kept[topic]
     found.envelopes.sort(key=arrival_of)
     found.envelopes = learned_before(kept[LEARNED], found.envelopes) + found.envelopes
-    states = Inputs(kept[TRUTH]).messages()
-    found.truth = [state for state in states if isinstance(state, TruthState)]
+    for envelope in kept[TRUTH]:
+        with suppress(BadPayload):
+            state = envelope.decode()
+            if isinstance(state, TruthState):
+                found.truth.append(state)
     return found
 
 
@@ -101,5 +105,5 @@ def arrival_of(envelope: Envelope) -> int:
 def all_fixes(inputs: Inputs, vehicle: VehicleFile) -> list[GnssFix]:
     """All fixes with a position, recorded as such or decoded from the receiver's bytes."""
     unit = OfflineUnit(vehicle, ["parsers.gnss"])
-    made = unit.run(inputs.messages(RECEIVER))
+    made = unit.run(inputs.messages(vehicle, RECEIVER))
     return [message for message in made if isinstance(message, GnssFix) and message.latitude_deg is not None]

@@ -20,7 +20,7 @@ class Aiding(StrEnum):
     ODOMETER = "odometer"
 
 
-LAYERS = {name.partition(".")[0] for name in BY_NAME}
+LAYERS = {"vehicle", *(name.partition(".")[0] for name in BY_NAME)}
 SWITCHES = {
     Aiding.FREE: ("core.fusion.odometer.enabled=false", "core.fusion.non_holonomic.enabled=false"),
     Aiding.NHC: ("core.fusion.odometer.enabled=false", "core.fusion.non_holonomic.enabled=true"),
@@ -36,8 +36,8 @@ def with_settings(vehicle: VehicleFile, settings: Sequence[str]) -> VehicleFile:
     vehicle : VehicleFile
         The original, which is not modified.
     settings : sequence of str
-        Each `process.setting=value` or `process.section.setting=value`, the value in TOML syntax; without a process it
-        is a setting of core.fusion. Later ones override earlier ones.
+        Each `process.setting=value` or `process.section.setting=value`, the value in TOML syntax; `vehicle` stands
+        for a process; without a process it is a setting of core.fusion. Later ones override earlier ones.
 
     Returns
     -------
@@ -69,7 +69,9 @@ def _parsed(text: str) -> tuple[str, str, object]:
     name, key = ".".join(parts[:2]), ".".join(parts[2:])
     if not (equals and key and all(parts)):
         raise UserError(f"--set {text} is invalid; write it as --set core.fusion.odometer.enabled=false")
-    if name not in BY_NAME:
+    if parts[0] == "vehicle":
+        name, key = "vehicle", ".".join(parts[1:])
+    elif name not in BY_NAME:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
         hint = f"did you mean {near[0]}?" if near else "`obu topics --processes` lists them"
         raise UserError(f"--set {text}: unknown process {name!r}; {hint}")

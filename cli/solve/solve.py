@@ -287,7 +287,7 @@ def _run(
     fixes: list[GnssFix] = []
     motions = {"the IMU": MotionLog(), "GNSS": MotionLog()}
     started = time.perf_counter()
-    for message in unit.run(_fed(drive.inputs, outages, counters, progress)):
+    for message in unit.run(_fed(drive, outages, counters, progress)):
         match message:
             case NavigationSolution():
                 builder.add(message)
@@ -314,10 +314,10 @@ def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progre
     return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
 
 
-def _fed(inputs: Inputs, outages: Outages | None, counters: Counters, progress: Progress) -> Iterator[Message]:
+def _fed(drive: Drive, outages: Outages | None, counters: Counters, progress: Progress) -> Iterator[Message]:
     """Yield the inputs one by one, without the GNSS messages within outages."""
-    task = progress.add_task("solving", total=len(inputs))
-    for number, message in enumerate(inputs.messages()):
+    task = progress.add_task("solving", total=len(drive.inputs))
+    for number, message in enumerate(drive.inputs.messages(drive.vehicle)):
         if number % 1000 == 0:
             progress.update(task, completed=number)
         if outages is not None and isinstance(message, GnssFix | GnssRaw):

@@ -4,7 +4,6 @@ There is no thread, and callbacks only queue: messages are decoded and heartbeat
 so that a process that hangs sends no heartbeats.
 """
 
-import faulthandler
 import logging
 import os
 import select
@@ -26,7 +25,8 @@ from ..messages.base import Message, Sender
 from ..messages.operation import ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
-from ..runtime.usage import resident_bytes
+from ..runtime.last_end import LastEnd
+from ..runtime.usage import ProportionalSize, resident_bytes
 from ..topics import BY_MESSAGE, TOPICS, Topic, topic_of
 from . import codec
 from .envelope import Envelope
@@ -74,6 +74,7 @@ class Bus:
         self.last_error: str | None = None
         self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
+        self._memory, self._end = ProportionalSize(), LastEnd(state_dir, process)
         self.incarnation = self.now_ns()
         self.sequence = 0  # of the last message sent
         self._prefix = f"obu/{vehicle}/"
@@ -151,7 +152,7 @@ class Bus:
         """Publish the state `disconnected` and disconnect; the last will is not sent."""
         self.stopping = True
         if self._guarded:
-            faulthandler.cancel_dump_traceback_later()
+            self._end.close()
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
         deadline = time.monotonic() + 0.5
@@ -174,12 +175,18 @@ class Bus:
             reconnections=self.reconnections,
             cpu_s=time.process_time(),
             rss_bytes=resident_bytes(),
-            last_error=self.last_error,
+            pss_bytes=self._memory.read(),
+            last_error=self.last_error or self._end.reason,
         )
 
     def guard(self) -> None:
-        """End the program, with a traceback on standard error, if `receive` is not called for `HUNG_S`."""
+        """End the program if `receive` is not called for `HUNG_S`; its next run tells where it hung."""
         self._guarded = True
+        self._end.begin()
+
+    def failed(self, error: BaseException) -> None:
+        """Note the exception that ends this process, for its next run to tell."""
+        self._end.failed(error)
 
     def _sign(self, message: Message) -> bytes:
         sender = Sender(process=self.process, incarnation=self.incarnation, sequence=self.sequence)
@@ -298,7 +305,7 @@ class Bus:
         self._next_heartbeat = now + HEARTBEAT_S
         self._client.loop_misc()  # keep-alive
         if self._guarded:
-            faulthandler.dump_traceback_later(HUNG_S, exit=True)
+            self._end.watch(HUNG_S)
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.READY))
             if self._alive_file:

@@ -5,16 +5,26 @@ checksum that makes the sum of all bytes after FA a multiple of 256. All numbers
 Source: Xsens, "MT Low Level Communication Protocol Documentation", chapters 2 and 5.3.
 """
 
+import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
+from itertools import accumulate
 from operator import itemgetter
 from typing import NamedTuple
 
+from .framing import FrameFinder, Sums
+
 HEADER = b"\xfa\xff"
+LONG = 0xFF  # in place of the length, which follows in two bytes
 MTDATA2 = 0x36
 MAX_PAYLOAD_BYTES = 2048
+MOST_FIELDS = 64  # of a measurement
+# A header whose length is possible, or the beginning of one at the end of the data.
+_STARTS = re.compile(
+    rb"\xfa\xff(?s:.)(?:[\x00-\xfe]|\xff[\x00-\x08](?s:.))|\xfa(?:\xff(?:(?s:.)(?:\xff[\x00-\x08]?)?)?)?\Z"
+)
 
 # Data identifiers without their format bits: the low two bits are the number format
 # (0 float32, 1 fixed 12.20, 2 fixed 16.32, 3 float64), the next two the reference frame.
@@ -229,95 +239,73 @@ def _layout(data_id: int) -> tuple[struct.Struct, int]:
     return struct.Struct(">" + code * _REALS[kind]), scale
 
 
-class XbusReader:
-    """Extracts the messages from a byte stream that may hold invalid bytes.
+class XbusReader(FrameFinder[XbusMessage]):
+    """Extracts the messages from a byte stream that may hold invalid bytes; see `FrameFinder`.
 
-    `rejects` counts `garbage_bytes`, `bad_checksum` and `oversize`. The buffer holds at most one message and the
-    last chunk. After an invalid message the search continues at its second byte, and a complete measurement inside
-    an incomplete message takes precedence (counted as `cut_message`): a corrupted length field neither suppresses
-    nor delays the following messages.
+    `rejects` counts `garbage_bytes`, `bad_checksum`, `oversize` and `cut_message`. Inside an incomplete message only a
+    measurement with complete fields takes precedence: an 8-bit checksum alone is too weak.
     """
 
-    def __init__(self, rejects: Counter[str] | None = None) -> None:
-        self.rejects: Counter[str] = Counter() if rejects is None else rejects
-        self._buffer = bytearray()
+    starts, malformed = _STARTS, re.compile(re.escape(HEADER))
+    kinds = {HEADER: "oversize"}  # noqa: RUF012  # a constant
+    most_bytes = MAX_PAYLOAD_BYTES
+    cut = "cut_message"
 
-    def feed(self, data: bytes) -> Sequence[XbusMessage]:
+    def __init__(self, rejects: Counter[str] | None = None) -> None:
+        super().__init__(rejects)
+        self._s = [0]  # running sum of the bytes
+
+    def feed(self, data: bytes) -> list[XbusMessage]:
         """Process the next bytes; return the completed messages."""
         if not self._buffer and (message := _only(data)) is not None:
-            return (message,)
-        self._buffer += data
-        return list(self._messages())
+            return [message]
+        return super().feed(data)
 
-    def _messages(self) -> Iterable[XbusMessage]:
-        buffer, start = self._buffer, 0
-        while True:
-            found = _find_header(buffer, start)
-            self._count("garbage_bytes", found - start)
-            start = found
-            fault, end = _check(buffer, start)
-            if fault is None:
-                yield XbusMessage(buffer[start + 2], bytes(buffer[_payload_start(buffer, start) : end]))
-                start = end + 1
-            elif fault == "incomplete":
-                inner = _whole_measurement_after(buffer, start + 1)
-                if inner is None:
-                    break
-                self._count("cut_message", 1)
-                self._count("garbage_bytes", inner - start)
-                start = inner
-            else:
-                self._count(fault, 1)
-                self._count("garbage_bytes", 1)
-                start += 1
-        del buffer[:start]
+    def _sum(self, data: bytes) -> None:
+        self._s = list(accumulate(data, initial=self._s[0]))
 
-    def _count(self, kind: str, n: int) -> None:
-        if n:
-            self.rejects[kind] += n
+    def _sums(self, index: int) -> Sums:
+        return (self._s[index],)
+
+    def _carry(self, index: int) -> None:
+        self._s = [self._s[index] & 0xFF]
+
+    def _size(self, start: int, match: re.Match[bytes]) -> int | None:
+        buffer, header = self._buffer, match.end() - start
+        if header < 4 or (buffer[start + 3] == LONG and header < 6):
+            return None
+        if buffer[start + 3] < LONG:
+            return buffer[start + 3] + 5
+        size = buffer[start + 4] << 8 | buffer[start + 5]
+        if size > MAX_PAYLOAD_BYTES:
+            self._reject(start, "oversize")
+            return 0
+        return size + 7
+
+    def _frame(self, start: int, stop: int, sums: Sums | None) -> XbusMessage | None:
+        shift = self._base - self._summed_from
+        (before,) = sums or self._sums(start + shift)
+        if self._s[stop + shift] - before - HEADER[0] & 0xFF:
+            self._reject(start, "bad_checksum")
+            return None
+        return XbusMessage(self._buffer[start + 2], bytes(self._buffer[self._payload_start(start) : stop - 1]))
+
+    def _payload_start(self, start: int) -> int:
+        return start + (6 if self._buffer[start + 3] == LONG else 4)
+
+    def _sure(self, start: int, stop: int) -> bool:
+        """Whether it is a measurement with complete fields, of which a tracker sends no more than `MOST_FIELDS`."""
+        if self._buffer[start + 2] != MTDATA2:
+            return False
+        position, stop = self._payload_start(start), stop - 1
+        for _ in range(MOST_FIELDS):
+            if position + 3 > stop:
+                break
+            position += 3 + self._buffer[position + 2]
+        return position == stop
 
 
 def _only(data: bytes) -> XbusMessage | None:
     """The message if these bytes are exactly one valid message (the usual case), otherwise None."""
-    whole = len(data) > 4 and data.startswith(HEADER) and data[3] == len(data) - 5 < 0xFF and not sum(data[1:]) & 0xFF
+    whole = len(data) > 4 and data.startswith(HEADER) and data[3] == len(data) - 5 < LONG and not sum(data[1:]) & 0xFF
     return XbusMessage(data[2], data[4:-1]) if whole else None
-
-
-def _find_header(buffer: bytearray, start: int) -> int:
-    found = buffer.find(HEADER, start)
-    if found >= 0:
-        return found
-    return len(buffer) - 1 if buffer[start:].endswith(b"\xfa") else len(buffer)
-
-
-def _payload_start(buffer: bytearray, start: int) -> int:
-    return start + (6 if buffer[start + 3] == 0xFF else 4)
-
-
-def _check(buffer: bytearray, start: int) -> tuple[str | None, int]:
-    """Fault of the message at `start` (None if valid), and the end of its payload."""
-    if len(buffer) < start + 4 or (buffer[start + 3] == 0xFF and len(buffer) < start + 6):
-        return "incomplete", 0
-    size = buffer[start + 3]
-    if size == 0xFF:
-        size = int.from_bytes(buffer[start + 4 : start + 6])
-    end = _payload_start(buffer, start) + size
-    if size > MAX_PAYLOAD_BYTES:
-        return "oversize", end
-    if end >= len(buffer):
-        return "incomplete", end
-    return ("bad_checksum" if sum(buffer[start + 1 : end + 1]) & 0xFF else None), end
-
-
-def _whole_measurement_after(buffer: bytearray, position: int) -> int | None:
-    """Index of a measurement with valid checksum and complete fields (an 8-bit checksum alone is too weak)."""
-    while (position := buffer.find(HEADER + bytes([MTDATA2]), position)) >= 0:
-        fault, end = _check(buffer, position)
-        if fault is None:
-            try:
-                if list(split_mtdata2(bytes(buffer[_payload_start(buffer, position) : end]))):
-                    return position
-            except ValueError:
-                pass  # truncated fields: not a measurement
-        position += 1
-    return None

@@ -1,7 +1,7 @@
 """What every message on the bus has in common."""
 
 from binascii import a2b_base64, b2a_base64
-from typing import Annotated, cast
+from typing import Annotated, ClassVar, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationInfo, WithJsonSchema
 from pydantic.fields import FieldInfo
@@ -80,6 +80,7 @@ class Stamped(Message):
 class RawBytes(Message):
     """Bytes of a device as they are; base64 in JSON."""
 
+    is_stream: ClassVar[bool] = False  # whether it may be cut anywhere, as what a serial port gives
     received_ns: Nanoseconds
     source: DeviceName
     data: Base64

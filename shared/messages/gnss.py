@@ -1,7 +1,7 @@
 """What GNSS receivers say, and what is said to them."""
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -34,6 +34,7 @@ MAX_RADIO_PATHS = 8  # of one receiver: one a band
 class GnssRaw(RawBytes):
     """Bytes that a GNSS receiver sent: UBX, NMEA or both."""
 
+    is_stream: ClassVar[bool] = True
     recorded: bool = False  # read from a file: dates in them are those of the recording
 
 
@@ -265,6 +266,16 @@ class GnssConfigure(Message):
     navigation_period_s: float
     messages: tuple[Name, ...]  # UBX names to be sent every epoch, such as NAV-PVT
     optional_messages: tuple[Name, ...] = ()  # those that a receiver may refuse, such as RXM-RAWX
+
+
+class GnssReceiver(Message):
+    """What a receiver sends, by its bytes and whether or not it has a position: every two seconds."""
+
+    received_ns: Nanoseconds
+    source: Name
+    messages: tuple[Name, ...] = ()  # kinds of the last ten seconds: `UBX NAV-PVT`, `NMEA GGA`, `RTCM 1005`
+    bytes_received: Annotated[int, unit("bytes")]  # since the last statement
+    bytes_other: Annotated[int, unit("bytes")]  # of these, in no message: many at a wrong rate of the port
 
 
 class GnssConfiguration(Message):

@@ -1,6 +1,6 @@
 """What inertial measurement units say."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import model_validator
 
@@ -11,6 +11,8 @@ FieldShare = Annotated[float, unit("calibration field")]
 
 class ImuRaw(RawBytes):
     """Bytes that an inertial measurement unit sent (Xbus)."""
+
+    is_stream: ClassVar[bool] = True
 
 
 class ImuSamples(Message):

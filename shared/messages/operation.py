@@ -63,6 +63,7 @@ class ProcessHealth(Message):
     reconnections: Count = 0
     cpu_s: float = 0.0
     rss_bytes: int = 0
+    pss_bytes: int = 0  # proportional set size: shared pages are divided by the number of processes that share them
     last_error: Reason | None = None
 
 

@@ -28,6 +28,8 @@ PASSAGES = 400  # at most in one message
 STATIONS = 1000  # at most in one message
 SETTLED = 5000  # at most in one message
 STATION_IDS = 16  # of one passage
+MAX_USED = 2000  # CAM in one message
+OVERLAPS = 16  # of one passage with others in its lane
 LANES = 500  # of a plaza
 FRAMES, DELTAS, POSTERIORS = 3000, 1800, 600  # of one passage, as evidence
 
@@ -52,6 +54,7 @@ class LaneDescription(Message):
     lane: Name
     direction: Name  # of the carriageway
     mode: GateMode
+    detector: bool = False  # counts the lane's vehicles: a charge needs its pulse
     width_m: Deviation
     centre: Annotated[tuple[Position, ...], Field(max_length=500)]
     approach_line: tuple[Position, Position]
@@ -160,16 +163,17 @@ class PassageState(StrEnum):
     OPEN = "open"  # behind the approach line
     CROSSED = "crossed"  # the front point has passed the gate line forward
     CHARGED = "charged"  # `core.toll`: the exit line is passed, charge it; the ledger: it is charged
+    HELD = "held"  # the ledger: complete, and waits for the pulse of the lane's detector; nothing is booked
     UNDECIDED = "undecided"  # the exit line is passed, and no lane is certain
     UNREGISTERED = "unregistered"  # the exit line is passed, and no contract is known
-    SUSPECT = "suspect"  # overlaps another passage in its lane
+    SUSPECT = "suspect"  # to be reviewed (`toll/review`): not confirmed, contradictory, or without evidence
     VOID = "void"  # did not pass the exit line: turned around or left
     MISSED = "missed"  # a detector pulse without a passage
 
     @property
     def is_final(self) -> bool:
         """Whether nothing follows."""
-        return self not in (PassageState.OPEN, PassageState.CROSSED)
+        return self not in (PassageState.OPEN, PassageState.CROSSED, PassageState.HELD)
 
 
 class EvidenceFrame(Message):
@@ -228,6 +232,9 @@ class TollPassage(Message):
     delta_ns: Nanoseconds | None = None  # stamp of the delta that was applied; None: none was
     trust: Reason = ""  # state of the surveyed antenna and its receiver
     authenticated: bool = False  # whether signatures of its CAM were verified
+    # Passages whose vehicles were at the gate line of the same lane within this vehicle's length: detectors count them.
+    overlaps: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()
+    derivable: bool = True  # whether lane and crossing follow from the evidence; False: it begins behind the gate line
     evidence: PassageEvidence | None = None  # with CROSSED and CHARGED; the ledger keeps that of charged vehicles
 
 
@@ -271,6 +278,7 @@ class TollTransaction(Message):
     amount_cents: Cents
     currency: Annotated[str, Field(pattern=r"^[A-Z]{3}$")]
     authenticated: bool  # False: from unsigned CAM, which can be forged
+    confirmed: bool = False  # True: by a pulse of the lane's detector; False: not confirmed by a detector
     evidence_digest: Digest
     attempt: Count = 1  # how often it was sent
     reason: Reason = ""
@@ -286,6 +294,24 @@ class TollReceipt(Message):
     accepted: bool
     duplicate: bool = False  # it was there before, and was ignored
     reason: Reason = ""
+
+
+class TollReview(Message):
+    """A passage that a person has to judge: it is not charged, or its charge is reversed. Sent once, or repeated."""
+
+    sampled_ns: Nanoseconds  # when the ledger found that it is to be reviewed
+    passage_id: Digest
+    plaza: Name
+    reason: Reason
+    lane: Name | None = None
+    crossing_ns: Nanoseconds | None = None
+    overlaps: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()  # passages reviewed together with it
+    contract: Name | None = None  # None: not registered
+    tariff_class: Name | None = None
+    amount_cents: Cents | None = None  # that a charge would have
+    currency: Name | None = None
+    reversed: bool = False  # it was charged, and the charge is reversed
+    evidence_digest: Digest | None = None
 
 
 class EvidencePack(Message):
@@ -308,6 +334,32 @@ class RegisteredStation(Message):
     valid_until_ns: Nanoseconds
 
 
+class UsedCam(EvidenceFrame):
+    """One CAM that a track has used."""
+
+    clock_offset_ns: Nanoseconds  # that is in `sampled_ns`: what is added to the times of a station with a wrong clock
+
+
+class UsedCams(Message):
+    """The CAM that `core.toll` has used since its last message of this kind, in the order of use.
+
+    The ledger keeps them for 70 s, in memory, for the next process; the first message of a process asks for them.
+    """
+
+    sampled_ns: Nanoseconds
+    since_ns: Nanoseconds  # start of the process
+    cams: Annotated[tuple[UsedCam, ...], Field(max_length=MAX_USED)]
+    deltas: Annotated[tuple[TollDelta, ...], Field(max_length=DELTAS)] = ()
+    anew: bool = False  # what was sent before is repeated, from the oldest on: the ledger had restarted
+
+
+class RestoredCams(Message):
+    """What a process of `core.toll` before this one has used; `toll/open_passages` follows when all are sent."""
+
+    since_ns: Nanoseconds  # of the process that is to use them
+    used: UsedCams
+
+
 class OpenPassages(Message):
     """What the ledger holds for a restart of `core.toll`: passages to continue, those settled, registered stations."""
 
@@ -316,10 +368,15 @@ class OpenPassages(Message):
     # Final and stored in the last minutes, the newest: their statements need not be repeated.
     settled: Annotated[tuple[Digest, ...], Field(max_length=SETTLED)]
     registered: Annotated[tuple[RegisteredStation, ...], Field(max_length=STATIONS)] = ()  # the newest
+    since_ns: Nanoseconds | None = None  # start of the ledger's process
+    core_since_ns: Nanoseconds | None = None  # process of `core.toll` that has all RestoredCams; None: none is known
 
 
 class LaneBalance(Message):
-    """One hour of a lane: detections = charged + undecided + unregistered + suspect + void + missed."""
+    """One hour of a lane: detections = charged + undecided + unregistered + suspect + void + missed + held + pending.
+
+    Outcomes are counted as soon as a passage explains a detection.
+    """
 
     lane: Name
     hour_ns: Nanoseconds  # its begin
@@ -330,8 +387,11 @@ class LaneBalance(Message):
     suspect: Count = 0
     void: Count = 0
     missed: Count = 0
-    charged_without_detection: Count = 0
-    pending: Count = 0  # detections not yet matched
+    held: Count = 0  # complete passages that wait for a pulse of their own, or for the count of an overlap
+    charged_without_detection: Count = 0  # in a lane with a detector
+    unconfirmed: Count = 0  # charges of a lane without a detector
+    pending: Count = 0  # detections that no passage explains yet
+    provisional: Count = 0  # detections with an outcome that may still change: younger than `match_after_s`
     agrees: bool = True
 
 
@@ -347,6 +407,8 @@ class PassageSummary(Message):
     amount_cents: Cents | None = None
     currency: Name | None = None
     receipt: bool = False
+    confirmed: bool | None = None  # of a charge: by a detector; None: not charged
+    reversed: bool = False  # a reversal is booked
     evidence_digest: Digest | None = None
     reason: Reason = ""
 
@@ -360,6 +422,9 @@ class LedgerState(Message):
     transactions: Count = 0
     reversals: Count = 0
     amount_cents: Cents = 0
+    held: Count = 0  # complete passages that wait for a detector; nothing is booked
+    in_review: Count = 0  # passages of this hour and the last that a person has to judge
+    unconfirmed: Count = 0  # charges that are not confirmed by a detector
     outbox: Count = 0  # transactions without a receipt
     last_receipt_ns: Nanoseconds | None = None
     lanes: Annotated[tuple[LaneBalance, ...], Field(max_length=2 * LANES + 2)] = ()  # of this hour and the last

@@ -1,10 +1,14 @@
 """What the vehicle's own network says."""
 
+from typing import ClassVar
+
 from .base import RawBytes, Speed, Stamped
 
 
 class CanRaw(RawBytes):
     """CAN frames as lines of a candump log, stamped on the OBU time line."""
+
+    is_stream: ClassVar[bool] = True
 
 
 class VehicleSpeed(Stamped):

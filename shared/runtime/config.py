@@ -6,36 +6,61 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Self, TypeVar
+from typing import Self, TypeVar
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..errors import ConfigError, UserError
+from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
+from .old_keys import PRESENT_KEYS, in_section, old_keys
 
 ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
 
 S = TypeVar("S", bound="Section")
 Table = dict[str, object]
+Matrix3 = tuple[Vector3, Vector3, Vector3]  # row by row
+LEVEL_MOUNTING: Matrix3 = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # x forward, y left, z up
+ORTHOGONAL = 1e-3  # largest deviation of rows times rows from the identity: allows matrices with four digits
 
 
 class Section(BaseModel):
     """Settings of one process, or a group of them; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    renamed: ClassVar[Mapping[str, str]] = {}  # keys of earlier versions: their present dotted keys
 
     def with_values(self, values: Mapping[str, object]) -> Self:
         """Copy the settings with some replaced; keys may be dotted, as in `gnss.delay_s`."""
         return type(self).model_validate(with_values(self.model_dump(), values))
 
 
+class ImuMounting(Section):
+    """How the inertial sensors are mounted; every process that reads inertial samples reads them in these body axes."""
+
+    body_from_sensor: Matrix3 = Field(
+        default=LEVEL_MOUNTING,
+        description="rotation matrix from the axes of the IMU to body axes (forward, right, down), row by row; its "
+        "columns are the x, y and z axes of the IMU in body axes. Default: mounted level, x forward, y left, z up",
+    )
+
+    @field_validator("body_from_sensor")
+    @classmethod
+    def _is_orthogonal(cls, rows: Matrix3) -> Matrix3:
+        product = [sum(a * b for a, b in zip(one, other, strict=True)) for one in rows for other in rows]
+        if any(abs(value - (1.0 if place % 4 == 0 else 0.0)) > ORTHOGONAL for place, value in enumerate(product)):
+            raise ValueError("the rows must be perpendicular to each other and of length one")
+        return rows
+
+
 class VehicleSection(Section):
     """Name and role of this unit."""
 
-    name: str = Field(default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$")  # the second level of every topic
-    role: Role = Role.OBU  # obu: on-board unit of a vehicle; rsu: road-side unit of a toll plaza
+    name: str = Field(
+        default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$", description="the second level of every topic"
+    )
+    role: Role = Field(default=Role.OBU, description="obu: on-board unit of a vehicle; rsu: road-side unit of a plaza")
+    imu: ImuMounting = ImuMounting()
 
 
 @dataclass(frozen=True)
@@ -67,6 +92,12 @@ class VehicleFile:
     path: str
     text: str
     tables: dict[str, Table]
+    samples_mounting: Matrix3 | None = None  # of a recording: with which its inertial samples were made
+
+    @property
+    def mounting(self) -> Matrix3:
+        """Rotation from the axes of the IMU to those of the vehicle (forward, right, down)."""
+        return self.section("vehicle", VehicleSection).imu.body_from_sensor
 
     @property
     def name(self) -> str:
@@ -94,6 +125,14 @@ class VehicleFile:
             raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
 
 
+def mounting_from(value: object) -> Matrix3:
+    """Check a matrix of a mounting; raises `ValueError` with the reason."""
+    try:
+        return ImuMounting.model_validate({"body_from_sensor": value}).body_from_sensor
+    except ValidationError as error:
+        raise ValueError(error.errors()[0]["msg"]) from error
+
+
 def with_values(table: Mapping[str, object], values: Mapping[str, object]) -> Table:
     """Copy a table with other values in it; a dotted key names a value of a table inside it."""
     made = dict(table)
@@ -118,10 +157,8 @@ def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     keys = list(dotted_keys(kind))
-    moved = [known for known in keys if known.endswith(f".{key}")]
-    if key not in keys and (new := kind.renamed.get(key) or (moved[0] if len(moved) == 1 else None)):
-        group, _, name = new.rpartition(".")
-        return f"[{section}] has no setting {key!r}; it is {name!r} in [{section}.{group}] now"
+    if key not in keys and (new := PRESENT_KEYS.get(f"{section}.{key}")):
+        return f"[{section}] has no setting {key!r}; it is {in_section(new)} now"
     if first["type"] != "extra_forbidden":
         return f"[{section}] {key} = {first['input']!r}: {first['msg']}"
     names = {known.rpartition(".")[2]: known for known in keys} | {known: known for known in keys}
@@ -136,6 +173,11 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
+    if old := next(old_keys(document), None):
+        raise ConfigError(
+            f"{path}: {in_section(old)} is of an earlier version; it is {in_section(PRESENT_KEYS[old])} now. "
+            f"`obu migrate {path}` rewrites the file"
+        )
     tables: dict[str, Table] = {}
     for layer, content in document.items():
         if not isinstance(content, dict):

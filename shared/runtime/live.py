@@ -8,14 +8,14 @@ import os
 import signal
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Protocol, cast
 
 from ..bus import codec
-from ..bus.bus import Bus, Envelope, decoded
+from ..bus.bus import QUEUE_LENGTH, Bus, Envelope, decoded
 from ..errors import BadPayload
 from ..faults import Faults
 from ..maths.dates import is_plausible
@@ -30,6 +30,8 @@ log = logging.getLogger(__name__)
 
 TICK_NS = 1_000_000_000
 JOURNAL_S = 1.0
+SERVE_S = 0.2  # longest time between two turns of the bus, which sends the heartbeats
+PORTION_BYTES = 32 * 1024  # more than the chunk of a driver; whatever they hold takes less than 0.1 s
 
 
 class Reactor(Protocol):
@@ -45,10 +47,26 @@ def arrival_ns(message: Message) -> int | None:
     return message.received_ns if isinstance(message, (RawBytes, Stamped, ImuSamples)) else None
 
 
-def handled(process: Reactor, message: Message, faults: Faults, now_ns: int) -> Iterator[Message]:
-    """Give a message to a process, and yield what follows; a fault costs this message, and not the process."""
-    with faults.handling(now_ns):
-        yield from process.handle(message)
+def portions(message: Message) -> Iterator[Message]:
+    """Cut what is too long to be handled between two heartbeats, where it may be cut; its stamp stays."""
+    if not isinstance(message, RawBytes) or not message.is_stream or len(message.data) <= PORTION_BYTES:
+        yield message
+        return
+    for start in range(0, len(message.data), PORTION_BYTES):
+        yield message.model_copy(update={"data": message.data[start : start + PORTION_BYTES]})
+
+
+def handled(
+    process: Reactor, message: Message, faults: Faults, now_ns: int, meanwhile: Callable[[], None] = lambda: None
+) -> Iterator[Message]:
+    """Give a message to a process, and yield what follows; a fault costs this message, and not the process.
+
+    `meanwhile` is called between the portions of a long one.
+    """
+    for portion in portions(message):
+        with faults.handling(now_ns):
+            yield from process.handle(portion)
+        meanwhile()
 
 
 class Runner(Protocol):
@@ -117,10 +135,14 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
     bus.guard()
     gc.collect()
     gc.freeze()  # excludes what exists now from garbage collection, which would take 4 to 9 ms
-    if BY_NAME[name].layer in (1, 5):
-        cast(Runner, process).run(bus)
-    else:
-        LiveReactor(cast(Reactor, process), bus, pause_s=BY_NAME[name].pause_s).run()
+    try:
+        if BY_NAME[name].layer in (1, 5):
+            cast(Runner, process).run(bus)
+        else:
+            LiveReactor(cast(Reactor, process), bus, pause_s=BY_NAME[name].pause_s).run()
+    except Exception as error:
+        bus.failed(error)
+        raise
     bus.close()
 
 
@@ -132,6 +154,8 @@ class LiveReactor:
         self._journal = Journal(bus.process, bus.incarnation)
         self._next_tick_ns = (bus.now_ns() // TICK_NS + 1) * TICK_NS
         self._next_journal = time.monotonic() + JOURNAL_S
+        self._inbox: deque[Envelope] = deque(maxlen=QUEUE_LENGTH)
+        self._served = 0.0
         self._faulty: Counter[str] = Counter()
         self._faults = Faults(self._faulty)
 
@@ -143,8 +167,10 @@ class LiveReactor:
         while not self._bus.stopping:
             if self._pause_s:
                 time.sleep(min(self._pause_s, self._until_tick_s()))
-            for envelope in self._bus.receive(min(self._until_tick_s(), 0.2)):
-                self._consume(envelope)
+            self._receive(min(self._until_tick_s(), SERVE_S))
+            while self._inbox:
+                self._consume(self._inbox.popleft())
+                self._tick()
             self._tick()
             self._publish_journal()
         closing = getattr(self._process, "close", None)
@@ -152,6 +178,18 @@ class LiveReactor:
             self._publish(closing())
             self._journal.add_close()
         self._publish_journal(at_once=True)
+
+    def _receive(self, timeout_s: float) -> None:
+        arrived = self._bus.receive(timeout_s)
+        if (excess := len(self._inbox) + len(arrived) - QUEUE_LENGTH) > 0:
+            self._bus.dropped += excess  # the oldest
+        self._inbox.extend(arrived)
+        self._served = time.monotonic()
+
+    def _serve(self) -> None:
+        """Let the bus work within a long batch, or a long message of it, so that the heartbeat goes on."""
+        if time.monotonic() - self._served >= SERVE_S:
+            self._receive(0.0)
 
     def _until_tick_s(self) -> float:
         return max((self._next_tick_ns - self._bus.now_ns()) * 1e-9, 0.0)
@@ -168,6 +206,7 @@ class LiveReactor:
         self._publish(self._handled(message))  # first, for the latency
         self._journal.add(envelope)
         self._count_rejects()
+        self._serve()
 
     def _tick(self) -> None:
         now_ns = self._bus.now_ns()
@@ -182,6 +221,7 @@ class LiveReactor:
         """Publish messages; those of persistent topics are saved as well."""
         for message in messages:
             self._bus.publish(message)
+            self._serve()
             if BY_MESSAGE[type(message)].persist:
                 _save(self._bus.state_dir, message)
 
@@ -204,7 +244,7 @@ class LiveReactor:
             self._publish(self._handled(message))
 
     def _handled(self, message: Message) -> Iterator[Message]:
-        return handled(self._process, message, self._faults, self._bus.now_ns())
+        return handled(self._process, message, self._faults, self._bus.now_ns(), self._serve)
 
     def _count_rejects(self) -> None:
         rejects: Mapping[str, int] = getattr(self._process, "rejects", {})

@@ -2,7 +2,8 @@
 
 The foreign members `plaza` (name) and `tariff` (version, currency, classes in 1/100 of the currency) stand
 beside `features`. A feature's property `kind` is `antenna` (a point with height), `lane` (its centre line in driving
-direction; `lane`, `direction`, `width_m`, `mode`), or `approach`, `gate`, `exit` (a line across a `direction`).
+direction; `lane`, `direction`, `width_m`, `mode`, and `detector`: whether the lane's pulses are published), or
+`approach`, `gate`, `exit` (a line across a `direction`).
 Coordinates are longitude and latitude in degrees, WGS-84.
 """
 
@@ -63,6 +64,7 @@ class _LaneProperties(_Part):
     direction: Annotated[str, Field(min_length=1, max_length=64)]
     width_m: Annotated[float, Field(gt=1.0, lt=20.0)]
     mode: GateMode = GateMode.FREE_FLOW
+    detector: bool = False
 
 
 class _LineProperties(_Part):
@@ -127,6 +129,7 @@ class Lane(_Part):
     name: str
     direction: str
     mode: GateMode
+    detector: bool
     width_m: float
     centre: FloatArray  # shape (n, 2), in driving direction
     approach: FloatArray  # shape (2, 2): the ends of the line
@@ -168,6 +171,7 @@ class Plaza(_Part):
                     lane=lane.name,
                     direction=lane.direction,
                     mode=lane.mode,
+                    detector=lane.detector,
                     width_m=lane.width_m,
                     centre=self._positions(lane.centre),
                     approach_line=self._ends(lane.approach),
@@ -218,6 +222,7 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
             name=f.properties.lane,
             direction=f.properties.direction,
             mode=f.properties.mode,
+            detector=f.properties.detector,
             width_m=f.properties.width_m,
             centre=_plane(f.geometry.coordinates, antenna, path),
             approach=across[f.properties.direction, "approach"],

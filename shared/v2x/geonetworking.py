@@ -31,6 +31,7 @@ PAYLOAD_AT = BTP_AT + BTP_B.size
 
 HEADING_PER_RAD = 1800 / math.pi  # 0.1 degrees
 GREATEST_SPEED = 0x3FFF  # 15 bits, signed, 0.01 m/s
+TIME_CYCLE_MS = 1 << 32  # of the time in a position vector: 49.7 days
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,11 @@ def decode_payload(packet: bytes) -> bytes:
     return packet[PAYLOAD_AT : BTP_AT + length]
 
 
+def source_time_ms(packet: bytes) -> int:
+    """Return the ITS time, modulo 2^32 ms, of the position vector in a packet that `decode_payload` accepts."""
+    return int(POSITION.unpack_from(packet, POSITION_AT)[2])
+
+
 def pseudonymous_address(station_id: int) -> bytes:
     """MAC address made from a pseudonym: locally administered, so that it reveals no more than the station id."""
     return b"\x02\x00" + station_id.to_bytes(4, "big")
@@ -103,7 +109,7 @@ def encode_packet(payload: bytes, sender: PositionVector, *, mobile: bool = True
             POSITION.pack(
                 (sender.station_type & 0x1F) << 10,
                 sender.mac_address,
-                sender.its_time_ms % (1 << 32),
+                sender.its_time_ms % TIME_CYCLE_MS,
                 round(sender.latitude_deg * 1e7),
                 round(sender.longitude_deg * 1e7),
                 sender.accurate << 15 | speed & 0x7FFF,

@@ -21,5 +21,10 @@ def generation_age_ms(generation_delta_time: int, received_its_ms: int) -> int:
 
     Negative for a CAM from the future, which a clock difference between the stations produces.
     """
-    half = CYCLE_MS // 2
-    return (received_its_ms - generation_delta_time + half) % CYCLE_MS - half
+    return difference_ms(received_its_ms, generation_delta_time, CYCLE_MS)
+
+
+def difference_ms(later_ms: int, earlier_ms: int, cycle_ms: int) -> int:
+    """Difference of two times of which one or both are known modulo a cycle only, in [-cycle/2, cycle/2) ms."""
+    half = cycle_ms // 2
+    return (later_ms - earlier_ms + half) % cycle_ms - half

@@ -95,8 +95,8 @@ def test_the_reasons_of_the_banner_are_listed_with_what_is_not_evaluated(
     page.get_by_role("button", name="Why?").click()
     drawer = page.get_by_role("dialog", name="Why UNSAFE?")
     expect(drawer).to_contain_text("What to do")
-    expect(drawer.locator("li", has_text="Short inertial window")).to_contain_text("accuses GNSS")
-    expect(drawer.locator("li", has_text="GNSS velocity residual")).to_contain_text("470 % of limit, rejected")
+    expect(drawer.locator("li", has_text="Short inertial window")).to_contain_text("suspects GNSS")
+    expect(drawer.locator("li", has_text="GNSS velocity residual")).to_contain_text("470 % of limit, discarded")
     warming = drawer.locator("li", has_text="Motion conflict")
     expect(warming).to_contain_text("not evaluated: warming up: 12 of 30 samples")
     expect(warming.locator(".meter")).to_have_count(0)
@@ -260,7 +260,7 @@ def test_a_protection_level_above_its_limit_is_said_by_banner_footer_timeline_an
         server.unit.protection_level_m = 25.0
         expect(page.locator(".banner .word")).to_have_text("ABOVE LIMIT", timeout=3000)
         expect(page.locator(".banner .sentence")).to_contain_text(
-            "horizontal protection level 25.0 m is above the alert limit of 10.0 m"
+            "The position must not be used: its error may be above the alert limit."
         )
         expect(page.get_by_role("alert")).to_contain_text("ABOVE LIMIT")
         expect(page.locator(".foot")).to_contain_text("ABOVE LIMIT")
@@ -472,10 +472,10 @@ def test_the_page_trust_shows_statistics_against_thresholds_and_unfolds_the_test
     page = open_page(units["alarm"].address, path="trust")
     verdict = page.get_by_role("region", name="Verdict", exact=True)
     expect(verdict.locator(".chip")).to_contain_text("UNSAFE")
-    expect(verdict.locator(".reasons li").first).to_contain_text("Short inertial window accuses GNSS")
+    expect(verdict.locator(".reasons li").first).to_contain_text("Short inertial window suspects GNSS")
     monitors = page.get_by_role("region", name="Monitors", exact=True)
     accusing = monitors.get_by_role("row").filter(has_text="GNSS motion against inertial")
-    expect(accusing).to_contain_text(re.compile(r"accuses GNSS.*2[34](\.\d)? of 11.3", re.DOTALL))
+    expect(accusing).to_contain_text(re.compile(r"suspects GNSS.*2[34](\.\d)? of 11.3", re.DOTALL))
     expect(accusing).to_contain_text("1 × 10⁻⁵")
     expect(accusing.locator(".meter.over")).to_have_count(1)
     warming = monitors.get_by_role("row").filter(has_text="by the rules of the smart tachograph")

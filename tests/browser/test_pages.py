@@ -24,9 +24,9 @@ WORDS: dict[str, str | re.Pattern[str]] = {
     "empty": re.compile("STARTING|NO DATA"),
 }  # the latter after two minutes
 SENTENCES: dict[str, str | re.Pattern[str]] = {
-    "normal": "The position can be used: protection levels 3.1 m horizontal and 4.3 m vertical",
-    "stale": "(core.fusion is stale: connected, but without heartbeat",
-    "alarm": "The position must not be used: Short inertial window accuses GNSS",
+    "normal": "The position can be used.",
+    "stale": "No position: core.fusion is stale: connected, but without heartbeat",
+    "alarm": "The position must not be used: GNSS and the inertial sensors disagree.",
     "empty": re.compile(
         "Nothing is known yet: waiting for the first verdict of core.trust"
         "|Trust is not evaluated: no verdict of core.trust"

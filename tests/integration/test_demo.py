@@ -22,7 +22,8 @@ from shared.messages.navigation import NavigationSolution
 from shared.processes import Role, running
 from shared.recording import Recording
 from shared.runtime.config import load_vehicle
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.live import arrival_ns
+from shared.runtime.offline import OfflineUnit
 from tests.support.dashboard.chromium import chromium
 from tests.support.drives.golden import record_golden_drive
 

@@ -15,7 +15,7 @@ from shared.messages.operation import ProcessHealth
 from shared.messages.v2x import CamList, OwnCam
 from shared.runtime.config import BrokerAddress
 from shared.topics import BY_NAME
-from shared.v2x import cam, geonetworking, its_time
+from shared.v2x import geonetworking, its_time
 from tests.support.bus import brokers
 from tests.support.v2x import cams
 
@@ -78,8 +78,7 @@ def test_a_radio_frame_is_published_as_cam_and_invalid_bytes_are_counted(
     rejects: dict[str, int] = {}
 
     def exchange() -> bool:
-        time_ms = its_time.its_time_ms(time.time_ns()) % its_time.CYCLE_MS
-        packet = geonetworking.encode_packet(cam.encode(cams.BRAKING, time_ms), cams.SENDER)
+        packet = cams.packet(cams.BRAKING, its_time.its_time_ms(time.time_ns()))
         for data in (packet, packet[:-3], b"\x12" + packet[1:], bytes(100)):
             radio.sendto(data, ("127.0.0.1", port))
         for envelope in listener.receive(0.05):

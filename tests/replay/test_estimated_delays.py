@@ -14,6 +14,7 @@ from typing import cast
 import pytest
 
 from cli.import_drive.import_drive import import_drive
+from cli.recordings.common import vehicle_of
 from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config, In, Process
 from shared.messages.navigation import NavigationState
@@ -40,7 +41,7 @@ def as_recorded(name: str, folder: Path, out: Path) -> Path:
 def last_state(drive: Path, until_s: float, **settings: object) -> NavigationState:
     process = Process(Config().with_values({"estimate_delays": True, **settings}))
     with Recording(drive) as recorded:
-        messages = list(inputs_of(recorded).messages())
+        messages = list(inputs_of(recorded).messages(vehicle_of(recorded, None)))
     states: list[NavigationState] = []
     for message in messages:
         states += [out for out in process.handle(cast(In, message)) if isinstance(out, NavigationState)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cli.import_drive.import_drive import import_drive
-from cli.recordings.common import open_recording
+from cli.recordings.common import open_recording, vehicle_of
 from cli.solve.inputs import inputs_of
 from cli.solve.solve import solve
 from services.core.fusion.set_up.findings import Verdict
@@ -23,7 +23,7 @@ def messages_of(mapping: str, folder: Path, out: Path, settings: Settings) -> Re
     path = out / "drive.mcap"
     import_drive(MAPPINGS / f"{mapping}.toml", folder, path)
     with open_recording(path) as opened:
-        return recorded(list(inputs_of(opened).messages()), settings)
+        return recorded(list(inputs_of(opened).messages(vehicle_of(opened, None))), settings)
 
 
 def contradicted(drive: Recorded, faults: Faults, settings: Settings) -> set[str]:

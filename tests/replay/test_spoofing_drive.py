@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cli.import_drive.import_drive import import_drive
+from cli.recordings.common import vehicle_of
 from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
@@ -63,9 +64,9 @@ def real_drive(name: str, vehicle_name: str, folder: Path) -> RealDrive:
     path = folder / "drive.mcap"
     import_drive(RECORDINGS / "mappings" / f"{name}.toml", recording(name), path)
     with Recording(path) as file:
-        given = inputs_of(file)
+        given, vehicle = inputs_of(file), vehicle_of(file, None)
     messages: list[Input] = []
-    for message in given.messages():
+    for message in given.messages(vehicle):
         if isinstance(message, ImuSamples | GnssFix):
             second = message.received_ns // SECOND_NS
             last = messages[-1] if messages else message

@@ -7,6 +7,7 @@ simulated one with a low-cost IMU, which is always there.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
@@ -30,7 +31,8 @@ from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.trust import TrustState
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile, parse_vehicle
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.live import arrival_ns
+from shared.runtime.offline import OfflineUnit
 from tests.support.data import REPOSITORY, recording
 from tests.support.drives.spoofing import inputs as typed_messages
 
@@ -110,11 +112,11 @@ def assert_harmless(
     assert not broken, "; ".join(broken)
 
 
-def first_seconds(inputs: Inputs, seconds: float) -> Messages:
+def first_seconds(inputs: Inputs, vehicle: VehicleFile, seconds: float) -> Messages:
     """The messages of the first seconds of a recording."""
     last_ns = arrival_of(inputs.envelopes[0]) + round(seconds * SECOND_NS)
     cut = Inputs(list(takewhile(lambda envelope: arrival_of(envelope) <= last_ns, inputs.envelopes)))
-    return cut.messages
+    return partial(cut.messages, vehicle)
 
 
 @pytest.mark.recording
@@ -144,7 +146,7 @@ def test_a_healthy_receiver_is_not_taken_away(
             return from_fixes(fixes, delay_s=gnss.delay_s, velocity_delay_s=gnss.velocity_delay_s)
         return from_states(inputs.truth, at_antenna=at_antenna)
 
-    assert_harmless(vehicle, first_seconds(inputs, seconds), truth, independent=not truth_by_fixes)
+    assert_harmless(vehicle, first_seconds(inputs, vehicle, seconds), truth, independent=not truth_by_fixes)
 
 
 GYROSCOPE_SCALE = 0.02  # [-] of all axes

@@ -15,7 +15,8 @@ from shared.errors import ConfigError, UserError
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.live import arrival_ns
+from shared.runtime.offline import OfflineUnit
 from tests.support.bus.envelopes import sent
 
 pytestmark = pytest.mark.slow  # three drives of a minute or more through fusion
@@ -57,7 +58,7 @@ def statements(learned: Learned, vehicle: VehicleFile) -> list[TrustMonitor]:
     """Statements of core.spoofing on the 5 s metrics in a drive that is not part of the profile."""
     with Recording(learned.folder / "later.mcap") as opened:
         inputs = inputs_of(opened)
-    said = OfflineUnit(vehicle, PROCESSES).run(inputs.messages())
+    said = OfflineUnit(vehicle, PROCESSES).run(inputs.messages(vehicle))
     return [message for message in said if isinstance(message, TrustMonitor) and message.monitor == "inertial_short"]
 
 

@@ -24,7 +24,7 @@ LONGEST_STEP_NS = 2_000_000_000  # between two solutions, above which there is n
 
 GNSS_ALONE: dict[str, str] = {
     "gnss_alone_count": "fixes given to the filter that are compared with an independent truth, at the antenna",
-    "gnss_alone_horizontal_rmse_m": "horizontal error of these fixes: GNSS alone, root mean square",
+    "gnss_alone_horizontal_rmse_m": "horizontal error of these fixes: receiver only, root mean square",
     "gnss_alone_vertical_rmse_m": "vertical error of these fixes, root mean square",
     "at_fixes_horizontal_rmse_m": "horizontal error of the solution at these fixes, root mean square",
     "gnss_alone_standstill_horizontal_rmse_m": "horizontal error of these fixes while standstill is detected",
@@ -230,7 +230,7 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
 
 
 def _standstill(run: Run, scored: Errors | None) -> dict[str, Value]:
-    """Errors while the vehicle stands, of the solution and of GNSS alone."""
+    """Errors while the vehicle stands, of the solution and of the receiver only."""
     flags = run.track.columns("stationary", 1)[:, 0]
 
     def still(stamps_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:

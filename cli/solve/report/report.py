@@ -179,7 +179,7 @@ def _judged(metrics: dict[str, Value]) -> str:
     if ours is not None and gnss is not None and _same_input(metrics):
         axes = worse_axes(metrics)
         equal = "better than" if ours < gnss / WORSE else "as good as"
-        compared = f"worse than GNSS alone {' and '.join(axes)}" if axes else f"{equal} GNSS alone"
+        compared = f"worse than the receiver {' and '.join(axes)}" if axes else f"{equal} the receiver"
         height = metrics["at_fixes_vertical_rmse_m"], metrics["gnss_alone_vertical_rmse_m"]
         vertical = f", vertically {_metres(height[0])} instead of {_metres(height[1])}" if None not in height else ""
         return f"Position {compared}: horizontally {_metres(ours)} RMS instead of {_metres(gnss)}{vertical}."
@@ -259,7 +259,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
 
 
 def against_gnss(metrics: dict[str, Value]) -> list[str]:
-    """Compare the solution with GNSS alone at the same times; state if it is worse. Empty without a comparison."""
+    """Compare the solution with the receiver only, at the same times; state if it is worse. Empty without one."""
     gnss, fused = _errors("gnss_alone", metrics), _errors("at_fixes", metrics)
     shown = ", ".join(
         f"{_metres(a)} {axis} RMS (fused {_metres(b)})"
@@ -268,17 +268,17 @@ def against_gnss(metrics: dict[str, Value]) -> list[str]:
     )
     if not shown:
         return []
-    found = [f"GNSS alone at the same {metrics['gnss_alone_count']} fixes: {shown}."]
+    found = [f"Receiver only, at the same {metrics['gnss_alone_count']} fixes: {shown}."]
     if axes := worse_axes(metrics):
         found.append(
-            f"Fusion is worse than GNSS alone {' and '.join(axes)}: check lever arm, axes and delays, or the settings "
-            "of the GNSS error model."
+            f"Fusion is worse than the receiver {' and '.join(axes)}: check lever arm, axes and delays, or the "
+            "settings of the GNSS error model."
         )
     return found
 
 
 def worse_axes(metrics: dict[str, Value]) -> list[str]:
-    """How the solution is worse than GNSS alone: horizontally, vertically, both or not at all.
+    """How the solution is worse than the receiver: horizontally, vertically, both or not at all.
 
     Fixes at the end of an outage are compared with a solution without GNSS, which says nothing of a fault: then it is
     not said. Where the receiver's own fixes are the truth, there is no such comparison.

@@ -34,7 +34,7 @@ from .measurements.gnss import Reading, Stamp, gnss_measurements, true_time_ns
 from .measurements.odometer import WheelSpeed
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor
-from .settings import Matrix3, Settings
+from .settings import Settings
 from .solution import Solution
 from .timing.delay_compensation import known_delays
 
@@ -43,7 +43,6 @@ FloatArray = npt.NDArray[np.float64]
 USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 COURSE_SPEED_M_S = 0.5  # lowest speed at which the course of a receiver is used
 GROUND_SPEED_SD = 0.3  # [m/s] of speed over ground and course, which receivers smooth
-IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LEAST_BASELINE_SD = 1e-3  # [rad]
 HELD_NUMBERS = 7  # of a disagreement in a saved state
 REASON_LENGTH = 400  # of a message
@@ -68,18 +67,9 @@ Aiding = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
 InertialSample = tuple[int, Vector3, Vector3]
 
 
-def samples_of(batch: ImuSamples, settings: Settings) -> Iterator[InertialSample]:
+def samples_of(batch: ImuSamples) -> Iterator[InertialSample]:
     """Stamp, specific force [m/s², body] and angular rate [rad/s, body] of each sample of a batch."""
-    forces, rates = batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s
-    rotation = settings.imu.body_from_imu
-    if rotation != IDENTITY:
-        forces, rates = rotated(rotation, forces), rotated(rotation, rates)
-    return zip(batch.sampled_ns, forces, rates, strict=True)
-
-
-def rotated(matrix: Matrix3, vectors: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
-    """Multiply each vector by a matrix."""
-    return tuple((x, y, z) for x, y, z in (np.array(vectors) @ np.array(matrix).T).tolist())
+    return zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
 
 
 def use(navigator: Navigator, message: Aiding) -> bool:

@@ -1,10 +1,8 @@
 """Settings of the navigation filter in sections; the defaults suit an MTi-630 in a car."""
 
-from collections.abc import Mapping
 from math import pi, radians
-from typing import ClassVar
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from shared.messages.base import Vector3
 from shared.runtime.config import Section
@@ -12,26 +10,10 @@ from shared.runtime.config import Section
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
 _CORRELATION_S = 200.0
-Matrix3 = tuple[Vector3, Vector3, Vector3]
-ORTHOGONAL = 1e-3  # largest deviation of rows times rows from the identity, by rounding
 
 
 class ImuSettings(Section):
-    """Axes, noise, biases and scale errors of the inertial sensors."""
-
-    body_from_imu: Matrix3 = Field(
-        default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        description="matrix from the axes of `imu/sample` to those of the vehicle (forward, right, down), row by row: "
-        "corrects mounting angles, and axes that are swapped or mirrored",
-    )
-
-    @field_validator("body_from_imu")
-    @classmethod
-    def _is_orthogonal(cls, rows: Matrix3) -> Matrix3:
-        product = [sum(a * b for a, b in zip(one, other, strict=True)) for one in rows for other in rows]
-        if any(abs(value - (1.0 if place % 4 == 0 else 0.0)) > ORTHOGONAL for place, value in enumerate(product)):
-            raise ValueError("the rows must be perpendicular to each other and of length one")
-        return rows
+    """Noise, biases and scale errors of the inertial sensors; their mounting is `[vehicle.imu] body_from_sensor`."""
 
     angle_random_walk_rad_sqrt_s: float = Field(
         default=1.222e-4, gt=0.0, description="angle random walk: root of the PSD of the gyroscopes' white noise"
@@ -342,35 +324,3 @@ class Settings(Section):
     alignment: AlignmentSettings = AlignmentSettings()
     gating: GatingSettings = GatingSettings()
     integrity: IntegritySettings = IntegritySettings()
-
-    # Keys of vehicle files of earlier versions that have another name now.
-    renamed: ClassVar[Mapping[str, str]] = {
-        "gnss_delay_s": "gnss.delay_s",
-        "gnss_velocity_delay_s": "gnss.velocity_delay_s",
-        "gnss_time_sd_s": "gnss.time_sd_s",
-        "gnss_position_sd_m": "gnss.position_sd_ned_m",
-        "gnss_velocity_sd_m_s": "gnss.velocity_sd_ned_m_s",
-        "gnss_position_sd_floor_m": "gnss.position_sd_floor_m",
-        "gnss_velocity_sd_floor_m_s": "gnss.velocity_sd_floor_m_s",
-        "gnss_sd_factor": "gnss.position_sd_factor",
-        "gnss_lasting_errors": "gnss.time_correlated_errors",
-        "gnss_error_correlation_s": "gnss.correlation_time_s",
-        "gnss_error_white_share": "gnss.white_noise_share",
-        "gnss_error_from_zero": "gnss.zero_error_at_start",
-        "odometer": "odometer.enabled",
-        "odometer_sd_m_s": "odometer.speed_sd_m_s",
-        "odometer_scale_sd": "odometer.scale_sd",
-        "non_holonomic": "non_holonomic.enabled",
-        "non_holonomic_sd_m_s": "non_holonomic.lateral_sd_m_s",
-        "non_holonomic_vertical_sd_m_s": "non_holonomic.vertical_sd_m_s",
-        "zero_velocity": "standstill.enabled",
-        "barometer": "barometer.enabled",
-        "barometer_sd_m": "barometer.height_sd_m",
-        "barometer_walk_m_sqrt_s": "barometer.offset_random_walk_m_sqrt_s",
-        "compass": "magnetometer.enabled",
-        "magnetic_declination_rad": "magnetometer.declination_rad",
-        "gate_false_alarm": "gating.false_alarm_probability",
-        "healthy_s": "gating.readmission_s",
-        "healthy_max_s": "gating.readmission_max_s",
-        "integrity_risk": "integrity.risk",
-    }

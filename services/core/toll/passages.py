@@ -1,10 +1,11 @@
 """The passage of one vehicle: approach line, gate line, exit line; charged only when all are passed, forward."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
 
-from shared.messages.toll import POSTERIORS, PassageState
+from shared.messages.toll import OVERLAPS, POSTERIORS, PassageState
 
 from .settings import PassageSettings
 
@@ -108,6 +109,7 @@ class Passage:
     registered: bool = False
     track: int | None = None  # number of the track; None: no track has it
     stated_ns: int = 0  # time of the newest statement; a checkpoint follows a second later
+    overlaps: list[str] = field(default_factory=list)  # IDs of passages at the gate line within its vehicle's length
     posteriors: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # once a second, and at the crossing
     furthest: float = field(init=False)  # [m] greatest coordinate behind the gate line
 
@@ -161,11 +163,13 @@ class Passage:
         """Note that another passage has the same station ID, and that they cannot be of one vehicle."""
         self.doubt = f"passage {other.passage_id[:8]} has the same station ID at another place"
 
-    def suspect(self, overlapped: "Passage | None") -> None:
-        """End the passage if it overlaps another one in its lane, or if another one has its station ID."""
-        if overlapped:
-            self._end(PassageState.SUSPECT, f"overlaps passage {overlapped.passage_id[:8]} in its lane")
-        elif self.doubt:
+    def suspect(self, overlapped: Sequence["Passage"]) -> None:
+        """Note the passages that it overlaps in its lane; end it if another one has its station ID.
+
+        Which of two vehicles at one place is there, the detectors decide: the ledger counts their pulses.
+        """
+        self.overlaps = [one.passage_id for one in overlapped][:OVERLAPS]
+        if self.doubt:
             self._end(PassageState.SUSPECT, self.doubt)
 
     def lose(self) -> None:

@@ -17,6 +17,10 @@ from .measurement import Measured, observation
 from .settings import Settings
 from .trackers.filters import Estimates, imm
 
+REMEMBERED_NS = 70 * 10**9  # generationDeltaTime is the same again after 65.536 s
+MAX_REMEMBERED = 300_000  # CAM; 2,000 a second are 140,000
+CHANNEL_NS = 5 * 10**9  # longest delay of what the channel repeats
+
 LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
 LINK_ACROSS_M = 2.0  # that it may be beside its prediction; the next lane is 3.5 m away
 LINK_SPEED_M_S = 1.0  # by which its speed may differ, beside what it has accelerated
@@ -91,18 +95,49 @@ def away_from_prediction(
     return np.where(can_be, np.hypot(along, across), np.inf)
 
 
+class Repetitions:
+    """The CAM of the last 70 s, to tell those that are received again: by the channel, or by who replays them.
+
+    A replay may have other headers than the original, so that the digest is that of what a CAM states: who, when and
+    where. A CAM that is received again is remembered from then on.
+    """
+
+    def __init__(self) -> None:
+        self._received_ns: dict[int, int] = {}  # by digest, in the order of reception
+
+    def add(self, cam: Cam) -> str | None:
+        """Remember a CAM; return why it is rejected if it was received before."""
+        digest = hash((cam.station_id, cam.generation_delta_time, cam.latitude_deg, cam.longitude_deg))
+        before_ns = self._received_ns.pop(digest, None)
+        self._received_ns[digest] = cam.received_ns
+        while len(self._received_ns) > MAX_REMEMBERED or self._is_old(cam.received_ns):
+            del self._received_ns[next(iter(self._received_ns))]
+        if before_ns is None:
+            return None
+        return "replayed" if cam.received_ns - before_ns > CHANNEL_NS else "late_or_repeated"
+
+    def __len__(self) -> int:
+        return len(self._received_ns)
+
+    def _is_old(self, now_ns: int) -> bool:
+        return abs(now_ns - next(iter(self._received_ns.values()))) > REMEMBERED_NS
+
+
 class TrackTable:
     """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
 
     def __init__(self, settings: Settings, plaza: Plaza, *, on_time: bool = False) -> None:
         self._settings, self._plaza = settings.track, plaza
-        self._on_time = on_time  # the CAM's times are corrected already
+        self.on_time = on_time  # the CAM's times are corrected already
         self._white_sd = settings.errors.white_sd_m
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[int, Track] = {}
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
+        self.repetitions = Repetitions()
+        self.seen_since_ns = 0  # silence before the first CAM of this process is none
+        self.used: list[tuple[int, Received]] = []  # clock offset and CAM, since it was emptied last
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
         self._x = np.zeros((size, *start.x.shape[1:]))
         self._P = np.zeros((size, *start.P.shape[1:]))
@@ -143,6 +178,11 @@ class TrackTable:
         track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
+    def continue_clock(self, station_id: int, clock_offset_ns: int) -> None:
+        """Correct the times of a station from here on as before a restart; its CAM so far were corrected already."""
+        if track := self.by_station.get(station_id):
+            track.clock_offset_ns = clock_offset_ns
+
     def delete_silent(self, now_ns: int) -> list[Track]:
         """Delete the tracks that have been silent for too long; return them."""
         limit_ns = round(self._settings.deleted_after_s * 1e9)
@@ -153,6 +193,9 @@ class TrackTable:
 
     def _measured(self, cam: Cam) -> Measured | None:
         """Place of a CAM in the plane; None if it cannot be used."""
+        if reason := self.repetitions.add(cam):
+            self.rejected[reason] += 1
+            return None
         if cam.latitude_deg is None or cam.longitude_deg is None:
             self.rejected["no_position"] += 1
             return None
@@ -172,7 +215,7 @@ class TrackTable:
         offset_ns = 0
         if track is not None:
             offset_ns = track.clock_offset_ns
-        elif not self._on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+        elif not self.on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
             offset_ns = age_ns
         if not offset_ns:
             return one
@@ -270,6 +313,7 @@ class TrackTable:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
         track.frames.append(_received(one.cam))
+        self.used.append((track.clock_offset_ns, track.frames[-1]))
         return Update(track, one, born, self._confirmed_predecessor(track))
 
     def _confirmed_predecessor(self, track: Track) -> Track | None:
@@ -281,7 +325,7 @@ class TrackTable:
         if old.updated_ns >= track.born_ns or owner not in (None, old):  # both station IDs are in use
             track.predecessor = None
             return None
-        if old.number in self._busy or track.updated_ns - old.updated_ns < track.silent_for_ns:
+        if old.number in self._busy or track.updated_ns - max(old.updated_ns, self.seen_since_ns) < track.silent_for_ns:
             return None
         track.predecessor = None
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]

@@ -130,13 +130,13 @@ def _undecided(facts: Facts) -> str | None:
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
     why = _sentences(facts, accusing) if accusing else "GNSS has not agreed for long enough after a conflict"
     if by_accused_odometer(facts):
-        why += "; it uses the odometer, which was accused before"
+        why += "; it uses the odometer, which was suspected before"
     declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
     return f"unresolved: {why}{declined}{_both_sides(facts)}"
 
 
 def _conflict_of_odometer_or_gnss(facts: Facts) -> str | None:
-    found = [reason for reason in (_undecided(facts), _odometer_accused(facts)) if reason is not None]
+    found = [reason for reason in (_undecided(facts), _odometer_conflict(facts)) if reason is not None]
     return "; ".join(found) or None
 
 
@@ -180,13 +180,14 @@ def _coasting(facts: Facts) -> str | None:
     return None if age_s <= limit_s else f"no GNSS fix used for {age_s:.1f} s, limit {limit_s:.1f} s"
 
 
-def _odometer_accused(facts: Facts) -> str | None:
+def _odometer_conflict(facts: Facts) -> str | None:
+    """Row 9: GNSS and odometer disagree, and the inertial monitors agree with GNSS."""
     conflict = facts.accusing(MOTION)
     if not conflict or any(facts.outcome(monitor) is not Outcome.PASS for monitor in INERTIAL):
         return None
-    if not facts.accusing(MOTION, ODOMETER):
-        return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, nothing is excluded"
-    return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, the odometer is no longer used"
+    unused = bool(facts.accusing(MOTION, ODOMETER)) or by_accused_odometer(facts)
+    then = "the odometer is no longer used" if unused else "nothing is excluded"
+    return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, {then}"
 
 
 def _evidence(facts: Facts) -> str | None:
@@ -227,7 +228,7 @@ def _sentences(facts: Facts, statements: list[Statement]) -> str:
 
 def _sentence(facts: Facts, statement: Statement) -> str:
     who = " or ".join(statement.accused) or "nobody"
-    text = f"monitor {statement.monitor} accuses {who}: {statement.reason}"
+    text = f"monitor {statement.monitor} suspects {who}: {statement.reason}"
     if statement.statistic is not None and statement.threshold is not None:
         text += f" (statistic {statement.statistic:.3g}, threshold {statement.threshold:.3g})"
     if statement.suspect_since_ns is not None:
@@ -258,7 +259,9 @@ def findings(facts: Facts) -> tuple[str, ...]:
     A check that is not evaluated lowers nothing while another one is.
     """
     accused = {name for statement in facts.accusing(tuple(Monitor)) for name in statement.accused}
-    named = [f"{name} is accused" for name in sorted(accused)]
+    named = [f"{name} is suspected{_consequence(name, facts)}" for name in sorted(accused)]
+    if odometer_accused(facts) and ODOMETER not in accused:
+        named.append("odometer is not used: it was suspected before")
     named += [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)]
     if facts.held is not None:
         named.append(f"the level holds: {facts.held}")
@@ -268,12 +271,21 @@ def findings(facts: Facts) -> tuple[str, ...]:
     return tuple(named + [f"{monitor} not evaluated: {facts.statement(monitor).reason}" for monitor in missing])
 
 
+def _consequence(name: str, facts: Facts) -> str:
+    """What follows for a sensor that is suspected."""
+    if name == GNSS:
+        return ", and not used" if _excluded(facts) else ", and still used"
+    if name == ODOMETER:
+        return ", and not used" if odometer_accused(facts) else ", and still used"
+    return ""
+
+
 def odometer_accused(facts: Facts) -> bool:
     """Whether fusion must not use the odometer: a motion monitor accuses it and both inertial windows pass.
 
     It stays so while the long window, which uses the odometer, accuses GNSS in turn.
     """
-    agreed = _odometer_accused(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
+    agreed = _odometer_conflict(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
     return agreed or by_accused_odometer(facts)
 
 
@@ -300,6 +312,6 @@ def verdict(facts: Facts) -> Verdict:
     levels = (solution.protection_level_horizontal_m, solution.protection_level_vertical_m) if solution else (0.0, 0.0)
     reason = (
         f"protection levels {levels[0]:.1f} m horizontal and {levels[1]:.1f} m vertical, "
-        f"alert limits {limits.horizontal_m:.1f} m and {limits.vertical_m:.1f} m; no monitor accuses GNSS"
+        f"alert limits {limits.horizontal_m:.1f} m and {limits.vertical_m:.1f} m; no monitor suspects GNSS"
     )
     return Verdict(TrustState.SAFE, len(ROWS) + 1, (reason,), findings(facts))

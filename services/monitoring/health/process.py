@@ -1,5 +1,7 @@
 """The watchdog: judges every topic and process by its deadline, and publishes problems and outages by root cause."""
 
+import os
+
 from shared.bus.bus import Bus, Envelope, decoded
 from shared.faults import Faults
 from shared.messages.operation import DeadlineReport, ProcessHealth, RecordingState
@@ -43,6 +45,7 @@ class Process:
                     report_ns = now_ns  # with a report at once
             if now_ns >= report_ns and bus.connected and watch.answering:
                 report_ns = now_ns + REPORT_NS
+                watch.judge_load(now_ns, os.getloadavg()[0])
                 bus.publish(watch.report(now_ns))
 
 

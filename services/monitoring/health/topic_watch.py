@@ -10,6 +10,7 @@ from shared.topics import Topic
 
 RATE_WINDOW_NS = 10_000_000_000
 LATENCIES = 256
+RECENT = 32
 HEAD_BYTES = 300  # the stamps stand at the front of a payload
 STAMPS = ("received_ns", "sampled_ns", "now_ns", "sent_ns")
 
@@ -62,6 +63,11 @@ class TopicWatch:
         while len(self._marks) > 2 and self._marks[1][0] <= now_ns - RATE_WINDOW_NS:
             self._marks.popleft()
         return self._rate_hz
+
+    @property
+    def recent_s(self) -> tuple[float, ...]:
+        """Latencies of the newest messages, a second or two of them."""
+        return tuple(self._latencies_s)[-RECENT:]
 
     def latencies_s(self) -> tuple[float | None, float | None]:
         """Give median and 99th percentile of the last messages' latency; None if they bear no stamp."""

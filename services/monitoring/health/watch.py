@@ -21,10 +21,11 @@ from shared.messages.operation import (
     TopicAge,
 )
 from shared.processes import BY_NAME as PROCESS_ROWS
-from shared.runtime.freshness import STARTUP_GRACE_S
+from shared.runtime.freshness import STARTUP_GRACE_S, percentile
 from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
 
 from .causes import expected_topics, producers_of, upstream_of
+from .overload import Overload
 from .process_watch import ProcessWatch
 from .topic_watch import TopicWatch
 
@@ -38,6 +39,7 @@ STALL_NS = 1_000_000_000  # an observer that was suspended for longer cannot jud
 RESUME_NS = 60_000_000_000  # maximum age of a report whose outages are continued after a restart
 DISK_LOW_BYTES = 1_000_000_000
 BROKER, SELF = "broker", "monitoring.health"
+SOLUTION, SAMPLES, HEARTBEATS = "navigation/solution", "imu/sample", "health/+"
 WHY_DOWN = {
     ProcessStatus.LOST: "was lost: it crashed, was killed or lost its connection",
     ProcessStatus.STALE: "is stale: connected, but without heartbeat; it hangs or is overloaded",
@@ -64,7 +66,9 @@ class Watch:
     the passage of time (`step`).
     """
 
-    def __init__(self, configured: tuple[str, ...] | frozenset[str], now_ns: int) -> None:
+    def __init__(
+        self, configured: tuple[str, ...] | frozenset[str], now_ns: int, *, processors: int | None = None
+    ) -> None:
         self._started_ns = self._judged_from_ns = self._now_ns = self._received_ns = now_ns
         self._configured = frozenset(configured)
         self._topics = {topic.name: TopicWatch(topic) for topic in TOPICS}
@@ -74,6 +78,7 @@ class Watch:
         self._open: dict[str, _Open] = {}
         self._settling: dict[str, _Open] = {}  # ended less than SETTLE_NS ago
         self._events: list[Outage] = []
+        self._overload = Overload(processors)
         self.answering = True  # whether the broker works
         self._back_ns = now_ns  # since when it does
 
@@ -172,8 +177,16 @@ class Watch:
                 if watch.count or name in self._expected
             ),
             processes=tuple(self._process_age(watch, now_ns) for watch in self._processes.values()),
-            problems=(*(self._problem(entry) for entry in self._open.values()), *self._recording_problems()),
+            problems=(*(self._problem(entry) for entry in self._open.values()), *self._other_problems()),
         )
+
+    def judge_load(self, now_ns: int, load: float) -> None:
+        """Find out whether this computer keeps up, by its load and the delays of messages."""
+        solution, samples = (percentile(self._topics[name].recent_s, 0.5) for name in (SOLUTION, SAMPLES))
+        live = self.answering and self._topics[SOLUTION].freshness(now_ns) is not Freshness.STALE
+        behind_s = solution - (samples or 0.0) if live and solution is not None else None
+        heartbeats_s = self._topics[HEARTBEATS].recent_s if self.answering else ()
+        self._overload.judge(now_ns, load, heartbeats_s, behind_s)
 
     # --- processes
 
@@ -408,6 +421,11 @@ class Watch:
         if what in self._topics and what not in entry.silent_ns:
             return f"{what} is published again; not yet: {waiting}"
         return entry.outage.cause
+
+    def _other_problems(self) -> list[Problem]:
+        """List what is wrong although nothing is silent because of it."""
+        overload = self._overload.problem
+        return [*([overload] if overload else []), *self._recording_problems()]
 
     def _recording_problems(self) -> list[Problem]:
         state, fresh = self._recording, self._topics["recording/state"].freshness(self._now_ns) is not Freshness.STALE

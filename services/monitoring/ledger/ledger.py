@@ -7,12 +7,17 @@ after the commit. Messages may come twice, late, or after a restart: each is sto
 import hashlib
 import json
 import zlib
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import hypot
+from typing import TypeVar
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from shared.messages.base import Message
 from shared.messages.toll import (
+    OVERLAPS,
     PASSAGES,
     SETTLED,
     STATIONS,
@@ -24,15 +29,19 @@ from shared.messages.toll import (
     PassageSummary,
     PlazaDetector,
     RegisteredStation,
+    RestoredCams,
     TollPassage,
     TollReceipt,
     TollRegistration,
+    TollReview,
     TollTransaction,
     TransactionKind,
+    UsedCams,
 )
 from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
 
+from .confirmation import Claim, Verdict, groups, judge
 from .reconciliation import Crossing, Pulse, match
 from .store import Row, Store
 
@@ -40,7 +49,10 @@ NS = 1_000_000_000
 HOUR_NS = 3600 * NS
 DAY_NS = 24 * HOUR_NS
 RECENT = 50
-OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed")
+USED_KEPT_NS = 70 * NS
+OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
+UNCONFIRMED = "not confirmed by a detector"
+AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 
 class Settings(Section):
@@ -70,12 +82,32 @@ class Settings(Section):
         description="largest time between a pulse and its crossing, or three standard deviations of that",
     )
     detector_sd_s: float = Field(default=0.1, gt=0, description="standard deviation of a pulse's time")
+    confirm_wait_s: float = Field(
+        default=30.0,
+        gt=0,
+        le=120.0,
+        description="time after which a passage that its lane's detector does not confirm goes to review",
+    )
     resend_first_s: float = Field(
         default=1.0, gt=0, description="time until a transaction without receipt is sent again; it doubles each time"
     )
     resend_longest_s: float = Field(
         default=60.0, gt=0, description="longest time between two attempts to send a transaction"
     )
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Pulses and crossings that wait for their final account, and which belong to each other."""
+
+    pulses: Mapping[int, Row] = field(default_factory=dict)  # by row
+    crossings: Mapping[int, Row] = field(default_factory=dict)  # by number
+    found: Mapping[int, int] = field(default_factory=dict)  # number of the crossing by row of the pulse
+
+    @property
+    def pulse_of(self) -> dict[int, Row]:
+        """Pulse by number of the crossing."""
+        return {number: self.pulses[key] for key, number in self.found.items()}
 
 
 class Ledger:
@@ -86,8 +118,13 @@ class Ledger:
         self._started_ns = now_ns
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
+        # What `core.toll` has used, this process and the one before: time, start of the process, message as JSON.
+        self._used: deque[tuple[int, int, str]] = deque()
+        self._core_since_ns: int | None = None
+        self._asked = False  # for them, by a new process
         self._next_send: dict[str, tuple[int, int]] = {}  # attempts and time of the next, by transaction
         self._numbers: Counter[str] = Counter()  # bookings by kind, up to the row `_summed`: none is ever changed
+        self._detectors = {lane.name for lane in plaza.lanes if lane.detector}
         self._amount_cents = self._summed = 0
         self._cleaned_ns = 0  # what was settled before and not charged is deleted
 
@@ -104,6 +141,8 @@ class Ledger:
                 self.passage(message, now_ns)
             case TollReceipt():
                 self.receipt(message, now_ns)
+            case UsedCams():
+                self.remember(message)
             case _:
                 pass
 
@@ -141,7 +180,7 @@ class Ledger:
             self.rejects["another plaza"] += 1
         elif self._store.execute("UPDATE settled SET final_ns = ? WHERE passage_id = ?", now_ns, message.passage_id):
             if message.state in (PassageState.VOID, PassageState.SUSPECT):
-                self._reverse(message.passage_id, message.reason or message.state.value, now_ns)
+                self._withdraw(message.passage_id, message.state, message.reason or message.state.value, now_ns)
         else:
             self._follow(message, now_ns)
 
@@ -159,42 +198,69 @@ class Ledger:
         if not message.accepted:
             self._reverse(message.passage_id, f"not accepted by {message.operator}: {message.reason}", now_ns)
 
+    def remember(self, used: UsedCams) -> None:
+        """Keep the CAM that `core.toll` has used, in memory only; a new process gets those of the one before."""
+        self._asked = self._asked or used.since_ns != self._core_since_ns
+        self._core_since_ns = used.since_ns
+        if used.anew:
+            self._used.clear()
+        if used.cams or used.deltas:
+            self._used.append((used.sampled_ns, used.since_ns, used.model_dump_json(exclude_none=True)))
+        self._forget_used(used.sampled_ns)
+
+    def _forget_used(self, now_ns: int) -> None:
+        while self._used and now_ns - self._used[0][0] > USED_KEPT_NS:
+            self._used.popleft()
+
     # Periodic work
 
     def expire(self, now_ns: int) -> None:
         """Settle passages that fell silent, and delete what may not be kept longer."""
         silent_ns = now_ns - round(self._settings.silence_limit_s * NS)
         if self._started_ns < silent_ns:
-            rows = self._store.rows("SELECT statement FROM passage WHERE sampled_ns < ?", silent_ns)
-            stored = [TollPassage.model_validate_json(row["statement"]) for row in rows]
+            rows = self._store.rows("SELECT passage_id, statement FROM passage WHERE sampled_ns < ?", silent_ns)
+            stored = [self._read(TollPassage, row["statement"], row["passage_id"]) for row in rows]
             silent = [p for p in self._unregistered.values() if p.sampled_ns < silent_ns]
             for passage in stored + silent:
                 state = PassageState.VOID if passage.crossing_ns is None else PassageState.UNDECIDED
                 self._settle(passage, state, "no statement from core.toll any more", now_ns)
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         self._store.execute("DELETE FROM registration WHERE valid_until_ns < ?", now_ns)
+        self._forget_used(now_ns)
+        self._store.execute("DELETE FROM chain WHERE to_ns < ?", kept_ns)
+        self._forget_reviews("since_ns >= ? AND since_ns < ? AND NOT EXISTS (SELECT 1 FROM evidence "
+                             "WHERE evidence.passage_id = review.passage_id)", self._cleaned_ns, kept_ns)  # fmt: skip
         self._store.execute(
             "DELETE FROM settled WHERE final_ns >= ? AND final_ns < ? "
-            "AND NOT EXISTS (SELECT 1 FROM booking WHERE booking.passage_id = settled.passage_id)",
+            "AND NOT EXISTS (SELECT 1 FROM booking WHERE booking.passage_id = settled.passage_id) "
+            "AND NOT EXISTS (SELECT 1 FROM review WHERE review.passage_id = settled.passage_id)",
             self._cleaned_ns, kept_ns,
         )  # fmt: skip
         self._cleaned_ns = max(self._cleaned_ns, kept_ns)
         self._store.execute("DELETE FROM pulse WHERE sampled_ns < ? AND done", now_ns - DAY_NS)
         evidence_ns = now_ns - round(self._settings.evidence_kept_days * DAY_NS)
         self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns)
+        self._forget_reviews("since_ns < ?", evidence_ns)
+
+    def _forget_reviews(self, condition: str, *values: int) -> None:
+        """Delete reviews and, where nothing is booked, what else is left of their passages."""
+        for row in self._store.rows(f"SELECT passage_id FROM review WHERE {condition}", *values):
+            self._store.execute("DELETE FROM review WHERE passage_id = ?", row["passage_id"])
+            self._store.execute(
+                "DELETE FROM settled WHERE passage_id = ? AND NOT EXISTS (SELECT 1 FROM booking "
+                "WHERE booking.passage_id = settled.passage_id)", row["passage_id"],
+            )  # fmt: skip
 
     def reconcile(self, now_ns: int) -> None:
-        """Account for pulses that are old enough: each belongs to a passage, or its vehicle was missed."""
+        """Charge what detectors confirm, and account for pulses that are old enough.
+
+        Each pulse belongs to a passage, or its vehicle was missed.
+        """
+        self._confirm(self._matched(), now_ns)
+        matched = self._matched()
         ripe_ns = now_ns - round(self._settings.match_after_s * NS)
-        pulses = self._store.rows("SELECT rowid, lane, sampled_ns FROM pulse WHERE NOT done")
-        crossings = {row["number"]: row for row in self._store.rows("SELECT * FROM crossing")}
-        found = match(
-            [Pulse(row["rowid"], row["lane"], row["sampled_ns"]) for row in pulses],
-            [_crossing(row) for row in crossings.values()],
-            detector_sd_s=self._settings.detector_sd_s,
-            gate_s=self._settings.match_gate_s,
-        )
-        for row in pulses:
+        crossings, found = dict(matched.crossings), matched.found
+        for row in matched.pulses.values():
             if row["sampled_ns"] >= ripe_ns:
                 continue
             crossing = crossings.pop(found[row["rowid"]], None) if row["rowid"] in found else None
@@ -207,8 +273,79 @@ class Ledger:
         for number, row in crossings.items():
             if row["crossing_ns"] < late_ns and number not in waiting:
                 if row["state"] == PassageState.CHARGED:
-                    self._count(row["lane"], row["crossing_ns"], "charged_without_detection")
+                    self._count(row["lane"], row["crossing_ns"], self._without_detection(row["lane"]))
                 self._store.execute("DELETE FROM crossing WHERE number = ?", number)
+
+    def _matched(self) -> Matched:
+        """Assign the pulses and crossings that are not accounted for yet."""
+        pulses = {
+            row["rowid"]: row for row in self._store.rows("SELECT rowid, lane, sampled_ns FROM pulse WHERE NOT done")
+        }
+        crossings = {row["number"]: row for row in self._store.rows("SELECT * FROM crossing")}
+        found = match(
+            [Pulse(row["rowid"], row["lane"], row["sampled_ns"]) for row in pulses.values()],
+            [_crossing(row) for row in crossings.values()],
+            detector_sd_s=self._settings.detector_sd_s,
+            gate_s=self._settings.match_gate_s,
+        )
+        return Matched(pulses, crossings, found)
+
+    def _without_detection(self, lane: str) -> str:
+        """Name the count of a charge without a pulse: a fault only where there is a detector."""
+        return "charged_without_detection" if lane in self._detectors else "unconfirmed"
+
+    def _confirm(self, matched: Matched, now_ns: int) -> None:
+        """Charge the held passages whose pulse is there; send to review what detectors contradict."""
+        claims = {
+            row["passage_id"]: self._claim(row, matched.pulse_of.get(row["number"]), now_ns)
+            for row in matched.crossings.values()
+            if row["passage_id"]
+        }
+        states = {row["passage_id"]: row["state"] for row in matched.crossings.values()}
+        for group in groups(claims):
+            is_held = any(states[claim.passage_id] == PassageState.HELD for claim in group)
+            if not is_held and not any(claim.overlaps for claim in group):
+                continue
+            members = {claim.passage_id for claim in group}
+            verdict, reason = judge(group, members)
+            if verdict is Verdict.WAITS:
+                continue
+            for passage_id in sorted(members):
+                self._store.execute("UPDATE crossing SET overlaps = '[]' WHERE passage_id = ?", passage_id)
+                if verdict is Verdict.REVIEW:
+                    self._review(passage_id, reason, sorted(members - {passage_id}), now_ns)
+                elif states[passage_id] == PassageState.HELD:
+                    self._charge_held(passage_id, now_ns)
+
+    def _claim(self, row: Row, pulse: Row | None, now_ns: int) -> Claim:
+        sds = None
+        if pulse is not None:
+            away_s = abs(pulse["sampled_ns"] - row["crossing_ns"]) * 1e-9
+            sds = away_s / hypot(row["sd_s"], self._settings.detector_sd_s)
+        held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
+        crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
+        return Claim(
+            passage_id=row["passage_id"],
+            overlaps=frozenset(json.loads(row["overlaps"])),
+            has_detector=row["lane"] in self._detectors,
+            is_charge=row["state"] in (PassageState.CHARGED, PassageState.HELD),
+            is_derivable=crossed is None or crossed.derivable,
+            pulse_sds=sds,
+            waited=now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS),
+        )
+
+    def _read(self, kind: type[AnyMessage], text: str, passage_id: str) -> AnyMessage:
+        """Read a stored message.
+
+        Raises
+        ------
+        LedgerFault
+            The row is damaged: the text names the passage.
+        """
+        try:
+            return kind.model_validate_json(text)
+        except ValidationError as error:
+            raise self._store.damaged(f"a row of passage {passage_id[:8]}", error) from error
 
     # Published messages
 
@@ -225,14 +362,35 @@ class Ledger:
                 continue
             pause_s = min(self._settings.resend_first_s * 2.0**attempts, self._settings.resend_longest_s)
             self._next_send[row["transaction_id"]] = (min(attempts + 1, 30), now_ns + round(pause_s * NS))
-            content = TollTransaction.model_validate_json(row["content"])
+            content = self._read(TollTransaction, row["content"], row["transaction_id"])
             found.append(content.model_copy(update={"attempt": attempts + 1}))
         return found
 
+    def restored(self) -> list[RestoredCams]:
+        """List what a new process of `core.toll` asks for, once; empty if none has asked, or nothing is kept."""
+        if not self._asked or self._core_since_ns is None:
+            return []
+        self._asked = False
+        mine = self._core_since_ns
+        return [
+            RestoredCams(since_ns=mine, used=UsedCams.model_validate_json(used))
+            for _, since_ns, used in self._used
+            if since_ns != mine
+        ]
+
+    def reviews(self) -> list[TollReview]:
+        """List the passages to review that are not published yet."""
+        rows = self._store.rows("SELECT content, passage_id FROM review WHERE NOT sent ORDER BY since_ns LIMIT 100")
+        return [self._read(TollReview, row["content"], row["passage_id"]) for row in rows]
+
+    def reviewed(self, sent: TollReview) -> None:
+        """Note that a review is published; a kill before that repeats it."""
+        self._store.execute("UPDATE review SET sent = 1 WHERE passage_id = ?", sent.passage_id)
+
     def open_passages(self, now_ns: int) -> OpenPassages:
         """List what `core.toll` continues after a restart, and what it need not repeat."""
-        rows = self._store.rows("SELECT statement FROM passage ORDER BY sampled_ns DESC LIMIT 300")
-        stored = tuple(TollPassage.model_validate_json(row["statement"]) for row in rows)
+        rows = self._store.rows("SELECT passage_id, statement FROM passage ORDER BY sampled_ns DESC LIMIT 300")
+        stored = tuple(self._read(TollPassage, row["statement"], row["passage_id"]) for row in rows)
         recently_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         settled = self._store.rows(
             "SELECT passage_id FROM settled WHERE final_ns >= ? ORDER BY final_ns DESC LIMIT ?", recently_ns, SETTLED
@@ -249,52 +407,81 @@ class Ledger:
                 RegisteredStation(station_id=row["station_id"], valid_until_ns=row["valid_until_ns"])
                 for row in registered
             ),
+            since_ns=self._started_ns,
+            core_since_ns=None if self._asked else self._core_since_ns,
         )
 
     def state(self, now_ns: int) -> LedgerState:
         """Sum up charges, outbox and the account of this hour and the last."""
-        for row in self._store.rows("SELECT rowid, kind, amount_cents FROM booking WHERE rowid > ?", self._summed):
+        for row in self._store.rows(
+            "SELECT rowid, kind, amount_cents, json_extract(content, '$.confirmed') AS confirmed FROM booking "
+            "WHERE rowid > ?", self._summed,
+        ):  # fmt: skip
             self._summed = row["rowid"]
             self._numbers[row["kind"]] += 1
+            self._numbers[UNCONFIRMED] += row["kind"] == TransactionKind.CHARGE and not row["confirmed"]
             self._amount_cents += row["amount_cents"]
         last = self._store.row("SELECT MAX(received_ns) AS ns FROM receipt")
         outbox = self._store.row("SELECT COUNT(*) AS n FROM outbox")
+        held = self._store.row("SELECT COUNT(*) AS n FROM held")
+        since_ns = now_ns // HOUR_NS * HOUR_NS - HOUR_NS
+        reviews = self._store.row("SELECT COUNT(*) AS n FROM review WHERE since_ns >= ?", since_ns)
         return LedgerState(
             now_ns=now_ns,
             plaza=self._plaza.name,
             transactions=self._numbers[TransactionKind.CHARGE],
             reversals=self._numbers[TransactionKind.REVERSAL],
             amount_cents=self._amount_cents,
+            held=held["n"] if held else 0,
+            in_review=reviews["n"] if reviews else 0,
+            unconfirmed=self._numbers[UNCONFIRMED],
             outbox=outbox["n"] if outbox else 0,
             last_receipt_ns=last["ns"] if last else None,
-            lanes=self.balances(now_ns // HOUR_NS * HOUR_NS - HOUR_NS),
+            lanes=self.balances(since_ns),
             recent=self._recent(),
         )
 
     def balances(self, since_ns: int) -> tuple[LaneBalance, ...]:
-        """Account for the detections of each lane and hour from a time on."""
+        """Account for the detections of each lane and hour from a time on.
+
+        What is not closed yet has the outcome of the passage that explains it now; without one it is pending.
+        """
         rows = self._store.rows("SELECT * FROM balance WHERE hour_ns >= ?", since_ns)
-        counts = {(row["hour_ns"], row["lane"], row["outcome"]): row["n"] for row in rows}
-        pending = Counter(
-            (row["sampled_ns"] // HOUR_NS * HOUR_NS, row["lane"])
-            for row in self._store.rows("SELECT lane, sampled_ns FROM pulse WHERE NOT done")
+        counts = Counter({(row["hour_ns"], row["lane"], row["outcome"]): row["n"] for row in rows})
+        matched = self._matched()
+        for key, row in matched.pulses.items():
+            place = (row["sampled_ns"] // HOUR_NS * HOUR_NS, row["lane"])
+            number = matched.found.get(key)
+            counts[*place, "pending" if number is None else matched.crossings[number]["state"]] += 1
+            counts[*place, "provisional"] += number is not None
+        explained = set(matched.found.values())
+        for number, row in matched.crossings.items():
+            if row["state"] == PassageState.CHARGED and number not in explained and row["lane"] not in self._detectors:
+                counts[row["crossing_ns"] // HOUR_NS * HOUR_NS, row["lane"], "unconfirmed"] += 1
+        return tuple(
+            _balance(lane, hour_ns, {name: n for (*place, name), n in counts.items() if place == [hour_ns, lane]})
+            for hour_ns, lane in sorted({key[:2] for key in counts})
+            if hour_ns >= since_ns
         )
-        made = []
-        for hour_ns, lane in sorted({key[:2] for key in counts}):
-            outcomes = {outcome: counts.get((hour_ns, lane, outcome), 0) for outcome in OUTCOMES}
-            detections, waiting = counts.get((hour_ns, lane, "detections"), 0), pending[hour_ns, lane]
-            spare = counts.get((hour_ns, lane, "charged_without_detection"), 0)
-            agrees = detections == sum(outcomes.values()) + waiting and not spare
-            made.append(
-                LaneBalance(lane=lane, hour_ns=hour_ns, detections=detections, pending=waiting, agrees=agrees,
-                            charged_without_detection=spare, **outcomes)
-            )  # fmt: skip
-        return tuple(made)
 
     def evidence(self, passage_id: str) -> bytes | None:
-        """Give the evidence pack of a charge as JSON."""
-        row = self._store.row("SELECT pack FROM evidence WHERE passage_id = ?", passage_id)
-        return zlib.decompress(row["pack"]) if row else None
+        """Give the evidence pack of a charge as JSON.
+
+        Raises
+        ------
+        LedgerFault
+            The pack is damaged.
+        """
+        row = self._store.row("SELECT pack, digest FROM evidence WHERE passage_id = ?", passage_id)
+        if row is None:
+            return None
+        try:
+            pack = zlib.decompress(row["pack"])
+        except zlib.error as error:
+            raise self._store.damaged(f"the evidence of passage {passage_id[:8]}", error) from error
+        if hashlib.sha256(pack).hexdigest() != row["digest"]:
+            raise self._store.damaged(f"the evidence of passage {passage_id[:8]}", "it has another digest")
+        return pack
 
     # One passage
 
@@ -307,11 +494,16 @@ class Ledger:
                 station_id, message.crossing_ns or message.sampled_ns,
             )  # fmt: skip
             contracts |= {(row["contract"], row["tariff_class"])} if row else set()
-        crossed = TollPassage.model_validate_json(stored["crossed"]) if stored and stored["crossed"] else None
+        crossed = (
+            self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
+        )
+        if message.state.is_final and self._merge(message, contracts, now_ns):
+            return
         if message.state is PassageState.CHARGED:
             self._charge(message, crossed, contracts, now_ns)
         elif message.state.is_final:
-            self._settle(message, message.state, message.reason, now_ns)
+            known = next(iter(sorted(contracts)), (None, None))[0]
+            self._settle(message, message.state, message.reason, now_ns, known)
         elif len(contracts) > 1:
             self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns)
         elif not contracts:
@@ -348,23 +540,39 @@ class Ledger:
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, "no contract for its station ID", now_ns)
         elif message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
-            self._settle(message, PassageState.SUSPECT, "its statement has no crossing or no evidence", now_ns)
-        elif (cents := self._plaza.tariff.classes.get(min(contracts)[1])) is None:  # the file has changed since
+            reason = "its statement has no crossing or no evidence"
+            self._settle(message, PassageState.SUSPECT, reason, now_ns, min(contracts)[0])
+        elif min(contracts)[1] not in self._plaza.tariff.classes:  # the file has changed since
             self.rejects["tariff class"] += 1
             reason = f"the tariff has no class {min(contracts)[1]}: add it to the plaza's file"
-            self._settle(message, PassageState.SUSPECT, reason, now_ns)
+            self._settle(message, PassageState.SUSPECT, reason, now_ns, min(contracts)[0])
         else:
-            self._book(message, proof, *min(contracts), cents, now_ns)
+            self._hold(message, proof, *min(contracts), now_ns)
+            if message.lane not in self._detectors and proof.derivable and not message.overlaps:
+                self._charge_held(message.passage_id, now_ns)
 
-    def _book(
-        self, message: TollPassage, crossed: TollPassage, contract: str, tariff_class: str, cents: int, now_ns: int
-    ) -> None:
+    def _hold(self, message: TollPassage, crossed: TollPassage, contract: str, tariff_class: str, now_ns: int) -> None:
+        """Keep a complete passage until a detector confirms it, or the lane has none; nothing is booked."""
+        from_ns, to_ns = _interval(message)
+        for name in _names(message, {(contract, tariff_class)}):
+            self._store.execute(
+                "INSERT OR REPLACE INTO chain VALUES (?, ?, ?, ?)", name, message.passage_id, from_ns, to_ns
+            )
+        self._store.execute(
+            "INSERT INTO held VALUES (?, ?, ?, ?, ?)", message.passage_id, contract, tariff_class,
+            message.model_dump_json(exclude_none=True), crossed.model_dump_json(exclude_none=True),
+        )  # fmt: skip
+        self._settle(message, PassageState.HELD, "waits for the lane's detector", now_ns)
+
+    def _charge_held(self, passage_id: str, now_ns: int) -> None:
         """Store charge, outbox row and evidence; `passage` has made sure that none is there, and UNIQUE insists."""
-        tariff, lane = self._plaza.tariff, message.lane or ""
-        pack = EvidencePack(
-            plaza_file=self._plaza_file, tariff_version=tariff.version, contract=contract, tariff_class=tariff_class,
-            lane=lane, amount_cents=cents, crossed=crossed, charged=message,
-        ).model_dump_json(exclude_none=True).encode()  # fmt: skip
+        pack = self._pack_of_held(passage_id)
+        if pack is None:  # the plaza's file has changed while it was held
+            self._review(passage_id, "the tariff has lost its class: add it to the plaza's file", [], now_ns)
+            return
+        self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id)
+        tariff, message, lane = self._plaza.tariff, pack.charged, pack.lane
+        is_confirmed = lane in self._detectors
         transaction = TollTransaction(
             transaction_id=transaction_id(message.passage_id, TransactionKind.CHARGE),
             passage_id=message.passage_id,
@@ -375,28 +583,86 @@ class Ledger:
             lane_probability=_probability(message) or 0.0,
             crossing_ns=message.crossing_ns or 0,
             crossing_sd_s=message.crossing_sd_s or 0.0,
-            contract=contract,
-            tariff_class=tariff_class,
-            tariff_version=tariff.version,
-            amount_cents=cents,
+            contract=pack.contract,
+            tariff_class=pack.tariff_class,
+            tariff_version=pack.tariff_version,
+            amount_cents=pack.amount_cents,
             currency=tariff.currency,
             authenticated=message.authenticated,
-            evidence_digest=hashlib.sha256(pack).hexdigest(),
+            confirmed=is_confirmed,
+            reason="" if is_confirmed else UNCONFIRMED,
+            evidence_digest=_digest(pack),
         )
         self._enter(transaction)
+        self._keep(pack, now_ns)
+        self._change(
+            passage_id, state=PassageState.CHARGED, reason=transaction.reason, tariff_class=pack.tariff_class,
+            amount_cents=pack.amount_cents, currency=tariff.currency, confirmed=is_confirmed,
+            evidence_digest=transaction.evidence_digest,
+        )  # fmt: skip
+
+    def _pack_of_held(self, passage_id: str) -> EvidencePack | None:
+        """Make the evidence pack of a held passage; None if it is not held, or the tariff has no such class."""
+        row = self._store.row("SELECT * FROM held WHERE passage_id = ?", passage_id)
+        tariff = self._plaza.tariff
+        if row is None or (cents := tariff.classes.get(row["tariff_class"])) is None:
+            return None
+        charged, crossed = (self._read(TollPassage, row[name], passage_id) for name in ("charged", "crossed"))
+        return EvidencePack(
+            plaza_file=self._plaza_file, tariff_version=tariff.version, contract=row["contract"],
+            tariff_class=row["tariff_class"], lane=charged.lane or "", amount_cents=cents, crossed=crossed,
+            charged=charged,
+        )  # fmt: skip
+
+    def _keep(self, pack: EvidencePack, now_ns: int) -> None:
+        """Store the evidence until the objection period ends."""
         self._store.execute(
             "INSERT INTO evidence VALUES (?, ?, ?, ?)",
-            message.passage_id, transaction.evidence_digest, now_ns, zlib.compress(pack),
+            pack.charged.passage_id, _digest(pack), now_ns, zlib.compress(_encoded(pack)),
         )  # fmt: skip
-        self._settle(message, PassageState.CHARGED, "", now_ns, transaction)
 
-    def _reverse(self, passage_id: str, reason: str, now_ns: int) -> None:
-        """Book the opposite of a charge, once."""
+    def _review(self, passage_id: str, reason: str, others: list[str], now_ns: int) -> None:
+        """Leave a passage to a person: what is held is not booked, what is booked is reversed."""
+        pack = self._pack_of_held(passage_id)
+        self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id)
+        if pack is not None:
+            self._keep(pack, now_ns)
+        charge = self._reverse(passage_id, reason, now_ns)
+        about = charge or pack
+        summary = self._change(passage_id, state=PassageState.SUSPECT, reason=reason)
+        self._ask(
+            TollReview(
+                sampled_ns=now_ns, passage_id=passage_id, plaza=self._plaza.name, reason=reason, lane=summary.lane,
+                crossing_ns=summary.crossing_ns, overlaps=tuple(others[:OVERLAPS]),
+                contract=about.contract if about else None,
+                tariff_class=about.tariff_class if about else None,
+                amount_cents=about.amount_cents if about else None,
+                currency=self._plaza.tariff.currency if about else None,
+                reversed=charge is not None,
+                evidence_digest=charge.evidence_digest if charge else _digest(pack) if pack else None,
+            )
+        )  # fmt: skip
+
+    def _ask(self, review: TollReview) -> None:
+        self._store.execute(
+            "INSERT OR REPLACE INTO review (passage_id, since_ns, content) VALUES (?, ?, ?)",
+            review.passage_id, review.sampled_ns, review.model_dump_json(exclude_none=True),
+        )  # fmt: skip
+
+    def _withdraw(self, passage_id: str, state: PassageState, reason: str, now_ns: int) -> None:
+        """Take back what was held or charged, because the passage was none."""
+        if self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id):
+            self._change(passage_id, state=state, reason=reason[:400])
+        else:
+            self._reverse(passage_id, reason, now_ns)
+
+    def _reverse(self, passage_id: str, reason: str, now_ns: int) -> TollTransaction | None:
+        """Book the opposite of a charge, once; return the charge, or None if there is none or it is reversed."""
         rows = self._store.rows("SELECT kind, content FROM booking WHERE passage_id = ?", passage_id)
         content = {row["kind"]: row["content"] for row in rows}
         if TransactionKind.CHARGE not in content or TransactionKind.REVERSAL in content:
-            return
-        charge = TollTransaction.model_validate_json(content[TransactionKind.CHARGE])
+            return None
+        charge = self._read(TollTransaction, content[TransactionKind.CHARGE], passage_id)
         opposite = {
             "transaction_id": transaction_id(passage_id, TransactionKind.REVERSAL),
             "kind": TransactionKind.REVERSAL,
@@ -405,6 +671,36 @@ class Ledger:
             "reason": reason[:400],
         }
         self._enter(charge.model_copy(update=opposite))
+        self._change(passage_id, reversed=True, reason=f"reversed: {reason}"[:400])
+        return charge
+
+    def _merge(self, message: TollPassage, contracts: set[tuple[str, str]], now_ns: int) -> bool:
+        """Settle a passage of a vehicle that another passage of the same time has; the ID of the first one stays.
+
+        A vehicle is known by its contract and its chain of station IDs. Two passages of it whose intervals from
+        approach to exit overlap are one: frames that were lost or left out gave the second another ID.
+        """
+        if message.state not in (PassageState.CHARGED, PassageState.UNDECIDED, PassageState.UNREGISTERED):
+            return False
+        from_ns, to_ns = _interval(message)
+        names = _names(message, contracts)
+        first_ns: dict[str, int] = {}
+        for name in names:
+            for row in self._store.rows(
+                "SELECT passage_id, from_ns FROM chain WHERE name = ? AND passage_id <> ? AND from_ns < ? "
+                "AND to_ns > ?", name, message.passage_id, to_ns, from_ns,
+            ):  # fmt: skip
+                first_ns[row["passage_id"]] = min(row["from_ns"], first_ns.get(row["passage_id"], row["from_ns"]))
+        if not first_ns:
+            return False
+        first, *others = sorted(first_ns, key=lambda passage_id: (first_ns[passage_id], passage_id))
+        reason = f"of the vehicle of passage {first[:8]}, at the same time"
+        for name in names:
+            self._store.execute("INSERT OR REPLACE INTO chain VALUES (?, ?, ?, ?)", name, first, from_ns, to_ns)
+        for other in others:
+            self._withdraw(other, PassageState.VOID, reason, now_ns)
+        self._settle(message.model_copy(update={"crossing_ns": None}), PassageState.VOID, reason, now_ns)
+        return True
 
     def _enter(self, transaction: TollTransaction) -> None:
         self._store.execute(
@@ -415,18 +711,14 @@ class Ledger:
         self._store.execute("INSERT INTO outbox VALUES (?)", transaction.transaction_id)
 
     def _settle(
-        self, message: TollPassage, state: PassageState, reason: str, now_ns: int, charge: TollTransaction | None = None
+        self, message: TollPassage, state: PassageState, reason: str, now_ns: int, contract: str | None = None
     ) -> None:
-        """Store the end of a passage: its state, and its crossing without a name for the reconciliation."""
+        """Store the end of a passage: its state, and its crossing without station IDs for the reconciliation."""
         self._unregistered.pop(message.passage_id, None)
         self._store.execute("DELETE FROM passage WHERE passage_id = ?", message.passage_id)
         summary = PassageSummary(
             passage_id=message.passage_id, state=state, lane=message.lane, crossing_ns=message.crossing_ns,
             probability=_probability(message), reason=reason[:400],
-            tariff_class=charge.tariff_class if charge else None,
-            amount_cents=charge.amount_cents if charge else None,
-            currency=charge.currency if charge else None,
-            evidence_digest=charge.evidence_digest if charge else None,
         )  # fmt: skip
         self._store.execute(
             "INSERT INTO settled VALUES (?, ?, ?)",
@@ -435,9 +727,28 @@ class Ledger:
         if message.crossing_ns is not None:
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
-                "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes) VALUES (?, ?, ?, ?, ?)",
-                message.crossing_ns, message.crossing_sd_s or 1.0, state, message.lane, lanes,
+                "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns) "
+                "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                message.crossing_ns, message.crossing_sd_s or 1.0, state, message.lane, lanes, message.passage_id,
+                json.dumps(message.overlaps), now_ns,
             )  # fmt: skip
+        if state is PassageState.SUSPECT:
+            self._ask(
+                TollReview(
+                    sampled_ns=now_ns, passage_id=message.passage_id, plaza=self._plaza.name, reason=reason[:400],
+                    lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps, contract=contract,
+                )
+            )  # fmt: skip
+
+    def _change(self, passage_id: str, **changes: object) -> PassageSummary:
+        """Change the summary of a settled passage, and what its crossing counts as."""
+        row = self._store.row("SELECT summary FROM settled WHERE passage_id = ?", passage_id)
+        found = self._read(PassageSummary, row["summary"] if row else "", passage_id).model_copy(update=changes)
+        self._store.execute(
+            "UPDATE settled SET summary = ? WHERE passage_id = ?", found.model_dump_json(exclude_none=True), passage_id
+        )
+        self._store.execute("UPDATE crossing SET state = ? WHERE passage_id = ?", found.state, passage_id)
+        return found
 
     def _count(self, lane: str, time_ns: int, outcome: str) -> None:
         self._store.execute(
@@ -447,13 +758,14 @@ class Ledger:
 
     def _recent(self) -> tuple[PassageSummary, ...]:
         rows = self._store.rows(
-            "SELECT final_ns, summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
+            "SELECT passage_id, final_ns, summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
             "WHERE booking.passage_id = settled.passage_id) AS receipts FROM settled ORDER BY final_ns DESC LIMIT ?",
             RECENT,
         )
         ended = [
             (row["final_ns"],
-             PassageSummary.model_validate_json(row["summary"]).model_copy(update={"receipt": row["receipts"] > 0}))
+             self._read(PassageSummary, row["summary"], row["passage_id"])
+             .model_copy(update={"receipt": row["receipts"] > 0}))
             for row in rows
         ]  # fmt: skip
         missed = self._store.rows(
@@ -462,8 +774,8 @@ class Ledger:
         )
         ended += [(row["sampled_ns"], _missed(row)) for row in missed]
         ended.sort(key=lambda one: one[0], reverse=True)
-        stored = self._store.rows("SELECT statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT)
-        open_ = [TollPassage.model_validate_json(row["statement"]) for row in stored]
+        stored = self._store.rows("SELECT passage_id, statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT)
+        open_ = [self._read(TollPassage, row["statement"], row["passage_id"]) for row in stored]
         open_ += list(self._unregistered.values())[-RECENT:]
         return (*(_summary(passage) for passage in open_), *(summary for _, summary in ended))
 
@@ -471,6 +783,31 @@ class Ledger:
 def transaction_id(passage_id: str, kind: TransactionKind) -> str:
     """Derive the ID of a transaction: the same for every attempt and after a restart of the ledger."""
     return hashlib.sha256(f"{kind}:{passage_id}".encode()).hexdigest()
+
+
+def _encoded(pack: EvidencePack) -> bytes:
+    return pack.model_dump_json(exclude_none=True).encode()
+
+
+def _digest(pack: EvidencePack) -> str:
+    return hashlib.sha256(_encoded(pack)).hexdigest()
+
+
+def _interval(message: TollPassage) -> tuple[int, int]:
+    """From the approach line to the exit line, or the newest statement."""
+    return message.opened_ns, message.exit_ns or message.crossing_ns or message.sampled_ns
+
+
+def _names(message: TollPassage, contracts: set[tuple[str, str]]) -> list[str]:
+    """What a vehicle is known by."""
+    return [f"station {one}" for one in message.station_ids] + [f"contract {one}" for one, _ in sorted(contracts)]
+
+
+def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:
+    """Make the account of a lane and an hour from its counts."""
+    explained = sum(counts.get(outcome, 0) for outcome in OUTCOMES) + counts.get("pending", 0)
+    agrees = counts.get("detections", 0) == explained and not counts.get("charged_without_detection", 0)
+    return LaneBalance(lane=lane, hour_ns=hour_ns, agrees=agrees, **counts)
 
 
 def _crossing(row: Row) -> Crossing:

@@ -10,7 +10,7 @@ from shared.bus.bus import Bus, Envelope, decoded
 from shared.faults import Faults
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
-from shared.messages.toll import LedgerState
+from shared.messages.toll import LedgerState, PlazaDetector, TollPassage
 from shared.toll.plaza import load_plaza, plaza_path
 
 from .ledger import Ledger, Settings
@@ -19,7 +19,7 @@ from .store import LedgerFault, Store
 log = logging.getLogger(__name__)
 
 PERIOD_NS = 1_000_000_000
-RECONCILE_NS = 10_000_000_000
+EXPIRE_NS = 10_000_000_000
 SCRUB_NS = 30_000_000_000
 RETRY_NS = 5_000_000_000
 
@@ -49,7 +49,8 @@ class Process:
         self._replaying = False
         self._faulty: Counter[str] = Counter()
         self._faults = Faults(self._faulty)
-        self._retry_ns = self._state_ns = self._reconcile_ns = self._scrub_ns = 0
+        self._retry_ns = self._state_ns = self._reconcile_ns = self._expire_ns = 0
+        self._scrub_ns = 0
 
     def run(self, bus: Bus) -> None:
         """Work until the bus stops."""
@@ -87,20 +88,10 @@ class Process:
         ledger = self._ledger
         if messages:
             self._use(ledger, self._store, messages, now_ns)
-        if now_ns >= self._reconcile_ns:
-            self._reconcile_ns = now_ns + RECONCILE_NS
-            with self._store.transaction():
-                ledger.reconcile(now_ns)
-                ledger.expire(now_ns)
-        if now_ns >= self._scrub_ns:
-            self._scrub_ns = now_ns + SCRUB_NS
-            self._store.scrub()
-        for transaction in ledger.due(now_ns):
-            bus.publish(transaction)
-        if now_ns >= self._state_ns:
-            self._state_ns = now_ns + PERIOD_NS
-            bus.publish(ledger.open_passages(now_ns))
-            bus.publish(ledger.state(now_ns))
+            if any(_may_confirm(message) for message in messages):
+                self._reconcile_ns = now_ns
+        self._do_what_is_due(self._store, ledger, now_ns)
+        self._publish(bus, self._store, ledger, now_ns)
         if self._problem:
             log.info("the ledger is usable again")
         self._problem = None
@@ -114,6 +105,37 @@ class Process:
                 with self._faults.handling(now_ns), store.part():
                     ledger.use(message, now_ns)
 
+    def _do_what_is_due(self, store: Store, ledger: Ledger, now_ns: int) -> None:
+        """Charge what is confirmed, delete what may not be kept longer, and empty the log."""
+        if now_ns >= self._reconcile_ns:
+            self._reconcile_ns = now_ns + PERIOD_NS
+            with store.transaction():
+                ledger.reconcile(now_ns)
+        if now_ns >= self._expire_ns:
+            self._expire_ns = now_ns + EXPIRE_NS
+            with store.transaction():
+                ledger.expire(now_ns)
+        if now_ns >= self._scrub_ns:
+            self._scrub_ns = now_ns + SCRUB_NS
+            store.scrub()
+
+    def _publish(self, bus: Bus, store: Store, ledger: Ledger, now_ns: int) -> None:
+        """Publish what is committed."""
+        for transaction in ledger.due(now_ns):
+            bus.publish(transaction)
+        if reviews := ledger.reviews():
+            for review in reviews:
+                bus.publish(review)
+            with store.transaction():
+                for review in reviews:
+                    ledger.reviewed(review)
+        for restored in (found := ledger.restored()):
+            bus.publish(restored)
+        if found or now_ns >= self._state_ns:
+            self._state_ns = now_ns + PERIOD_NS
+            bus.publish(ledger.open_passages(now_ns))
+            bus.publish(ledger.state(now_ns))
+
     def _fail(self, bus: Bus, problem: str) -> None:
         """Count the fault, close the database and try again later; what is not committed comes again."""
         if problem != self._problem:
@@ -124,3 +146,8 @@ class Process:
         if self._store:
             self._store.close()
         self._store = self._ledger = None
+
+
+def _may_confirm(message: Message) -> bool:
+    """Whether a charge may follow: a pulse of a detector, or the end of a passage."""
+    return isinstance(message, PlazaDetector) or (isinstance(message, TollPassage) and message.state.is_final)

@@ -29,7 +29,23 @@ CREATE TABLE IF NOT EXISTS pulse (
 );
 CREATE TABLE IF NOT EXISTS crossing (
     number INTEGER PRIMARY KEY, crossing_ns INTEGER NOT NULL, sd_s REAL NOT NULL, state TEXT NOT NULL,
-    lane TEXT, lanes TEXT NOT NULL
+    lane TEXT, lanes TEXT NOT NULL,
+    passage_id TEXT,                      -- NULL: of version 1
+    overlaps TEXT NOT NULL DEFAULT '[]',  -- passages in the same place; empty once that is judged
+    settled_ns INTEGER NOT NULL DEFAULT 0
+);
+-- Complete passages that wait for the pulse of a detector: their final statement, and that of the crossing.
+CREATE TABLE IF NOT EXISTS held (
+    passage_id TEXT PRIMARY KEY, contract TEXT NOT NULL, tariff_class TEXT NOT NULL,
+    charged TEXT NOT NULL, crossed TEXT NOT NULL
+);
+-- What names the vehicle of a charged or held passage (station IDs, contract), and from approach to exit when.
+CREATE TABLE IF NOT EXISTS chain (
+    name TEXT NOT NULL, passage_id TEXT NOT NULL, from_ns INTEGER NOT NULL, to_ns INTEGER NOT NULL,
+    PRIMARY KEY (name, passage_id, from_ns)
+);
+CREATE TABLE IF NOT EXISTS review (
+    passage_id TEXT PRIMARY KEY, since_ns INTEGER NOT NULL, content TEXT NOT NULL, sent INTEGER NOT NULL DEFAULT 0
 );
 CREATE TABLE IF NOT EXISTS balance (
     lane TEXT NOT NULL, hour_ns INTEGER NOT NULL, outcome TEXT NOT NULL, n INTEGER NOT NULL,
@@ -43,4 +59,7 @@ CREATE INDEX IF NOT EXISTS evidence_stored ON evidence (stored_ns);
 CREATE INDEX IF NOT EXISTS pulse_sampled ON pulse (sampled_ns);
 CREATE INDEX IF NOT EXISTS pulse_waiting ON pulse (sampled_ns) WHERE NOT done;
 CREATE INDEX IF NOT EXISTS pulse_missed ON pulse (sampled_ns) WHERE done = 2;
+CREATE INDEX IF NOT EXISTS chain_to ON chain (to_ns);
+CREATE INDEX IF NOT EXISTS review_since ON review (since_ns);
+CREATE INDEX IF NOT EXISTS review_waiting ON review (since_ns) WHERE NOT sent;
 CREATE INDEX IF NOT EXISTS balance_hour ON balance (hour_ns);

@@ -8,7 +8,11 @@ from pathlib import Path
 from shared.errors import ObuError
 
 SCHEMA = Path(__file__).with_name("schema.sql")
-VERSION = 1
+VERSION = 2
+# Columns that tables of earlier versions lack: 1 held no names beside a crossing, and charged without detectors.
+ADDED = {
+    "crossing": ("passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0")
+}
 Row = sqlite3.Row
 Value = str | int | float | bytes | None
 
@@ -36,12 +40,24 @@ class Store:
             if (found := self._db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
                 raise sqlite3.DatabaseError(found)
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (0, VERSION):
+            if version not in range(VERSION + 1):
                 raise LedgerFault(
                     f"{path} is of version {version}, this program writes {VERSION}: update it, or move the file away"
                 )
+            self._migrate()
             self._db.executescript(SCHEMA.read_text(encoding="utf-8"))
             self._db.execute(f"PRAGMA user_version={VERSION}")
+
+    def _migrate(self) -> None:
+        """Add the columns that a file of an earlier version lacks, whatever its version says: a kill may come between.
+
+        Everything else of it is valid as it is; new tables are created by the schema.
+        """
+        for table, columns in ADDED.items():
+            present = {row["name"] for row in self._db.execute(f"PRAGMA table_info({table})")}
+            for column in columns if present else ():
+                if column.split()[0] not in present:
+                    self._db.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -89,6 +105,11 @@ class Store:
     def close(self) -> None:
         """Close the connection; an open transaction is rolled back."""
         self._db.close()
+
+    def damaged(self, what: str, error: object) -> LedgerFault:
+        """Make the fault of content that SQLite reads and that is not what was written."""
+        first = str(error).splitlines()[0]
+        return LedgerFault(f"{self.path} is damaged: {what} cannot be read: {first}; {_remedy(Exception('corrupt'))}")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

@@ -36,7 +36,8 @@ class TopicFlow:
         self.count = 0
         self.newest: Envelope | None = None
         self.message: Message | None = None  # the newest that was decoded
-        self.updated_ns: int | None = None  # when the newest one came, or was said if the broker had kept it
+        self.heard_ns: int | None = None  # when the newest one came, or was said if the broker had kept it
+        self.updated_ns: int | None = None  # when what the newest one says was true: this is its age
         self.rate_hz = 0.0
         self.latency_p50_s: float | None = None
         self.latency_p99_s: float | None = None
@@ -44,6 +45,7 @@ class TopicFlow:
         self._arrivals_ns: deque[int] = deque(maxlen=64)
         self._seconds: deque[int] = deque(maxlen=RATE_WINDOW_S)
         self._counted = 0
+        self._lag_ns = 0  # from the stamp of the newest message that was decoded to its arrival
         fast = (topic.rate_hz or 0.0) > EAGER_UP_TO_HZ and not topic.is_raw
         self._decode_every = 0 if topic.message is Consumed else SPARSE if fast else 1
 
@@ -53,15 +55,20 @@ class TopicFlow:
         message = envelope.decode() if due else None
         self.count += 1
         said_ns = stamp_ns(message) if message else None
-        known_ns = self.updated_ns if envelope.retained and not self.topic.per_process else None
+        known_ns = self.heard_ns if envelope.retained and not self.topic.per_process else None
         if said_ns is not None and known_ns is not None and said_ns <= known_ns:
             return None  # the broker was away, and has kept less than is known here
-        self.newest, self.message, self.updated_ns = envelope, message, envelope.received_ns
-        if not envelope.retained:
+        self.newest, self.message, self.heard_ns = envelope, message, envelope.received_ns
+        if said_ns is not None:
+            self._lag_ns = max(envelope.received_ns - said_ns, 0)
+        elif message is not None:
+            self._lag_ns = 0  # it bears no stamp
+        self.updated_ns = envelope.received_ns - self._lag_ns
+        if envelope.retained:
+            self.heard_ns = self.updated_ns
+        else:
             self._arrivals_ns.append(envelope.received_ns)
             self._note_latency(said_ns, envelope.received_ns)
-        elif said_ns is not None:
-            self.updated_ns = min(said_ns, envelope.received_ns)
         return message
 
     def _note_latency(self, said_ns: int | None, received_ns: int) -> None:
@@ -86,7 +93,7 @@ class TopicFlow:
         self.latency_p50_s, self.latency_p99_s = percentile(ordered, 0.5), percentile(ordered, 0.99)
 
     def age_s(self, now_ns: int) -> float | None:
-        """Age of the newest message; None if there is none."""
+        """Age of what the newest message says, by its stamp; None if there is none."""
         return None if self.updated_ns is None else max((now_ns - self.updated_ns) * 1e-9, 0.0)
 
     def freshness(self, now_ns: int) -> Freshness:
@@ -116,6 +123,11 @@ class ProcessFlow:
         self.out_hz: float | None = None
         self.last_error: str | None = None
         self._past: deque[ProcessHealth] = deque(maxlen=HEARTBEATS)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """Proportional set size; of a recording that has none, the resident set size. None if nothing is known."""
+        return (self.health.pss_bytes or self.health.rss_bytes) if self.health else None
 
     def note(self, health: ProcessHealth, heartbeat_ns: int) -> None:
         """Take one health message."""

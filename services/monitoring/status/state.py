@@ -176,7 +176,7 @@ class State:
                 if not message.used:
                     self.rejections[message.kind] = self.rejections.get(message.kind, 0) + 1
             case Origin():
-                self.origins[envelope.producer] = (message, flow.updated_ns or 0)
+                self.origins[envelope.producer] = (message, flow.heard_ns or 0)
             case _:
                 self._note_event(message, envelope.producer)
 
@@ -263,9 +263,9 @@ class State:
         Or from before the last start of this process or of the broker: then the broker has kept it.
         """
         flow = self.topics[name]
-        if flow.limits is None or flow.newest is None or flow.updated_ns is None:
+        if flow.limits is None or flow.newest is None or flow.heard_ns is None:
             return False
-        return flow.updated_ns < self._counts_from_ns or flow.newest.incarnation < self._life(flow.newest.producer)
+        return flow.heard_ns < self._counts_from_ns or flow.newest.incarnation < self._life(flow.newest.producer)
 
     def is_awaited(self, name: str, now_ns: int) -> bool:
         """Whether a topic is still to come after a start, and nothing is known that keeps it away."""
@@ -357,7 +357,7 @@ class State:
         The age of the report is that at the newest message of all: while nothing is delivered it says nothing.
         """
         report = self.newest(DeadlineReport, "deadline/report", now_ns)
-        reported_ns = self.topics["deadline/report"].updated_ns or 0
+        reported_ns = self.topics["deadline/report"].heard_ns or 0
         if self.replay and report is None:
             return unavailable(self.expected, None)  # none was recorded
         overdue = self._received_ns - max(reported_ns, self._broker_back_ns) >= REPORT_DEADLINE_NS
@@ -394,7 +394,7 @@ class State:
             imu_age_s=self.age_s("imu/sample", now_ns),
             odometer_age_s=_least(self.age_s(name, now_ns) for name in ("vehicle/wheel_speed", "vehicle/speed")),
             aiding={
-                kind: (u, (now_ns - ns) * 1e-9)
+                kind: (u, (now_ns - min(u.sampled_ns, ns)) * 1e-9)
                 for kind, (u, ns) in self.aiding.items()
                 if ns >= max(self._counts_from_ns, self._life("core.fusion"))
             },

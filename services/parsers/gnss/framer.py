@@ -1,16 +1,27 @@
 """Extracts UBX, NMEA and RTCM 3 messages from a byte stream that may hold invalid bytes."""
 
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum, auto
-from functools import reduce
+from functools import cache, reduce
 from itertools import accumulate
 from operator import xor
+
+from shared.devices.framing import FrameFinder, Sums
 
 UBX_SYNC = b"\xb5\x62"
 MAX_UBX_PAYLOAD = 4096  # RXM-RAWX of 120 signals is 3856
 MAX_NMEA = 256  # the standard allows 82; proprietary sentences are longer
+# A header of UBX whose length is possible, one of RTCM whose message number is (992 to 1311, and from 4000 on), a whole
+# sentence, or the beginning of one of them at the end of the data.
+_STARTS = re.compile(
+    rb"\xb5\x62(?s:.){3}[\x00-\x10]|\xd3[\x00-\x03](?s:.)[\x3e-\x51\xfa-\xff]"
+    rb"|\$[ -#%-\x7f]{0,248}\*[0-9A-Fa-f]{2}\r{0,3}\n"
+    rb"|(?:\xb5(?:\x62(?s:.){0,3})?|\xd3(?:[\x00-\x03](?s:.)?)?|\$[ -#%-\x7f]{0,251}\r{0,3})\Z"
+)
+_DOLLAR, _RTCM = b"$\xd3"
+_SYNC_SUM = sum(UBX_SYNC)
 
 
 class Protocol(Enum):
@@ -29,154 +40,83 @@ class Frame:
     data: bytes
 
 
-class _Incomplete(Exception):
-    """The rest of the frame has not arrived yet."""
-
-
-class _Bad(Exception):
-    """No valid frame at this position; the text is the kind of reject, empty for a mere sync byte."""
-
-
-class Framer:
-    """Splits a stream into frames; bytes between frames are counted and dropped.
+class Framer(FrameFinder[Frame]):
+    """Splits the stream of a receiver into frames; see `FrameFinder`.
 
     `rejects` counts `garbage_bytes` and, for invalid frames, `ubx_checksum`, `ubx_length`, `nmea_checksum`,
-    `nmea_form`, `rtcm_checksum` and `cut_frame`. After an invalid frame the search continues at its second byte,
-    and a complete frame inside an incomplete one takes precedence: a corrupted length field neither suppresses nor
-    delays the following messages. The stream readers of pyubx2 and pynmea2 are not used: they block, do not accept
-    chunks, and raise on invalid bytes or accept a corrupted length.
+    `nmea_form`, `rtcm_checksum` and `cut_frame`. The stream readers of pyubx2 and pynmea2 are not used: they block, do
+    not accept chunks, and raise on invalid bytes or accept a corrupted length.
+
+    Notes
+    -----
+    With the bytes b, their running sum s, the running sum w of s, and the CRC c of all bytes so far, the checksum of
+    UBX over the bytes i to j and the CRC over them are::
+
+        s_j - s_i,  w_j - w_i - (j - i) s_i (modulo 256)        c_j - c_i x^(8 (j - i)) (modulo the polynomial)
     """
 
+    starts, malformed = _STARTS, re.compile(rb"\$|\xb5\x62")
+    kinds = {b"$": "nmea_form", UBX_SYNC: "ubx_length"}  # noqa: RUF012  # a constant
+    most_bytes = MAX_UBX_PAYLOAD
+    cut = "cut_frame"
+
     def __init__(self, rejects: Counter[str] | None = None) -> None:
-        self.rejects: Counter[str] = Counter() if rejects is None else rejects
-        self._buffer = bytearray()
+        super().__init__(rejects)
+        self._s, self._w, self._c = [0], [0], [0]
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """Process the next bytes; return the completed frames."""
-        frames: list[Frame] = []
-        for start in range(0, len(data), MAX_UBX_PAYLOAD):
-            self._buffer += data[start : start + MAX_UBX_PAYLOAD]
-            frames.extend(self._frames())
-        return frames
+    def _sum(self, data: bytes) -> None:
+        crc, table = self._c[0], _CRC_TABLE
+        self._s = list(accumulate(data, initial=self._s[0]))
+        self._w = list(accumulate(self._s[1:], initial=self._w[0]))
+        self._c = [crc, *[crc := (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ byte] for byte in data]]
 
-    def _frames(self) -> Iterator[Frame]:
-        buffer, position = self._buffer, 0
-        while True:
-            start = _next_start(buffer, position)
-            self._pass_over(start - position)
-            position = start
-            if start == len(buffer):
-                break
-            try:
-                frame = _frame_at(buffer, position)
-            except _Bad as fault:
-                if kind := str(fault):
-                    self.rejects[kind] += 1
-                self._pass_over(1)
-                position += 1
-                continue
-            except _Incomplete:
-                inner = _whole_frame_after(buffer, position + 1)
-                if inner is None:
-                    break
-                self.rejects["cut_frame"] += 1
-                self._pass_over(inner - position)
-                position = inner
-                continue
-            yield frame
-            position += len(frame.data)
-        del buffer[:position]
+    def _sums(self, index: int) -> Sums:
+        return self._s[index], self._w[index], self._c[index]
 
-    def _pass_over(self, n: int) -> None:
-        if n:
-            self.rejects["garbage_bytes"] += n
+    def _carry(self, index: int) -> None:
+        self._s, self._w, self._c = [self._s[index] & 0xFF], [self._w[index] & 0xFF], [self._c[index]]
 
+    def _size(self, start: int, match: re.Match[bytes]) -> int | None:
+        buffer, header = self._buffer, match.end() - start
+        first = buffer[start]
+        if first == _DOLLAR:
+            return header if buffer[match.end() - 1] == 10 else None
+        if first == _RTCM:
+            return 6 + (buffer[start + 1] << 8 | buffer[start + 2]) if header == 4 else None
+        if header < 6:
+            return None
+        size = buffer[start + 5] << 8 | buffer[start + 4]
+        if size > MAX_UBX_PAYLOAD:
+            self._reject(start, "ubx_length")
+            return 0
+        return 8 + size
 
-def _next_start(buffer: bytearray, position: int) -> int:
-    """Index of the first byte at which a frame may begin."""
-    candidates = (buffer.find(sync, position) for sync in (b"\xb5", b"$", b"\xd3"))
-    return min((c for c in candidates if c >= 0), default=len(buffer))
+    def _frame(self, start: int, stop: int, sums: Sums | None) -> Frame | None:
+        first = self._buffer[start]
+        if first == _DOLLAR:
+            return self._nmea(start, bytes(self._buffer[start:stop]))
+        shift = self._base - self._summed_from
+        s, w, c = sums or self._sums(start + shift)
+        if first == _RTCM:
+            if crc_of_zeros(c, stop - start) == self._c[stop + shift]:
+                return Frame(Protocol.RTCM, bytes(self._buffer[start:stop]))
+            self._reject(start, "rtcm_checksum")
+            return None
+        # Behind the two sync bytes, where what the checksum is of begins.
+        s, w = s + _SYNC_SUM, w + 2 * s + _SYNC_SUM + UBX_SYNC[0]
+        end = stop + shift - 2
+        a, b = self._s[end] - s & 0xFF, self._w[end] - w - (stop - start - 4) * s & 0xFF
+        if a == self._buffer[stop - 2] and b == self._buffer[stop - 1]:
+            return Frame(Protocol.UBX, bytes(self._buffer[start:stop]))
+        self._reject(start, "ubx_checksum")
+        return None
 
-
-def _frame_at(buffer: bytearray, start: int) -> Frame:
-    first = buffer[start]
-    if first == UBX_SYNC[0]:
-        return _ubx(buffer, start)
-    if first == ord("$"):
-        return _nmea(buffer, start)
-    return _rtcm(buffer, start)
-
-
-def _whole_frame_after(buffer: bytearray, position: int) -> int | None:
-    """Index of the first complete UBX or NMEA frame inside an incomplete one."""
-    starts = (_first_whole(buffer, position, sync, read) for sync, read in ((UBX_SYNC, _ubx), (b"$G", _nmea)))
-    return min((start for start in starts if start is not None), default=None)
-
-
-def _first_whole(buffer: bytearray, position: int, sync: bytes, read: Callable[[bytearray, int], Frame]) -> int | None:
-    while (position := buffer.find(sync, position)) >= 0:
-        try:
-            read(buffer, position)
-        except (_Bad, _Incomplete):
-            position += 1
-        else:
-            return position
-    return None
-
-
-def _ubx(buffer: bytearray, start: int) -> Frame:
-    if len(buffer) < start + 2:
-        raise _Incomplete
-    if buffer[start + 1] != UBX_SYNC[1]:
-        raise _Bad
-    if len(buffer) < start + 6:
-        raise _Incomplete
-    size = int.from_bytes(buffer[start + 4 : start + 6], "little")
-    if size > MAX_UBX_PAYLOAD:
-        raise _Bad("ubx_length")
-    end = start + 8 + size
-    if len(buffer) < end:
-        raise _Incomplete
-    if ubx_checksum(bytes(buffer[start + 2 : end - 2])) != buffer[end - 2 : end]:
-        raise _Bad("ubx_checksum")
-    return Frame(Protocol.UBX, bytes(buffer[start:end]))
-
-
-def _nmea(buffer: bytearray, start: int) -> Frame:
-    end = buffer.find(b"\n", start, start + MAX_NMEA)
-    sentence = bytes(buffer[start + 1 : len(buffer) if end < 0 else end])[:MAX_NMEA]
-    if not sentence.rstrip(b"\r").isascii() or b"$" in sentence or any(c < 32 for c in sentence.rstrip(b"\r")):
-        raise _Bad("nmea_form")
-    if end < 0:
-        if len(buffer) - start >= MAX_NMEA:
-            raise _Bad("nmea_form")
-        raise _Incomplete
-    body, star, digits = sentence.rstrip(b"\r").rpartition(b"*")
-    digits, _, arrival_ms = digits.partition(b",")  # Android's logs append the time of arrival
-    if arrival_ms and not arrival_ms.strip().isdigit():
-        raise _Bad("nmea_form")
-    if not star or len(digits) != 2:
-        raise _Bad("nmea_form")
-    try:
-        expected = int(digits, 16)
-    except ValueError as error:
-        raise _Bad("nmea_form") from error
-    if reduce(xor, body, 0) != expected:
-        raise _Bad("nmea_checksum")
-    return Frame(Protocol.NMEA, bytes(buffer[start : end + 1]))
-
-
-def _rtcm(buffer: bytearray, start: int) -> Frame:
-    if len(buffer) < start + 3:
-        raise _Incomplete
-    if buffer[start + 1] & 0xFC:  # six reserved bits
-        raise _Bad
-    end = start + 6 + int.from_bytes(buffer[start + 1 : start + 3])
-    if len(buffer) < end:
-        raise _Incomplete
-    if crc24q(bytes(buffer[start:end])):
-        raise _Bad("rtcm_checksum")
-    return Frame(Protocol.RTCM, bytes(buffer[start:end]))
+    def _nmea(self, start: int, sentence: bytes) -> Frame | None:
+        body, _, digits = sentence[1:].rstrip(b"\r\n").rpartition(b"*")
+        if reduce(xor, body, 0) == int(digits, 16):
+            return Frame(Protocol.NMEA, sentence)
+        self._reject(start, "nmea_checksum")
+        return None
 
 
 def ubx_checksum(data: bytes) -> bytes:
@@ -191,6 +131,38 @@ def crc24q(data: bytes) -> int:
     for byte in data:
         crc = (crc << 8 & 0xFFFFFF) ^ _CRC_TABLE[crc >> 16 ^ byte]
     return crc
+
+
+def crc_of_zeros(crc: int, count: int) -> int:
+    """Continue a CRC over `count` zero bytes: multiply it by x^(8 count), first 32 bytes at a time, then the rest."""
+    many, few = _zeros_tables()
+    table = many[count >> 5]
+    crc = table[crc >> 16] ^ table[256 | crc >> 8 & 0xFF] ^ table[512 | crc & 0xFF]
+    table = few[count & 31]
+    return table[crc >> 16] ^ table[256 | crc >> 8 & 0xFF] ^ table[512 | crc & 0xFF]
+
+
+@cache
+def _zeros_tables() -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """Tables of 0, 32, 64 ... 1024 zero bytes, and of 0 to 31; made when the first RTCM header comes."""
+    return [_zeros_table(count) for count in range(0, 1025, 32)], [_zeros_table(count) for count in range(32)]
+
+
+def _zeros_table(count: int) -> tuple[int, ...]:
+    """What each of the three bytes of a CRC becomes over so many zero bytes, from the highest byte on.
+
+    The CRC is linear: of a byte it is the sum (exclusive or) of those of its bits.
+    """
+    entries: list[int] = []
+    for shift in (16, 8, 0):
+        table = [0]
+        for bit in range(8):
+            crc = 1 << bit << shift
+            for _ in range(count):
+                crc = (crc << 8 & 0xFFFFFF) ^ _CRC_TABLE[crc >> 16]
+            table += [crc ^ entry for entry in table]
+        entries += table
+    return tuple(entries)
 
 
 def _crc_entry(value: int) -> int:

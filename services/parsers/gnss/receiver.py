@@ -22,6 +22,7 @@ from .configuration import Configurator
 from .framer import Frame, Framer, Protocol
 from .gnss_time import MS, Unwrapper
 from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
+from .seen import Seen
 from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
 NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
@@ -37,7 +38,7 @@ class Receiver:
     """Decodes the bytes of one receiver to fixes, satellites, signals and configuration results."""
 
     def __init__(self, source: str, *, minimum_delay_s: float, rejects: Counter[str]) -> None:
-        self.configurator = Configurator(source)
+        self.configurator, self.seen = Configurator(source), Seen(source)
         self._source = source
         self._rejects = rejects
         self._framer = Framer(rejects)
@@ -55,7 +56,9 @@ class Receiver:
     def take(self, raw: GnssRaw) -> Iterator[Output]:
         """Process the next bytes; yield the completed messages."""
         self._dates.host_ns = None if raw.recorded else raw.received_ns
-        for frame in self._framer.feed(raw.data):
+        frames = list(self._framer.feed(raw.data))
+        self.seen.note(len(raw.data), frames, raw.received_ns)
+        for frame in frames:
             with self._faults.decoding(raw.received_ns):
                 yield from self._take_frame(frame, raw.received_ns)
 

@@ -3,43 +3,45 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from pydantic import Field, field_validator
+from pydantic import Field, PrivateAttr
 
+from shared.errors import ConfigError
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw, ImuSamples
-from shared.runtime.config import Section
+from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, VehicleFile
+from shared.runtime.old_keys import MOUNTING, in_section
 
-from .xsens import Matrix3, Tracker
+from .xsens import Tracker
 
 MAX_TRACKERS = 8
-TOLERANCE = 1e-4  # allows matrices written with four decimals
 
 
 class Config(Section):
-    """Settings of the IMU parser.
+    """Settings of the IMU parser; the mounting is `[vehicle.imu] body_from_sensor`."""
 
-    The columns of `body_from_sensor` are the sensor's x, y and z axes in body axes (forward, right, down). The
-    default is an MTi mounted horizontally with x forward, y left and z up, as marked on its case.
-    """
-
-    body_from_sensor: Matrix3 = Field(
-        default=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
-        description="rotation matrix from sensor axes to body axes (forward, right, down), row by row",
-    )
     minimum_delay_s: float = Field(
         default=0.003, ge=0.0, description="minimum delay from an inertial sample to its arrival"
     )
 
-    @field_validator("body_from_sensor")
-    @classmethod
-    def _is_rotation(cls, rows: Matrix3) -> Matrix3:
-        x, y, z = rows
-        cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
-        unit = all(abs(sum(part * part for part in row) - 1) < TOLERANCE for row in (x, y))
-        upright = abs(sum(a * b for a, b in zip(x, y, strict=True))) < TOLERANCE
-        if not (unit and upright and max(abs(a - b) for a, b in zip(cross, z, strict=True)) < TOLERANCE):
-            raise ValueError("not a rotation matrix: rows must be orthogonal unit vectors, the third = first x second")
-        return rows
+    _body_from_sensor: Matrix3 = PrivateAttr(default=LEVEL_MOUNTING)
+
+    def model_post_init(self, context: object) -> None:
+        """Take the mounting of the vehicle's file; raises `ConfigError` for one that no mount makes."""
+        vehicle = context.get("vehicle") if isinstance(context, dict) else None
+        if not isinstance(vehicle, VehicleFile):
+            return
+        self._body_from_sensor = vehicle.mounting
+        (a, b, c), (d, e, f), (g, h, i) = vehicle.mounting
+        if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # determinant
+            raise ConfigError(
+                f"{vehicle.path}: {in_section(MOUNTING)} mirrors the axes, which no mount does: "
+                "the third row must be the cross product of the first and the second"
+            )
+
+    @property
+    def body_from_sensor(self) -> Matrix3:
+        """Rotation from the axes of the sensor to those of the vehicle."""
+        return self._body_from_sensor
 
 
 class Process:

@@ -10,8 +10,7 @@ from shared.faults import Faults
 from shared.maths.clock_mapping import ClockMapping
 from shared.messages.base import Vector3
 from shared.messages.imu import ImuRaw, ImuSamples
-
-Matrix3 = tuple[Vector3, Vector3, Vector3]
+from shared.runtime.config import Matrix3
 
 TICK_NS = 100_000  # resolution of the field SampleTimeFine
 TICK_WRAP = 1 << 32

@@ -30,6 +30,13 @@ class Config(Section):
         le=32.0,
         description="CAM whose generation time is further ahead of this unit's are rejected",
     )
+    max_header_difference_s: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=32.0,
+        description="frames whose GeoNetworking time differs by more from the generation time of their CAM are "
+        "rejected: a CAM repeated after 65.536 s has the generation time of a new one, and not its header",
+    )
     max_distance_m: float = Field(
         default=10_000.0, gt=0.0, description="CAM of stations further from this unit's GNSS position are rejected"
     )
@@ -79,7 +86,8 @@ class Process:
             self.rejects["batch"] += 1
 
     def _decode(self, frame: bytes, received_ns: int, encapsulation: Encapsulation) -> Cam:
-        payload = geonetworking.decode_payload(frame) if encapsulation is Encapsulation.GEONETWORKING else frame
+        has_header = encapsulation is Encapsulation.GEONETWORKING
+        payload = geonetworking.decode_payload(frame) if has_header else frame
         content, generation_delta_time = cam.decode(payload)
         if content["station_id"] == self._own_station:
             raise RejectedFrame("own_station")
@@ -89,6 +97,8 @@ class Process:
             raise RejectedFrame("too_old", age_ms)
         if age_ms < -self._config.max_future_s * 1000:
             raise RejectedFrame("from_the_future", -age_ms)
+        if has_header:
+            self._check_header(frame, received_ms - age_ms)
         self._check_distance(content["latitude_deg"], content["longitude_deg"])
         try:
             return Cam(
@@ -100,6 +110,13 @@ class Process:
             )
         except ValidationError as error:
             raise RejectedFrame("range", error) from error
+
+    def _check_header(self, frame: bytes, generated_ms: int) -> None:
+        """Compare the time in the header, known modulo 49 days, with the generation time by CAM and reception."""
+        cycle_ms = geonetworking.TIME_CYCLE_MS
+        difference_ms = its_time.difference_ms(generated_ms, geonetworking.source_time_ms(frame), cycle_ms)
+        if abs(difference_ms) > self._config.max_header_difference_s * 1000:
+            raise RejectedFrame("header_time", difference_ms)
 
     def _check_distance(self, latitude_deg: float | None, longitude_deg: float | None) -> None:
         if self._position is None or latitude_deg is None or longitude_deg is None:

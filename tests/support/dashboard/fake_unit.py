@@ -399,7 +399,7 @@ class FakeUnit:
                         verdict=SetUpVerdict.CONTRADICTS,
                         since_ns=self.started_ns,
                         sentence="axes are swapped: forward appears right, right appears backward",
-                        setting="core.fusion.imu.body_from_imu = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]",
+                        setting="vehicle.imu.body_from_sensor = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]",
                     ),
                     SetUpCheck(
                         name="imu_upright",

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from hypothesis import strategies as st
@@ -19,7 +20,7 @@ from shared.messages.v2x import (
     TrailerPresence,
     VehicleRole,
 )
-from shared.v2x import cam, frames, geonetworking
+from shared.v2x import cam, frames, geonetworking, its_time
 
 # A car that brakes in a left turn, with every data element.
 BRAKING = CamContent(
@@ -70,6 +71,12 @@ SENDER = geonetworking.PositionVector(
     speed_m_s=23.45,
     heading_rad=math.radians(271.3),
 )
+
+
+def packet(content: CamContent, its_time_ms: int, header_ms: int = 0) -> bytes:
+    """Encode a CAM of an ITS time into a packet whose header is `header_ms` later."""
+    sender = replace(SENDER, its_time_ms=its_time_ms + header_ms)
+    return geonetworking.encode_packet(cam.encode(content, its_time_ms % its_time.CYCLE_MS), sender)
 
 
 def decode_content(payload: bytes) -> tuple[CamContent, int]:

@@ -17,32 +17,39 @@ from shared.messages.toll import (
     TollRegistration,
     TollTransaction,
 )
-from shared.toll.plaza import load_plaza, plaza_path
+from shared.toll.plaza import Plaza, parse_plaza, plaza_path
 
 NS = 1_000_000_000
 START_NS = 1_790_000_400 * NS  # 400 s behind a full hour
 EXAMPLE = Path("deploy/plazas/example.geojson")
-PLAZA = load_plaza(EXAMPLE)
+WITH_DETECTORS = plaza_path(EXAMPLE).read_text()
+WITHOUT_DETECTORS = WITH_DETECTORS.replace('"detector": true', '"detector": false')
+COUNTED, PLAZA = (parse_plaza(text.encode()) for text in (WITH_DETECTORS, WITHOUT_DETECTORS))
 STATION = 3_405_691_582
 
 
 @dataclass
 class Vehicle:
-    """One vehicle on its passage."""
+    """One vehicle on its passage; each name has a station ID and a contract of its own."""
 
     name: str = "a"
-    station_ids: tuple[int, ...] = (STATION,)
+    station_ids: tuple[int, ...] = ()
     lane: str | None = "n2"
     opened_ns: int = START_NS
     crossing_ns: int = START_NS + 15 * NS
     frames: tuple[bytes, ...] = (b"first frame", b"second frame")
     states: list[PassageState] = field(default_factory=list)
+    plaza: Plaza = PLAZA
+
+    def __post_init__(self) -> None:
+        self.station_ids = self.station_ids or (STATION if self.name == "a" else int(self.passage_id[:7], 16),)
 
     @property
     def passage_id(self) -> str:
         return hashlib.sha256(self.name.encode()).hexdigest()
 
-    def registration(self, contract: str = "contract-1", tariff_class: str = "car", **changes: int) -> TollRegistration:
+    def registration(self, contract: str = "", tariff_class: str = "car", **changes: int) -> TollRegistration:
+        contract = contract or ("contract-1" if self.name == "a" else f"contract of {self.name}")
         values = {"sampled_ns": self.opened_ns, "valid_until_ns": self.opened_ns + 300 * NS,
                   "station_id": self.station_ids[-1], **changes}  # fmt: skip
         return TollRegistration(contract=contract, tariff_class=tariff_class, **values)
@@ -59,8 +66,8 @@ class Vehicle:
         statement = TollPassage(
             sampled_ns=sampled_ns or (self.crossing_ns if crossed else self.opened_ns),
             passage_id=self.passage_id,
-            plaza=PLAZA.name,
-            plaza_digest=PLAZA.digest,
+            plaza=self.plaza.name,
+            plaza_digest=self.plaza.digest,
             state=state,
             station_ids=self.station_ids,
             opened_ns=self.opened_ns,
@@ -84,11 +91,11 @@ class Vehicle:
         )  # fmt: skip
 
 
-def ledger_at(path: Path, now_ns: int = START_NS, **settings: float) -> tuple[Ledger, Store]:
-    """Open a ledger of the example plaza."""
+def ledger_at(path: Path, now_ns: int = START_NS, *, counted: bool = False, **settings: float) -> tuple[Ledger, Store]:
+    """Open a ledger of the example plaza, with detectors or without."""
     store = Store(path)
-    text = plaza_path(EXAMPLE).read_text()
-    return Ledger(store, PLAZA, text, Settings.model_validate(settings), now_ns), store
+    text, plaza = (WITH_DETECTORS, COUNTED) if counted else (WITHOUT_DETECTORS, PLAZA)
+    return Ledger(store, plaza, text, Settings.model_validate(settings), now_ns), store
 
 
 def answer(transaction: TollTransaction, now_ns: int, *, accepted: bool = True) -> TollReceipt:

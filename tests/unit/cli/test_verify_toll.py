@@ -1,5 +1,7 @@
 """`obu verify-toll`: charges are recomputed from their evidence, and changes of the evidence are found."""
 
+import sqlite3
+import zlib
 from pathlib import Path
 
 import pytest
@@ -70,3 +72,26 @@ def test_a_file_without_evidence_is_a_user_error(tmp_path: Path, content: bytes)
 def test_an_unknown_passage_is_a_user_error(ledger: Path) -> None:
     with pytest.raises(UserError, match="no evidence of ffffffffff"):
         verify_toll([ledger], "ffffffffff")
+
+
+@pytest.mark.parametrize(
+    ("column", "damage"),
+    [("pack", b"no zlib"), ("pack", b""), ("pack", "a text"), ("pack", zlib.compress(b"{}")),
+     ("pack", zlib.compress(b"\xff")), ("content", "{"), ("content", b"\x00")],
+)  # fmt: skip
+def test_a_damaged_row_is_a_sentence_and_the_other_charges_are_verified(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str, damage: str | bytes
+) -> None:
+    copy = tmp_path / "ledger.sqlite"
+    copy.write_bytes(ledger.read_bytes())
+    first, *others = [evidence.name for evidence in read(ledger)]
+    table = "evidence" if column == "pack" else "booking"
+    with sqlite3.connect(copy) as database:
+        database.execute(f"UPDATE {table} SET {column} = ? WHERE passage_id = ?", (damage, first))
+    assert verify_toll([copy]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    what = "evidence" if column == "pack" else "transaction"
+    (said,) = [line for line in lines if line.startswith(first)]
+    assert f"its {what} is damaged" in said and "restore the ledger" in said
+    assert lines[-1] == f"{len(others)} of {len(others) + 1} charges verified"
+    assert verify_toll([copy], others[0]) == 0

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import reduce
 from operator import xor
 from pathlib import Path
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.parsers.can import process as can
+from services.parsers.can.standards import StandardSpeeds
 from services.parsers.gnss import process as gnss
 from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
 from services.parsers.imu import process as imu
@@ -139,7 +141,7 @@ def packet(path_time: int | None = None, station_id: int = 1) -> bytes:
         low = record["cam"]["camParameters"]["lowFrequencyContainer"][1]
         low["pathHistory"][0]["pathDeltaTime"] = path_time
         payload = bytes(cam.specification().encode("CAM", record))
-    return geonetworking.encode_packet(payload, cams.SENDER)
+    return geonetworking.encode_packet(payload, replace(cams.SENDER, its_time_ms=its_time.its_time_ms(NOW_NS)))
 
 
 @pytest.mark.parametrize("path_time", [0, -5, 65_536, 70_000, 2**63, 10**400])
@@ -219,7 +221,7 @@ def _three_items(kind: str) -> tuple[gnss.Process | can.Process | imu.Process, M
         return (
             can.Process(can.Config()),
             CanRaw(received_ns=NOW_NS, source="c", data=data),
-            (can.StandardSpeeds, "decode"),
+            (StandardSpeeds, "decode"),
         )
     from services.parsers.imu import xsens
 

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import STANDARD_GRAVITY
+from shared.runtime.config import Matrix3
+from shared.runtime.old_keys import MOUNTING
 
-from ..settings import Matrix3
 from .findings import Check, Verdict, matrix_text
 from .motion import Intervals, Motion
 from .regression import Fit, least_squares, nearest_permutation
@@ -54,11 +55,11 @@ class AxesFit:
     turn_sd: float = 0.0
     bias: FloatArray | None = None  # [rad/s, body] of the gyroscopes, shape (3,)
     bias_sd: float = 0.0
-    present: FloatArray = field(default_factory=lambda: np.eye(3))  # `imu.body_from_imu` of the settings
+    present: FloatArray = field(default_factory=lambda: np.eye(3))  # mounting with which the published axes were made
 
 
 def fit_axes(motion: Motion, intervals: Intervals | None, present: Matrix3) -> AxesFit | None:
-    """Estimate M; None while gravity is not known. `present` is the correction that the samples have had already."""
+    """Estimate M; None while gravity is not known. `present` is the mounting that the vehicle's file states."""
     span = motion.nodes[-1] - motion.nodes[0] - (motion.integrals[-1, 6] - motion.integrals[0, 6])
     if span < LEVELLED_S:
         return None
@@ -164,7 +165,7 @@ def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
     if any(one >= limit + 3.0 * its_sd for one, its_sd in seen):
         correction = matrix_text(R.T @ fit.present)
         turn = _turn(fit) if known and abs(yaw) >= limit + 3.0 * fit.sd else None
-        return Check(name, Verdict.CONTRADICTS, text, *values, f"core.fusion.imu.body_from_imu = {correction}", turn)
+        return Check(name, Verdict.CONTRADICTS, text, *values, f"{MOUNTING} = {correction}", turn)
     return Check(name, Verdict.AGREES if known and size < limit else Verdict.UNKNOWN, text, *values)
 
 
@@ -258,4 +259,4 @@ def _axes_setting(fit: AxesFit) -> str | None:
     best, _ = nearest_permutation(fit.columns)
     swapped = not np.array_equal(best, np.eye(3))
     correction = best.T if swapped else mounting_of(fit.columns).T
-    return f"core.fusion.imu.body_from_imu = {matrix_text(correction @ fit.present)}"
+    return f"{MOUNTING} = {matrix_text(correction @ fit.present)}"

@@ -1,6 +1,6 @@
 // The close-up view from above: our own drawing, so that it works without a map, a GPU or the internet.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { ageS, clock, history, isOld, remember, settings, state } from "./store.js";
+import { ageS, clock, history, isOld, isPast, remember, settings, state } from "./store.js";
 import { Age, Card, Empty, Icon, compass, degrees, fixed, html, metres } from "./parts.js";
 import { words } from "./words.js";
 
@@ -94,7 +94,7 @@ export function scene() {
   const view = state.value;
   const s = view?.solution;
   if (!s) return null;
-  const stale = isOld("navigation/solution", s.updated_ns);
+  const stale = isPast(s);
   const age = ageS(s.updated_ns) ?? 0;
   const gnssLive = !stale && view.fix && !isOld("gnss/fix", view.fix.updated_ns) && view.fix.north_m != null;
   const truthLive = !stale && view.truth && view.truth.error_north_m != null;

@@ -138,6 +138,7 @@ function WhyDrawer({ onClose }) {
   return html`<${Drawer} title=${words.banner.drawer(v.word)} onClose=${onClose} head=${html`<button onClick=${report}>${words.copyReport}</button>`}>
     <p class="lead-text">${v.sentence}</p>
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
+    ${v.reasons?.length > 0 && html`<h3>${words.banner.reasons}</h3><ul class="reasons">${v.reasons.map((reason) => html`<li key=${reason}>${reason}</li>`)}</ul>`}
     <h3>${words.banner.checks}</h3>
     ${role() === "obu" && html`<p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>`}
     ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}
@@ -194,14 +195,14 @@ function Footer() {
   const { bus, chain, recording, problems } = state.value;
   const toCome = chain.services.of - chain.services.up;
   const first = problems[0];
-  const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
+  const target = first && (first.what.includes("/") ? `topic=${first.what}` : contract.value.processes[first.what] ? `node=${first.what}` : "");
   const live = brokerAnswers();
   const v = verdict();
   const received = recording && !isOld("recording/state", recording.updated_ns);
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
     ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
-    ${bus.rss_bytes > 0 && html`<span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>`}
+    ${bus.memory_bytes > 0 && html`<span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.memory_bytes))}</span>`}
     ${received && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
     <span class=${received && recording.recording ? "rec" : ""}>${!received ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
     ${v.state !== "safe" && html`<a class="problems verdict-state" href=${role() === "rsu" ? "#/toll" : "#/trust"}><${StateIcon} state=${v.state} word="" />${v.word}</a>`}

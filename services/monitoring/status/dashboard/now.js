@@ -1,6 +1,6 @@
 // The page that most people open: where the vehicle is, how well that is known, and what the sources say.
 import { useEffect, useState } from "preact/hooks";
-import { brokerAnswers, clock, history, isLive, isOld, link, nowMs, state } from "./store.js";
+import { brokerAnswers, clock, history, isLive, isOld, isPast, link, nowMs, state } from "./store.js";
 import {
   Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, themeName, timeOfDay, usePlot,
 } from "./parts.js";
@@ -14,7 +14,7 @@ function PositionCard() {
   const { solution: s, fix, satellites, navigation, truth, mode } = state.value;
   clock.value;
   if (!s) return html`<${Card} title=${p.title} id="position"><${Empty} title=${p.empty} why=${p.emptyWhy} /></${Card}>`;
-  const old = isOld("navigation/solution", s.updated_ns) ? "old" : "";
+  const old = isPast(s) ? "old" : "";
   const why = navigation && !isOld("navigation/state", navigation.updated_ns) && s.phase !== "navigating" ? navigation.reason : null;
   const digits = s.ellipse.semi_major_m < 0.1 ? 7 : 6;
   const { stale, withinM } = scene();

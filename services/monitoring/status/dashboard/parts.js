@@ -176,6 +176,7 @@ export function verdict() {
 
 const UNKNOWN = ["stale", "starting", "broker_lost", "disconnected"];
 export const verdictStands = () => !UNKNOWN.includes(verdict().state);
+export const monitorsStand = () => verdictStands() && verdict().state !== "no_fix"; // without a position they judge nothing
 
 export const SPAN_S = 900; // of the bands
 

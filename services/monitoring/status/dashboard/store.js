@@ -77,6 +77,9 @@ export function freshness(topic, stampNs) {
 // Whether a value must not be shown as live.
 export const isOld = (topic, stampNs) => ["stale", "never", "earlier"].includes(freshness(topic, stampNs));
 
+// Whether the solution must not be shown as the present position: it is old, or the verdict says that there is none.
+export const isPast = (solution) => state.value.banner.state === "no_fix" || isOld("navigation/solution", solution.updated_ns);
+
 function merge(old, changes) {
   if (old === null || typeof old !== "object" || Array.isArray(old)) return changes;
   const merged = { ...old };

@@ -27,6 +27,7 @@ from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
+NOTHING_TO_JUDGE = "there is no position to judge"
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 RATIO_MAXIMUM = 9.99
@@ -128,13 +129,14 @@ class Verdict:
     sentence: str
     action: str
     checks: tuple[Check, ...]
+    reasons: tuple[str, ...] = ()  # with statistics, for those who ask why
     since_ns: int | None = None  # of the state
     row: int | None = None  # of the verdict table of `core.trust` that decided
 
 
 WAITING = {
     NavigationPhase.WAITING_FOR_IMU: "no inertial data are received",
-    NavigationPhase.LEVELLING: "levelling: keep the vehicle still",
+    NavigationPhase.LEVELLING: "stand still for a few seconds",
     NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
     NavigationPhase.WAITING_FOR_HEADING: "the heading is not known: drive a few metres",
 }
@@ -146,6 +148,22 @@ SENTENCES = {
     TrustLevel.NO_FIX: "No position",
     TrustLevel.INITIALISING: "No position yet",
 }
+# Why, by the row of the verdict table of `core.trust` that decided; the state tells rows of earlier releases apart.
+WHY = {
+    (TrustLevel.INITIALISING, 1): "the first solution is awaited",
+    (TrustLevel.NO_FIX, 2): "there is no current solution",
+    (TrustLevel.UNSAFE, 3): "its error may be above the alert limit",
+    (TrustLevel.UNSAFE, 4): "GNSS and the inertial sensors disagree",
+    (TrustLevel.UNSAFE, 5): "it contains a satellite that is suspected",
+    (TrustLevel.UNSAFE, 6): "GNSS and the odometer disagree, and it is not known which of them is wrong",
+    (TrustLevel.DEAD_RECKONING, 7): "GNSS is not used, because other sensors contradict it",
+    (TrustLevel.DEAD_RECKONING, 8): "no GNSS is received that can be used",
+    (TrustLevel.CAUTION, 10): "there are signs that GNSS may be disturbed",
+    (TrustLevel.CAUTION, 11): "a monitor that is required does not report",
+    (TrustLevel.CAUTION, 12): "nothing independent checks it yet",
+    (TrustLevel.CAUTION, 13): "its error may come close to the alert limit",
+}
+ROW_CONFLICT = 9
 ACTIONS = {
     TrustLevel.SAFE: "Use the position within its protection level. The Trust page shows every monitor.",
     TrustLevel.CAUTION: (
@@ -179,7 +197,7 @@ def show(evidence: Evidence) -> Verdict:
             f"Nothing is known: {e.cause or 'the broker is not reachable'}.",
             "Start the broker or read its log. All messages pass through it; processes reconnect by themselves.",
             tuple(replace(check, state=Trust.STALE, text="not known", ratio=None) for check in checks),
-            e.received_ns,
+            since_ns=e.received_ns,
         )
     if e.awaited:
         return Verdict(
@@ -207,19 +225,30 @@ def no_verdict(age_s: float | None) -> str | None:
 
 
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
-    reason = plain(trust.reasons[0]) if trust.reasons else f"row {trust.row} of the verdict table"
     waiting = WAITING.get(e.phase) if e.phase else None
-    lost = "; ".join(why for why in (e.cause, waiting) if why)
-    detail = {TrustLevel.NO_FIX: lost, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    known = {TrustLevel.NO_FIX: e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    why = known or _why(trust)
     above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and trust.suspect_since_ns is None
     return Verdict(
         Trust.ABOVE_LIMIT if above else Trust(trust.state.value),
-        sentence(f"{SENTENCES[trust.state]}: {reason}", detail),
+        sentence(f"{SENTENCES[trust.state]}{f': {why}' if why else ''}"),
         ABOVE_LIMIT_ACTION if above else ACTIONS[trust.state],
         checks,
+        tuple(plain(reason) for reason in trust.reasons),
         trust.since_ns,
         trust.row,
     )
+
+
+def _why(trust: TrustState) -> str | None:
+    """Say why in a few words without figures; None where the state says it all."""
+    if (trust.state, trust.row) == (TrustLevel.CAUTION, ROW_CONFLICT):
+        if trust.odometer_excluded:
+            return "the odometer is not used, because GNSS and the inertial sensors contradict it"
+        if trust.suspect_since_ns is None:
+            return "GNSS and the odometer disagree"
+        return "GNSS and other sensors disagree, and it is not known which of them is wrong"
+    return WHY.get((trust.state, trust.row))
 
 
 def _checks(e: Evidence) -> list[Check]:
@@ -243,11 +272,12 @@ def _monitor_checks(e: Evidence) -> list[Check]:
     checks = []
     for statement in e.trust.monitors[:MONITORS_MAXIMUM]:
         earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
-        missing = no_verdict(e.trust_age_s) or earlier
+        nothing = NOTHING_TO_JUDGE if e.trust.state is TrustLevel.NO_FIX else None
+        missing = no_verdict(e.trust_age_s) or earlier or nothing
         text = plain(statement.reason)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
-            text = f"accuses {who(statement.accused)}: {text}"
+            text = f"suspects {who(statement.accused)}: {text}"
         elif statement.outcome is MonitorOutcome.PASS and ratio is not None:
             text = f"{100.0 * ratio:.0f} % of threshold"
         checks.append(
@@ -324,7 +354,9 @@ def _heading_check(e: Evidence) -> Check:
 def _set_up_checks(e: Evidence) -> list[Check]:
     """Show what driving has found wrong with the set-up; the page System has all checks and the settings to paste."""
     return [
-        Check(f"set-up {check.name}", "Set-up", Trust.CAUTION, check.sentence, link="system?topic=navigation/set_up")
+        Check(
+            f"set-up {check.name}", "Installation", Trust.CAUTION, check.sentence, link="system?topic=navigation/set_up"
+        )
         for check in (e.set_up.checks if e.set_up else ())
         if check.verdict is SetUpVerdict.CONTRADICTS
     ]
@@ -358,7 +390,7 @@ def _gate_checks(e: Evidence) -> list[Check]:
     checks = []
     for kind, update, _ in _recent(e):
         good = update.used and update.test_ratio <= GATE_LIMIT
-        text = f"{100.0 * update.test_ratio:.0f} % of limit" + ("" if update.used else ", rejected")
+        text = f"{100.0 * update.test_ratio:.0f} % of limit" + ("" if update.used else ", discarded")
         label = f"{FITS.get(kind) or _capital(kind.replace('_', ' ').replace('gnss', 'GNSS'))} residual"
         state = Trust.SAFE if good else Trust.CAUTION
         checks.append(

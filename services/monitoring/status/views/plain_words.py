@@ -13,7 +13,8 @@ LABELS = {
     "evidence": "Receiver evidence",
 }
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
-ACCUSES = re.compile(r"\bmonitor ([a-z_]+) accuses\b")
+SUSPECTS = re.compile(r"\bmonitor ([a-z_]+) (?:suspects|accuses)\b")  # the latter in recordings of earlier releases
+EARLIER = {"no monitor accuses": "no monitor suspects", " is accused": " is suspected", "was accused": "was suspected"}
 NESTED = re.compile(r"(?<=: )([a-z_]+): ")  # a monitor's reason inside that of a row
 UPPER = re.compile(r"\b(gnss|imu)\b")
 SINCE = re.compile(r"since (\d{9,10}\.\d) s")  # on the OBU time line, which is UTC
@@ -40,13 +41,15 @@ def plain(reason: str) -> str:
             said.append((names, text))
     joined = "; ".join(_stated(names, text) for names, text in said)
     joined = NESTED.sub(lambda found: f"{LABELS[found[1]]}: " if found[1] in LABELS else found[0], joined)
-    joined = ACCUSES.sub(lambda found: f"{label_of(found[1])} accuses", joined)
+    joined = SUSPECTS.sub(lambda found: f"{label_of(found[1])} suspects", joined)
+    for old, new in EARLIER.items():
+        joined = joined.replace(old, new)
     joined = SINCE.sub(lambda found: f"since {datetime.fromtimestamp(float(found[1]), UTC):%H:%M:%S} UTC", joined)
     return UPPER.sub(lambda found: found[0].upper(), joined.replace("_", " "))
 
 
 def who(accused: Sequence[str]) -> str:
-    """Name the accused: sensors, satellites, neighbours."""
+    """Name what is suspected: sensors, satellites, neighbours."""
     return plain(" or ".join(accused))
 
 

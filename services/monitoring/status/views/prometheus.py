@@ -113,7 +113,7 @@ def _traffic(state: State, now_ns: int) -> Iterator[Metric]:
             count.add_metric([name], flow.count)
     up = GaugeMetricFamily("obu_process_up", "1 while its heartbeat is in time.", labels=["process"])
     restarts = CounterMetricFamily("obu_process_restarts", "Restarts seen.", labels=["process"])
-    rejects = CounterMetricFamily("obu_parser_rejects", "Rejected input.", labels=["proto", "reason"])
+    rejects = CounterMetricFamily("obu_parser_rejects", "Discarded input.", labels=["proto", "reason"])
     for name, process in state.processes.items():
         if process.health is None:
             continue

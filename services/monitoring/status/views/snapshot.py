@@ -85,7 +85,7 @@ def dashboard(state: State, now_ns: int) -> Json:
             "messages_hz": round(sum(flow.rate_hz for flow in state.topics.values()), 1),
             "delay_p95_s": rounded(state.bus_delay_p95_s, 5),
             "cpu_share": round(sum(p.cpu_share or 0.0 for p in state.processes.values()), 2),
-            "rss_bytes": sum(p.health.rss_bytes for p in state.processes.values() if p.health),
+            "memory_bytes": sum(p.memory_bytes or 0 for p in state.processes.values()),
         },
     }
 
@@ -98,6 +98,7 @@ def banner(state: State) -> Json:
         "word": WORDS[verdict.state],
         "sentence": verdict.sentence,
         "action": verdict.action,
+        "reasons": list(verdict.reasons),
         "since_ns": verdict.since_ns,
         "row": verdict.row,
         "checks": [
@@ -182,7 +183,7 @@ def processes(state: State, now_ns: int) -> Json:
             "latency_p50_s": rounded(main.latency_p50_s, 4) if main else None,
             "latency_p99_s": rounded(main.latency_p99_s, 4) if main else None,
             "cpu_share": rounded(flow.cpu_share, 3),
-            "rss_bytes": health.rss_bytes if health else None,
+            "memory_bytes": flow.memory_bytes,
             "dropped": health.dropped if health else 0,
             "rejects": dict(health.rejects) if health else {},
             "reconnections": health.reconnections if health else 0,

@@ -283,7 +283,7 @@ class TrackColumns(Answer):
     fused_latitude_deg: list[float | None]
     fused_longitude_deg: list[float | None]
     gnss_latitude_deg: list[float | None]
-    """of GNSS alone"""
+    """of the receiver only"""
     gnss_longitude_deg: list[float | None]
     truth_latitude_deg: list[float | None]
     """of the simulator"""

@@ -1,10 +1,17 @@
 """The balance of the demo counts solutions whose error is above their protection level."""
 
+import dataclasses
+
 import pytest
 
-from cli.demo.balance import Balance
+from cli.demo.balance import Balance, Summary
+from cli.demo.demo import why_unhealthy
+from cli.demo.plaza_balance import PlazaSummary
+from cli.demo.words import FIELDS, lines
 from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuRaw
 from shared.messages.navigation import NavigationSolution, TruthState
+from shared.messages.operation import ProcessHealth, ProcessState
 from shared.runtime.config import parse_vehicle
 from tests.support.drives.tracks import START_NS, solution
 
@@ -63,3 +70,38 @@ def test_misleading_solutions_are_counted_against_the_truth() -> None:
     assert (found.misleading_horizontal, found.misleading_vertical) == (2, 1)
     assert found.protection_horizontal_median_m == found.protection_vertical_median_m == pytest.approx(4.0)
     assert found.fusion_horizontal_rmse_m == pytest.approx(5.0, abs=0.01)
+
+
+def test_a_run_that_ends_long_after_the_last_fix_is_not_healthy_and_says_since_when() -> None:
+    ready = ProcessHealth(process="core.fusion", state=ProcessState.READY, incarnation=START_NS, sent_ns=START_NS)
+    for silent_s, healthy in ((1.0, True), (49.0, False)):
+        balance = Balance(parse_vehicle(""), keep=False)
+        balance.add("health/core.fusion", ready, START_NS)
+        balance.add("navigation/solution", solution(0.1), START_NS)
+        balance.add("imu/raw", ImuRaw(received_ns=START_NS, source="imu", data=b"\xfa"), START_NS)
+        balance.add("gnss/fix", fix(1.0, 0.0), START_NS)
+        end_ns = START_NS + round(silent_s * 1e9)
+        balance.add("imu/raw", ImuRaw(received_ns=end_ns, source="imu", data=b"\xfa"), end_ns)
+        found = balance.summary(alive=1, expected=1, restarts=0)
+        assert (found.healthy, found.without_fix_s) == (healthy, silent_s)
+        assert healthy or why_unhealthy(found) == "no GNSS fix with a position for the last 49 s"
+
+
+@pytest.mark.parametrize("kind", [Summary, PlazaSummary])
+def test_every_figure_of_a_summary_has_words_and_none_is_printed_as_python_writes_it(kind: type) -> None:
+    names = [field.name for field in dataclasses.fields(kind) if field.name != "attacks"]
+    assert set(names) <= set(FIELDS)
+    values: dict[str, object] = dict.fromkeys(names, 2) | {
+        name: value
+        for name, value in {
+            "trust": {"safe": 21.0, "no_fix": 5.5, "unsafe": 0.0}, "cpu_share_by_process": {"core.toll": 0.21},
+        }.items()
+        if name in names
+    }  # fmt: skip
+    printed = lines(values)
+    assert not any("_" in line or "{" in line or "None" in line for line in printed)
+    if kind is Summary:
+        assert any(line.endswith("  SAFE 21 s, NO FIX 5.5 s") for line in printed)
+    else:
+        assert any(line.endswith("  core.toll 21 %") for line in printed)
+    assert all(line.endswith("not known") for line in lines(dict.fromkeys(names)))

@@ -29,7 +29,7 @@ def run(ended_s: float | None = None) -> AttackRun:
         ("odometer excluded", verdict(70.0, TrustLevel.CAUTION, odometer_excluded=True)),
         ("verdict unsafe", verdict(70.0, TrustLevel.UNSAFE)),
         ("verdict dead_reckoning", verdict(70.0, TrustLevel.DEAD_RECKONING)),
-        ("motion accuses gnss", verdict(70.0, monitors=(monitor(70 * NS, "motion", **ACCUSES),))),
+        ("motion suspects gnss", verdict(70.0, monitors=(monitor(70 * NS, "motion", **ACCUSES),))),
     ],
 )
 def test_an_exclusion_an_alarm_and_an_accusation_are_detections(sign: str, state: TrustState) -> None:
@@ -55,7 +55,7 @@ def test_signs_without_relation_to_the_attack_are_no_detection(states: list[Trus
 def test_an_accused_neighbour_is_the_detection_of_a_false_one() -> None:
     lie = run().model_copy(update={"attack": AttackName.NEIGHBOUR_LIE})
     (found,) = summarise([lie], [verdict(59.0), verdict(62.0, monitors=(monitor(1, "satellites", **NEIGHBOUR),))], 0)
-    assert found.detected_by == ("satellites accuses neighbour 7",)
+    assert found.detected_by == ("satellites suspects neighbour 7",)
 
 
 def test_a_sign_present_before_the_attack_counts_once_it_has_ended_and_recurred() -> None:

@@ -25,7 +25,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.neighbours import NeighbourStates
 from shared.messages.trust import TrustLevel
 from shared.recording import Recording, RecordingWriter
-from shared.runtime.offline import arrival_ns
+from shared.runtime.live import arrival_ns
 from tests.support.bus.envelopes import sent
 from tests.support.drives.csv_drive import write_drive
 

@@ -5,27 +5,25 @@ from pathlib import Path
 
 import pytest
 
+from cli.solve.overrides import with_settings
 from services.core.fusion.settings import Settings
 from shared.errors import ConfigError
-from shared.runtime.config import Section, dotted_keys, load_vehicle, parse_vehicle, with_values
-
-
-@pytest.mark.parametrize("old", Settings.renamed)
-def test_an_old_key_is_an_error_that_names_the_new_one(old: str) -> None:
-    section, _, key = Settings.renamed[old].rpartition(".")
-    with pytest.raises(ConfigError, match=rf"'{old}'; it is '{key}' in \[core\.fusion\.{section}\] now$"):
-        parse_vehicle(f"[core.fusion]\n{old} = 1").section("core.fusion", Settings)
-
-
-def test_a_key_that_moved_into_a_section_under_its_own_name_is_found_there() -> None:
-    with pytest.raises(ConfigError, match=r"'lever_arm_body_m' in \[core\.fusion\.gnss\] now$"):
-        parse_vehicle("[core.fusion]\nlever_arm_body_m = [0, 0, 0]").section("core.fusion", Settings)
+from shared.runtime.config import Section, VehicleSection, dotted_keys, load_vehicle, parse_vehicle, with_values
+from shared.runtime.old_keys import PRESENT_KEYS
 
 
 def test_new_names_of_old_keys_are_settings_and_old_names_are_not() -> None:
-    keys = set(dotted_keys(Settings))
-    assert set(Settings.renamed.values()) <= keys
-    assert not set(Settings.renamed) & keys
+    keys = {f"core.fusion.{key}" for key in dotted_keys(Settings)} | {
+        f"vehicle.{key}" for key in dotted_keys(VehicleSection)
+    }
+    assert set(PRESENT_KEYS.values()) <= keys
+    assert not set(PRESENT_KEYS) & keys
+
+
+def test_an_old_key_that_an_override_gives_is_an_error_that_names_the_new_one() -> None:
+    vehicle = with_settings(parse_vehicle(""), ["core.fusion.imu.body_from_imu=1"])
+    with pytest.raises(ConfigError, match=r"'imu.body_from_imu'; it is \[vehicle\.imu\] body_from_sensor now$"):
+        vehicle.section("core.fusion", Settings)
 
 
 def test_a_mistyped_key_in_a_section_is_an_error_that_names_the_right_one() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from services.core.toll.core import derive
 from services.core.toll.settings import Settings
+from services.core.toll.tracks import Repetitions
 from shared.messages.toll import STATION_IDS, OpenPassages, PassageState, TollPassage
 from shared.messages.v2x import CamList, StationType
 from tests.support.v2x.toll import START_NS, Plant, Vehicle, fix, lane_of, place
@@ -202,14 +203,18 @@ def test_two_vehicles_behind_each_other_are_charged_both() -> None:
     assert plant.states.count("charged") == 2
 
 
-def test_of_two_vehicles_at_one_place_the_second_is_suspect() -> None:
+@pytest.mark.parametrize("registered", [(7, 8), (8,)])
+def test_of_two_vehicles_at_one_place_the_second_names_the_first_and_neither_is_dropped(
+    registered: tuple[int, ...],
+) -> None:
+    """A vehicle without contract 1 m ahead may be none: the passage behind it stays, and detectors decide."""
     plant = Plant(COMMON)
-    plant.register(7, 8)
+    plant.register(*registered)
     plant.drive(CAR, replace(CAR, station_id=8, start=CAR.start - 1.0), until=20.0)
-    assert plant.states.count("charged") == 1
-    assert plant.states.count("suspect") == 1
-    suspect = next(one for one in plant.passages if one.state is PassageState.SUSPECT)
-    assert suspect.station_ids == (8,)
+    final = {one.station_ids[0]: one for one in plant.passages if one.state.is_final}
+    assert final[8].state is PassageState.CHARGED
+    assert final[8].overlaps == (final[7].passage_id,) and final[7].overlaps == ()
+    assert final[7].state is (PassageState.CHARGED if 7 in registered else PassageState.UNREGISTERED)
 
 
 def test_a_vehicle_that_falls_silent_is_void_after_half_a_minute() -> None:
@@ -360,6 +365,34 @@ def test_late_and_repeated_cam_are_counted_and_not_used() -> None:
     first, second = CAR.cam(plant.plaza, 1.0), CAR.cam(plant.plaza, 1.1)
     list(plant.core.use([second, first, second]))
     assert plant.core.rejected["late_or_repeated"] == 2
+
+
+@pytest.mark.parametrize("omitted", [0, 25])
+@pytest.mark.parametrize("replays", [1, 2])
+def test_a_replay_after_a_cycle_of_generation_delta_time_opens_no_passage(omitted: int, replays: int) -> None:
+    """Who replays the frames without the first ones, with new headers, gets no passage, however often."""
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=20.0)
+    assert plant.states == ["open", "crossed", "charged"]
+    cycle_ns = 65_536_000_000
+    for replay in range(1, replays + 1):
+        for k in range(omitted, 200):
+            shift = {"sampled_ns": replay * cycle_ns, "received_ns": replay * cycle_ns}
+            cam = CAR.cam(plant.plaza, k / 10.0)
+            moved = cam.model_copy(update={name: getattr(cam, name) + ns for name, ns in shift.items()})
+            if moved.received_ns >= START_NS + round(plant.clock_s * 1e9):
+                plant.second()
+            plant.statements += plant.core.use([moved.model_copy(update={"frame": b"another header" + cam.frame})])
+    assert plant.states == ["open", "crossed", "charged"]
+    assert plant.core.rejected["replayed"] == replays * 200 - omitted * replays
+
+
+def test_the_cam_of_70_s_are_remembered_and_not_more() -> None:
+    memory, plaza = Repetitions(), Plant().plaza
+    for k in range(2000):
+        assert memory.add(CAR.cam(plaza, k / 10.0)) is None
+    assert len(memory) == 701
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from shared.messages.operation import Origin, OriginKind
 from shared.messages.toll import LedgerState, OpenPassages, PassageState, TollPassage, TollTransaction
 from tests.support.bus.envelopes import sent, sent_bytes
 from tests.support.bus.fake_bus import FakeBus
-from tests.support.v2x.tolling import START_NS, Vehicle
+from tests.support.v2x.tolling import COUNTED, START_NS, Vehicle
 
 SECOND = 10  # receives
 
@@ -36,8 +36,11 @@ def published(bus: FakeBus, kind: type[Message]) -> list[Message]:
     return [message for message in bus.published if isinstance(message, kind)]
 
 
-def passage(vehicle: Vehicle) -> list[Message]:
-    return [vehicle.registration(), *(vehicle.says(s) for s in (PassageState.CROSSED, PassageState.CHARGED))]
+def passage() -> list[Message]:
+    """All that is said of a vehicle, with the pulse of its lane's detector."""
+    vehicle = Vehicle(plaza=COUNTED)
+    states = (PassageState.CROSSED, PassageState.CHARGED)
+    return [vehicle.registration(), vehicle.pulse(), *(vehicle.says(state) for state in states)]
 
 
 def newest(bus: FakeBus) -> LedgerState:
@@ -47,7 +50,7 @@ def newest(bus: FakeBus) -> LedgerState:
 
 
 def test_a_charge_is_published_and_the_state_says_what_was_booked(tmp_path: Path) -> None:
-    bus = run(tmp_path, {3: passage(Vehicle())}, 3 * SECOND)
+    bus = run(tmp_path, {3: passage()}, 3 * SECOND)
     first = published(bus, TollTransaction)[0]
     assert isinstance(first, TollTransaction) and first.amount_cents == 240
     assert (newest(bus).transactions, newest(bus).outbox, newest(bus).problem) == (1, 1, None)
@@ -56,8 +59,8 @@ def test_a_charge_is_published_and_the_state_says_what_was_booked(tmp_path: Path
 
 
 def test_a_restart_charges_nothing_again_and_sends_what_has_no_receipt(tmp_path: Path) -> None:
-    first = run(tmp_path, {3: passage(Vehicle())}, 5)
-    again = run(tmp_path, {3: passage(Vehicle())}, 5)
+    first = run(tmp_path, {3: passage()}, 2 * SECOND)
+    again = run(tmp_path, {3: passage()}, 2 * SECOND)
     assert newest(again).transactions == 1
     ids = {t.transaction_id for bus in (first, again) for t in bus.published if isinstance(t, TollTransaction)}
     assert len(ids) == 1 and published(again, TollTransaction)
@@ -84,8 +87,8 @@ def test_a_message_that_the_ledger_cannot_handle_costs_itself_and_leaves_nothing
 
 def test_a_replay_writes_nothing(tmp_path: Path) -> None:
     origin = Origin(now_ns=START_NS, kind=OriginKind.REPLAY, name="drive")
-    bus = run(tmp_path, {0: [origin], 3: passage(Vehicle())}, SECOND)
-    assert bus.published == [] and bus.rejects["replay"] == 4
+    bus = run(tmp_path, {0: [origin], 3: passage()}, SECOND)
+    assert bus.published == [] and bus.rejects["replay"] == 5
     assert not (tmp_path / "toll").exists()
 
 
@@ -93,7 +96,7 @@ def test_a_damaged_database_is_named_with_what_to_do_and_is_not_overwritten(tmp_
     path = tmp_path / "toll" / "ledger.sqlite"
     path.parent.mkdir()
     path.write_bytes(b"no database" * 1000)
-    bus = run(tmp_path, {3: passage(Vehicle())}, 2 * SECOND)
+    bus = run(tmp_path, {3: passage()}, 2 * SECOND)
     problem = newest(bus).problem or ""
     assert "ledger.sqlite cannot be used" in problem and "restore its backup" in problem
     assert bus.rejects["database"] >= 1 and not published(bus, TollTransaction)
@@ -101,7 +104,7 @@ def test_a_damaged_database_is_named_with_what_to_do_and_is_not_overwritten(tmp_
 
 
 def test_pages_that_were_overwritten_are_found_at_the_start(tmp_path: Path) -> None:
-    run(tmp_path, {3: passage(Vehicle())}, 5)
+    run(tmp_path, {3: passage()}, 5)
     path = tmp_path / "toll" / "ledger.sqlite"
     data = bytearray(path.read_bytes())
     data[4096:12288] = b"\xff" * 8192
@@ -118,7 +121,7 @@ def test_charging_continues_when_the_damaged_database_was_moved_away(tmp_path: P
         if call == 20:
             path.rename(path.with_suffix(".damaged"))
 
-    repeated = dict.fromkeys(range(3, 90, 10), passage(Vehicle()))
+    repeated = dict.fromkeys(range(3, 90, 10), passage())
     bus = run(tmp_path, repeated, 10 * SECOND, remedy)
     assert newest(bus).problem is None and newest(bus).transactions == 1
 
@@ -139,7 +142,7 @@ def test_a_full_disk_settles_nothing_and_charging_continues_when_there_is_room(
         full = call < 40
 
     monkeypatch.setattr(Store, "execute", limited)
-    repeated = dict.fromkeys(range(3, 110, 10), passage(Vehicle()))
+    repeated = dict.fromkeys(range(3, 110, 10), passage())
     bus = run(tmp_path, repeated, 12 * SECOND, remedy)
     states = [state for state in bus.published if isinstance(state, LedgerState)]
     assert "make room on its disk" in (next(s.problem for s in states if s.problem) or "")

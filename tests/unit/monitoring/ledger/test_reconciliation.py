@@ -9,7 +9,7 @@ import pytest
 from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.reconciliation import Crossing, Pulse, match
 from shared.messages.toll import LaneBalance, PassageState
-from tests.support.v2x.tolling import NS, START_NS, Vehicle, ledger_at
+from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, ledger_at
 
 LIMITS = {"detector_sd_s": 0.1, "gate_s": 5.0}
 RIPE_NS = START_NS + 400 * NS
@@ -21,7 +21,7 @@ def balance(ledger: Ledger, lane: str = "n2", now_ns: int = RIPE_NS) -> LaneBala
 
 
 def identity(found: LaneBalance) -> bool:
-    outcomes = (found.charged, found.undecided, found.unregistered, found.suspect, found.void, found.missed)
+    outcomes = (found.charged, found.undecided, found.unregistered, found.suspect, found.void, found.missed, found.held)
     return found.detections == sum(outcomes) + found.pending
 
 
@@ -87,13 +87,32 @@ def test_a_pulse_is_accounted_for_only_when_its_passage_has_had_time_to_end(tmp_
     store.close()
 
 
-def test_a_charge_without_detection_disturbs_the_account(tmp_path: Path) -> None:
+def test_a_charge_in_a_lane_without_a_detector_is_counted_apart_and_disturbs_no_account(tmp_path: Path) -> None:
     ledger, store = ledger_at(tmp_path / "ledger.sqlite")
     vehicle = Vehicle()
     ledger.register(vehicle.registration(), START_NS)
     ledger.passage(vehicle.says(PassageState.CHARGED), START_NS + 30 * NS)
-    found = balance(ledger)
-    assert (found.charged_without_detection, found.agrees) == (1, False)
+    for now_ns in (START_NS + 31 * NS, RIPE_NS):
+        found = balance(ledger, now_ns=now_ns)
+        assert (found.unconfirmed, found.charged_without_detection, found.agrees) == (1, 0, True)
+    store.close()
+
+
+def test_outcomes_are_counted_as_soon_as_a_passage_explains_a_detection(tmp_path: Path) -> None:
+    """The account is closed after 150 s; until then a lane with 56 charges must not show none."""
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=True)
+    vehicle = Vehicle(plaza=COUNTED)
+    ledger.register(vehicle.registration(), START_NS)
+    ledger.detect(vehicle.pulse(), vehicle.crossing_ns)
+    now_ns = vehicle.crossing_ns + 3 * NS
+    before = balance(ledger, now_ns=now_ns)
+    assert (before.detections, before.pending, before.charged, before.provisional) == (1, 1, 0, 0)
+    ledger.passage(vehicle.says(PassageState.CHARGED), now_ns)
+    found = balance(ledger, now_ns=now_ns)
+    assert (found.detections, found.charged, found.pending, found.provisional) == (1, 1, 0, 1)
+    closed = balance(ledger)
+    assert (closed.detections, closed.charged, closed.pending, closed.provisional) == (1, 1, 0, 0)
+    assert found.agrees and closed.agrees and identity(found) and identity(closed)
     store.close()
 
 
@@ -119,14 +138,16 @@ def test_pulses_of_another_plaza_or_from_another_year_are_not_counted(tmp_path: 
 
 
 def test_a_missed_vehicle_is_a_row_of_its_lane_between_the_passages(tmp_path: Path) -> None:
-    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
-    early, late = Vehicle("a"), Vehicle("b", crossing_ns=START_NS + 90 * NS)
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=True)
+    early, late = Vehicle("a", plaza=COUNTED), Vehicle("b", crossing_ns=START_NS + 90 * NS, plaza=COUNTED)
     ledger.register(early.registration(), START_NS)
+    ledger.register(late.registration(), START_NS)
     ledger.passage(early.says(PassageState.CHARGED), early.crossing_ns)
     unseen = Vehicle("c", crossing_ns=START_NS + 40 * NS)
     for number, vehicle in enumerate((early, unseen, late)):
         ledger.detect(vehicle.pulse(number), vehicle.crossing_ns)
     ledger.passage(late.says(PassageState.CHARGED), late.crossing_ns)
+    ledger.reconcile(late.crossing_ns)
     ledger.reconcile(START_NS + 300 * NS)
     rows = ledger.state(START_NS + 300 * NS).recent
     assert [row.state.value for row in rows] == ["charged", "missed", "charged"]

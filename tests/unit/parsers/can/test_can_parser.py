@@ -381,4 +381,4 @@ def test_a_parked_truck_has_zero_wheel_and_tachograph_speed() -> None:
                 for speed in process.handle(CanRaw(received_ns=frame.time_ns, source="can0", data=text)):
                     assert isinstance(speed, VehicleSpeed)
                     found[speed.source, speed.speed_m_s] += 1
-    assert found == {("can0/j1939", 0.0): 3993, ("can0/tachograph", 0.0): 215}
+    assert found == {("can0/can1/j1939/00", 0.0): 3993, ("can0/can1/tachograph/EE", 0.0): 215}

@@ -1,15 +1,20 @@
+import functools
+import operator
 import pickle
+import re
 import struct
 from collections import Counter
+from collections.abc import Iterator
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyubx2.ubxhelpers import calc_checksum
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxreader import UBXReader
 
-from services.parsers.gnss.framer import MAX_UBX_PAYLOAD, Framer, Protocol, crc24q, ubx_checksum
+from services.parsers.gnss.framer import MAX_UBX_PAYLOAD, Framer, Protocol, crc24q, crc_of_zeros, ubx_checksum
+from shared.devices.framing import TAIL
 from tests.support.data import recording
 
 UBX = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize()
@@ -97,6 +102,85 @@ def test_all_bytes_are_framed_or_counted(data: bytes) -> None:
     framer, end = Framer(), bytes(2 * MAX_UBX_PAYLOAD)  # completes every frame that has begun
     taken = sum(len(frame.data) for part in (data, end) for frame in framer.feed(part))
     assert taken + framer.rejects["garbage_bytes"] == len(data) + len(end)
+
+
+PATTERNS = (
+    b"\xd3\x03\xff",
+    b"\xd3\x03\xff\xff",
+    b"\xd3\x00\xd3\x3e",
+    b"\xb5\x62\x01\x07\xf0\x0f",
+    b"\xb5\x62\x00",
+    b"\xb5\x62",
+    b"\xb5",
+    b"\xb5\x62\xb5\x62\x00\x10",
+    b"\xd3\xb5\x62\x00",
+    b"$",
+    b"$G",
+    b"$GPGSA,*00\n",
+    b"$" + b"A" * 251,
+    b"$\r",
+    bytes(8),
+)
+RTCM = bytes.fromhex("D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98")
+
+
+@pytest.mark.parametrize("size", [64, 1000, 10**9])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_each_byte_is_summed_once_and_no_place_is_judged_twice(pattern: bytes, size: int) -> None:
+    """Checksums over overlapping candidates would look at each byte up to a thousand times."""
+    data, framer = pattern * (40_000 // len(pattern)), Framer()
+    feeds = [data[i : i + size] for i in range(0, len(data), size)]
+    for part in feeds:
+        framer.feed(part)
+    assert framer.judged <= len(data) / 3
+    assert framer.summed <= len(data) + TAIL * max(len(feeds), len(data) / MAX_UBX_PAYLOAD + 1)
+
+
+@given(st.sampled_from(PATTERNS), st.integers(0, 3000), st.integers(1, 5000))
+@settings(deadline=None)
+def test_frames_behind_any_pattern_are_found(pattern: bytes, repeats: int, size: int) -> None:
+    end = bytes(2 * MAX_UBX_PAYLOAD)  # completes every frame that has begun
+    stream = pattern * (repeats // len(pattern)) + b"\n" + UBX + RTCM + NMEA + UBX + end
+    assert [frame for frame in frames(stream, size)[0] if frame in (UBX, NMEA, RTCM)][-4:] == [UBX, RTCM, NMEA, UBX]
+
+
+def plainly(data: bytes) -> list[bytes]:
+    """Find the frames of a whole stream as slowly as the definition says."""
+    found, start = list[bytes](), 0
+    while start < len(data):
+        size = next((n for n in _sizes(data[start : start + 4200]) if n), 0)
+        found += [data[start : start + size]] if size else []
+        start += size or 1
+    return found
+
+
+def _sizes(data: bytes) -> Iterator[int]:
+    if data[:2] == b"\xb5\x62" and len(data) > 7:
+        size = 8 + int.from_bytes(data[4:6], "little")
+        yield size if size <= min(len(data), 4104) and ubx_checksum(data[2 : size - 2]) == data[size - 2 : size] else 0
+    if data[:1] == b"\xd3" and len(data) > 3 and data[1] < 4 and (62 <= data[3] <= 81 or data[3] >= 250):
+        size = 6 + int.from_bytes(data[1:3])
+        yield size if size <= len(data) and crc24q(data[:size]) == 0 else 0
+    if (sentence := re.match(rb"\$([ -#%-\x7f]*)\*([0-9A-Fa-f]{2})\r?\n", data)) and len(sentence[0]) <= 250:
+        yield len(sentence[0]) if functools.reduce(operator.xor, sentence[1], 0) == int(sentence[2], 16) else 0
+
+
+PIECES = st.sampled_from(
+    (UBX, NMEA, RTCM, UBX[:9], NMEA[:20], RTCM[:12], b"\xb5\x62\x01\x07\x20\x00", b"\xd3\x00\x30\x3e", b"$GNRMC,1*")
+)
+
+
+@given(st.lists(PIECES | st.binary(max_size=12), max_size=30))
+@settings(max_examples=300, deadline=None)
+def test_all_at_once_gives_the_frames_of_the_definition(pieces: list[bytes]) -> None:
+    data = b"".join(pieces)
+    end = bytes(2 * MAX_UBX_PAYLOAD)
+    assert frames(data + end)[0] == plainly(data + end)
+
+
+@given(st.binary(max_size=300), st.integers(0, 1029))
+def test_a_crc_is_continued_over_zero_bytes(data: bytes, count: int) -> None:
+    assert crc_of_zeros(crc24q(data), count) == crc24q(data + bytes(count))
 
 
 @pytest.mark.recording

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from services.parsers.imu.process import Config, Process
 from services.parsers.imu.xsens import inertial_data
 from shared.devices import xbus
+from shared.errors import ConfigError
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
+from shared.runtime.config import parse_vehicle
 from tests.support.data import recording
 
 NS = 1_000_000_000
+Rows = tuple[tuple[float, float, float], ...]
 START_NS = 1_764_000_000 * NS
 FLAT = {xbus.ACCELERATION: (0.1, 0.2, 9.8), xbus.RATE_OF_TURN: (0.01, 0.02, 0.03)}
 
@@ -40,6 +42,12 @@ def drive(process: Process, frames: Mapping[int, bytes]) -> list[ImuSamples]:
     return [message for k, data in frames.items() for message in feed(process, data, k * 0.01 + 0.005)]
 
 
+def mounted(rows: Rows) -> Config:
+    """Settings of the parser in a vehicle with this mounting."""
+    text = f"[vehicle.imu]\nbody_from_sensor = {[list(row) for row in rows]}"
+    return parse_vehicle(text, "car.toml").section("parsers.imu", Config)
+
+
 def test_a_horizontally_mounted_tracker_gives_forward_right_down() -> None:
     (message,) = feed(Process(Config()), frame(1))
     assert message.specific_force_body_m_s2[0] == pytest.approx((0.1, -0.2, -9.8), rel=1e-6)
@@ -49,22 +57,22 @@ def test_a_horizontally_mounted_tracker_gives_forward_right_down() -> None:
 
 def test_a_mounting_rotates_vectors_as_scipy_does() -> None:
     mounting = Rotation.from_euler("xyz", [0.1, -0.2, 2.0]).as_matrix() @ np.diag([1.0, -1.0, -1.0])
-    rows = tuple(tuple(row) for row in np.round(mounting, 7).tolist())
-    (message,) = feed(Process(Config.model_validate({"body_from_sensor": rows})), frame(1))
+    rows = tuple((x, y, z) for x, y, z in np.round(mounting, 7).tolist())
+    (message,) = feed(Process(mounted(rows)), frame(1))
     assert message.specific_force_body_m_s2[0] == pytest.approx(mounting @ (0.1, 0.2, 9.8), abs=1e-5)
 
 
 @pytest.mark.parametrize(
-    "rows",
+    ("rows", "reason"),
     [
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),  # a reflection
-        ((1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0)),
-        ((1.0, 0.0, 0.0), (0.5, 0.866025, 0.0), (0.0, 0.0, 1.0)),
+        (((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)), "mirrors the axes"),
+        (((1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0)), "perpendicular"),
+        (((1.0, 0.0, 0.0), (0.5, 0.866025, 0.0), (0.0, 0.0, 1.0)), "perpendicular"),
     ],
 )
-def test_a_matrix_that_is_not_a_rotation_is_rejected(rows: tuple[tuple[float, float, float], ...]) -> None:
-    with pytest.raises(ValidationError, match="not a rotation matrix"):
-        Config.model_validate({"body_from_sensor": rows})
+def test_a_matrix_that_is_not_a_rotation_is_rejected(rows: Rows, reason: str) -> None:
+    with pytest.raises(ConfigError, match=rf"car\.toml: \[vehicle(\.imu)?\] .*{reason}"):
+        mounted(rows)
 
 
 def test_samples_of_one_chunk_are_published_in_one_message() -> None:

@@ -11,7 +11,7 @@ from shared.bus import codec
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.v2x import Cam, CamContent, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
-from shared.v2x import cam, frames, geonetworking, its_time
+from shared.v2x import frames, geonetworking, its_time
 from tests.support.data import recording
 from tests.support.gnss.captures import packets
 from tests.support.v2x import cams
@@ -20,9 +20,8 @@ NOW_NS = 1_795_000_000 * 10**9 + 123_456_789
 MS = 1_000_000
 
 
-def packet(content: CamContent = cams.BRAKING, generated_ns: int = NOW_NS) -> bytes:
-    time_ms = its_time.its_time_ms(generated_ns) % its_time.CYCLE_MS
-    return geonetworking.encode_packet(cam.encode(content, time_ms), cams.SENDER)
+def packet(content: CamContent = cams.BRAKING, generated_ns: int = NOW_NS, header_ms: int = 0) -> bytes:
+    return cams.packet(content, its_time.its_time_ms(generated_ns), header_ms)
 
 
 def decoded(process: Process, batch: CamFrames) -> list[Cam]:
@@ -132,6 +131,42 @@ def test_generation_times_stay_in_order_across_the_wrap_of_generation_delta_time
     assert {one.generation_delta_time for one in found} >= {65436, 0, 100}
     assert [(b.sampled_ns - a.sampled_ns) for a, b in pairwise(found)] == [100 * MS] * 10
     assert {one.received_ns - one.sampled_ns for one in found} == {30 * MS}
+
+
+CYCLE_NS = its_time.CYCLE_MS * MS
+
+
+@pytest.mark.parametrize("cycles", [1, 2, -1])
+@pytest.mark.parametrize("encapsulation", Encapsulation)
+def test_a_frame_replayed_after_a_cycle_of_generation_delta_time_is_refused_by_its_header(
+    cycles: int, encapsulation: Encapsulation
+) -> None:
+    """The CAM alone looks new; without a header nothing tells the two apart here, and `core.toll` does."""
+    process, sent = Process(Config()), packet()
+    frame = sent if encapsulation is Encapsulation.GEONETWORKING else geonetworking.decode_payload(sent)
+    assert len(decoded(process, cams.batch([frame], NOW_NS, encapsulation))) == 1
+    again = decoded(process, cams.batch([frame], NOW_NS + cycles * CYCLE_NS, encapsulation))
+    if encapsulation is Encapsulation.GEONETWORKING:
+        assert again == [] and process.rejects == Counter({"header_time": 1})
+    else:
+        assert len(again) == 1
+
+
+@pytest.mark.parametrize(("header_ms", "used"), [(0, True), (-990, True), (990, True), (-1010, False), (1010, False),
+                                                 (65_536, False), (1 << 31, False)])  # fmt: skip
+def test_the_header_may_differ_from_the_cam_by_a_second(header_ms: int, used: bool) -> None:
+    process = Process(Config())
+    assert bool(decoded(process, cams.batch([packet(header_ms=header_ms)], NOW_NS))) is used
+    assert process.rejects == Counter({} if used else {"header_time": 1})
+
+
+def test_the_header_is_compared_across_the_wrap_of_its_own_time() -> None:
+    cycle_ms = geonetworking.TIME_CYCLE_MS
+    wrap_ms = (its_time.its_time_ms(NOW_NS) // cycle_ms + 1) * cycle_ms
+    for step_ms in (-40, 0, 40):
+        received_ns = its_time.utc_ns_from_its_time(wrap_ms + step_ms) + 30 * MS
+        batch = cams.batch([cams.packet(cams.BRAKING, wrap_ms + step_ms, header_ms=-50)], received_ns)
+        assert len(decoded(Process(Config()), batch)) == 1
 
 
 @pytest.mark.parametrize("offset_ms", [-1004, 0, 999])

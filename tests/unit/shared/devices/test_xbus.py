@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.devices import xbus
+from shared.devices.framing import TAIL
 from shared.devices.xbus import XbusReader, decode_field, decode_mtdata2, encode_field, encode_message, encode_mtdata2
 from tests.support.data import recording
 
@@ -131,6 +132,27 @@ def test_the_buffer_is_bounded_for_any_input() -> None:
     for _ in range(200):
         list(reader.feed(bytes.fromhex("fa ff 36 ff 07 00") + bytes(94)))
         assert len(pickle.dumps(reader)) < 2 * xbus.MAX_PAYLOAD_BYTES + 1000
+
+
+@pytest.mark.parametrize("size", [64, 1000, 10**9])
+@pytest.mark.parametrize(
+    "pattern", [b"\xfa", b"\xfa\xff", b"\xfa\xff\x36\xf0", b"\xfa\xff\x36\xff\x07\xff", b"\xfa\xff\x36\x00", bytes(7)]
+)
+def test_each_byte_is_summed_once_and_no_place_is_judged_twice(pattern: bytes, size: int) -> None:
+    data, reader = pattern * (40_000 // len(pattern)), XbusReader()
+    feeds = [data[i : i + size] for i in range(0, len(data), size)]
+    for part in feeds:
+        reader.feed(part)
+    assert reader.judged <= len(data) / 4
+    assert reader.summed <= len(data) + TAIL * max(len(feeds), len(data) / xbus.MAX_PAYLOAD_BYTES + 1)
+
+
+def test_a_message_that_is_no_measurement_comes_when_the_incomplete_one_around_it_is_over() -> None:
+    reader, other = XbusReader(), encode_message(0x42, b"ack")
+    around = bytes.fromhex("fa ff 36 40")
+    assert not reader.feed(around + other)
+    assert [message.mid for message in reader.feed(bytes(80))] == [0x42]
+    assert reader.rejects["bad_checksum"] == 1 and not reader.rejects["cut_message"]
 
 
 MEASUREMENT = encode_mtdata2({xbus.PACKET_COUNTER: encode_field(xbus.PACKET_COUNTER, 1)})

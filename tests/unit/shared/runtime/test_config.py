@@ -10,7 +10,7 @@ from shared.runtime.config import BrokerAddress, Section, load_vehicle, parse_ve
 
 
 class Config(Section):
-    lever_arm_body_m: Vector3 = (0.0, 0.0, 0.0)
+    antenna_body_m: Vector3 = (0.0, 0.0, 0.0)
     period_s: float = 1.0
 
 
@@ -19,13 +19,13 @@ def test_an_empty_file_gives_the_defaults() -> None:
 
 
 def test_a_section_is_read_with_its_units() -> None:
-    vehicle = parse_vehicle("[core.fusion]\nlever_arm_body_m = [1.0, 2.0, 3]")
-    assert vehicle.section("core.fusion", Config).lever_arm_body_m == (1.0, 2.0, 3.0)
+    vehicle = parse_vehicle("[core.fusion]\nantenna_body_m = [1.0, 2.0, 3]")
+    assert vehicle.section("core.fusion", Config).antenna_body_m == (1.0, 2.0, 3.0)
 
 
 def test_a_mistyped_key_is_an_error_that_names_the_right_one() -> None:
-    vehicle = parse_vehicle("[core.fusion]\nlever_arm_m = [1.0, 2.0, 3.0]")
-    with pytest.raises(UserError, match="did you mean 'lever_arm_body_m'"):
+    vehicle = parse_vehicle("[core.fusion]\nantenna_m = [1.0, 2.0, 3.0]")
+    with pytest.raises(UserError, match="did you mean 'antenna_body_m'"):
         vehicle.section("core.fusion", Config)
 
 

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from shared.bus import codec
-from shared.bus.bus import Bus, Envelope
+from shared.bus.bus import QUEUE_LENGTH, Bus, Envelope
 from shared.errors import TooManyFaults
 from shared.maths.dates import EARLIEST_NS
 from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssRaw
 from shared.messages.navigation import FilterState
 from shared.messages.operation import Consumed
+from shared.messages.v2x import CamFrames
 from shared.messages.vehicle import CanRaw
-from shared.runtime.live import LiveReactor
+from shared.runtime.live import PORTION_BYTES, SERVE_S, LiveReactor, portions
 
 OLD_LIFE, LIFE = 1_000, 2_000
 
@@ -44,6 +46,7 @@ class Broker:
     def __init__(self, inbox: list[Envelope], readings: int = 1) -> None:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
+        self.dropped = 0
         self.published: list[Message] = []
         self.readings_s: list[float] = []
         self._inbox, self._readings = inbox, readings
@@ -53,7 +56,7 @@ class Broker:
 
     def receive(self, _timeout_s: float) -> list[Envelope]:
         self.readings_s.append(time.monotonic())
-        self.stopping = len(self.readings_s) == self._readings
+        self.stopping = len(self.readings_s) >= self._readings
         inbox, self._inbox = self._inbox, []
         return inbox
 
@@ -125,3 +128,46 @@ def test_a_message_that_arrived_before_1980_or_after_2100_is_one_reject(received
     bus, process = Broker([Envelope("can/raw", codec.encode(raw), 0, "sensors.can", 1, 1)]), Given()
     LiveReactor(process, cast(Bus, bus)).run()
     assert (raw in process.messages, bus.rejects["stamp"]) == (used, int(not used))
+
+
+class Slow(Given):
+    """A process that takes a tenth of a second for each portion, on a clock of its own."""
+
+    def __init__(self, clock: list[float]) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def handle(self, message: Message) -> tuple[Message, ...]:
+        self._clock[0] += 0.1
+        return super().handle(message)
+
+
+@pytest.mark.parametrize("one_long_message", [True, False])
+def test_the_bus_is_served_within_a_long_batch_so_that_the_heartbeat_goes_on(
+    one_long_message: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    raw = [GnssRaw(received_ns=EARLIEST_NS + k, source="g", data=bytes(PORTION_BYTES)) for k in range(20)]
+    if one_long_message:
+        raw = [GnssRaw(received_ns=EARLIEST_NS, source="g", data=bytes(1 << 19))]
+    inbox = [Envelope("gnss/raw", codec.encode(one), 0, "sensors.gnss", 1, k) for k, one in enumerate(raw)]
+    bus, process = Broker(inbox, readings=6), Slow(clock)
+    LiveReactor(process, cast(Bus, bus)).run()
+    portions = [m for m in process.messages if isinstance(m, GnssRaw)]
+    assert b"".join(m.data for m in portions) == b"".join(one.data for one in raw), "nothing is lost or repeated"
+    assert len(portions) in (16, 20) and max(len(m.data) for m in portions) == PORTION_BYTES
+    assert max(np.diff(bus.readings_s[: len(portions) // 2])) <= SERVE_S + 0.11
+
+
+def test_frames_that_cannot_be_cut_are_handled_as_they_are() -> None:
+    frames = CamFrames(received_ns=EARLIEST_NS, source="v", data=bytes(1 << 19))
+    assert list(portions(frames)) == [frames]
+
+
+def test_what_arrives_meanwhile_is_consumed_and_the_oldest_of_too_much_is_dropped() -> None:
+    ahead = [envelope(state(k), OLD_LIFE, k) for k in range(QUEUE_LENGTH + 3)]
+    bus, process = Broker(ahead), Given()
+    LiveReactor(process, cast(Bus, bus)).run()
+    stamps = [m.sampled_ns for m in process.messages if isinstance(m, FilterState)]
+    assert stamps == list(range(3, QUEUE_LENGTH + 3)) and bus.dropped == 3

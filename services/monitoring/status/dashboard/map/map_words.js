@@ -16,7 +16,7 @@ export const w = {
   colour: "Track colour",
   colours: { trust: "Trust", level: "Protection level" },
   layers: "Layers",
-  layer: { base: "Map", grid: "Grid of latitude and longitude", gnss: "GNSS alone", truth: "Truth (simulator)", uncertainty: "Ellipse and protection level",
+  layer: { base: "Map", grid: "Grid of latitude and longitude", gnss: "Receiver only", truth: "Truth (simulator)", uncertainty: "Ellipse and protection level",
     neighbours: "Neighbouring vehicles", cams: "Stations that send CAM", plaza: "Toll plaza", tracks: "Vehicles at the plaza" },
   kinds: { aided: "GNSS used", dead: "Dead reckoning", gap: "No position" },
   levels: (from, to) => (to == null ? `over ${from} m` : from == null ? `up to ${to} m` : `${from} to ${to} m`),

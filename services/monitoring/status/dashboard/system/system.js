@@ -162,7 +162,7 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.received} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
       <${Row} label=${w.latency} value=${`${seconds(p.latency_p50_s)} / ${seconds(p.latency_p99_s)}`} extra=${p.latency_of && w.latencyOf(p.latency_of)} />
       <${Row} label=${w.cpu} value=${percent(p.cpu_share)} extra=${w.cpuNote} />
-      <${Row} label=${w.memory} value=${bytes(p.rss_bytes)} />
+      <${Row} label=${w.memory} value=${bytes(p.memory_bytes)} />
       <${Row} label=${w.rejects} value=${rejects || w.none} />
       <${Row} label=${w.dropped} value=${p.dropped ?? 0} extra=${w.droppedNote} />
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
@@ -201,8 +201,15 @@ function OutagesCard() {
   const t = words.outages;
   clock.value;
   const list = state.value.outages;
+  const open = new Set(list.filter((o) => o.until_ns == null).map((o) => o.what));
+  const others = state.value.problems.filter((p) => !open.has(p.what)); // nothing is silent because of them
   return html`<${Card} title=${t.title} note=${t.note} id="outages">
-    ${list.length === 0 ? html`<p class="note block">${t.empty}</p>` : html`<ul class="outages">${list.map((o) => {
+    ${others.length > 0 && html`<ul class="outages">${others.map((p) => html`<li key=${p.what} class="open">
+      <span><${StateIcon} state="caution" word="" /><strong>${p.what}</strong></span>
+      <span class="number">${p.since_ns == null ? "" : duration(Math.max(0, (nowMs() - p.since_ns / 1e6) / 1000))}</span>
+      <span class="dim">${p.text}</span>
+    </li>`)}</ul>`}
+    ${list.length === 0 ? others.length === 0 && html`<p class="note block">${t.empty}</p>` : html`<ul class="outages">${list.map((o) => {
       const open = o.until_ns == null;
       const span = Math.max(0, ((open ? nowMs() : o.until_ns / 1e6) - o.since_ns / 1e6) / 1000);
       return html`<li key=${`${o.what}${o.since_ns}`} class=${open ? "open" : ""}>

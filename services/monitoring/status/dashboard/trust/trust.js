@@ -2,7 +2,7 @@
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { brokerAnswers, clock, link, nowMs, paused, state } from "../store.js";
 import {
-  Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, verdictStands,
+  Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, monitorsStand,
 } from "../parts.js";
 import { AttacksCard } from "./attacks.js";
 import { words } from "../words.js";
@@ -23,12 +23,12 @@ const monitorsNow = () => Object.entries(state.value.trust.monitors).filter(([, 
 
 // One outcome: an old verdict holds for no monitor any more.
 function outcomeOf(shown) {
-  return verdictStands() ? [OUTCOME_STATE[shown.outcome], w.outcome[shown.outcome]] : ["stale", w.outcome.stale];
+  return monitorsStand() ? [OUTCOME_STATE[shown.outcome], w.outcome[shown.outcome]] : ["stale", w.outcome.stale];
 }
 
 function Outcome({ shown }) {
   const [icon, word] = outcomeOf(shown);
-  const who = verdictStands() && shown.accused;
+  const who = monitorsStand() && shown.accused;
   return html`<span class="with-icon outcome ${icon}"><${StateIcon} state=${icon} word="" /><strong>${word}${who && ` ${who}`}</strong></span>
     <span class="reason dim">${shown.reason}</span>`;
 }
@@ -36,7 +36,7 @@ function Outcome({ shown }) {
 // Statistic against threshold; the bar ends at twice the threshold, which is its mark in the middle.
 function Statistic({ shown }) {
   const unit = shown.unit && shown.unit !== "-" ? ` ${shown.unit}` : "";
-  const live = verdictStands() && shown.outcome !== "not_evaluated";
+  const live = monitorsStand() && shown.outcome !== "not_evaluated";
   if (shown.statistic == null || !live) {
     return html`<span class="dim">${shown.threshold == null ? words.age.bar : w.limitOnly(`${figure(shown.threshold)}${unit}`)}</span>`;
   }
@@ -56,8 +56,8 @@ function TestsTable({ tests, label }) {
 function Monitor({ name, shown, open, onToggle }) {
   const tests = Object.entries(shown.tests).filter(([, t]) => t);
   const c = w.columns;
-  const facts = [[c.falseAlarm, chance(shown.false_alarm_rate)], [c.window, shown.window_s == null ? words.age.bar : duration(shown.window_s)], [c.since, sinceText(shown.since_ns)], [c.suspect, verdictStands() ? sinceText(shown.suspect_since_ns) : words.age.bar]];
-  return html`<tr class=${verdictStands() ? "" : "old"}>
+  const facts = [[c.falseAlarm, chance(shown.false_alarm_rate)], [c.window, shown.window_s == null ? words.age.bar : duration(shown.window_s)], [c.since, sinceText(shown.since_ns)], [c.suspect, monitorsStand() ? sinceText(shown.suspect_since_ns) : words.age.bar]];
+  return html`<tr class=${monitorsStand() ? "" : "old"}>
       <th scope="row"><button class="link fold" aria-expanded=${open} aria-controls=${`tests-${name}`} onClick=${onToggle}><${Icon} name="next" />${shown.label}</button>
         <span class="reason dim">${w.monitors[name] ?? ""}</span></th>
       <td><${Outcome} shown=${shown} /></td><td><${Statistic} shown=${shown} /></td>
@@ -81,7 +81,7 @@ function MonitorsCard({ query, go }) {
     if (asked) go("#/trust");
     setOpen((now) => ({ ...now, [name]: !now[name] }));
   };
-  return html`<${Card} title=${w.monitorsTitle} note=${verdictStands() ? w.monitorsNote : w.monitorsOld} id="monitors" class="monitors-card">
+  return html`<${Card} title=${w.monitorsTitle} note=${monitorsStand() ? w.monitorsNote : w.monitorsOld} id="monitors" class="monitors-card">
     <table class="plain monitors"><thead><tr>${["monitor", "outcome", "statistic"].map((name) => html`<th scope="col">${c[name]}</th>`)}
       ${["falseAlarm", "window", "since", "suspect"].map((name) => html`<th scope="col" class="wide-only">${c[name]}</th>`)}</tr></thead>
       <tbody>${rows.map(([name, shown]) => html`<${Monitor} key=${name} name=${name} shown=${shown} open=${Boolean(open[name])} onToggle=${() => toggle(name)} />`)}</tbody></table>
@@ -91,7 +91,7 @@ function MonitorsCard({ query, go }) {
 function VerdictCard() {
   const v = verdict();
   const t = state.value.trust.verdict;
-  const stands = verdictStands() && t;
+  const stands = monitorsStand() && t;
   const limits = stands ? [["horizontal", t.protection_level_horizontal_m, t.alert_limit_horizontal_m], ["vertical", t.protection_level_vertical_m, t.alert_limit_vertical_m]] : [];
   return html`<${Card} title=${w.verdictTitle} id="verdict" class="verdict-card" aside=${stands && html`<span class="note">${w.row(t.row)}</span>`}>
     <p class="chip ${v.state}"><${Icon} name=${v.state} /><strong>${v.word}</strong>${stands && html`<span>${w.since(sinceText(t.since_ns))}</span>`}</p>
@@ -163,10 +163,10 @@ const largest = (values) => values.reduce((most, v) => (v != null && (most === n
 function Strip({ label, times, ratios }) {
   const path = useMemo(() => pathOf(times, ratios, times.at(-1)), [times]);
   const known = ratios.filter((r) => r != null);
-  const newest = verdictStands() ? ratios.at(-1) ?? null : null;
+  const newest = monitorsStand() ? ratios.at(-1) ?? null : null;
   const most = largest(ratios);
   const text = known.length ? w.stripText(newest === null ? null : newest.toFixed(2), most.toFixed(2), known.filter((r) => r > 1).length) : w.neverEvaluated;
-  return html`<div class="strip"><p class="strip-label">${label}<span class="dim">${!verdictStands() ? w.outcome.stale : newest === null ? w.outcome.not_evaluated : w.ofThreshold(newest.toFixed(2))}</span></p>
+  return html`<div class="strip"><p class="strip-label">${label}<span class="dim">${!monitorsStand() ? w.outcome.stale : newest === null ? w.outcome.not_evaluated : w.ofThreshold(newest.toFixed(2))}</span></p>
     <svg viewBox="0 0 ${STRIP.width} ${STRIP.height}" preserveAspectRatio="none" role="img" aria-label=${`${label}: ${text}`}>
       <path class="limit" d="M0 ${STRIP.height / 2}H${STRIP.width}" /><path class=${most > 1 ? "line over" : "line"} d=${path} /></svg></div>`;
 }

@@ -1,4 +1,4 @@
-"""Errors of GNSS alone and of the solution at the same fixes, on a circle that is known in closed form."""
+"""Errors of the receiver only and of the solution at the same fixes, on a circle that is known in closed form."""
 
 import math
 from dataclasses import replace
@@ -88,9 +88,9 @@ def test_the_metrics_and_one_sentence_say_that_fusion_is_worse() -> None:
     assert found["at_fixes_horizontal_rmse_m"] == pytest.approx(0.4, abs=4e-3)
     assert found["gnss_alone_standstill_horizontal_rmse_m"] is None, "the circle has no standstill"
     sentences = against_gnss(found)
-    assert len(sentences) == 2 and "Fusion is worse than GNSS alone horizontally:" in sentences[1]
+    assert len(sentences) == 2 and "Fusion is worse than the receiver horizontally:" in sentences[1]
     better = metrics_of(replace(run, gnss_alone=None)) | {
         "gnss_alone_count": 28, "gnss_alone_horizontal_rmse_m": 0.5, "at_fixes_horizontal_rmse_m": 0.4,
     }  # fmt: skip
-    assert against_gnss(better) == ["GNSS alone at the same 28 fixes: 0.5 m horizontal RMS (fused 0.4 m)."]
+    assert against_gnss(better) == ["Receiver only, at the same 28 fixes: 0.5 m horizontal RMS (fused 0.4 m)."]
     assert against_gnss(metrics_of(replace(run, gnss_alone=None))) == []

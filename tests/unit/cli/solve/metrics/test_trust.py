@@ -111,11 +111,11 @@ def test_fusion_is_not_called_worse_than_gnss_alone_where_an_outage_removed_fixe
     found = metrics_of(made(TENTHS)) | {
         "gnss_alone_count": 28, "gnss_alone_horizontal_rmse_m": 0.4, "at_fixes_horizontal_rmse_m": 0.6,
     }  # fmt: skip
-    assert worse_axes(found) == ["horizontally"] and "worse than GNSS alone" in verdict(found)
+    assert worse_axes(found) == ["horizontally"] and "worse than the receiver" in verdict(found)
     cut = found | {"fixes_removed": 10}
-    assert worse_axes(cut) == [] and "GNSS alone" not in verdict(cut)
+    assert worse_axes(cut) == [] and "receiver only" not in verdict(cut)
     said = " ".join(summary(Heading("drive", "a circle", "10/30", []), cut))
-    assert "worse" not in said and "GNSS alone at the same 28 fixes" in said
+    assert "worse" not in said and "Receiver only, at the same 28 fixes" in said
 
 
 def test_outages_without_a_solution_are_not_said_to_be_outside_the_drive() -> None:

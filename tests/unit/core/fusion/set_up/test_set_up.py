@@ -4,8 +4,10 @@ import tomllib
 from dataclasses import replace
 from functools import cache
 from math import radians
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from services.core.fusion.set_up.findings import Check, Verdict
@@ -15,6 +17,7 @@ from services.core.fusion.set_up.regression import least_squares, nearest_permut
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
 from shared.maths.rotation import ned_from_body
+from shared.runtime.config import LEVEL_MOUNTING, ImuMounting
 from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
 
 SECONDS = 180.0
@@ -52,6 +55,13 @@ FAULTS = {
 }
 
 
+def correction_of(setting: dict[str, Any]) -> npt.NDArray[np.float64]:
+    """What a proposed mounting changes of the present one, which was the level one; it must be a valid setting."""
+    proposed = ImuMounting.model_validate(setting["vehicle"]["imu"]).body_from_sensor
+    change: npt.NDArray[np.float64] = np.array(proposed) @ np.array(LEVEL_MOUNTING).T
+    return change
+
+
 @pytest.mark.parametrize("what", FAULTS)
 def test_each_wrong_setting_is_reported_by_the_check_of_its_name_alone(what: str) -> None:
     faults, expected = FAULTS[what]
@@ -64,16 +74,15 @@ def test_the_setting_that_a_check_proposes_corrects_the_fault() -> None:
     """The proposed axes undo the swapped ones; delay and scale are the injected ones."""
     axes = ("y", "-x", "z")
     setting = tomllib.loads(Faults(axes=axes).checks(town())["imu_axes"].setting or "")
-    correction = np.array(setting["core"]["fusion"]["imu"]["body_from_imu"])
+    correction = correction_of(setting)
     assert correction @ matrix_of(axes) == pytest.approx(np.eye(3))
     late = Faults(late_s=0.4).checks(town())["gnss_velocity_delay"]
     assert late.statistic == pytest.approx(0.4, abs=0.06) and "delay_s = 0.4" in (late.setting or "")
     scale = tomllib.loads(Faults(odometer=1.15).checks(town())["odometer_scale"].setting or "")
     assert scale["core"]["fusion"]["odometer"]["scale"] == pytest.approx(1.0 / 1.15, rel=0.01)
     skewed = tomllib.loads(Faults(yaw_rad=radians(20.0)).checks(town())["imu_mounting"].setting or "")
-    turned = np.array(skewed["core"]["fusion"]["imu"]["body_from_imu"])
+    turned = correction_of(skewed)
     assert np.degrees(np.arctan2(-turned[0, 1], turned[0, 0])) == pytest.approx(20.0, abs=2.0)
-    Settings().with_values({"imu.body_from_imu": turned.tolist()})
 
 
 @pytest.mark.parametrize(
@@ -101,7 +110,7 @@ def test_a_tilt_of_15_degrees_is_a_finding_with_the_setting_that_corrects_it(
     size_deg = checks["imu_mounting"].statistic
     assert size_deg == pytest.approx(abs(degrees_), abs=1.5)
     setting = tomllib.loads(checks["imu_mounting"].setting or "")
-    correction = np.array(setting["core"]["fusion"]["imu"]["body_from_imu"])
+    correction = correction_of(setting)
     assert correction @ mount.T == pytest.approx(np.eye(3), abs=radians(2.0))
     assert checks["imu_mounting"].turn is None, "the heading is right"
 

@@ -1,11 +1,13 @@
 """What the banner says, and that it never says more than is known."""
 
 import dataclasses
+import re
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.core.trust.verdict import ROWS
 from services.monitoring.status.views.banner import WORDS, Evidence, Kind, Trust, ratio_of, show
 from services.monitoring.status.views.plain_words import plain
 from shared.messages.gnss import FixType
@@ -40,23 +42,51 @@ def check(evidence: Evidence, name: str) -> tuple[Trust, str]:
     return found.state, found.text
 
 
-REASONS = {
-    TrustLevel.SAFE: "The position can be used: ",
-    TrustLevel.CAUTION: "Use the position with caution: ",
-    TrustLevel.UNSAFE: "The position must not be used: ",
-    TrustLevel.DEAD_RECKONING: "Position by dead reckoning: ",
-    TrustLevel.NO_FIX: "No position: ",
-    TrustLevel.INITIALISING: "No position yet: ",
+SENTENCES = {
+    TrustLevel.SAFE: "The position can be used.",
+    TrustLevel.CAUTION: "Use the position with caution.",
+    TrustLevel.UNSAFE: "The position must not be used.",
+    TrustLevel.DEAD_RECKONING: "Position by dead reckoning.",
+    TrustLevel.NO_FIX: "No position.",
+    TrustLevel.INITIALISING: "No position yet.",
 }
+FIGURES = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m", "second reason")
 
 
 @pytest.mark.parametrize("level", TrustLevel)
-def test_each_state_of_core_trust_has_its_own_word_and_a_sentence_with_the_first_reason(level: TrustLevel) -> None:
-    shown = show(changed(trust=trust(START_NS, level, reasons=("first reason", "second reason"), row=7)))
-    assert (shown.state, shown.row, shown.since_ns) == (Trust(level.value), 7, START_NS)
+def test_each_state_of_core_trust_has_its_own_word_and_sentence_even_by_a_row_of_another_release(
+    level: TrustLevel,
+) -> None:
+    shown = show(changed(trust=trust(START_NS, level, reasons=FIGURES, row=99)))
+    assert (shown.state, shown.row, shown.since_ns) == (Trust(level.value), 99, START_NS)
     assert WORDS[shown.state] == level.value.upper().replace("_", " ")
-    assert shown.sentence == f"{REASONS[level]}first reason."
+    assert shown.sentence == SENTENCES[level]
     assert shown.action.endswith(".")
+
+
+@pytest.mark.parametrize("row", range(1, len(ROWS) + 2))
+def test_each_row_of_the_verdict_table_is_one_plain_sentence_and_its_figures_are_for_those_who_ask(row: int) -> None:
+    states = [TrustLevel(state.value) for state, _ in ROWS]
+    level = states[row - 1] if row <= len(states) else TrustLevel.SAFE
+    evidence = changed(trust=trust(START_NS, level, reasons=FIGURES, row=row), cause=None, phase=None)
+    shown = show(evidence)
+    assert shown.sentence.startswith(SENTENCES[level].removesuffix("."))
+    assert level is TrustLevel.SAFE or len(shown.sentence) > len(SENTENCES[level]), "it says why"
+    assert not re.search(r"\d|statistic|threshold|;|\(", shown.sentence) and shown.sentence.count(".") == 1
+    assert shown.reasons == FIGURES
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"odometer_excluded": True}, "the odometer is not used"),
+        ({"suspect_since_ns": START_NS}, "it is not known which of them is wrong"),
+        ({}, "GNSS and the odometer disagree"),
+    ],
+)
+def test_a_conflict_says_what_follows_for_the_odometer(changes: dict[str, object], why: str) -> None:
+    verdict = trust(START_NS, TrustLevel.CAUTION, row=9).model_copy(update=changes)
+    assert why in show(changed(trust=verdict)).sentence
 
 
 @given(
@@ -97,7 +127,7 @@ def test_an_exceeded_alert_limit_differs_from_an_accusation_in_state_word_and_ad
     above = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=why, row=3)))
     accused = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=("GNSS is accused",), row=4)))
     assert (above.state, WORDS[above.state]) == (Trust.ABOVE_LIMIT, "ABOVE LIMIT")
-    assert above.sentence == f"The position must not be used: {why[0]}."
+    assert above.sentence == "The position must not be used: its error may be above the alert limit."
     assert accused.state is Trust.UNSAFE
     assert above.action != accused.action
 
@@ -141,9 +171,16 @@ def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_wha
     cause = "core.fusion was restarted and is starting again"
     evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=cause)
     lost = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.NO_FIX, reasons=("solution is old",)))
-    assert show(lost).sentence == f"No position: solution is old ({cause}; no usable GNSS fix is received)."
+    assert show(lost).sentence == f"No position: {cause}."
     missing = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.INITIALISING, reasons=("none yet",)))
-    assert show(missing).sentence == "No position yet: none yet (no usable GNSS fix is received)."
+    assert show(missing).sentence == "No position yet: no usable GNSS fix is received."
+
+
+def test_without_a_position_no_monitor_is_green_for_there_is_nothing_to_judge() -> None:
+    monitors = (monitor(START_NS, "motion"), monitor(START_NS, "evidence", outcome=MonitorOutcome.ACCUSES))
+    evidence = changed(trust=trust(START_NS, TrustLevel.NO_FIX, monitors=monitors, reasons=("solution is old",)))
+    for name in ("motion", "evidence"):
+        assert check(evidence, name) == (Trust.STALE, "there is no position to judge")
 
 
 def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
@@ -154,7 +191,7 @@ def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
     )
     evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
     assert check(evidence, "motion") == (Trust.SAFE, "50 % of threshold")
-    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "accuses GNSS: statistic below the threshold")
+    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "suspects GNSS: statistic below the threshold")
     assert check(evidence, "satellites") == (Trust.OFF, "4 satellites")
     ratios = {c.name: c.ratio for c in show(evidence).checks if c.kind is Kind.MONITOR}
     assert ratios == {"motion": 0.5, "inertial_short": 1.125, "satellites": None}
@@ -183,7 +220,7 @@ def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluate
         ("monitor motion: has not published yet; monitor satellites: has not published yet",
          "Motion conflict and Satellites: have not published yet"),
         ("monitor inertial_short accuses gnss: too large (statistic 9, threshold 8); fusion has not confirmed",
-         "Short inertial window accuses GNSS: too large (statistic 9, threshold 8); fusion has not confirmed"),
+         "Short inertial window suspects GNSS: too large (statistic 9, threshold 8); fusion has not confirmed"),
         ("monitor evidence: no message for 6.0 s, not evaluated since 1795000000.5 s",
          "Receiver evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
         ("navigation solution is lost: fusion's phase is waiting_for_gnss",
@@ -201,7 +238,7 @@ def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs(
         phase=NavigationPhase.WAITING_FOR_GNSS,
         filter_says="17 fixes without a position",
     )
-    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "470 % of limit, rejected")
+    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "470 % of limit, discarded")
     assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
     assert show(evidence).state is Trust.SAFE, "inputs do not make the verdict"
 

@@ -139,9 +139,10 @@ def test_tracks_and_bands_are_those_of_before_a_restart_with_the_pause_between(t
     first, file = State("bench", (), 0, 900.0), HistoryFile(tmp_path / "kept.jsonl")
     for second in range(1, 121):
         turned = TRACKED.model_copy(update={"azimuth_rad": math.radians(second)})
-        sky = GnssSatellites(sampled_ns=0, received_ns=0, source="gnss0", satellites=(turned,))
+        stamps = {"sampled_ns": second * NS, "received_ns": second * NS}
+        sky = GnssSatellites(source="gnss0", satellites=(turned,), **stamps)
         located = fix(differential=second > 60, correction_age_s=1.0 if second > 60 else None)
-        for message in (located, sky):
+        for message in (located.model_copy(update=stamps), sky):
             first.receive(sent(message, second * NS))
     file.append(first.unsaved())
     restarted = State("bench", (), 150 * NS, 900.0)

@@ -1,0 +1,88 @@
+"""Whether detectors confirm passages: alone in their lane, or several that overlap, of which the pulses are counted."""
+
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
+from enum import Enum
+
+TIGHT_SD = 3.0  # standard deviations of crossing and pulse within which a passage need not wait for its neighbours
+
+
+class Verdict(Enum):
+    """What follows for the passages of a group."""
+
+    STANDS = "stands"  # each keeps its outcome; what waits for it is charged
+    WAITS = "waits"
+    REVIEW = "review"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A passage that has crossed the gate line, as one that a pulse may confirm."""
+
+    passage_id: str
+    overlaps: frozenset[str]  # passages within its vehicle's length at the gate line, as far as they were seen
+    has_detector: bool  # its lane
+    is_charge: bool  # charged, or to be charged
+    is_derivable: bool
+    pulse_sds: float | None  # distance of its pulse in standard deviations; None: no pulse is left for it
+    waited: bool  # long enough for the pulses and passages around it
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether it has a pulse, which a vehicle before or behind it cannot claim any more."""
+        return self.pulse_sds is not None and (self.waited or self.pulse_sds <= TIGHT_SD)
+
+
+def groups(claims: Mapping[str, Claim]) -> list[list[Claim]]:
+    """Join the passages that overlap each other, directly or by another one; a passage alone is a group."""
+    group_of = {passage_id: {passage_id} for passage_id in claims}
+    for claim in claims.values():
+        for other in claim.overlaps & claims.keys():
+            joined = group_of[claim.passage_id] | group_of[other]
+            group_of.update(dict.fromkeys(joined, joined))
+    unique = {min(members): members for members in group_of.values()}
+    return [[claims[passage_id] for passage_id in sorted(members)] for _, members in sorted(unique.items())]
+
+
+def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, str]:
+    """Decide on passages that overlap one another, or on one alone.
+
+    Parameters
+    ----------
+    group : iterable of Claim
+        The passages of which final statements are there.
+    known : set of str
+        IDs of the group; one that a claim overlaps and that is not among them has no final statement yet.
+
+    Returns
+    -------
+    Verdict, str
+        And the reason for a review.
+
+    Notes
+    -----
+    Detectors count vehicles. As many pulses as passages: all stand. Fewer: one of them is not there, and which one no
+    CAM can say, so that none is dropped and none is charged. Without detectors a group stands if at most one of it is
+    charged: a vehicle without contract ahead must not make the passage behind it free.
+    """
+    claims = list(group)
+    charges = [claim for claim in claims if claim.is_charge]
+    if any(not claim.is_derivable for claim in charges):
+        return Verdict.REVIEW, "lane and crossing cannot be derived again from the evidence"
+    is_complete = all(claim.overlaps <= known or claim.waited for claim in claims)
+    counted = all(claim.has_detector for claim in claims)
+    if is_complete and (all(claim.is_confirmed for claim in claims) if counted else len(charges) <= 1):
+        return Verdict.STANDS, ""
+    if not (all(claim.waited for claim in claims) if counted else is_complete):
+        return Verdict.WAITS, ""
+    return Verdict.REVIEW, _doubt(claims, len(charges), counted=counted)
+
+
+def _doubt(claims: list[Claim], charges: int, *, counted: bool) -> str:
+    """Say why passages are to be reviewed."""
+    if not counted:
+        return f"{charges} registered passages overlap in a lane without a detector"
+    if len(claims) == 1:
+        return "the lane's detector has not counted it"
+    pulses = sum(claim.pulse_sds is not None for claim in claims)
+    return f"{len(claims)} passages overlap in the lane, and its detector has counted {pulses}"

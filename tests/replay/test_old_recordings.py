@@ -1,0 +1,62 @@
+"""Recordings of earlier releases stay solvable; the vehicle's file inside them is translated when it is read."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from cli.recordings.common import open_recording, vehicle_of
+from cli.recordings.verify import verify
+from cli.solve.inputs import inputs_of
+from shared.errors import UserError
+from shared.messages.base import Message
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import NavigationSolution
+from shared.runtime.offline import OfflineUnit
+
+FloatArray = npt.NDArray[np.float64]
+# Written by release 0.1.0, whose core.fusion turned the samples by 90° again; they were published unturned.
+TURNED = Path(__file__).parents[1] / "golden" / "releases" / "0_1_0_turned_imu.mcap"
+
+
+def solutions(messages: list[Message]) -> dict[int, NavigationSolution]:
+    return {one.sampled_ns: one for one in messages if isinstance(one, NavigationSolution)}
+
+
+def forces(messages: Iterable[Message]) -> FloatArray:
+    batches = [one.specific_force_body_m_s2 for one in messages if isinstance(one, ImuSamples)]
+    return np.concatenate(batches)
+
+
+def test_a_drive_of_release_0_1_0_with_a_turned_imu_has_the_solution_of_that_release() -> None:
+    with open_recording(TURNED) as recording:
+        recorded = solutions([envelope.decode() for envelope in recording])
+        vehicle = vehicle_of(recording, None)
+        unit = OfflineUnit(vehicle, ["core.fusion"])
+        now = solutions(list(unit.run(inputs_of(recording).messages(vehicle))))
+    assert len(recorded) >= 5
+    for stamp, one in recorded.items():
+        assert (now[stamp].latitude_deg, now[stamp].longitude_deg) == pytest.approx(
+            (one.latitude_deg, one.longitude_deg), abs=1e-8
+        )
+        assert now[stamp].yaw_rad == pytest.approx(one.yaw_rad, abs=1e-3)
+        assert now[stamp].velocity_ned_m_s == pytest.approx(one.velocity_ned_m_s, abs=1e-3)
+
+
+def test_another_mounting_in_the_file_that_is_given_turns_the_samples(tmp_path: Path) -> None:
+    file = tmp_path / "level.toml"
+    file.write_text("")
+    with open_recording(TURNED) as recording:
+        inputs = inputs_of(recording)
+        right, level = vehicle_of(recording, None), vehicle_of(recording, file)
+    turned, as_recorded = (forces(inputs.messages(vehicle)) for vehicle in (right, level))
+    correction = np.array(right.mounting) @ np.array(level.mounting).T
+    assert turned == pytest.approx(as_recorded @ correction.T, abs=1e-9)
+    assert np.degrees(np.arctan2(correction[1, 0], correction[0, 0])) == pytest.approx(90.0, abs=0.1)
+
+
+def test_what_another_mounting_has_made_cannot_be_verified_and_that_is_said() -> None:
+    with pytest.raises(UserError, match="another mounting of the IMU"):
+        verify([TURNED])

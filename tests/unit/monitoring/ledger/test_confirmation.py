@@ -1,0 +1,383 @@
+"""Charges and detectors: what is held, what stands, what a person has to judge, and what is one vehicle."""
+
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
+from services.monitoring.ledger.ledger import Ledger
+from services.monitoring.ledger.store import LedgerFault, Store
+from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
+from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
+
+OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
+HELD, SUSPECT, UNREGISTERED = PassageState.HELD, PassageState.SUSPECT, PassageState.UNREGISTERED
+EXIT_S = 3  # from the gate line to the final statement
+
+
+@dataclass
+class Gate:
+    """A ledger, and vehicles that pass its gate."""
+
+    ledger: Ledger
+    store: Store
+    counted: bool
+    pulses: int = 0
+
+    def vehicle(self, name: str, at_s: float = 15.0, **changes: object) -> Vehicle:
+        made = Vehicle(name, crossing_ns=START_NS + round(at_s * NS))
+        if self.counted:
+            made = replace(made, plaza=COUNTED)
+        return replace(made, **changes)  # type: ignore[arg-type]
+
+    def pulse(self, vehicle: Vehicle, after_s: float = 0.0) -> None:
+        at = replace(vehicle, crossing_ns=vehicle.crossing_ns + round(after_s * NS))
+        self.ledger.detect(at.pulse(self.pulses), at.crossing_ns)
+        self.pulses += 1
+
+    def end(self, vehicle: Vehicle, *ahead: Vehicle, registered: bool = True, **changes: Any) -> None:
+        """The statement behind the exit line; the ledger works every second."""
+        now_ns = vehicle.crossing_ns + EXIT_S * NS
+        if registered:
+            self.ledger.register(vehicle.registration(), vehicle.opened_ns)
+        overlaps = tuple(one.passage_id for one in ahead)
+        state = CHARGED if registered else UNREGISTERED
+        statement = vehicle.says(state, overlaps=overlaps, exit_ns=now_ns).model_copy(update=changes)
+        self.ledger.passage(statement, now_ns)
+        self.work(vehicle, EXIT_S)
+
+    def work(self, vehicle: Vehicle, after_s: float) -> int:
+        now_ns = vehicle.crossing_ns + round(after_s * NS)
+        self.ledger.reconcile(now_ns)
+        self.ledger.expire(now_ns)
+        return now_ns
+
+    def state(self, vehicle: Vehicle, after_s: float = EXIT_S) -> LedgerState:
+        return self.ledger.state(self.work(vehicle, after_s))
+
+    def outcome(self, vehicle: Vehicle, after_s: float = EXIT_S) -> PassageState:
+        recent = self.state(vehicle, after_s).recent
+        return next(row.state for row in recent if row.passage_id == vehicle.passage_id)
+
+    def reviews(self) -> dict[str, TollReview]:
+        return {review.passage_id: review for review in self.ledger.reviews()}
+
+
+@pytest.fixture(params=[True, False], ids=["detectors", "no detectors"])
+def any_gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Gate]:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=request.param)
+    yield Gate(ledger, store, request.param)
+    store.close()
+
+
+@pytest.fixture
+def gate(tmp_path: Path) -> Iterator[Gate]:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=True)
+    yield Gate(ledger, store, counted=True)
+    store.close()
+
+
+@pytest.fixture
+def open_gate(tmp_path: Path) -> Iterator[Gate]:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=False)
+    yield Gate(ledger, store, counted=False)
+    store.close()
+
+
+@pytest.mark.parametrize("first", ["pulse", "statement"])
+def test_a_charge_needs_the_pulse_of_its_lane(gate: Gate, first: str) -> None:
+    car = gate.vehicle("a")
+    if first == "pulse":
+        gate.pulse(car)
+    gate.end(car)
+    if first == "statement":
+        assert gate.outcome(car) is HELD and gate.ledger.due(car.crossing_ns) == []
+        assert gate.state(car).held == 1
+        gate.pulse(car)
+    assert gate.outcome(car) is CHARGED
+    (charge,) = gate.ledger.due(car.crossing_ns)
+    assert charge.confirmed and charge.reason == ""
+    found = gate.state(car)
+    assert (found.held, found.in_review, found.unconfirmed, found.transactions) == (0, 0, 0, 1)
+
+
+def test_a_charge_without_a_pulse_is_held_and_then_reviewed_and_never_booked(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.end(car)
+    assert gate.outcome(car, 30.0) is HELD
+    assert gate.outcome(car, 34.0) is SUSPECT
+    found = gate.state(car, 34.0)
+    assert (found.held, found.in_review, found.transactions) == (0, 1, 0)
+    (review,) = gate.reviews().values()
+    assert review.reason == "the lane's detector has not counted it"
+    assert (review.contract, review.amount_cents, review.currency, review.reversed) == ("contract-1", 240, "EUR", False)
+    assert gate.ledger.due(START_NS + 100 * NS) == []
+    gate.ledger.passage(car.says(CHARGED), START_NS + 1000 * NS)  # repeated
+    assert gate.ledger.state(START_NS + 1000 * NS).transactions == 0
+    assert gate.ledger.evidence(car.passage_id) is not None, "whoever judges it needs its evidence"
+    gate.ledger.reviewed(review)
+    assert gate.reviews() == {}
+
+
+def test_a_void_statement_ends_what_is_held(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.end(car)
+    gate.ledger.passage(car.says(PassageState.VOID, reason="turned around"), car.crossing_ns + 5 * NS)
+    assert gate.outcome(car, 60.0) is PassageState.VOID and gate.reviews() == {}
+    assert gate.state(car, 60.0).held == 0
+
+
+def test_a_pulse_of_another_lane_or_of_the_vehicle_behind_confirms_nothing(gate: Gate) -> None:
+    ahead, behind = gate.vehicle("a", 15.0), gate.vehicle("b", 17.0)
+    gate.ledger.detect(ahead.pulse(0, lane="n1"), ahead.crossing_ns)
+    gate.pulse(behind)
+    gate.end(ahead)
+    assert gate.outcome(ahead) is HELD
+    gate.end(behind)
+    assert gate.outcome(behind, 4.0) is CHARGED
+    assert gate.outcome(ahead, 40.0) is SUSPECT
+
+
+def test_without_a_detector_a_charge_is_final_and_labelled(open_gate: Gate) -> None:
+    car = open_gate.vehicle("a")
+    open_gate.end(car)
+    (charge,) = open_gate.ledger.due(car.crossing_ns)
+    assert not charge.confirmed and charge.reason == "not confirmed by a detector"
+    found = open_gate.state(car, 400.0)
+    (row,) = found.recent
+    assert (row.state, row.reason, row.confirmed) == (CHARGED, "not confirmed by a detector", False)
+    assert (found.unconfirmed, found.in_review, found.reversals) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("front_registered", [True, False])
+def test_two_passages_that_overlap_with_two_pulses_stand_both(gate: Gate, front_registered: bool) -> None:
+    front, behind = gate.vehicle("front"), gate.vehicle("behind", 15.3)
+    gate.pulse(front)
+    gate.pulse(behind)
+    gate.end(front, registered=front_registered)
+    gate.end(behind, front)
+    assert gate.outcome(behind) is CHARGED
+    assert gate.outcome(front) is (CHARGED if front_registered else UNREGISTERED)
+    assert gate.outcome(behind, 400.0) is CHARGED and gate.reviews() == {}
+
+
+@pytest.mark.parametrize("ghost", ["front", "behind"])
+@pytest.mark.parametrize("registered", [True, False])
+@pytest.mark.parametrize("followed", [True, False])
+def test_two_passages_that_overlap_with_one_pulse_go_to_review_both(
+    gate: Gate, ghost: str, registered: bool, followed: bool
+) -> None:
+    """A ghost sends CAM 1.5 m ahead of a vehicle, or behind it; the vehicle that follows has a pulse of its own."""
+    front, behind, next_one = gate.vehicle("front"), gate.vehicle("behind", 15.1), gate.vehicle("next", 17.0)
+    gate.pulse(front if ghost == "behind" else behind)
+    gate.end(front, registered=registered or ghost != "front")
+    gate.end(behind, front, registered=registered or ghost != "behind")
+    if followed:
+        gate.pulse(next_one)
+        gate.end(next_one)
+    assert gate.outcome(front, 40.0) is SUSPECT and gate.outcome(behind, 40.0) is SUSPECT
+    reviews = gate.reviews()
+    assert reviews.keys() == {front.passage_id, behind.passage_id}
+    assert reviews[front.passage_id].overlaps == (behind.passage_id,)
+    assert {review.contract is None for review in reviews.values()} == ({False} if registered else {True, False})
+    assert "2 passages overlap" in reviews[front.passage_id].reason
+    real = front if ghost == "behind" else behind
+    assert reviews[real.passage_id].amount_cents == 240 and reviews[real.passage_id].evidence_digest
+    final = gate.state(front, 400.0)
+    assert final.transactions - final.reversals == (1 if followed else 0)
+    assert final.amount_cents == (240 if followed else 0)
+    if followed:
+        assert gate.outcome(next_one, 400.0) is CHARGED
+
+
+def test_a_charge_that_an_overlap_contradicts_later_is_reversed_and_reviewed(gate: Gate) -> None:
+    front, behind = gate.vehicle("front"), gate.vehicle("behind", 15.1)
+    gate.pulse(front)
+    gate.end(front)
+    assert gate.outcome(front) is CHARGED
+    gate.end(behind, front)
+    found = gate.state(behind, 40.0)
+    assert (found.transactions, found.reversals, found.amount_cents, found.in_review) == (1, 1, 0, 2)
+    reviews = gate.reviews()
+    assert reviews[front.passage_id].reversed and not reviews[behind.passage_id].reversed
+    assert {t.kind for t in gate.ledger.due(START_NS + 100 * NS)} == set(TransactionKind)
+
+
+def test_without_detectors_a_ghost_ahead_does_not_make_the_passage_behind_free(open_gate: Gate) -> None:
+    ghost, car = open_gate.vehicle("ghost"), open_gate.vehicle("car", 15.1)
+    open_gate.end(ghost, registered=False)
+    open_gate.end(car, ghost)
+    assert open_gate.outcome(car, 4.0) is CHARGED and open_gate.reviews() == {}
+
+
+def test_without_detectors_two_registered_passages_at_one_place_go_to_review(open_gate: Gate) -> None:
+    front, behind = open_gate.vehicle("front"), open_gate.vehicle("behind", 15.1)
+    open_gate.end(front)
+    open_gate.end(behind, front)
+    found = open_gate.state(behind, 4.0)
+    assert (found.transactions, found.reversals, found.in_review) == (1, 1, 2)
+    assert open_gate.reviews().keys() == {front.passage_id, behind.passage_id}
+
+
+def test_what_cannot_be_derived_again_is_held_and_reviewed_also_with_a_pulse(any_gate: Gate) -> None:
+    car = any_gate.vehicle("a")
+    any_gate.pulse(car)
+    any_gate.end(car, derivable=False)
+    assert any_gate.outcome(car, 4.0) is SUSPECT
+    assert any_gate.state(car).transactions == 0
+    assert "derived" in any_gate.reviews()[car.passage_id].reason
+
+
+def test_held_passages_survive_a_restart_of_the_ledger(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=True)
+    gate = Gate(ledger, store, counted=True)
+    car = gate.vehicle("a")
+    gate.end(car)
+    store.close()
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", car.crossing_ns + 5 * NS, counted=True)
+    gate = Gate(ledger, store, counted=True)
+    assert gate.outcome(car, 6.0) is HELD
+    gate.pulse(car)
+    assert gate.outcome(car, 7.0) is CHARGED
+    store.close()
+
+
+# One vehicle, two passages: frames were left out, or the station ID has changed
+
+
+@pytest.mark.parametrize("link", ["station", "chain", "contract"])
+def test_passages_of_one_vehicle_that_overlap_in_time_are_one_and_the_first_id_stays(any_gate: Gate, link: str) -> None:
+    first = any_gate.vehicle("a", station_ids=(7,))
+    stations = {"station": (7,), "chain": (7, 70), "contract": (71,)}[link]
+    second = any_gate.vehicle("a second ID", 15.4, station_ids=stations, opened_ns=START_NS + 3 * NS)
+    any_gate.pulse(first)
+    any_gate.ledger.register(first.registration("one"), START_NS)
+    any_gate.ledger.register(second.registration("one"), START_NS)
+    for vehicle in (first, second):
+        any_gate.ledger.passage(vehicle.says(CHARGED, exit_ns=vehicle.crossing_ns + 2 * NS), vehicle.crossing_ns)
+    found = any_gate.state(first, 40.0)
+    assert (found.transactions, found.reversals, found.in_review, found.held) == (1, 0, 0, 0)
+    assert any_gate.outcome(first) is CHARGED
+    (row,) = [row for row in found.recent if row.passage_id == second.passage_id]
+    assert row.state is PassageState.VOID and first.passage_id[:8] in row.reason
+    assert all(lane.agrees for lane in found.lanes)
+
+
+def test_a_passage_that_joins_two_shows_that_they_are_one(any_gate: Gate) -> None:
+    first, second = any_gate.vehicle("a", station_ids=(7,)), any_gate.vehicle("b", 15.5, station_ids=(8,))
+    for vehicle in (first, second):
+        any_gate.pulse(vehicle)
+        any_gate.end(vehicle)
+    joint = any_gate.vehicle("c", 16.0, station_ids=(7, 8))
+    any_gate.ledger.passage(joint.says(UNREGISTERED, exit_ns=joint.crossing_ns + NS), joint.crossing_ns + NS)
+    found = any_gate.state(joint, 5.0)
+    assert found.transactions - found.reversals == 1
+    assert any_gate.outcome(first) is CHARGED
+
+
+def test_the_next_passage_of_a_vehicle_is_charged(any_gate: Gate) -> None:
+    again = any_gate.vehicle("a again", 200.0, station_ids=(7,), opened_ns=START_NS + 150 * NS)
+    for vehicle in (any_gate.vehicle("a", station_ids=(7,)), again):
+        any_gate.pulse(vehicle)
+        any_gate.end(vehicle)
+    assert any_gate.state(again, 5.0).transactions == 2
+
+
+# Files of earlier versions, and damaged ones
+
+VERSION_1 = Path(__file__).with_name("ledger_version_1.sql")
+
+
+def test_a_ledger_of_version_1_is_migrated_with_its_charges_and_passages_in_progress(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.sqlite"
+    with sqlite3.connect(path) as database:
+        database.executescript(VERSION_1.read_text(encoding="utf-8"))
+    for _ in range(2):
+        ledger, store = ledger_at(path, START_NS + 60 * NS)
+        found = ledger.state(START_NS + 60 * NS)
+        assert (found.transactions, found.outbox, found.held, found.unconfirmed) == (1, 1, 0, 1)
+        (charge,) = ledger.due(START_NS + 60 * NS)
+        assert (charge.contract, charge.amount_cents, charge.confirmed) == ("contract-1", 240, False)
+        ledger.reconcile(START_NS + 60 * NS)
+        assert [one.passage_id for one in ledger.open_passages(START_NS + 60 * NS).passages] == [
+            Vehicle("b").passage_id
+        ]
+        store.close()
+    ledger, store = ledger_at(path, START_NS + 60 * NS)
+    ledger.passage(Vehicle("b").says(CHARGED), START_NS + 61 * NS)
+    ledger.receipt(answer(charge, START_NS + 61 * NS), START_NS + 61 * NS)
+    assert ledger.state(START_NS + 61 * NS).transactions == 2
+    assert store.row("PRAGMA user_version")["user_version"] == 2  # type: ignore[index]
+    store.close()
+
+
+@pytest.mark.parametrize("damage", [b"", b"no zlib", b"x\x9c\x03\x00\x00\x00\x00\x01"])
+def test_damaged_evidence_is_a_sentence(any_gate: Gate, damage: bytes) -> None:
+    car = any_gate.vehicle("a")
+    any_gate.pulse(car)
+    any_gate.end(car)
+    any_gate.store.execute("UPDATE evidence SET pack = ?", damage)
+    with pytest.raises(LedgerFault, match=r"the evidence of passage \w{8} cannot be read: .*restore its backup"):
+        any_gate.ledger.evidence(car.passage_id)
+
+
+@pytest.mark.parametrize(
+    ("table", "column"), [("settled", "summary"), ("booking", "content"), ("passage", "statement"), ("held", "crossed")]
+)
+def test_a_damaged_row_is_a_sentence(gate: Gate, table: str, column: str) -> None:
+    charged, held, in_progress = gate.vehicle("a"), gate.vehicle("b", 25.0), gate.vehicle("c", 26.0)
+    gate.pulse(charged)
+    gate.end(charged)
+    gate.end(held)
+    gate.ledger.register(in_progress.registration(), START_NS)
+    gate.ledger.passage(in_progress.says(CROSSED), START_NS)
+    gate.store.execute(f"UPDATE {table} SET {column} = '{{'")
+    with pytest.raises(LedgerFault, match=r"(a row of passage \w{8} cannot be read|malformed).*restore its backup"):
+        gate.state(held, 5.0)
+        gate.ledger.due(START_NS + 100 * NS)
+
+
+# The decision itself
+
+
+def claim(passage_id: str, *overlaps: str, **changes: object) -> Claim:
+    values = {
+        "has_detector": True,
+        "is_charge": True,
+        "is_derivable": True,
+        "pulse_sds": 0.5,
+        "waited": False,
+        **changes,
+    }
+    return Claim(passage_id, frozenset(overlaps), **values)  # type: ignore[arg-type]
+
+
+def test_passages_are_grouped_over_a_third_one() -> None:
+    made = {one.passage_id: one for one in (claim("a"), claim("b", "a"), claim("c", "b"), claim("d"), claim("e", "x"))}
+    assert [[one.passage_id for one in group] for group in groups(made)] == [["a", "b", "c"], ["d"], ["e"]]
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, Verdict.STANDS),
+        ({"pulse_sds": 3.1}, Verdict.WAITS),
+        ({"pulse_sds": 3.1, "waited": True}, Verdict.STANDS),
+        ({"pulse_sds": None}, Verdict.WAITS),
+        ({"pulse_sds": None, "waited": True}, Verdict.REVIEW),
+        ({"has_detector": False, "pulse_sds": None}, Verdict.STANDS),
+        ({"is_derivable": False}, Verdict.REVIEW),
+        ({"is_derivable": False, "is_charge": False}, Verdict.STANDS),
+    ],
+)
+def test_a_passage_alone(changes: dict[str, object], verdict: Verdict) -> None:
+    assert judge([claim("a", **changes)], {"a"})[0] is verdict
+
+
+def test_an_overlap_whose_other_passage_has_not_ended_waits_for_it() -> None:
+    assert judge([claim("b", "a")], {"b"})[0] is Verdict.WAITS
+    assert judge([claim("b", "a", waited=True)], {"b"})[0] is Verdict.STANDS

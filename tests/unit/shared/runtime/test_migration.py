@@ -1,0 +1,124 @@
+"""Vehicle files of earlier versions: refused by the unit, rewritten by `obu migrate`, translated inside recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from shared.errors import ConfigError
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.runtime.config import LEVEL_MOUNTING, Matrix3, parse_vehicle
+from shared.runtime.migration import migrated, mounting_of_samples
+from shared.runtime.mounting import RecordedAxes
+from shared.runtime.old_keys import PRESENT_KEYS, in_section
+
+OLD = """# my car
+[vehicle]
+name = "car" # of the family
+
+[parsers.imu]
+minimum_delay_s = 0.004
+body_from_sensor = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+
+[core.fusion]
+gnss_delay_s = 0.1 # measured
+odometer = false
+
+[core.fusion.imu]
+body_from_imu = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+vibration_factor = 2.0
+"""
+
+
+def rows(matrix: object) -> list[list[float]]:
+    return [[float(value) for value in row] for row in np.asarray(matrix)]
+
+
+def old_text(parser: object = None, fusion: object = None) -> str:
+    text = "" if parser is None else f"[parsers.imu]\nbody_from_sensor = {rows(parser)}\n"
+    return text if fusion is None else f"{text}[core.fusion.imu]\nbody_from_imu = {rows(fusion)}\n"
+
+
+@pytest.mark.parametrize("key", PRESENT_KEYS)
+def test_a_file_with_an_old_key_is_refused_by_a_sentence_with_the_new_key_and_the_remedy(key: str) -> None:
+    section, _, name = key.rpartition(".")
+    with pytest.raises(ConfigError) as raised:
+        parse_vehicle(f"[{section}]\n{name} = 1", "car.toml")
+    new = in_section(PRESENT_KEYS[key])
+    assert str(raised.value) == (
+        f"car.toml: [{section}] {name} is of an earlier version; it is {new} now. "
+        "`obu migrate car.toml` rewrites the file"
+    )
+
+
+def test_every_old_key_is_rewritten_and_all_else_stays() -> None:
+    text, changes = migrated(OLD, "car.toml")
+    vehicle = parse_vehicle(text, "car.toml")
+    assert vehicle.mounting == ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)), "the correction times the mounting"
+    assert vehicle.tables["core.fusion"] == {
+        "imu": {"vibration_factor": 2.0}, "gnss": {"delay_s": 0.1}, "odometer": {"enabled": False},
+    }  # fmt: skip
+    assert vehicle.tables["parsers.imu"] == {"minimum_delay_s": 0.004}
+    assert text.startswith('# my car\n[vehicle]\nname = "car" # of the family\n') and "# measured" in text
+    assert len(changes) == 3 and any(line.endswith("-> [vehicle.imu] body_from_sensor") for line in changes)
+    assert migrated(text, "car.toml") == (text, []), "once is enough"
+
+
+@given(first=st.integers(0, 2**32), second=st.integers(0, 2**32), which=st.sampled_from(["both", "parser", "fusion"]))
+def test_samples_are_in_the_axes_in_which_the_earlier_version_used_them(first: int, second: int, which: str) -> None:
+    parser = Rotation.random(rng=first).as_matrix() if which != "fusion" else np.array(LEVEL_MOUNTING)
+    fusion = Rotation.random(rng=second).as_matrix() if which != "parser" else np.eye(3)
+    text = old_text(parser if which != "fusion" else None, fusion if which != "parser" else None)
+    vehicle = parse_vehicle(migrated(text, "car.toml")[0])
+    assert np.array(vehicle.mounting) == pytest.approx(fusion @ parser, abs=1e-8)
+    assert np.array(mounting_of_samples(text, "car.toml")) == pytest.approx(parser, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (OLD + "\n[vehicle.imu]\nbody_from_sensor = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "remove the older one"),
+        (OLD + "\n[core.fusion.gnss]\ndelay_s = 0.2\n", "holds both"),
+        (old_text(parser=2.0 * np.eye(3)), r"\[parsers.imu\] body_from_sensor: .*length one"),
+        ("[parsers.imu]\nbody_from_sensor = 'level'\n", r"\[parsers.imu\] body_from_sensor"),
+        ("[core.fusion\n", "not valid TOML"),
+    ],
+)
+def test_what_cannot_be_rewritten_is_named(text: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        migrated(text, "car.toml")
+
+
+def samples() -> ImuSamples:
+    return ImuSamples(
+        received_ns=3, source="imu", sampled_ns=(1, 2), magnetic_field_body=(0.3, 0.1, 0.9),
+        specific_force_body_m_s2=((0.1, 0.2, -9.8), (0.3, 0.4, -9.7)),
+        angular_rate_body_rad_s=((0.01, 0.02, 0.03), (0.0, 0.0, 0.5)),
+    )  # fmt: skip
+
+
+def axes(mounting: Matrix3 | None, then: Matrix3 | None) -> RecordedAxes:
+    text = "" if mounting is None else f"[vehicle.imu]\nbody_from_sensor = {rows(mounting)}"
+    return RecordedAxes(replace(parse_vehicle(text), samples_mounting=then))
+
+
+def test_recorded_samples_are_turned_from_the_mounting_of_then_to_that_of_now() -> None:
+    quarter: Matrix3 = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    turned = axes(quarter, LEVEL_MOUNTING).apply(samples())
+    assert isinstance(turned, ImuSamples)
+    assert turned.specific_force_body_m_s2 == ((-0.2, 0.1, -9.8), (-0.4, 0.3, -9.7))
+    assert turned.angular_rate_body_rad_s[0] == (-0.02, 0.01, 0.03)
+    assert turned.magnetic_field_body == (-0.1, 0.3, 0.9)
+    assert (turned.sampled_ns, turned.received_ns) == ((1, 2), 3)
+
+
+def test_samples_of_the_same_mounting_and_other_messages_stay_as_they_are() -> None:
+    one = samples()
+    assert axes(None, LEVEL_MOUNTING).apply(one) is one
+    assert axes(LEVEL_MOUNTING, None).apply(one) is one, "of a unit that drives, not of a recording"
+    fix = GnssFix(sampled_ns=1, received_ns=1, source="gnss", fix_type=FixType.NONE)
+    assert axes(((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)), LEVEL_MOUNTING).apply(fix) is fix
