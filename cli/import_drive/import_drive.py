@@ -29,6 +29,7 @@ from shared.messages.vehicle import VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
+from shared.unpacked import compression_of
 
 from ..progress import progress_on
 from .conversion.convert import Accelerometer, Converted, Imported, convert, wanted_columns
@@ -281,6 +282,11 @@ def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[TableFile,
         digest.update(data)
         progress.advance(task, len(data))
         return spec, digest.hexdigest(), arrays_table(arrays_of(data, spec.file), wanted_columns(spec), spec.file)
+
+    with path.open("rb") as file:
+        compression = compression_of(file.read(8))
+    if compression is not None:
+        raise UserError(f"{spec.file} is packed with {compression}; unpack it, and name the file that comes of it")
 
     def lines() -> Iterator[str]:
         with path.open("rb") as file:
