@@ -17,6 +17,7 @@ from services.sensors.simulator.scenarios import scenario_of
 from shared.attacks import schedule
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, UserError
+from shared.library.order import in_order, read_order
 from shared.processes import Role
 from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
 from shared.topics import TOPICS
@@ -127,7 +128,9 @@ def _drive(options: DemoOptions, folder: Path) -> int:
 
 def _tell_recordings(folder: Path, console: Console) -> None:
     """Print the path of the recording: the next demo begins with an empty folder."""
-    for path in sorted((folder / "recordings").glob("*.mcap")):
+    recordings = folder / "recordings"
+    for name in in_order((path.name for path in recordings.glob("*.mcap")), read_order(recordings)):
+        path = recordings / name
         console.print(f"recorded: {path}   (copy it: the next demo removes it)", soft_wrap=True, highlight=False)
 
 

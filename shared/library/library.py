@@ -5,7 +5,9 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISREG
 
+from .order import in_order, read_order
 from .summary import KEEP_SUFFIX, RECORDING_SUFFIX, RecordingSummary, SummaryWorker, read_summary
 from .summary import SUFFIX as SUMMARY_SUFFIX
 
@@ -40,15 +42,20 @@ class Library:
 
     def look(self, open_name: str | None) -> None:
         """List the folder, and begin the next summary if none is being computed; not of the recording in progress."""
-        if not self.folder.is_dir():
+        try:
+            self.free_bytes = shutil.disk_usage(self.folder).free
+            names = [path.name for path in self.folder.glob(f"*{RECORDING_SUFFIX}")]
+        except OSError:  # the folder is not there, or no longer
             self.entries, self.free_bytes = {}, None
             return
-        self.free_bytes = shutil.disk_usage(self.folder).free
         if self._worker is not None and not self._worker.running:
             self._worker = self._trying = None
         self._reads = READ_AT_ONCE
-        paths = sorted(self.folder.glob(f"*{RECORDING_SUFFIX}"), reverse=True)[:MOST]
-        self.entries = {path.name: entry for path in paths if (entry := self._entry(path)) is not None}
+        entries: dict[str, Entry] = {}
+        for name in reversed(in_order(names, read_order(self.folder))):
+            if len(entries) < MOST and (entry := self._entry(self.folder / name)) is not None:
+                entries[name] = entry
+        self.entries = entries
         if self._reads <= 0 or self._worker is not None:
             return
         for entry in self.entries.values():
@@ -81,7 +88,9 @@ class Library:
     def _entry(self, path: Path) -> Entry | None:
         try:
             status = path.stat()
-        except FileNotFoundError:  # deleted since it was listed
+        except OSError:  # deleted since it was listed, or a link that leads nowhere
+            return None
+        if not S_ISREG(status.st_mode):
             return None
         size, modified_s = status.st_size, status.st_mtime
         known = self.entries.get(path.name)

@@ -10,16 +10,20 @@ from .base import (
     Deviation,
     Deviation3,
     Height,
+    Integer,
     Latitude,
     Longitude,
     Message,
     Name,
     Nanoseconds,
+    Quantity,
     Ratio,
     RawBytes,
     Reason,
+    Seconds,
     Speed,
     Stamped,
+    Statistic,
     Symmetric3,
     Velocity3,
     unit,
@@ -35,7 +39,7 @@ class GnssRaw(RawBytes):
     """Bytes that a GNSS receiver sent: UBX, NMEA or both."""
 
     is_stream: ClassVar[bool] = True
-    recorded: bool = False  # read from a file: dates in them are those of the recording
+    recorded: bool | None = None  # read from a file: dates in them are those of the recording
 
 
 class GnssWrite(RawBytes):
@@ -76,7 +80,7 @@ class GnssFix(Stamped):
     height_msl_m: Height | None = None
     velocity_ned_m_s: Velocity3 | None = None
     ground_speed_m_s: Speed | None = None
-    course_rad: float | None = None
+    course_rad: Quantity | None = None
     position_sd_ned_m: Deviation3 | None = None
     velocity_sd_ned_m_s: Deviation3 | None = None
     position_cov_ned_m2: Symmetric3 | None = None
@@ -84,10 +88,10 @@ class GnssFix(Stamped):
     pdop: Ratio | None = None
     hdop: Ratio | None = None
     vdop: Ratio | None = None
-    correction_age_s: float | None = None
-    baseline_heading_rad: float | None = None  # from the first antenna to the second, clockwise from true north
+    correction_age_s: Seconds | None = None
+    baseline_heading_rad: Quantity | None = None  # from the first antenna to the second, clockwise from true north
     baseline_heading_sd_rad: Deviation | None = None
-    baseline_length_m: float | None = None
+    baseline_length_m: Quantity | None = None
 
 
 class Constellation(StrEnum):
@@ -119,10 +123,10 @@ class Satellite(Message):
 
     constellation: Constellation
     number: Count
-    cn0_db_hz: float | None = None
-    elevation_rad: float | None = None
-    azimuth_rad: float | None = None
-    residual_m: float | None = None
+    cn0_db_hz: Quantity | None = None
+    elevation_rad: Quantity | None = None
+    azimuth_rad: Quantity | None = None
+    residual_m: Quantity | None = None
     used: bool
     # None of receivers that do not state it
     quality: SignalQuality | None = None
@@ -142,10 +146,10 @@ class GnssSignal(Message):
     constellation: Constellation
     number: Count
     signal: Name | None = None  # as in `RawMeasurement`
-    cn0_db_hz: float | None = None
+    cn0_db_hz: Quantity | None = None
     quality: SignalQuality
     healthy: bool | None = None  # None: not known
-    residual_m: float | None = None  # of the pseudorange; None unless it is used
+    residual_m: Quantity | None = None  # of the pseudorange; None unless it is used
     pseudorange_used: bool
     carrier_phase_used: bool
     doppler_used: bool
@@ -164,15 +168,15 @@ class RawMeasurement(Message):
     constellation: Constellation
     number: Count
     signal: Name | None = None  # observation code of RINEX 3 without its first letter: 1C is L1 C/A and E1-C
-    pseudorange_m: float | None = None
+    pseudorange_m: Quantity | None = None
     pseudorange_sd_m: Deviation | None = None
-    carrier_phase_cycles: Annotated[float, unit("cycles")] | None = None
-    carrier_phase_sd_cycles: Annotated[float, unit("cycles")] | None = None
+    carrier_phase_cycles: Annotated[Statistic, unit("cycles")] | None = None
+    carrier_phase_sd_cycles: Annotated[Statistic, unit("cycles")] | None = None
     half_cycle_resolved: bool = False
-    doppler_hz: float | None = None  # positive while the satellite approaches
-    doppler_sd_hz: float | None = None
-    cn0_db_hz: float | None = None
-    lock_time_s: float | None = None
+    doppler_hz: Quantity | None = None  # positive while the satellite approaches
+    doppler_sd_hz: Quantity | None = None
+    cn0_db_hz: Quantity | None = None
+    lock_time_s: Seconds | None = None
 
 
 class GnssRawEpoch(Stamped):
@@ -226,7 +230,7 @@ class SignalFlags(Message):
 class ReceiverStatus(SignalFlags):
     """Flags of UBX-NAV-STATUS, and how long the first fix took."""
 
-    time_to_first_fix_s: float | None = None  # None before the first fix
+    time_to_first_fix_s: Seconds | None = None  # None before the first fix
 
 
 class RadioPath(Message):
@@ -242,7 +246,7 @@ class RadioPath(Message):
 class ReceiverClock(Message):
     """Clock of a receiver against GPS time; it jumps by milliseconds to stay near it."""
 
-    bias_s: float
+    bias_s: Seconds
     drift_ratio: Ratio  # seconds a second
     bias_sd_s: Deviation
     drift_sd_ratio: Ratio
@@ -255,15 +259,15 @@ class GnssSignalQuality(Stamped):
     security: SignalFlags | None = None  # of UBX-SEC-SIG
     radio_paths: Annotated[tuple[RadioPath, ...], Field(max_length=MAX_RADIO_PATHS)] = ()  # of UBX-MON-RF
     clock: ReceiverClock | None = None  # of UBX-NAV-CLOCK
-    time_step_s: float | None = None  # by which the receiver's time jumped ahead against the OBU time line
+    time_step_s: Seconds | None = None  # by which the receiver's time jumped ahead against the OBU time line
 
 
 class GnssConfigure(Message):
     """What the controller wants of a receiver."""
 
-    request_id: Count
+    request_id: Annotated[Integer, unit("1")]
     source: Name
-    navigation_period_s: float
+    navigation_period_s: Seconds
     messages: tuple[Name, ...]  # UBX names to be sent every epoch, such as NAV-PVT
     optional_messages: tuple[Name, ...] = ()  # those that a receiver may refuse, such as RXM-RAWX
 
@@ -281,14 +285,14 @@ class GnssReceiver(Message):
 class GnssConfiguration(Message):
     """What a receiver answered to a `GnssConfigure`, as read back from it."""
 
-    request_id: Count
+    request_id: Annotated[Integer, unit("1")]
     source: Name
     accepted: bool
-    navigation_period_s: float | None = None
+    navigation_period_s: Seconds | None = None
     messages: tuple[Name, ...] = ()
     reason: Reason | None = None
     # None of what a receiver does not state
     model: Name | None = None
     firmware: Name | None = None
     dynamic_model: Name | None = None  # such as automotive
-    elevation_mask_rad: float | None = None  # below it the receiver does not use a satellite
+    elevation_mask_rad: Quantity | None = None  # below it the receiver does not use a satellite

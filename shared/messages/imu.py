@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar
 
 from pydantic import model_validator
 
-from .base import Message, Name, Nanoseconds, RawBytes, Vector3, unit
+from .base import Message, Name, Nanoseconds, Quantity, RawBytes, Vector3, unit
 
-FieldShare = Annotated[float, unit("calibration field")]
+FieldShare = Annotated[Quantity, unit("calibration field")]
 
 
 class ImuRaw(RawBytes):
@@ -24,8 +24,8 @@ class ImuSamples(Message):
     specific_force_body_m_s2: tuple[Vector3, ...]
     angular_rate_body_rad_s: tuple[Vector3, ...]
     saturated: bool = False
-    temperature_k: float | None = None
-    pressure_pa: float | None = None
+    temperature_k: Quantity | None = None
+    pressure_pa: Quantity | None = None
     magnetic_field_body: tuple[FieldShare, FieldShare, FieldShare] | None = None  # of the last sample
 
     @model_validator(mode="after")

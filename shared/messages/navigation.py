@@ -15,17 +15,21 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Quantity,
     Ratio,
     Reason,
+    Seconds,
+    Square,
+    Statistic,
     Symmetric3,
     Vector3,
     Velocity3,
     unit,
 )
 
-Innovation = Annotated[float, unit("of the kind: m, m/s, rad/s or rad")]
-Parameter = Annotated[float, unit("of the parameter: 1, rad, s or m")]
-Covariance = Annotated[float, unit("of its two states: 1, rad, m, m/s, m/s2, rad/s or s")]
+Innovation = Annotated[Statistic, unit("of the kind: m, m/s, rad/s or rad")]
+Parameter = Annotated[Quantity, unit("of the parameter: 1, rad, s or m")]
+Covariance = Annotated[Square, unit("of its two states: 1, rad, m, m/s, m/s2, rad/s or s")]
 
 
 class NavigationPhase(StrEnum):
@@ -48,9 +52,9 @@ class NavigationSolution(Message):
     longitude_deg: Longitude
     height_ellipsoid_m: Height
     velocity_ned_m_s: Velocity3
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
+    roll_rad: Quantity
+    pitch_rad: Quantity
+    yaw_rad: Quantity
     position_cov_ned_m2: Symmetric3
     velocity_cov_ned_m2_s2: Symmetric3
     attitude_cov_ned_rad2: Symmetric3
@@ -58,7 +62,7 @@ class NavigationSolution(Message):
     accelerometer_bias_m_s2: Vector3
     gyroscope_bias_rad_s: Vector3
     stationary: bool
-    gnss_age_s: float | None = None  # since the stamp of the last fix that was used
+    gnss_age_s: Seconds | None = None  # since the stamp of the last fix that was used
     # Error beyond which the position is with probability `integrity_risk` only; absent in recordings of older units.
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
@@ -68,7 +72,7 @@ class NavigationSolution(Message):
     gnss_excluded_since_ns: Nanoseconds | None = None
     # Turn of attitude and heading about the axis down against the inertial sensors, whose axes are not the vehicle's
     # by a check of the set-up; None while no check says so. Rates and biases are of the sensors' axes.
-    heading_turn_rad: float | None = None
+    heading_turn_rad: Quantity | None = None
 
 
 class NavigationState(Message):
@@ -87,13 +91,13 @@ class NavigationState(Message):
     epochs_repeated: Count = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
     measurements_late: Count = 0  # used at their own time after newer ones of the same device
     # by how much measurements are older than their stamps and the settings say, each with its standard deviation
-    gnss_delay_s: float | None = None  # None unless `estimate_delays` is set and the filter runs
-    gnss_delay_sd_s: float | None = None
-    gnss_velocity_delay_s: float | None = None  # of the velocity, beyond that of its position
-    gnss_velocity_delay_sd_s: float | None = None
-    odometer_delay_s: float | None = None
-    odometer_delay_sd_s: float | None = None
-    lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
+    gnss_delay_s: Seconds | None = None  # None unless `estimate_delays` is set and the filter runs
+    gnss_delay_sd_s: Seconds | None = None
+    gnss_velocity_delay_s: Seconds | None = None  # of the velocity, beyond that of its position
+    gnss_velocity_delay_sd_s: Seconds | None = None
+    odometer_delay_s: Seconds | None = None
+    odometer_delay_sd_s: Seconds | None = None
+    lever_arm_error_body_m: tuple[Quantity, Quantity] | None = None  # forward, right: true minus set, if that is wrong
     # error up to which the position is of use, as configured; absent in recordings of older units
     alert_limit_horizontal_m: Deviation | None = None
     alert_limit_vertical_m: Deviation | None = None
@@ -101,9 +105,9 @@ class NavigationState(Message):
     gnss_excluded_since_ns: Nanoseconds | None = None
     fixes_excluded: Count = 0  # not used because GNSS was excluded
     # of the newest excluded position against the solution without GNSS: normalised innovation squared over its limit
-    excluded_test_ratio: Ratio | None = None
+    excluded_test_ratio: Annotated[Statistic, unit("1")] | None = None
     odometer_excluded: bool = False
-    odometer_age_s: float | None = None  # since the last speed of the odometer that was used
+    odometer_age_s: Seconds | None = None  # since the last speed of the odometer that was used
     # while GNSS contradicts the other sensors there are two solutions, with GNSS and without it since the suspect time
     conflict_since_ns: Nanoseconds | None = None
     other_distance_m: Deviation | None = (
@@ -134,10 +138,10 @@ class SetUpCheck(Message):
     verdict: SetUpVerdict
     since_ns: Nanoseconds  # of this verdict
     sentence: Reason = ""  # what was compared, and what came out
-    statistic: Annotated[float, unit("of the check")] | None = None
-    statistic_sd: Annotated[float, unit("of the check")] | None = None
-    expected: Annotated[float, unit("of the check")] | None = None
-    limit: Annotated[float, unit("of the check")] | None = None  # of the difference from the expected value
+    statistic: Annotated[Statistic, unit("of the check")] | None = None
+    statistic_sd: Annotated[Statistic, unit("of the check")] | None = None
+    expected: Annotated[Statistic, unit("of the check")] | None = None
+    limit: Annotated[Statistic, unit("of the check")] | None = None  # of the difference from the expected value
     unit: Name = "-"
     setting: Reason | None = None  # that corrects it, to paste into the vehicle's file
 
@@ -171,7 +175,8 @@ class AidingUpdate(Message):
     kind: AidingKind
     innovation: tuple[Innovation, ...]  # measured - predicted
     innovation_sd: tuple[Innovation, ...]
-    test_ratio: Ratio  # normalised innovation squared over its limit: above 1 the gate rejects
+    # normalised innovation squared over its limit: above 1 the gate rejects
+    test_ratio: Annotated[Statistic, unit("1")]
     used: bool
     weight_ratio: Ratio = (
         1.0  # less than 1 of one that was used although it is beyond the gate, 0 of one that was not used
@@ -187,7 +192,7 @@ class LastPosition(Message):
     latitude_deg: Latitude
     longitude_deg: Longitude
     height_ellipsoid_m: Height
-    yaw_rad: float
+    yaw_rad: Quantity
     position_sd_ned_m: Deviation3
     yaw_sd_rad: Deviation
 
@@ -233,9 +238,9 @@ class TruthState(Message):
     longitude_deg: Longitude
     height_ellipsoid_m: Height
     velocity_ned_m_s: Velocity3 | None = None  # None: the reference does not hold it
-    roll_rad: float | None = None
-    pitch_rad: float | None = None
-    yaw_rad: float | None = None
+    roll_rad: Quantity | None = None
+    pitch_rad: Quantity | None = None
+    yaw_rad: Quantity | None = None
     angular_rate_body_rad_s: Vector3 | None = None
 
     @property

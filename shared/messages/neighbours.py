@@ -4,7 +4,19 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import Count, Deviation, Height, Latitude, Longitude, Message, Ratio, Stamped, Symmetric3, Velocity3
+from .base import (
+    Count,
+    Deviation,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Quantity,
+    Ratio,
+    Stamped,
+    Symmetric3,
+    Velocity3,
+)
 
 MAX_NEIGHBOURS = 64  # in one message
 LARGEST_STATION_ID = 2**32 - 1  # ETSI TS 102 894-2, StationID
@@ -25,7 +37,7 @@ class Neighbour(Message):
     position_cov_ned_m2: Symmetric3
     velocity_cov_ned_m2_s2: Symmetric3
     oscillator_offset: Ratio | None = None  # fractional frequency offset of its transmitter, as it published it
-    cfo_hz: float | None = None  # measured by this unit's radio
+    cfo_hz: Quantity | None = None  # measured by this unit's radio
     cfo_sd_hz: Deviation | None = None
 
 

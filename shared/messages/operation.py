@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import Count, Message, Name, Nanoseconds, Ratio, Reason, unit
+from .base import Bytes, Count, Integer, Message, Name, Nanoseconds, Quantity, Ratio, Reason, Seconds, unit
 
 Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a process on the OBU time line
 
@@ -59,11 +59,11 @@ class ProcessHealth(Message):
     messages_in: Count = 0
     messages_out: Count = 0
     dropped: Count = 0  # by a full queue
-    rejects: dict[str, int] = Field(default_factory=dict)  # bad input by kind
+    rejects: dict[str, Count] = Field(default_factory=dict)  # bad input by kind
     reconnections: Count = 0
-    cpu_s: float = 0.0
-    rss_bytes: int = 0
-    pss_bytes: int = 0  # proportional set size: shared pages are divided by the number of processes that share them
+    cpu_s: Seconds = 0.0
+    rss_bytes: Bytes = 0
+    pss_bytes: Bytes = 0  # proportional set size: shared pages are divided by the number of processes that share them
     last_error: Reason | None = None
 
 
@@ -102,11 +102,11 @@ class TopicAge(Message):
 
     topic: Name
     freshness: Freshness
-    age_s: float | None = None
-    rate_hz: float
+    age_s: Seconds | None = None
+    rate_hz: Quantity
     count: Count
-    latency_p50_s: float | None = None  # from `received_ns` or `sampled_ns` to the observer
-    latency_p99_s: float | None = None
+    latency_p50_s: Seconds | None = None  # from `received_ns` or `sampled_ns` to the observer
+    latency_p99_s: Seconds | None = None
     cause: Reason | None = None  # root cause of its silence
 
 
@@ -115,7 +115,7 @@ class ProcessAge(Message):
 
     process: Name
     status: ProcessStatus
-    heartbeat_age_s: float | None = None
+    heartbeat_age_s: Seconds | None = None
     restarts: Count
 
 
@@ -157,10 +157,10 @@ class RecordingState(Message):
     now_ns: Nanoseconds
     recording: bool
     file: Name | None = None
-    bytes_written: Annotated[int, unit("bytes")]
+    bytes_written: Annotated[Bytes, unit("bytes")]
     messages: Count
     dropped: Count
-    free_bytes: int
+    free_bytes: Bytes
     reason: Reason | None = None
 
 
@@ -188,7 +188,7 @@ class HostClock(Message):
     sampled_ns: Nanoseconds
     utc_ns: Nanoseconds  # since 1970-01-01, as the host's clock shows it
     synchronised: bool
-    maximum_error_s: float | None = None  # as the kernel states it; None of a clock that nothing holds
+    maximum_error_s: Seconds | None = None  # as the kernel states it; None of a clock that nothing holds
 
 
 class Consumed(Message):
@@ -200,4 +200,4 @@ class Consumed(Message):
 
     process: Name
     incarnation: Incarnation
-    runs: tuple[tuple[str, str, int, int, int], ...]
+    runs: tuple[tuple[Name, Name, Integer, Integer, Count], ...]

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import Deviation, Latitude, Longitude, Message, Name, Nanoseconds, Reason, unit
+from .base import Deviation, Latitude, Longitude, Message, Name, Nanoseconds, Quantity, Reason, unit
 
-Parameters = Annotated[dict[str, Annotated[float, unit("of the parameter")]], Field(max_length=8)]
+Parameters = Annotated[dict[str, Annotated[Quantity, unit("of the parameter")]], Field(max_length=8)]
 LONGEST_S = 86_400.0
 Duration = Annotated[float, Field(gt=0.0, le=LONGEST_S)]
 

@@ -15,8 +15,10 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Quantity,
     Ratio,
     Reason,
+    Seconds,
     Speed,
     unit,
 )
@@ -114,7 +116,7 @@ class TollDelta(Message):
     east_m: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     sd_m: Deviation | None = None  # of each axis
     fixes: Count = 0  # in the smoothing window
-    window_s: float | None = None
+    window_s: Seconds | None = None
 
 
 class LaneProbability(Message):
@@ -136,10 +138,10 @@ class TollTrack(Message):
     latitude_deg: Latitude
     longitude_deg: Longitude
     speed_m_s: Speed
-    heading_rad: float
+    heading_rad: Quantity
     ellipse_major_m: Deviation  # semi-axes of the 95 % ellipse
     ellipse_minor_m: Deviation
-    ellipse_orientation_rad: float  # of the major axis, clockwise from north
+    ellipse_orientation_rad: Quantity  # of the major axis, clockwise from north
     lanes: LaneProbabilities = ()
     lane: Name | None = None  # None: undecided
     delta_applied: bool = False
@@ -226,7 +228,7 @@ class TollPassage(Message):
     # Where the front point is, for a process that continues the passage after a restart.
     latitude_deg: Latitude
     longitude_deg: Longitude
-    heading_rad: float
+    heading_rad: Quantity
     speed_m_s: Speed
     position_sd_m: Deviation
     delta_ns: Nanoseconds | None = None  # stamp of the delta that was applied; None: none was
@@ -437,7 +439,7 @@ class TrafficVehicle(Message):
     vehicle: Count
     latitude_deg: Latitude
     longitude_deg: Longitude
-    heading_rad: float
+    heading_rad: Quantity
     speed_m_s: Speed
     lane: Name
     equipped: bool

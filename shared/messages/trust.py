@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from .base import Count, Deviation, Message, Name, Nanoseconds, Ratio, Reason, unit
+from .base import Count, Deviation, Message, Name, Nanoseconds, Ratio, Reason, Seconds, Statistic, unit
 
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
@@ -24,11 +24,11 @@ class MonitorTest(Message):
     name: Name
     outcome: MonitorOutcome
     reason: Reason
-    statistic: Annotated[float, unit("of the test")] | None = None
-    threshold: Annotated[float, unit("of the test")] | None = None
+    statistic: Annotated[Statistic, unit("of the test")] | None = None
+    threshold: Annotated[Statistic, unit("of the test")] | None = None
     unit: Name = "-"
     false_alarm_rate: Ratio | None = None  # by design, of one evaluation; None where a rule fixes the threshold
-    window_s: float | None = None
+    window_s: Seconds | None = None
     since_ns: Nanoseconds | None = None  # when this outcome was reached
 
 
@@ -43,10 +43,10 @@ class TrustMonitor(Message):
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
     doubtful: bool = False  # it passes, but by little: the position deserves caution
     since_ns: Nanoseconds | None = None  # when this outcome was reached
-    statistic: Annotated[float, unit("of the test")] | None = None
-    threshold: Annotated[float, unit("of the test")] | None = None
+    statistic: Annotated[Statistic, unit("of the test")] | None = None
+    threshold: Annotated[Statistic, unit("of the test")] | None = None
     false_alarm_rate: Ratio | None = None
-    window_s: float | None = None
+    window_s: Seconds | None = None
     tests: tuple[MonitorTest, ...] = ()
 
 

@@ -15,6 +15,7 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Quantity,
     RawBytes,
     Speed,
     unit,
@@ -127,11 +128,11 @@ class CamContent(Message):
     longitude_deg: Longitude | None = None
     position_semi_major_m: Deviation | None = None  # of the 95 % ellipse
     position_semi_minor_m: Deviation | None = None
-    position_semi_major_orientation_rad: float | None = None  # clockwise from true north
+    position_semi_major_orientation_rad: Quantity | None = None  # clockwise from true north
     position_out_of_range: bool = False  # code 4094 of an axis, more than 40.93 m: the position cannot be trusted
     height_ellipsoid_m: Height | None = None
     height_confidence_m: Deviation | None = None
-    heading_rad: float | None = None  # of the movement, clockwise from true north, [0, 2 pi)
+    heading_rad: Quantity | None = None  # of the movement, clockwise from true north, [0, 2 pi)
     heading_confidence_rad: Deviation | None = None
     speed_m_s: Annotated[Speed, Field(ge=0.0)] | None = None
     speed_confidence_m_s: Deviation | None = None
@@ -139,11 +140,11 @@ class CamContent(Message):
     vehicle_length_m: Deviation | None = None
     trailer: TrailerPresence | None = None
     vehicle_width_m: Deviation | None = None
-    longitudinal_acceleration_m_s2: float | None = None
+    longitudinal_acceleration_m_s2: Quantity | None = None
     longitudinal_acceleration_confidence_m_s2: Deviation | None = None
-    curvature: Annotated[float, unit("1/m")] | None = None  # positive: left turn
+    curvature: Annotated[Quantity, unit("1/m")] | None = None  # positive: left turn
     curvature_confidence: Annotated[Deviation, unit("1/m")] | None = None
-    yaw_rate_rad_s: float | None = None  # positive: left turn, anticlockwise seen from above
+    yaw_rate_rad_s: Quantity | None = None  # positive: left turn, anticlockwise seen from above
     yaw_rate_confidence_rad_s: Deviation | None = None
     low_frequency: LowFrequencyContainer | None = None  # None in a CAM without it
 

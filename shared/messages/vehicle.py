@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from .base import RawBytes, Speed, Stamped
+from .base import Quantity, RawBytes, Speed, Stamped
 
 
 class CanRaw(RawBytes):
@@ -15,7 +15,7 @@ class VehicleSpeed(Stamped):
     """Speed of the vehicle as one number: OBD-II, tachograph or dashboard."""
 
     speed_m_s: Speed
-    resolution_m_s: float | None = None
+    resolution_m_s: Quantity | None = None
 
 
 class WheelSpeeds(Stamped):

@@ -6,9 +6,12 @@ import shutil
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from errno import ENOENT
 from pathlib import Path
+from stat import S_ISREG
 
 from ..bus.envelope import Envelope
+from ..library.order import in_order, read_order, write_order
 from ..library.summary import KEEP_SUFFIX
 from ..library.summary import RECORDING_SUFFIX as SUFFIX
 from ..library.summary import SUFFIX as SUMMARY_SUFFIX
@@ -19,11 +22,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Stored:
-    """A recording in the folder; `kept` if a file of its name and `.keep` lies beside it."""
+    """A recording in the folder, and its place in the order in which they were made.
+
+    It is `kept` if a file of its name and `.keep` lies beside it, or if it could not be deleted.
+    """
 
     name: str
     size_bytes: int
     kept: bool = False
+    place: int = 0
 
 
 class RecordingFolder:
@@ -34,6 +41,8 @@ class RecordingFolder:
         self.free_bytes = 0  # free space at the last call of `stored`; 0 without a disk
         self._opener = opener
         self._writer: RecordingWriter | None = None
+        self._order: list[str] = []  # of making, also where there is no room to store it
+        self._undeletable: set[str] = set()
         self._received = self._closed_messages = self._closed_bytes = 0
         self._syncing: Future[None] | None = None
         self._sync_thread = ThreadPoolExecutor(1, "sync")
@@ -64,36 +73,71 @@ class RecordingFolder:
         return self._received - self.messages - (self._writer.pending if self._writer else 0)
 
     def stored(self) -> list[Stored]:
-        """List the recordings in the folder, which is made if it is missing, and determine the free space.
+        """List the recordings in the order in which they were made, and determine the free space.
 
-        What the folder lies in is not made: where it is missing, a disk is not mounted.
+        The folder is made if it is missing. What it lies in is not: where that is missing, a disk is not mounted.
+        What is no file, such as a link that leads nowhere, is none of the recordings.
+
+        Raises
+        ------
+        OSError
+            The disk cannot be used, or the recording in progress is no longer in the folder.
         """
         self.free_bytes = 0
         self.path.mkdir(exist_ok=True)
         self.free_bytes = shutil.disk_usage(self.path).free
         entries = {entry.name: entry for entry in os.scandir(self.path)}
-        return [
-            Stored(name, entry.stat().st_size, name + KEEP_SUFFIX in entries)
-            for name, entry in entries.items()
-            if name.endswith(SUFFIX)
-        ]
+        if self.open_name and self.open_name not in entries:
+            raise FileNotFoundError(ENOENT, "the recording in progress has vanished")
+        sizes = {name: size for name in entries if (size := self._size(name)) is not None}
+        kept = {name for name in sizes if name + KEEP_SUFFIX in entries} | self._undeletable
+        order = self._ordered(sizes)
+        return [Stored(name, sizes[name], name in kept, place) for place, name in enumerate(order)]
+
+    def _size(self, name: str) -> int | None:
+        """Size of a recording, None of what is none."""
+        try:
+            status = (self.path / name).stat() if name.endswith(SUFFIX) else None
+        except OSError:
+            return None
+        return status.st_size if status is not None and S_ISREG(status.st_mode) else None
+
+    def _ordered(self, names: Iterable[str]) -> list[str]:
+        """Bring names into the order of making, and store it where it has changed."""
+        stored = read_order(self.path)
+        self._order = in_order(names, list(dict.fromkeys((*stored, *self._order))))
+        if self._order != (stored or in_order(self._order, ())):
+            self._store_order()
+        return self._order
+
+    def _store_order(self) -> None:
+        try:
+            write_order(self.path, self._order)
+        except OSError as error:  # it is stored when there is room, and known here until then
+            log.debug("could not store the order of the recordings: %s", error.strerror)
 
     def delete(self, names: Iterable[str]) -> None:
-        """Remove recordings."""
+        """Remove recordings; one that cannot be removed counts as kept from now on."""
         for name in names:
             log.info("deleting %s", name)
-            (self.path / name).unlink(missing_ok=True)
-            (self.path / (name + SUMMARY_SUFFIX)).unlink(missing_ok=True)
+            try:
+                (self.path / name).unlink(missing_ok=True)
+                (self.path / (name + SUMMARY_SUFFIX)).unlink(missing_ok=True)
+            except OSError as error:
+                log.warning("could not delete %s: %s", name, error.strerror)
+                self._undeletable.add(name)
 
     def open(self, name: str, *, vehicle: str, vehicle_toml: str, chunk_bytes: int) -> None:
         """Begin a recording; a name that is taken gets a number."""
         path, attempt = self.path / f"{name}{SUFFIX}", 1
-        while path.exists():
+        while os.path.lexists(path):  # a link that leads nowhere takes a name, too
             attempt += 1
             path = self.path / f"{name}_{attempt}{SUFFIX}"
         self._writer = RecordingWriter(
             path, vehicle=vehicle, vehicle_toml=vehicle_toml, chunk_bytes=chunk_bytes, opener=self._opener
         )
+        self._order = [*self._order, path.name]
+        self._store_order()
 
     def write(self, envelopes: Sequence[Envelope]) -> None:
         """Add messages to the recording in progress; without one they are lost, as are those behind a failure."""

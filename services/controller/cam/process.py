@@ -1,9 +1,11 @@
 """Decides when the vehicle sends its own CAM, and what it states."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 from pydantic import Field
 
+from shared.faults import Faults
 from shared.messages.base import Message, Vector3
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution
@@ -42,6 +44,8 @@ class Process:
         self._rules = GenerationRules()
         self._motion, self._path = Motion(), PathHistory()
         self._trust: TrustState | None = None
+        self.rejects: Counter[str] = Counter()
+        self._faults = Faults(self.rejects)
         self._utc_offset_ns: int | None = None  # UTC - OBU time line
 
     def handle(self, message: Message) -> Iterator[OwnCam]:
@@ -57,12 +61,13 @@ class Process:
                 self._path.add(now.time_ns, now.position)
                 generation = self._rules.check(now)
                 if generation is not None:
-                    yield own_cam(
-                        message,
-                        self._vehicle,
-                        self._motion,
-                        self._path,
-                        self._trust,
-                        its_time_ms=its_time_ms(message.sampled_ns + self._utc_offset_ns),
-                        low_frequency=generation.low_frequency,
-                    )
+                    with self._faults.decoding(message.sampled_ns):  # a state that no CAM can hold is a reject
+                        yield own_cam(
+                            message,
+                            self._vehicle,
+                            self._motion,
+                            self._path,
+                            self._trust,
+                            its_time_ms=its_time_ms(message.sampled_ns + self._utc_offset_ns),
+                            low_frequency=generation.low_frequency,
+                        )

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 
+from shared.maths.dates import is_plausible
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution
 
 NS = 1_000_000_000
@@ -35,9 +36,10 @@ class LastPositionWriter:
             return
         self._kept_ns = solution.sampled_ns
         nn, _, _, ee, _, dd = solution.position_cov_ned_m2
+        utc_ns = None if utc_offset_ns is None else solution.sampled_ns + utc_offset_ns
         yield LastPosition(
             sampled_ns=solution.sampled_ns,
-            utc_ns=None if utc_offset_ns is None else solution.sampled_ns + utc_offset_ns,
+            utc_ns=utc_ns if utc_ns is not None and is_plausible(utc_ns) else None,
             latitude_deg=solution.latitude_deg,
             longitude_deg=solution.longitude_deg,
             height_ellipsoid_m=solution.height_ellipsoid_m,

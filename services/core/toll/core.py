@@ -8,8 +8,8 @@ from math import pi, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.dates import BEYOND_NS
 from shared.maths.earth import FloatArray
-from shared.messages.base import LARGEST_NS
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
     DELTAS,
@@ -749,11 +749,11 @@ class Core:
 def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequence[TollDelta]) -> list[TollPassage]:
     """Derive the statements on a registered vehicle's passage again from its CAM and the deltas, in their order."""
     core = Core(plaza, settings, on_time=True)
-    list(core.continue_passages(OpenPassages(sampled_ns=-LARGEST_NS, passages=(), settled=())))
+    list(core.continue_passages(OpenPassages(sampled_ns=0, passages=(), settled=())))
     for station_id in {cam.station_id for cam in cams}:
         core.register(
             TollRegistration(
-                sampled_ns=0, contract="evidence", tariff_class="", station_id=station_id, valid_until_ns=LARGEST_NS - 1
+                sampled_ns=0, contract="evidence", tariff_class="", station_id=station_id, valid_until_ns=BEYOND_NS - 1
             )
         )
     for delta in deltas:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from shared.library.order import natural
 from shared.recording.folder import Stored
 
 
@@ -30,7 +31,7 @@ def decide(stored: Iterable[Stored], free_bytes: int, limits: Limits, *, open_na
     Parameters
     ----------
     stored : iterable of Stored
-        Recordings in the folder, in any order; their names sort by age.
+        Recordings in the folder, in any sequence; each has its place in the order in which they were made.
     free_bytes : int
         Room that the disk has left.
     limits : Limits
@@ -43,7 +44,7 @@ def decide(stored: Iterable[Stored], free_bytes: int, limits: Limits, *, open_na
     Verdict
         Nothing is deleted where even deleting everything that may go would not be enough.
     """
-    files = sorted(stored, key=lambda file: file.name)
+    files = sorted(stored, key=lambda file: (file.place, natural(file.name)))
     over_quota = sum(file.size_bytes for file in files) - limits.maximum_total_bytes
     below_floor = limits.minimum_free_bytes - free_bytes
     missing = max(over_quota, below_floor)
@@ -65,7 +66,7 @@ def decide(stored: Iterable[Stored], free_bytes: int, limits: Limits, *, open_na
 
 
 def file_name(started_ns: int, vehicle: str) -> str:
-    """Name a recording by its start in UTC and its vehicle, so that names sort by age."""
+    """Name a recording by its start in UTC, as the host's clock shows it, and its vehicle."""
     start = datetime.fromtimestamp(started_ns // 1_000_000_000, UTC)
     return f"{start:%Y%m%dT%H%M%SZ}_{re.sub(r'[^A-Za-z0-9-]', '-', vehicle)[:32]}"
 

@@ -20,6 +20,7 @@ STRONGEST_M_S2 = 1000.0  # plausibility limit; accelerometer ranges are at most 
 FASTEST_RAD_S = 100.0  # plausibility limit; gyroscope ranges are at most 2000 to 4000 deg/s
 STRONGEST_FIELD = 1000.0  # plausibility limit, in units of the Earth's field
 CELSIUS_K = 273.15
+SLOW = ((xbus.TEMPERATURE, CELSIUS_K), (xbus.BARO_PRESSURE, 1e6))  # greatest value [°C, Pa]
 INERTIAL = frozenset((xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V, xbus.DELTA_Q))
 
 
@@ -110,7 +111,7 @@ class Tracker:
 
     def _message(self, batch: _Batch, received_ns: int) -> ImuSamples:
         newest, self._newest = self._newest, {}
-        temperature, pressure = newest.get(xbus.TEMPERATURE), newest.get(xbus.BARO_PRESSURE)
+        celsius, pressure_pa = (self._slow(newest.get(kind), most) for kind, most in SLOW)
         field_sensor = newest.get(xbus.MAGNETIC_FIELD)
         if field_sensor is not None:
             try:
@@ -125,10 +126,21 @@ class Tracker:
             specific_force_body_m_s2=tuple(batch.forces),
             angular_rate_body_rad_s=tuple(batch.rates),
             saturated=batch.saturated,
-            temperature_k=temperature[0] + CELSIUS_K if temperature and math.isfinite(temperature[0]) else None,
-            pressure_pa=float(pressure[0]) if pressure and pressure[0] else None,
+            temperature_k=None if celsius is None else celsius + CELSIUS_K,
+            pressure_pa=pressure_pa or None,  # 0: not measured yet
             magnetic_field_body=rotate(self._body_from_sensor, field_sensor) if field_sensor else None,
         )
+
+    def _slow(self, values: Sequence[float] | None, most: float) -> float | None:
+        """A slow quantity of one number; one that cannot be is counted, and costs itself only."""
+        if values is None:
+            return None
+        try:
+            check(values, most)
+        except SampleError as fault:
+            self._rejects[str(fault)] += 1
+            return None
+        return float(values[0])
 
 
 def inertial_data(values: dict[int, tuple[float, ...]], interval_s: float | None) -> tuple[Sequence[float], ...]:

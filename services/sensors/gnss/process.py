@@ -24,7 +24,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         # An invalid URL is a configuration error, raised at the start.
-        self._recorded = split_url(config.device)[0].scheme == "file"
+        self._recorded = True if split_url(config.device)[0].scheme == "file" else None
         self._config = config
 
     def run(self, bus: Bus) -> None:

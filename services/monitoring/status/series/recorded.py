@@ -10,6 +10,7 @@ from pydantic_core import from_json, to_json
 
 from shared.bus.envelope import Envelope
 from shared.errors import BadPayload, BadRecording
+from shared.library.order import in_order, read_order
 from shared.library.summary import RECORDING_SUFFIX as SUFFIX
 from shared.recording.reader import Recording
 
@@ -29,8 +30,9 @@ def recorded(folder: Path, topics: Iterable[str], from_ns: int, *, limit_s: floa
     Stops after `limit_s`. A file that cannot be read is skipped; one that is being written is read as far as it goes.
     """
     wanted, ends = frozenset(topics), time.monotonic() + limit_s
-    files = sorted(folder.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in files[:FILES]:
+    names = (path.name for path in folder.glob(f"*{SUFFIX}") if path.is_file())
+    for name in in_order(names, read_order(folder))[: -FILES - 1 : -1]:
+        path = folder / name
         try:
             with Recording(path) as recording:
                 for envelope in recording:
@@ -38,7 +40,7 @@ def recorded(folder: Path, topics: Iterable[str], from_ns: int, *, limit_s: floa
                         yield envelope
                     if time.monotonic() > ends:
                         return
-        except BadRecording:
+        except (BadRecording, OSError):
             continue
 
 

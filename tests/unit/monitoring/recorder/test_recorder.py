@@ -1,4 +1,6 @@
 import errno
+import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -6,6 +8,7 @@ from pydantic import ValidationError
 
 from services.monitoring.recorder.process import Config, Process
 from shared.bus.bus import Envelope
+from shared.library.order import in_order, read_order
 from shared.messages.operation import RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
@@ -269,3 +272,89 @@ def test_a_road_side_unit_records_nothing_that_describes_other_road_users(tmp_pa
     bus.vehicle_toml = f'[vehicle]\nrole = "{role}"\n'
     Process(EASY).run(bus.as_bus())
     assert len(recorded(tmp_path / "recordings")) == kept
+
+
+def test_a_clock_that_went_back_costs_the_oldest_by_order_of_making_and_not_the_present_drive(tmp_path: Path) -> None:
+    """The present drive is dated before those that are there, and the next ones before it."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name in ("20300101T000000Z_car_10.mcap", "20300101T000000Z_car_2.mcap", "20300102T000000Z_car.mcap"):
+        (folder / name).write_bytes(bytes(100_000))
+    config = Config(minimum_free_bytes=0, maximum_total_bytes=210_000)
+
+    run(tmp_path, config, 20)
+    assert names_of(folder) == [
+        "20300101T000000Z_car_10.mcap", "20300102T000000Z_car.mcap", "20260921T141320Z_car.mcap",
+    ]  # fmt: skip
+    (folder / "20260921T141320Z_car.mcap").write_bytes(bytes(90_000))
+    (folder / "20200101T000000Z_copied.mcap").write_bytes(bytes(50_000))
+    run(tmp_path, config, 20)
+    assert names_of(folder) == [
+        "20260921T141320Z_car.mcap", "20200101T000000Z_copied.mcap", "20260921T141320Z_car_2.mcap",
+    ]  # fmt: skip
+
+
+def names_of(folder: Path) -> list[str]:
+    return in_order((path.name for path in folder.glob("*.mcap")), read_order(folder))
+
+
+@pytest.mark.parametrize("stored", [b"\0" * 40, b"[1, {}]", b'{"a": 1}', b'["20300101', b""])
+def test_an_order_that_cannot_be_read_is_made_anew(stored: bytes, tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    (folder / "order.json").write_bytes(stored)
+    for name in ("a_10.mcap", "a_2.mcap"):
+        (folder / name).write_bytes(b"x")
+    run(tmp_path, Config(minimum_free_bytes=0), 20)
+    assert names_of(folder) == ["a_2.mcap", "a_10.mcap", "20260921T141320Z_car.mcap"]
+
+
+@pytest.mark.parametrize("what", ["the folder", "the file"])
+def test_what_vanished_while_recording_is_an_outage_and_recording_resumes(what: str, tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+
+    def script(call: int) -> list[Envelope] | None:
+        if call == 30:
+            shutil.rmtree(folder) if what == "the folder" else next(folder.glob("*.mcap")).unlink()
+        return [envelope(call)] if call < 150 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(Config(minimum_free_bytes=0)).run(bus.as_bus())
+
+    states = [message for message in bus.published if isinstance(message, RecordingState)]
+    outage = [state for state in states if not state.recording]
+    assert outage and "vanished" in (outage[0].reason or "")
+    assert states[-1].recording and states[-1].reason is None
+    assert recorded(folder)[-1] == 149 and recorded(folder)[0] > 30
+
+
+def test_nothing_strange_in_the_folder_stops_the_recorder(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    (folder / "20200101T000000Z_dangling.mcap").symlink_to(tmp_path / "nowhere")
+    (folder / "20260921T141320Z_car.mcap").symlink_to(folder / "nowhere either")
+    (folder / "20200102T000000Z_folder.mcap").mkdir()
+    (folder / "20200103T000000Z_round.mcap").symlink_to("20200103T000000Z_round.mcap")
+    os.mkfifo(folder / "20200104T000000Z_pipe.mcap")
+    states = run(tmp_path, EASY, 20)
+    assert states[-1].recording and states[-1].file == "20260921T141320Z_car_2.mcap"
+
+
+def test_a_recording_that_cannot_be_deleted_does_not_stop_the_deletion_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name in ("a.mcap", "b.mcap", "c.mcap"):
+        (folder / name).write_bytes(bytes(100_000))
+    unlink = Path.unlink
+
+    def refuses(path: Path, **options: bool) -> None:
+        if path.name == "a.mcap":
+            raise PermissionError(1, "Operation not permitted")
+        unlink(path, **options)
+
+    monkeypatch.setattr(Path, "unlink", refuses)
+    states = run(tmp_path, Config(minimum_free_bytes=0, maximum_total_bytes=210_000), 30)
+    assert states[-1].recording
+    assert names_of(folder) == ["a.mcap", "c.mcap", "20260921T141320Z_car.mcap"]

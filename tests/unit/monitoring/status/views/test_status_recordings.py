@@ -7,6 +7,7 @@ import httpx
 import pytest
 
 from shared.library.library import Library
+from shared.library.order import write_order
 from shared.library.summary import SUFFIX, SummaryWorker
 from shared.recording.summary import write_summary
 from tests.support.dashboard.status_server import eventually, status_server
@@ -61,3 +62,28 @@ def test_a_summary_beside_the_recording_is_not_computed_again(tmp_path: Path, kn
     worker.wait(20.0)
     assert worker.result() is not None
     assert bool(list(elsewhere.iterdir())) is not known
+
+
+def test_recordings_are_listed_by_their_order_of_making_and_the_newest_never_fall_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shared.library.library.MOST", 3)
+    made = ["20300101T000000Z_car.mcap", "20260101T000000Z_car_9.mcap", "20260101T000000Z_car_10.mcap", "1970.mcap"]
+    for name in made:
+        (tmp_path / name).write_bytes(b"x")
+    write_order(tmp_path, made)
+    (tmp_path / "dangling.mcap").symlink_to("nowhere")
+    (tmp_path / "folder.mcap").mkdir()
+    library = Library(tmp_path)
+    library.look(made[-1])
+    library.stop()
+    assert list(library.entries) == made[:0:-1], "the newest first"
+
+
+def test_without_a_stored_order_numbers_in_names_count_as_numbers(tmp_path: Path) -> None:
+    for name in ("a_10.mcap", "a_2.mcap", "a.mcap"):
+        (tmp_path / name).write_bytes(b"x")
+    library = Library(tmp_path)
+    library.look("a_10.mcap")
+    library.stop()
+    assert list(library.entries) == ["a_10.mcap", "a_2.mcap", "a.mcap"]
