@@ -79,8 +79,8 @@ class Maker:
         return {bytes: b"x", bool: self._high}[kind]
 
     def _number(self, kind: type[int] | type[float], metadata: tuple[object, ...]) -> int | float:
-        low = [one for one in metadata if isinstance(one, annotated_types.Ge | annotated_types.Gt)]
-        high = [one for one in metadata if isinstance(one, annotated_types.Le | annotated_types.Lt)]
+        low: list[Any] = [one for one in metadata if isinstance(one, annotated_types.Ge | annotated_types.Gt)]
+        high: list[Any] = [one for one in metadata if isinstance(one, annotated_types.Le | annotated_types.Lt)]
         assert low and high, "a number without bounds"
         if self._high:
             value: Any = min(one.le if isinstance(one, annotated_types.Le) else self._below(one.lt) for one in high)
