@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from .base import (
+    Bytes,
     Count,
     Deviation,
     Deviation3,
@@ -278,8 +279,8 @@ class GnssReceiver(Message):
     received_ns: Nanoseconds
     source: Name
     messages: tuple[Name, ...] = ()  # kinds of the last ten seconds: `UBX NAV-PVT`, `NMEA GGA`, `RTCM 1005`
-    bytes_received: Annotated[int, unit("bytes")]  # since the last statement
-    bytes_other: Annotated[int, unit("bytes")]  # of these, in no message: many at a wrong rate of the port
+    bytes_received: Bytes  # since the last statement
+    bytes_other: Bytes  # of these, in no message: many at a wrong rate of the port
 
 
 class GnssConfiguration(Message):
