@@ -279,8 +279,8 @@ class GnssReceiver(Message):
     received_ns: Nanoseconds
     source: Name
     messages: tuple[Name, ...] = ()  # kinds of the last ten seconds: `UBX NAV-PVT`, `NMEA GGA`, `RTCM 1005`
-    bytes_received: Bytes  # since the last statement
-    bytes_other: Bytes  # of these, in no message: many at a wrong rate of the port
+    received_bytes: Bytes  # since the last statement
+    other_bytes: Bytes  # of these, in no message: many at a wrong rate of the port
 
 
 class GnssConfiguration(Message):

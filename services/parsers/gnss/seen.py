@@ -40,8 +40,8 @@ class Seen:
         self._kinds = {kind: ns for kind, ns in self._kinds.items() if now_ns - ns <= FORGOTTEN_NS}
         other = max(self._received - self._in_frames, 0)
         said = GnssReceiver(
-            received_ns=now_ns, source=self._source, messages=tuple(sorted(self._kinds)), bytes_received=self._received,
-            bytes_other=other,
+            received_ns=now_ns, source=self._source, messages=tuple(sorted(self._kinds)), received_bytes=self._received,
+            other_bytes=other,
         )  # fmt: skip
         self._due_ns, self._said = now_ns + PERIOD_NS, protocols
         self._received = self._in_frames = 0

@@ -109,7 +109,7 @@ def fix(*, located: bool) -> GnssFix:
 
 
 SAID = GnssReceiver(
-    received_ns=1, source="gnss0", messages=("UBX NAV-POSLLH",), bytes_received=36, bytes_other=0
+    received_ns=1, source="gnss0", messages=("UBX NAV-POSLLH",), received_bytes=36, other_bytes=0
 )  # fmt: skip
 MODE = ModeState(sampled_ns=1, mode=Mode.DETECTING, since_ns=1, reason="no data from the IMU yet")
 ANSWER = GnssConfiguration(request_id=1, source="gnss0", accepted=True)

@@ -278,7 +278,7 @@ def test_equal_messages_give_equal_outputs() -> None:
 
 def sends(second: float, *messages: str, other: int = 0) -> GnssReceiver:
     return GnssReceiver(
-        received_ns=at(second), source="gnss0", messages=messages, bytes_received=500, bytes_other=other
+        received_ns=at(second), source="gnss0", messages=messages, received_bytes=500, other_bytes=other
     )
 
 

@@ -36,7 +36,7 @@ POSLLH = ubx(0x01, 0x02, bytes(28))
 def test_the_first_message_of_a_protocol_is_said_with_the_next_tick_and_the_rest_every_two_seconds() -> None:
     process = Process(Config())
     [first] = said(process, POSLLH, 0.0)
-    assert (first.source, first.messages, first.bytes_received, first.bytes_other) == (
+    assert (first.source, first.messages, first.received_bytes, first.other_bytes) == (
         "gnss0", ("UBX NAV-POSLLH",), 36, 0,
     )  # fmt: skip
     assert said(process, ubx(0x01, 0x06, bytes(52)), 0.5) == []
@@ -63,7 +63,7 @@ def test_kinds_have_the_names_of_their_protocols_and_unknown_ones_their_numbers(
 def test_bytes_that_are_no_message_are_counted_and_silence_says_nothing() -> None:
     process = Process(Config())
     [found] = said(process, b"\x80\xfe\x1c" * 100, 0.0)
-    assert found.messages == () and (found.bytes_received, found.bytes_other) == (300, 300)
+    assert found.messages == () and (found.received_bytes, found.other_bytes) == (300, 300)
     assert said(process, b"", 10.0) == []
 
 
