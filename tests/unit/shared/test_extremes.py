@@ -10,7 +10,7 @@ import typing
 from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import annotated_types
 import pytest
