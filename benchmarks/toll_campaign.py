@@ -45,8 +45,10 @@ from shared.messages.toll import (
     TollPassage,
     TollReceipt,
     TollRegistration,
+    TollReview,
     TrafficPassage,
     TransactionKind,
+    UsedCams,
 )
 from shared.messages.v2x import CamFrames, CamList, Encapsulation
 from shared.toll.plaza import Lane, Plaza, along, load_plaza, plaza_path
@@ -103,6 +105,7 @@ class Result:
     wrong_charges: int = 0  # of a contract that has not passed
     lanes_right: int = 0
     decided: int = 0  # registered, and core.toll has found the lane
+    in_review: int = 0  # registered, and left to a person: not derivable after both processes were killed, or ghosts
     decided_uncharged: dict[str, int] = field(default_factory=dict)  # decided, but not charged: what it ended as
     undecided: dict[str, int] = field(default_factory=dict)  # registered, and no lane was found: what it ended as
     kills_core: int = 0
@@ -292,7 +295,7 @@ class Campaign:
                 self._count_kill()
                 self.core = None
                 self.core_back_ns = self.world_now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
-                return list(events[:said])
+                return answers[: answers.index(event) + said - number]
         return answers
 
     def _count_kill(self) -> None:
@@ -303,7 +306,7 @@ class Campaign:
     def _publish(self, answers: list[Message], now_ns: int) -> None:
         self.world_now_ns = now_ns
         for answer in answers:
-            if isinstance(answer, TollPassage):
+            if isinstance(answer, TollPassage | UsedCams):
                 self.inbox.append(answer)
             elif isinstance(answer, TollDelta):
                 self.delta = answer
@@ -341,12 +344,17 @@ class Campaign:
                     self.receipts.append(receipt)
             if second:
                 self._die_at("publishing open passages")
-                self._publish(self._answers(self.ledger.open_passages(now_ns)), now_ns)
+                self._inform_core(self.ledger, now_ns)
         except Killed:
             self._count_kill()
             self.store.close()
             self.ledger = self.store = None
             self.ledger_back_ns = now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
+
+    def _inform_core(self, ledger: Ledger, now_ns: int) -> None:
+        """Send core.toll what an earlier process of it has used, and the open passages."""
+        for message in (*ledger.restored(), ledger.open_passages(now_ns)):
+            self._publish(self._answers(message), now_ns)
 
     def _die_at(self, step: str) -> None:
         if self.armed == f"ledger before {step}":
@@ -360,6 +368,7 @@ class Campaign:
         registered = {p.contract: p for n, p in self.truth.items() if n in counted and p.contract}
         uncharged = {contract for contract in registered if contract not in charges}
         decided = {contract for contract in registered if contract in self.decided or contract in charges}
+        reviewed = self._reviewed()
         balances = self.ledger.balances(0)
         outcomes: Counter[str] = Counter()
         for lane in balances:
@@ -374,8 +383,9 @@ class Campaign:
             wrong_charges=sum(contract not in passed for contract in charges),
             lanes_right=sum(t.lane == passed[t.contract].lane for t in booked if t.contract in registered),
             decided=len(decided),
-            decided_uncharged=self._endings(decided & uncharged),
-            undecided=self._endings(uncharged - decided),
+            in_review=len(uncharged & reviewed),
+            decided_uncharged=self._endings((decided & uncharged) - reviewed),
+            undecided=self._endings(uncharged - decided - reviewed),
             kills_core=sum(n for step, n in self.kills.items() if step.startswith("core")),
             kills_ledger=sum(n for step, n in self.kills.items() if step.startswith("ledger")),
             kills_by_step=dict(self.kills.most_common()),
@@ -387,6 +397,12 @@ class Campaign:
             simulated_s=round(simulated_s, 1),
             cpu_s=round(cpu_s, 1),
         )
+
+    def _reviewed(self) -> set[str]:
+        """Contracts of passages that are in review."""
+        assert self.store is not None
+        rows = self.store.rows("SELECT content FROM review")
+        return {contract for row in rows if (contract := TollReview.model_validate_json(row["content"]).contract)}
 
     def _endings(self, contracts: set[str]) -> dict[str, int]:
         """Count what the passages of contracts ended as."""
@@ -418,6 +434,7 @@ def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) 
 def table(result: Result) -> str:
     """Write the result as a table."""
     undecided = sum(result.undecided.values())
+    ends = result.decided_uncharged | ({"in review": result.in_review} if result.in_review else {})
     rows = {
         "simulated passages, each with a detection": f"{result.detections}",
         "of these after 30 s of a part, before its end": f"{result.passages} ({result.registered} registered)",
@@ -426,7 +443,7 @@ def table(result: Result) -> str:
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
         "lane decided": f"{result.decided}, charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",
-        "decided and not charged": "; ".join(f"{n} {end}" for end, n in result.decided_uncharged.items()) or "none",
+        "decided and not charged": "; ".join(f"{n} {end}" for end, n in ends.items()) or "none",
         "undecided": f"{undecided} ({100.0 * undecided / max(result.registered, 1):.1f} % of the registered)",
         "outcomes of all detections": ", ".join(f"{name} {n}" for name, n in result.outcomes.items()),
         "every detection has one outcome": "yes" if result.reconciliation_exact else "no",
@@ -471,7 +488,7 @@ def stored() -> Result:
 
 def _result(path: Path) -> Result:
     content = json.loads(path.read_text(encoding="utf-8"))
-    return Result(**{one.name: content[one.name] for one in fields(Result)})
+    return Result(**{one.name: content[one.name] for one in fields(Result) if one.name in content})
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 import os
 import sys
 
-from shared.errors import ConfigError, UserError
+from shared.errors import BadRecording, ConfigError, UserError
 from shared.processes import BY_NAME
 
 
@@ -19,7 +19,7 @@ def main() -> None:
     except ConfigError as error:
         print(f"obu: {error}", file=sys.stderr)  # this is the command line
         sys.exit(os.EX_CONFIG)
-    except UserError as error:
+    except (UserError, BadRecording) as error:
         print(f"obu: {error}", file=sys.stderr)  # this is the command line
         sys.exit(2)
     except KeyboardInterrupt:

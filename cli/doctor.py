@@ -1,21 +1,37 @@
 """`obu doctor`: checks the installation, the configuration and a running unit, and names the remedy of each fault."""
 
+import contextlib
 import os
 import shutil
-import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.controller.mode.process import Config as Controller
+from services.sensors.can.process import Config as CanDriver
+from services.sensors.gnss.process import Config as GnssDriver
+from services.sensors.imu.process import Config as ImuDriver
 from shared.bus.bus import Bus
+from shared.devices.can_device import open_can
+from shared.devices.device import DeviceLost, open_device
 from shared.errors import BadPayload, UserError
-from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.base import Message
+from shared.messages.gnss import GnssConfiguration, GnssFix, GnssReceiver
+from shared.messages.operation import ModeState, ProcessHealth, ProcessState
 from shared.runtime.config import VehicleFile, broker_address, load_vehicle, state_dir
 from shared.runtime.live import load_process
 from shared.topics import TOPICS
 
+from .demo.local import reaches_broker, start_of_broker
+
+HEARD = ("health/+", "gnss/fix", "gnss/receiver", "gnss/configuration", "mode/state")
+PATIENCE_S = 1.0
+BUSY = "another program has it open"
+DRIVERS: dict[str, type[GnssDriver | ImuDriver | CanDriver]] = {
+    "sensors.gnss": GnssDriver, "sensors.imu": ImuDriver, "sensors.can": CanDriver,
+}  # fmt: skip
 ENOUGH_BYTES = 1_000_000_000
 LISTEN_S = 2.0
 OTHER_BROKER = "set OBU_BROKER=mqtt://host:port (a demo prints the line to copy)"
@@ -78,15 +94,29 @@ def _process(name: str, vehicle: VehicleFile) -> Finding:
 
 
 def _devices(vehicle: VehicleFile) -> Iterator[Finding]:
-    for name in vehicle.processes:
-        if not name.startswith("sensors."):
+    """Open the device of each driver as the driver does, and close it again."""
+    for name, kind in DRIVERS.items():
+        if name not in vehicle.processes:
             continue
-        device = str(vehicle.tables.get(name, {}).get("device", ""))
-        path = device.removeprefix("serial://").split("?")[0]
-        if path.startswith("/dev/"):
-            accessible = os.access(path, os.R_OK | os.W_OK)
-            remedy = "connect it" if not Path(path).exists() else "add your user to the group `dialout`, log in again"
-            yield Finding(accessible, f"{name}: {path}", remedy)
+        try:
+            config = vehicle.section(name, kind)
+        except UserError:
+            continue  # its section has a finding of its own
+        what = f"{name}: {config.device}"
+        try:
+            if isinstance(config, CanDriver):
+                device = open_can(config.device, config.obd_identifier, time.time_ns)
+            else:
+                device = open_device(config.device)
+            with contextlib.closing(device):
+                device.read(PATIENCE_S)  # a connection may fail later than its opening
+        except DeviceLost as error:
+            busy = BUSY in str(error)
+            yield Finding(busy, f"{what} (open in another program: the unit, if it runs)" if busy else what, str(error))
+        except UserError as error:
+            yield Finding(False, what, str(error))
+        else:
+            yield Finding(True, what)
 
 
 def _broker_stores(folder: Path) -> Iterator[Finding]:
@@ -112,10 +142,11 @@ def _v2x(vehicle: VehicleFile) -> Iterator[Finding]:
 
 
 def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
-    """Check the health messages that the processes of a running unit publish within `LISTEN_S`."""
-    topics = [topic for topic in TOPICS if topic.name == "health/+"]
+    """Check what the processes of a running unit publish within `LISTEN_S`, and have published before."""
+    topics = [topic for topic in TOPICS if topic.name in HEARD]
     bus = Bus("observer", vehicle.name, broker_address(), topics, state_dir(), observer=True)
     newest: dict[str, ProcessHealth] = {}
+    heard: list[Message] = []
     until = time.monotonic() + LISTEN_S
     while time.monotonic() < until:
         for envelope in bus.receive(0.1):
@@ -125,6 +156,8 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
                 continue  # a process without a valid health message is reported as not running
             if isinstance(message, ProcessHealth):
                 newest[message.process] = message
+            else:
+                heard.append(message)
     now_ns = bus.now_ns()
     bus.close()
     if not newest:
@@ -139,13 +172,44 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
             yield Finding(False, f"{name} runs", f"state: {state}; see its log")
         else:
             yield Finding(not health.last_error, f"{name} runs", f"last error: {health.last_error}")
+    if {"sensors.gnss", "sensors.simulator"} & set(vehicle.processes):
+        yield from receiver(heard, configured=vehicle.section("controller.mode", Controller).configure_gnss)
+
+
+def receiver(heard: Sequence[Message], *, configured: bool) -> Iterator[Finding]:
+    """Check that the GNSS receiver has a position and, if it should, has taken its configuration.
+
+    Parameters
+    ----------
+    heard : sequence of Message
+        Messages on the topics `HEARD` of the last seconds, and those that the broker has kept.
+    configured : bool
+        Whether the unit configures the receiver.
+    """
+    fixes = [message for message in heard if isinstance(message, GnssFix)]
+    located = [fix for fix in fixes if fix.latitude_deg is not None]
+    modes = [message for message in heard if isinstance(message, ModeState)]
+    said = [message for message in heard if isinstance(message, GnssReceiver)]
+    sends = f"; {said[-1].source} sends {', '.join(said[-1].messages) or 'no message'}" if said else ""
+    why = f"{modes[-1].reason}{sends if said and said[-1].source not in modes[-1].reason else ''}" if modes else (
+        "nothing is heard of it; see the log of parsers.gnss"
+    )  # fmt: skip
+    yield Finding(bool(located), "the GNSS receiver has a position", why)
+    if not configured:
+        return
+    answers = [message for message in heard if isinstance(message, GnssConfiguration)]
+    reason = (answers[-1].reason or "no reason given") if answers else "it has not answered yet"
+    yield Finding(
+        bool(answers) and answers[-1].accepted, "the GNSS receiver has taken its configuration",
+        f"{reason}; of a receiver that cannot be configured, write configure_gnss = false in [controller.mode]",
+    )  # fmt: skip
 
 
 def _broker() -> Finding:
     address = broker_address()
     what = f"broker at {address.host}:{address.port}"
     try:
-        socket.create_connection((address.host, address.port), timeout=2.0).close()
+        reaches_broker(address)
     except OSError as error:
-        return Finding(False, f"{what}: {error.strerror or error}", f"start it, or {OTHER_BROKER}")
+        return Finding(False, f"{what}: {error.strerror or error}", f"{start_of_broker(address)}, or {OTHER_BROKER}")
     return Finding(True, what)

@@ -157,9 +157,10 @@ def up(
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     file = unit_file(vehicle, role)
+    _end_on_sigterm()
+    _await_broker()
     environment = {"OBU_VEHICLE": str(Path(file.path).resolve())} if Path(file.path).is_file() else {}
     supervisor = unit(file, environment)
-    _end_on_sigterm()
     try:
         while True:
             supervisor.watch()
@@ -168,6 +169,57 @@ def up(
         pass
     finally:
         supervisor.stop()
+
+
+def _await_broker() -> None:
+    """Wait for the broker before any process starts, so that its absence is one line and not one a process."""
+    from shared.runtime.config import broker_address
+
+    from .demo.local import reaches_broker, start_of_broker
+
+    address, told = broker_address(), False
+    while True:
+        try:
+            reaches_broker(address)
+        except OSError as error:
+            if not told:
+                where, reason = f"{address.host}:{address.port}", error.strerror or error
+                print(f"no broker at {where} ({reason}); waiting for it: {start_of_broker(address)}", file=sys.stderr)
+                told = True
+            time.sleep(0.5)
+        else:
+            return
+
+
+@app.command()
+def broker(
+    port: Annotated[int, typer.Option(min=1, max=65535, metavar="PORT", help="Port on this machine.")] = 1883,
+    kind: Annotated[
+        BrokerKind, typer.Option("--broker", help="auto: Mosquitto if it is there, else our own.")
+    ] = BrokerKind.AUTO,
+) -> None:
+    """Run the broker of a unit on this machine, reachable from here only, until Ctrl-C.
+
+    Its configuration and its kept messages are in the folder `broker` of OBU_STATE.
+
+    Examples:
+    [bold]obu broker[/]
+    [bold]obu broker --port 1884 --broker simulated[/]
+    """
+    import os
+
+    from shared.runtime.config import state_dir
+
+    from .demo.local import broker_command, port_or_free
+
+    _, taken = port_or_free(port)
+    if taken:
+        raise UserError(f"port {port} {taken}: a broker may run already (`obu doctor`); choose another with --port")
+    folder = state_dir().resolve() / "broker"
+    folder.mkdir(exist_ok=True)
+    command = broker_command(folder, port, kind.value)
+    print(f"broker at mqtt://127.0.0.1:{port}   (end with Ctrl-C)", flush=True)
+    os.execv(command[0], command)
 
 
 @app.command()

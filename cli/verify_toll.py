@@ -15,10 +15,9 @@ from rich.console import Console
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
 from shared.errors import ConfigError, RejectedFrame, UserError
-from shared.messages.toll import EvidenceFrame, EvidencePack, PassageState, TollPassage, TollTransaction
-from shared.messages.v2x import Cam
+from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
-from shared.v2x import cam, geonetworking
+from shared.v2x.evidence import cam_of
 
 from .progress import progress_on
 
@@ -194,13 +193,3 @@ def _compared(again: TollPassage, said: TollPassage, names: Sequence[str]) -> It
         derived, stated = getattr(again, name), getattr(said, name)
         if derived != stated:
             yield f"{name} is {stated}, derived {derived}"
-
-
-def cam_of(frame: EvidenceFrame) -> Cam:
-    """Decode a frame as `parsers.v2x` did; its times are those of the evidence."""
-    bare = frame.data[:1] == bytes([cam.PROTOCOL_VERSION])  # UPER without headers, else GeoNetworking
-    content, delta_time = cam.decode(frame.data if bare else geonetworking.decode_payload(frame.data))
-    return Cam(
-        **content, sampled_ns=frame.sampled_ns, received_ns=frame.received_ns, generation_delta_time=delta_time,
-        frame=frame.data,
-    )  # fmt: skip

@@ -108,7 +108,7 @@ PROCESSES = (
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
-            "gnss/signal_quality", "gnss/configuration",
+            "gnss/signal_quality", "gnss/receiver", "gnss/configuration",
         ),
         roles=BOTH,
     ),
@@ -131,7 +131,8 @@ PROCESSES = (
     ProcessRow(
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
         consumes=(
-            "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
+            "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
+            "navigation/state",
         ),
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
         pause_s=0.1,
@@ -183,14 +184,15 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/delta"),
-        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/restored_cam", "toll/delta"),
+        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate", "toll/used_cam"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
-        produces=("toll/open_passages", "toll/transaction", "toll/review", "ledger/state"),
+        consumes=("toll/registration", "toll/passage", "toll/used_cam", "plaza/detector", "toll/receipt",
+                  "origin/state"),
+        produces=("toll/open_passages", "toll/restored_cam", "toll/transaction", "toll/review", "ledger/state"),
         roles=(Role.RSU,),
     ),
     ProcessRow(

@@ -15,6 +15,7 @@ from .messages.gnss import (
     GnssNavigationBits,
     GnssRaw,
     GnssRawEpoch,
+    GnssReceiver,
     GnssSatellites,
     GnssSignalQuality,
     GnssSignals,
@@ -50,6 +51,7 @@ from .messages.toll import (
     PlazaDescription,
     PlazaDetector,
     PlazaTruth,
+    RestoredCams,
     TollDelta,
     TollPassage,
     TollReceipt,
@@ -57,6 +59,7 @@ from .messages.toll import (
     TollReview,
     TollTracks,
     TollTransaction,
+    UsedCams,
 )
 from .messages.trust import LearnedGrade, TrustEvent, TrustMonitor, TrustState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
@@ -122,6 +125,7 @@ TOPICS = (
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("host/clock", HostClock, "the host's clock beside the OBU time line, and whether NTP holds it"),
+    Topic("gnss/receiver", GnssReceiver, "kinds of messages that the receiver sends, by its bytes", qos=1, retain=True),
     Topic("gnss/configuration", GnssConfiguration, "configuration of the receiver, as read back", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
@@ -162,6 +166,10 @@ TOPICS = (
     Topic("toll/gate", GateCommand, "when the gate of a lane opens, and for which passage", qos=1),
     Topic("toll/open_passages", OpenPassages, "passages in progress and settled, as the ledger holds them",
           rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
+    Topic("toll/used_cam", UsedCams, "CAM that were used, which the ledger keeps for a minute in memory", qos=1,
+          personal=True),
+    Topic("toll/restored_cam", RestoredCams, "CAM that were used before a restart of `core.toll`", qos=1,
+          personal=True),
     Topic("toll/transaction", TollTransaction, "charges and reversals for the operator", qos=1, personal=True),
     Topic("toll/review", TollReview, "passages that a person has to judge: not confirmed, or contradictory",
           qos=1, personal=True),

@@ -14,10 +14,11 @@ from pathlib import Path
 from broker import local_config
 from shared.errors import UserError
 from shared.processes import Role
-from shared.runtime.config import Table, VehicleFile, load_vehicle
+from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle
 
 from .supervisor import Supervisor
 
+SERVICE = Path("/etc/systemd/system/obu-broker.service")
 ROADSIDE = Path(__file__).parents[2] / "deploy" / "vehicles" / "rsu.toml"
 
 
@@ -79,6 +80,21 @@ def broker_command(folder: Path, port: int, kind: str, acl: Path = local_config.
     if mosquitto and kind != "simulated":
         return local_config.command(mosquitto, local_config.write(folder, port, acl))
     return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
+
+
+def reaches_broker(address: BrokerAddress) -> None:
+    """Connect to a broker and disconnect; raises `OSError` if none responds."""
+    socket.create_connection((address.host, address.port), timeout=2.0).close()
+
+
+def start_of_broker(address: BrokerAddress) -> str:
+    """How to start the broker of an address, as a clause."""
+    if address.host not in ("127.0.0.1", "localhost", "::1"):
+        return f"start the broker on {address.host}"
+    if SERVICE.exists():
+        return "start it with `sudo systemctl start obu-broker`"
+    port = "" if address.port == BrokerAddress.port else f" --port {address.port}"
+    return f"start one with `obu broker{port}`"
 
 
 def as_toml(tables: Mapping[str, Table]) -> str:

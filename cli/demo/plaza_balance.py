@@ -1,11 +1,13 @@
 """What a run of the road-side unit amounted to: passages and charges against the simulator's truth, rates, load."""
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from shared.messages.base import Message
 from shared.messages.operation import DeadlineReport, ProcessHealth, ProcessState
 from shared.messages.toll import (
+    LaneBalance,
     LedgerState,
     PassageState,
     PlazaTruth,
@@ -51,10 +53,34 @@ class PlazaSummary:
     outbox: int
     detections: int
     detections_missed: int
-    accounts_agree: bool | None
+    accounts_agree: bool | None  # None: no detection is accounted for to the end yet
+    accounts_closed: int  # detections with a final outcome
+    accounts_provisional: int  # detections whose outcome may still change
+    accounts_pending: int  # detections that no passage explains yet
+    held: int  # complete passages that wait for a detector
+    in_review: int  # passages that a person has to judge
+    unconfirmed: int  # charges that are not confirmed by a detector
     cams_per_second: float
     cpu_share: float  # of one core, all processes
     cpu_share_by_process: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Accounts:
+    """The reconciliation of all lanes: what is closed, and what is not known yet."""
+
+    agree: bool | None
+    closed: int
+    provisional: int
+    pending: int
+
+    @classmethod
+    def of(cls, lanes: Sequence[LaneBalance]) -> "Accounts":
+        """Sum up the lanes; that all agree says nothing while no detection is closed."""
+        provisional, pending = sum(lane.provisional for lane in lanes), sum(lane.pending for lane in lanes)
+        closed = sum(lane.detections for lane in lanes) - provisional - pending
+        wrong = any(not lane.agrees for lane in lanes)
+        return cls(False if wrong else True if closed > 0 else None, closed, provisional, pending)
 
 
 class PlazaBalance:
@@ -111,9 +137,11 @@ class PlazaBalance:
         ends = Counter(self._ends.values())
         ready = {name for (name, _), health in self._health.items() if health.state is ProcessState.READY}
         cpu = self._cpu(duration_s)
-        lanes = self._ledger.lanes if self._ledger else ()
+        ledger = self._ledger
+        lanes = ledger.lanes if ledger else ()
         uncharged = sum(passage.contract not in charged for passage in settled)
-        other_ends = sum(ends[s] for s in (PassageState.UNDECIDED, PassageState.SUSPECT))
+        other_ends = ends[PassageState.UNDECIDED] + (ledger.held + ledger.in_review if ledger else 0)
+        accounts = Accounts.of(lanes)
         return PlazaSummary(
             healthy=alive == expected and len(ready) >= expected - 1 and bool(self._charges),
             duration_s=round(duration_s, 1),
@@ -135,10 +163,16 @@ class PlazaBalance:
             lane_decisions=len(judged),
             lane_decisions_right=sum(charge.lane == truth[charge.contract].lane for charge in judged),
             receipts=len(self._receipts),
-            outbox=self._ledger.outbox if self._ledger else 0,
+            outbox=ledger.outbox if ledger else 0,
             detections=sum(lane.detections for lane in lanes),
             detections_missed=sum(lane.missed for lane in lanes),
-            accounts_agree=all(lane.agrees for lane in lanes) if lanes else None,
+            accounts_agree=accounts.agree,
+            accounts_closed=accounts.closed,
+            accounts_provisional=accounts.provisional,
+            accounts_pending=accounts.pending,
+            held=ledger.held if ledger else 0,
+            in_review=ledger.in_review if ledger else 0,
+            unconfirmed=ledger.unconfirmed if ledger else 0,
             cams_per_second=round(self._cams / duration_s, 1),
             cpu_share=round(sum(cpu.values()), 3),
             cpu_share_by_process=cpu,

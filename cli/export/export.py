@@ -1,7 +1,8 @@
 """`obu export`: a recording in the formats of other tools."""
 
 import json
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import partial
@@ -78,10 +79,24 @@ def export(  # one argument an option
         topics = recording.topics or frozenset(envelope.topic for envelope in recording)
         source = Source(recording, vehicle_of(recording, None), topics, console)
         lines = _lines(source, to, topic, period)
-        count = _write(path, lines)
+        count = _write(path, lines, 2 if to is Format.CSV else 1, lambda: _nothing(source, to, topic))
         print_problems(recording, console)
     print(f"wrote {path}: {count} lines")
     return 0
+
+
+def _nothing(source: Source, to: Format, topic: str | None) -> UserError:
+    """Why there is nothing to export."""
+    what = topic or ("solution or fix" if to is Format.CSV else "position")
+    return UserError(
+        f"{source.recording.path.name} holds no {what} that can be read, and nothing was written{_problems(source)}"
+    )
+
+
+def _problems(source: Source) -> str:
+    """What cannot be read of a recording, as the end of a sentence."""
+    deque(source.recording, maxlen=0)
+    return "".join(f"; {problem}" for problem in source.recording.problems)
 
 
 def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> Iterable[str]:
@@ -90,7 +105,7 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
         return _rinex(source, name)
     topic = topic or next((one for one in (SOLUTIONS, FIXES) if source.has(one)), None)
     if topic is None or not source.has(topic):
-        held = ", ".join(sorted(source.topics)[:12])
+        held = ", ".join(sorted(source.topics)[:12]) or f"nothing that can be read{_problems(source)}"
         raise UserError(
             f"{name} holds no {topic or 'solutions or fixes'}; it holds {held}: `obu solve` computes a solution, "
             "--topic names another topic"
@@ -104,7 +119,10 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
         return nmea_lines(positions)
     track = segments(positions)
     if not track:
-        raise UserError(f"{name} holds no position; `obu export {name}.mcap --format csv --topic {topic}` shows why")
+        raise UserError(
+            f"{name} holds no position; `obu export {name}.mcap --format csv --topic {topic}` shows why"
+            f"{_problems(source)}"
+        )
     if to is Format.GEOJSON:
         return geojson_lines(name, track)
     points = [[position.track_point() for position in segment] for segment in track]
@@ -151,7 +169,10 @@ def _rounded(value: float | None) -> float | None:
 
 def _rinex(source: Source, name: str) -> Iterator[str]:
     if not source.has(RAW):
-        raise UserError(f"{name} holds no raw measurements; a receiver that sends RXM-RAWX has them: --format nmea")
+        raise UserError(
+            f"{name} holds no raw measurements; a receiver that sends RXM-RAWX has them: --format nmea"
+            f"{_problems(source)}"
+        )
     content = Content()
     for message in source.messages(RAW):
         if isinstance(message, GnssRawEpoch):
@@ -172,8 +193,8 @@ def _first_ecef(source: Source) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-def _write(path: Path, lines: Iterable[str]) -> int:
-    """Write the lines beside the file, and put it in place when it is whole."""
+def _write(path: Path, lines: Iterable[str], fewest: int, nothing: Callable[[], UserError]) -> int:
+    """Write the lines beside the file, and put it in place when it is whole; with fewer lines, raise `nothing`."""
     draft = path.with_name(f"{path.name}.part")
     count = 0
     try:
@@ -181,6 +202,8 @@ def _write(path: Path, lines: Iterable[str]) -> int:
             for line in lines:
                 file.write(line)
                 count += 1
+        if count < fewest:
+            raise nothing()
         draft.replace(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}; make room or name another file with --out") from error

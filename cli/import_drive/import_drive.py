@@ -29,6 +29,7 @@ from shared.messages.vehicle import VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
+from shared.unpacked import compression_of
 
 from ..progress import progress_on
 from .conversion.convert import Accelerometer, Converted, Imported, convert, wanted_columns
@@ -41,7 +42,7 @@ from .mapping.mapping import Mapping, parse_mapping
 from .mapping.schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
 from .readers.arrays import FORMATS, arrays_of
 from .readers.dates import checked_dates, is_day, is_time_of_day
-from .readers.gnss_logger import is_log, messages_of, read_log
+from .readers.gnss_logger import contents, is_log, messages_of, read_log
 from .readers.rtklib import SCALES, Header, header_of, mapping_of
 from .readers.table import Forms, Table, arrays_table, read_table
 
@@ -166,8 +167,7 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
     log = read_log(data.decode("utf-8", errors="replace").splitlines())
     messages = messages_of(log, axes)
     if not messages:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in log.rejects.items()) or "no lines"
-        raise UserError(f"{path} holds nothing that can be used ({reasons}); log `Fix`, `Raw` or the sensors")
+        raise UserError(f"{path} holds nothing that can be used: {contents(log)}; log `Fix` or `Raw`, and the sensors")
     digest = hashlib.sha256(data).hexdigest()
     kinds = dict.fromkeys(type(message) for message in messages)
     parts = [
@@ -282,6 +282,11 @@ def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[TableFile,
         digest.update(data)
         progress.advance(task, len(data))
         return spec, digest.hexdigest(), arrays_table(arrays_of(data, spec.file), wanted_columns(spec), spec.file)
+
+    with path.open("rb") as file:
+        compression = compression_of(file.read(8))
+    if compression is not None:
+        raise UserError(f"{spec.file} is packed with {compression}; unpack it, and name the file that comes of it")
 
     def lines() -> Iterator[str]:
         with path.open("rb") as file:

@@ -1,11 +1,12 @@
 """V2X-assisted fault detection: the table of ten ratios and the position errors, beside the published ones."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, astuple, dataclass
 from functools import partial
 
 import numpy as np
 
+from services.core.cooperative.measurements import FloatArray
 from services.core.cooperative.paper import scenario
 from services.core.cooperative.paper.monte_carlo import (
     RATIOS,
@@ -17,15 +18,25 @@ from services.core.cooperative.paper.monte_carlo import (
     row,
     structure_test,
 )
-from services.core.cooperative.v2x.virtual import local_biases, prediction_matrix, residual_cov
+from services.core.cooperative.v2x.virtual import (
+    baarda_biases,
+    choose_virtual,
+    design_row,
+    horizontal_protection_level,
+    local_biases,
+    prediction_matrix,
+    residual_cov,
+)
 
 from .navigation import WORKERS, in_parallel
 from .report import Figure, Paper, Table, figure
 
 SEED = 1
+P_FA, P_MD = 1e-5, 1e-4
+ALERT_LIMIT_M = 15.0  # [m] below the level of the fitted split; the paper does not state its own
 POINTS = 1.5  # [%] tolerance of the reference numbers
-METHODS = {"paper's test, open loop": "open_loop", "paper's test, closed loop": "closed_loop",
-           "leave-one-out bank": "leave_one_out"}  # fmt: skip
+METHODS = {"paper's test, open loop": "open_loop", "Baarda's test, open loop": "snooping",
+           "paper's test, closed loop": "closed_loop", "leave-one-out bank": "leave_one_out"}  # fmt: skip
 MEAN_OF_RATIOS = Rates(0.65, 0.45, 43.9)  # of the open loop in the reference simulation
 
 
@@ -61,7 +72,8 @@ NOT_REPRODUCED = (
     "With the variance of the pseudoranges times 100, a closed loop misses more of the ramp (49 %) than the "
     "reference simulation's 45.9 %.",
     "The leave-one-out bank is not in the paper. Closed loops have fewer false alarms here than in the reference "
-    "simulation (9.5 and 7.2 %).",
+    "simulation (9.5 and 7.2 %), and at a ratio of 0.1 a larger error (18.6 m, 14 m there).",
+    "The paper's text and table differ: a missed step of 0.36 % on average in the text, 0.457 % by the ten columns.",
 )
 
 
@@ -87,13 +99,23 @@ def reproduce(runs: int, progress: bool) -> Paper:
         _thresholds_table(),
     ]
     return Paper(
-        "cooperative", tables, _document(rows, changed, runs), FITTED, NOT_REPRODUCED,
+        "cooperative", tables, _document(rows, changed, runs), FITTED, (*NOT_REPRODUCED, *_steps(rows)),
         deviations=deviations(rows, changed), figures=_figures(rows),
     )  # fmt: skip
 
 
 def _call(job: Callable[[], Row | Sensitivity]) -> Row | Sensitivity:
     return job()
+
+
+def _steps(rows: Sequence[Row]) -> list[str]:
+    """Missed steps of the printed test above the published ones, as far as these runs have them."""
+    return [
+        f"Missed step at a ratio of {one.ratio}: {one.open_loop.missed_step:.2f} % with the printed test "
+        f"({one.snooping.missed_step:.2f} % with Baarda's), published {one.published.missed_step} %."
+        for one in rows
+        if one.open_loop.missed_step > 1.5 * one.published.missed_step and one.open_loop.missed_step > 1.0
+    ]
 
 
 def sensitivity(assumption: Assumption, runs: int) -> Sensitivity:
@@ -120,12 +142,12 @@ def deviations(rows: Sequence[Row], changed: Sequence[Sensitivity]) -> list[str]
     names = ("false alarms", "missed step", "missed ramp")
     found = mean_rates(rows, "open_loop")
     for name, value, expected in zip(names, astuple(found), astuple(MEAN_OF_RATIOS), strict=True):
-        if abs(value - expected) > POINTS:
-            texts.append(f"open loop, mean of ten ratios: {name} {value:.2f} %, reference {expected} % ± {POINTS}")
+        if value > expected + POINTS:
+            texts.append(f"open loop, mean of ten ratios: {name} {value:.2f} %, reference {expected} % + {POINTS}")
     for one in changed:
         name, expected = one.assumption.name, one.assumption.missed_ramp
-        if abs(one.rates.missed_ramp - expected) > POINTS and name != NO_TOLERANCE:
-            texts.append(f"{name}: missed ramp {one.rates.missed_ramp:.1f} %, reference {expected} % ± {POINTS}")
+        if one.rates.missed_ramp > expected + POINTS and name != NO_TOLERANCE:
+            texts.append(f"{name}: missed ramp {one.rates.missed_ramp:.1f} %, reference {expected} % + {POINTS}")
     for one_row in rows:
         bank = one_row.leave_one_out
         if bank.missed_ramp > 60.0:
@@ -148,7 +170,8 @@ def _rates_table(rows: Sequence[Row], runs: int) -> Table:
     ]
     means = (_rates_text(mean_rates(rows, method)) for method in ("published", *METHODS.values()))
     title = f"False alarms, missed step, missed ramp [%]; {runs} runs of 90 epochs a ratio"
-    return Table(title, ("ratio", "paper", "open loop", "closed loop", "leave-one-out"), (*found, ("mean", *means)))
+    columns = ("ratio", "paper", "open loop", "Baarda", "closed loop", "leave-one-out")
+    return Table(title, columns, (*found, ("mean", *means)))
 
 
 def _positions_table(rows: Sequence[Row]) -> Table:
@@ -172,23 +195,55 @@ def _sensitivity_table(changed: Sequence[Sensitivity]) -> Table:
     return Table("False alarms and misses [%] with one assumption changed, ratio 0.5", columns, found)
 
 
-def local_thresholds() -> dict[str, list[float]]:
-    """Bias [m] at which each local test fires: split as fitted, and the four highest satellites real."""
+@dataclass(frozen=True)
+class Split:
+    """What follows from a choice of real and virtual satellites, without any measurement."""
+
+    local_m: list[float]  # bias at which the printed local test of each real satellite fires
+    baarda_m: list[float]  # the same of Baarda's test
+    hpl_m: float  # horizontal protection level
+
+
+def splits() -> dict[str, Split]:
+    """The fitted split; the four highest satellites real; and these with virtual ones that were chosen anew.
+
+    Virtual satellites need not exist: they are chosen of directions every 60 degrees of azimuth at 15, 45 and 75
+    degrees of elevation, and chosen anew where the protection level exceeds the alert limit. The level is that of least
+    squares over all eight: it does not say that the printed local tests of the four highest are blind for the step.
+    """
     H = np.vstack([scenario.real_rows(), scenario.virtual_rows()])
-    by_elevation = np.argsort(-H[:, 2])
+    highest = np.argsort(-H[:, 2]).tolist()
+    angles = np.radians([(elevation, azimuth) for elevation in (75, 45, 15) for azimuth in range(0, 360, 60)])
+    candidates = np.array([design_row(elevation, azimuth) for elevation, azimuth in angles.tolist()])
+    real = H[highest[:4]]
+    chosen = choose_virtual(real, candidates, level=lambda virtual: _level(real, virtual), limit=ALERT_LIMIT_M)
+    anew = candidates[list(chosen or ())]
+    pairs = {"as fitted": (H[:4], H[4:]), "four highest real": (real, H[highest[4:]]), "chosen anew": (real, anew)}
+    return {name: _split(*pair) for name, pair in pairs.items()}
+
+
+def _split(real: FloatArray, virtual: FloatArray) -> Split:
     sd = np.full(4, scenario.PSEUDORANGE_SD)
-    splits = {"as fitted": range(8), "four highest real": by_elevation.tolist()}
-    found = {}
-    for name, order in splits.items():
-        real, virtual = H[list(order)[:4]], H[list(order)[4:]]
-        found[name] = local_biases(residual_cov(prediction_matrix(real, virtual), sd, sd), 1e-5).tolist()
-    return found
+    W = residual_cov(prediction_matrix(real, virtual), sd, sd)
+    return Split(local_biases(W, P_FA).tolist(), baarda_biases(W, P_FA).tolist(), _level(real, virtual))
+
+
+def _level(real: FloatArray, virtual: FloatArray) -> float:
+    return horizontal_protection_level(
+        np.vstack([real, virtual]), range(4), scenario.PSEUDORANGE_SD, false_alarm_rate=P_FA,
+        missed_detection_rate=P_MD,
+    )  # fmt: skip
 
 
 def _thresholds_table() -> Table:
-    rows = [(name, *(f"{value:.1f}" for value in values)) for name, values in local_thresholds().items()]
-    title = "Bias [m] that fires the local test of each real satellite (the step is 50 m)"
-    return Table(title, ("split into real and virtual", "1", "2", "3", "4"), rows)
+    def biases(values: Sequence[float]) -> str:
+        return " ".join(f"{value:.1f}" for value in values)
+
+    rows = [(name, biases(one.local_m), biases(one.baarda_m), f"{one.hpl_m:.1f}") for name, one in splits().items()]
+    title = (
+        f"Bias [m] that fires the local tests of the four real satellites (step: 50 m); HPL, limit {ALERT_LIMIT_M:g} m"
+    )
+    return Table(title, ("split into real and virtual", "paper's test", "Baarda's test", "HPL [m]"), rows)
 
 
 def _document(rows: Sequence[Row], changed: Sequence[Sensitivity], runs: int) -> dict[str, object]:
@@ -206,7 +261,8 @@ def _document(rows: Sequence[Row], changed: Sequence[Sensitivity], runs: int) ->
         "mean": {name: astuple(mean_rates(rows, name)) for name in ("published", *METHODS.values())},
         "sensitivities": {one.assumption.name: astuple(one.rates) for one in changed},
         "reference_missed_ramp_percent": {one.name: one.missed_ramp for one in ASSUMPTIONS},
-        "local_thresholds_m": local_thresholds(),
+        "splits": {name: asdict(one) for name, one in splits().items()},
+        "alert_limit_m": ALERT_LIMIT_M,
     }
 
 

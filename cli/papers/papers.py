@@ -25,11 +25,19 @@ def navigation(runs: int, json: bool) -> int:
     missed = drives_table.missed_goals(drives)
     if json:
         rows = {"drives": drives_table.document(drives), "outages": outages_table.document(outages)}
-        print(json_module.dumps({"runs": runs, **rows, "shortcomings": faults, "missed_goals": missed}, indent=2))
+        remarks = {"fitted": drives_table.FITTED, "not_reproduced": drives_table.not_reproduced(drives)}
+        print(
+            json_module.dumps(
+                {"runs": runs, **rows, "shortcomings": faults, "missed_goals": missed, **remarks}, indent=2
+            )
+        )
         return 1 if faults else 0
     console = Console()
     drives_table.print_table(drives, runs, console)
     outages_table.print_table(outages, runs, console)
+    for heading, remarks_ in (("Fitted", drives_table.FITTED), ("Not reproduced", drives_table.not_reproduced(drives))):
+        for remark in remarks_:
+            console.print(f"[bold]{heading}:[/] {remark}", highlight=False)
     for fault in faults:
         console.print(f"[red]limit exceeded:[/] {fault}")
     for goal in missed:

@@ -144,7 +144,7 @@ def _port_of(name: str) -> str:
     ports = comports()  # type: ignore[no-untyped-call]  # pyserial publishes no types
     names = sorted(str(port.device) for port in ports if (port.vid, port.pid) == wanted)
     if not names:
-        raise FileNotFoundError(2, f"no USB device {name} is plugged in")
+        raise DeviceLost(f"no USB device {name} is plugged in; check the cable and the device in the vehicle file")
     return names[0]
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from .base import (
+    Bytes,
     Count,
     Deviation,
     Deviation3,
@@ -270,6 +271,16 @@ class GnssConfigure(Message):
     navigation_period_s: Seconds
     messages: tuple[Name, ...]  # UBX names to be sent every epoch, such as NAV-PVT
     optional_messages: tuple[Name, ...] = ()  # those that a receiver may refuse, such as RXM-RAWX
+
+
+class GnssReceiver(Message):
+    """What a receiver sends, by its bytes and whether or not it has a position: every two seconds."""
+
+    received_ns: Nanoseconds
+    source: Name
+    messages: tuple[Name, ...] = ()  # kinds of the last ten seconds: `UBX NAV-PVT`, `NMEA GGA`, `RTCM 1005`
+    received_bytes: Bytes  # since the last statement
+    other_bytes: Bytes  # of these, in no message: many at a wrong rate of the port
 
 
 class GnssConfiguration(Message):

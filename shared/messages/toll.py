@@ -30,6 +30,7 @@ PASSAGES = 400  # at most in one message
 STATIONS = 1000  # at most in one message
 SETTLED = 5000  # at most in one message
 STATION_IDS = 16  # of one passage
+MAX_USED = 2000  # CAM in one message
 OVERLAPS = 16  # of one passage with others in its lane
 LANES = 500  # of a plaza
 FRAMES, DELTAS, POSTERIORS = 3000, 1800, 600  # of one passage, as evidence
@@ -335,6 +336,32 @@ class RegisteredStation(Message):
     valid_until_ns: Nanoseconds
 
 
+class UsedCam(EvidenceFrame):
+    """One CAM that a track has used."""
+
+    clock_offset_ns: Nanoseconds  # that is in `sampled_ns`: what is added to the times of a station with a wrong clock
+
+
+class UsedCams(Message):
+    """The CAM that `core.toll` has used since its last message of this kind, in the order of use.
+
+    The ledger keeps them for 70 s, in memory, for the next process; the first message of a process asks for them.
+    """
+
+    sampled_ns: Nanoseconds
+    since_ns: Nanoseconds  # start of the process
+    cams: Annotated[tuple[UsedCam, ...], Field(max_length=MAX_USED)]
+    deltas: Annotated[tuple[TollDelta, ...], Field(max_length=DELTAS)] = ()
+    anew: bool = False  # what was sent before is repeated, from the oldest on: the ledger had restarted
+
+
+class RestoredCams(Message):
+    """What a process of `core.toll` before this one has used; `toll/open_passages` follows when all are sent."""
+
+    since_ns: Nanoseconds  # of the process that is to use them
+    used: UsedCams
+
+
 class OpenPassages(Message):
     """What the ledger holds for a restart of `core.toll`: passages to continue, those settled, registered stations."""
 
@@ -343,6 +370,8 @@ class OpenPassages(Message):
     # Final and stored in the last minutes, the newest: their statements need not be repeated.
     settled: Annotated[tuple[Digest, ...], Field(max_length=SETTLED)]
     registered: Annotated[tuple[RegisteredStation, ...], Field(max_length=STATIONS)] = ()  # the newest
+    since_ns: Nanoseconds | None = None  # start of the ledger's process
+    core_since_ns: Nanoseconds | None = None  # process of `core.toll` that has all RestoredCams; None: none is known
 
 
 class LaneBalance(Message):

@@ -10,7 +10,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import cast
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
@@ -18,6 +17,7 @@ from mcap.records import Attachment, Channel, Metadata
 
 from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
+from ..unpacked import BadPack, Form, check_size, unpacked
 from .channels import envelope_of
 from .foxglove import PREFIX
 
@@ -28,9 +28,10 @@ FOOTER = struct.Struct("<BQQQI")  # opcode, length, begin of the summary and of 
 MESSAGE_FIELDS = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 OPCODES = frozenset(int(opcode) for opcode in Opcode)
 CHUNK_START = re.compile(rb"\x06(?=[\s\S]{4}\0{4})")  # opcode, and a length below 4 GiB
-MAXIMUM_CHUNK = 1 << 28
-BLOCK = 1 << 14
-COMPRESSIONS = (b"", b"zstd")
+LONGEST_NAME = 16  # of a compression
+MAXIMUM_CHUNK = 1 << 24  # this unit writes 1 MB, other tools 4 MB
+COMPRESSIONS: dict[bytes, Form | None] = {b"": None, b"zstd": "zstd", b"lz4": "lz4"}
+PLACE = struct.Struct("<QQ")  # the first fields of an index record: begin and length of what it names
 
 Buffer = mmap.mmap | bytes
 MALFORMED = (struct.error, EndOfFile, UnicodeDecodeError, ValueError, OverflowError)
@@ -50,7 +51,7 @@ class Record:
 class ChunkHead:
     """The fields before the data of a chunk."""
 
-    compression: bytes
+    compression: Form | None
     raw_size: int
     checksum: int
     start: int  # of the data
@@ -69,6 +70,9 @@ class Recording:
         self.position = 0  # of the iteration [bytes]
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: dict[str, bytes] = {}
+        self._unpacked: set[int] = set()  # begins of the chunks that were unpacked
+        self._packed_bytes = self._unpacked_bytes = 0  # of these chunks
+        self._refused: set[str] = set()  # why chunks are not read
         try:
             with path.open("rb") as file:
                 self.size = file.seek(0, 2)
@@ -95,6 +99,7 @@ class Recording:
             self._buffer.close()
 
     def __iter__(self) -> Iterator[Envelope]:
+        """Yield the messages; raises `BadRecording` for a file that unpacks to far more than data can be."""
         self.problems.clear()
         channels = self._summary_channels()
         lost = 0
@@ -106,21 +111,36 @@ class Recording:
                     yield envelope
         if lost:
             self.problems.append(f"{lost} messages could not be decoded")
+        self.problems += sorted(self._refused)
 
     def _read_front(self) -> None:
-        """Read the records before the first chunk: metadata and attachments."""
+        """Read metadata and attachments: before the first chunk, or where the summary says, as other tools write."""
         position = len(MAGIC)
         while (record := self._record(position)) is not None and record.opcode != Opcode.CHUNK:
-            stream, position = ReadDataStream(BytesIO(self._buffer[record.start : record.end])), record.end
-            try:
-                if record.opcode == Opcode.METADATA:
-                    described = cast(Metadata, Metadata.read(stream))
-                    self.metadata[described.name] = described.metadata
-                elif record.opcode == Opcode.ATTACHMENT:
-                    attached = cast(Attachment, Attachment.read(stream))
-                    self.attachments[attached.name] = attached.data
-            except MALFORMED:
+            position = record.end
+            if not self._describe(record):
                 break
+        for opcode, content in records(self.summary()):
+            if opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX) and len(content) >= PLACE.size:
+                named = self._record(PLACE.unpack_from(content)[0])
+                if named is not None:
+                    self._describe(named)
+
+    def _describe(self, record: Record) -> bool:
+        """Store metadata or an attachment; False for a record that is malformed."""
+        try:
+            if record.opcode == Opcode.METADATA:
+                described = cast(Metadata, Metadata.read(self._stream(record)))
+                self.metadata[described.name] = described.metadata
+            elif record.opcode == Opcode.ATTACHMENT:
+                attached = cast(Attachment, Attachment.read(self._stream(record)))
+                self.attachments[attached.name] = attached.data
+        except MALFORMED:
+            return False
+        return True
+
+    def _stream(self, record: Record) -> ReadDataStream:
+        return ReadDataStream(BytesIO(self._buffer[record.start : record.end]))
 
     def _summary_channels(self) -> dict[int, Channel]:
         """Read the channels of the summary, so that none is lost with the chunk in which it first occurs."""
@@ -139,7 +159,7 @@ class Recording:
         end = self.size - len(MAGIC) - FOOTER.size
         if end >= 0 and self._buffer[-len(MAGIC) :] == MAGIC:
             _, _, start, _, checksum = FOOTER.unpack(self._buffer[end : end + FOOTER.size])
-            if start and zlib.crc32(self._buffer[start : end + FOOTER.size - 4]) == checksum:
+            if start and checksum in (0, zlib.crc32(self._buffer[start : end + FOOTER.size - 4])):
                 return self._buffer[start:end]
         return b""
 
@@ -184,8 +204,10 @@ class Recording:
         self.problems.append(f"the recording was not closed: it ends at byte {self.size}")
         last = self._find_chunk(trusted, cut=True)
         head = None if last is None else self._chunk_head(last)
-        if head is not None:
-            yield _decompress_some(self._buffer[head.start : self.size], head.compression)
+        if last is not None and head is not None:
+            data = self._buffer[head.start : self.size]
+            self._count(last, len(data), head.raw_size)
+            yield data if head.compression is None else unpacked(data, head.compression, head.raw_size, whole=False)
 
     def _record(self, position: int, *, cut: bool = False) -> Record | None:
         """Read the head of a record; None if it is invalid, or ends beyond the file."""
@@ -204,12 +226,30 @@ class Recording:
         if position > self.size:
             return None
         _, _, raw_size, checksum, word = CHUNK_HEAD.unpack(self._buffer[record.start : position])
-        compression = self._buffer[position : position + min(word, 4)]
+        name = self._buffer[position : position + min(word, LONGEST_NAME)]
         start = position + word + 8
-        if compression not in COMPRESSIONS or raw_size > MAXIMUM_CHUNK or start > self.size:
+        if start > self.size or start + int.from_bytes(self._buffer[start - 8 : start], "little") != record.end:
             return None
-        length = int.from_bytes(self._buffer[start - 8 : start], "little")
-        return ChunkHead(compression, raw_size, checksum, start, record.end) if start + length == record.end else None
+        if name not in COMPRESSIONS or raw_size > MAXIMUM_CHUNK:
+            self._refused.add(
+                f"a chunk that unpacks to {raw_size / 1e6:.0f} MB is not read: {MAXIMUM_CHUNK >> 20} MB at most"
+                if name in COMPRESSIONS
+                else f"chunks packed with {name.decode(errors='replace')!r} are not read: zstd, lz4 and none are"
+            )
+            return None
+        return ChunkHead(COMPRESSIONS[name], raw_size, checksum, start, record.end)
+
+    def _count(self, record: Record, packed_bytes: int, unpacked_bytes: int) -> None:
+        """Raise `BadRecording` if the chunks so far unpack to far more than data can be."""
+        if record.begin in self._unpacked:
+            return
+        self._unpacked.add(record.begin)
+        self._packed_bytes += packed_bytes
+        self._unpacked_bytes += unpacked_bytes
+        try:
+            check_size(self._packed_bytes, self._unpacked_bytes)
+        except BadPack as error:
+            raise BadRecording(f"{self.path}: {error}") from error
 
     def _content(self, record: Record) -> bytes | None:
         """The records in a record (itself, or the data of a chunk); None if it is damaged."""
@@ -218,7 +258,9 @@ class Recording:
         if record.opcode != Opcode.CHUNK:
             return b""
         head = self._chunk_head(record)
-        data = None if head is None else _decompress(self._buffer[head.start : head.end], head)
+        if head is not None:
+            self._count(record, head.end - head.start, head.raw_size)
+        data = None if head is None else _content_of(self._buffer[head.start : head.end], head)
         sound = data is not None and head is not None and head.checksum in (0, zlib.crc32(data))
         return data if sound else None
 
@@ -238,7 +280,7 @@ def records(data: bytes) -> Iterator[tuple[int, bytes]]:
         opcode, length = RECORD_HEAD.unpack_from(data, position)
         start = position + RECORD_HEAD.size
         position = start + length
-        if position > len(data):
+        if position > len(data) or opcode not in OPCODES:
             break
         yield opcode, data[start:position]
 
@@ -264,28 +306,12 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
             yield None
 
 
-def _decompress(data: bytes, head: ChunkHead) -> bytes | None:
-    if not head.compression:
+def _content_of(data: bytes, head: ChunkHead) -> bytes | None:
+    """The data of a chunk; None if they are damaged."""
+    if head.compression is None:
         return data
     try:
-        if zstandard.frame_content_size(data) not in (-1, head.raw_size):
-            return None
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=head.raw_size)
-    except zstandard.ZstdError:
+        content = unpacked(data, head.compression, head.raw_size)
+    except BadPack:
         return None
-
-
-def _decompress_some(data: bytes, compression: bytes) -> bytes:
-    """Decompress as many whole blocks as there are."""
-    if not compression:
-        return data
-    decompressor = zstandard.ZstdDecompressor().decompressobj()
-    raw = bytearray()
-    try:
-        for start in range(0, len(data), BLOCK):
-            raw += decompressor.decompress(data[start : start + BLOCK])
-            if len(raw) > MAXIMUM_CHUNK:
-                break
-    except zstandard.ZstdError:
-        pass  # the blocks before the damage are valid
-    return bytes(raw)
+    return content if len(content) == head.raw_size else None

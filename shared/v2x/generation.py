@@ -66,7 +66,8 @@ class GenerationRules:
                     self._period_ns = LONGEST_PERIOD_NS
         self._last = now
         last_ns = self._low_frequency_ns
-        low_frequency = last_ns is None or now.time_ns - last_ns + CHECK_JITTER_NS >= LOW_FREQUENCY_PERIOD_NS
+        # No tolerance here: the container comes at the earliest 500 ms after the last one, also if a check is late.
+        low_frequency = last_ns is None or now.time_ns - last_ns >= LOW_FREQUENCY_PERIOD_NS
         if low_frequency:
             self._low_frequency_ns = now.time_ns
         return Generation(low_frequency)

@@ -58,8 +58,8 @@ def test_a_recording_is_kept_and_deleted_only_when_that_is_confirmed(
     path = stored(tmp_path)
     with status_server(tmp_path, recordings=ALL) as server:
         page = open_page(server.address, path="recordings")
-        page.get_by_role("button", name="Keep").click()
-        expect(page.locator(".recording")).to_contain_text("kept")
+        page.get_by_role("button", name="Protect").click()
+        expect(page.locator(".recording")).to_contain_text("protected")
         assert path.with_name(NAME + ".keep").exists()
         page.get_by_role("button", name="Release").click()
         page.get_by_role("button", name=f"Delete {NAME}").click()

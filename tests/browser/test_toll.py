@@ -85,6 +85,24 @@ def test_a_charge_opens_its_evidence_and_says_how_to_verify_it(
     expect(drawer).to_contain_text("obu verify-toll")
 
 
+def test_held_reviewed_and_unconfirmed_charges_are_shown_in_words(
+    plazas: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(plazas["normal"].address, path="toll")
+    account = page.locator(".account-card")
+    expect(account).to_contain_text("waiting for the detector", timeout=8000)
+    for label, number in (("Held", "2"), ("In review", "3"), ("Not confirmed by a detector", "4"), ("Charges", "5")):
+        expect(account.locator("dl.rows > div", has_text=label).first).to_contain_text(number)
+    expect(account.locator("tbody tr")).to_contain_text("not closed yet: 4")
+    passages = page.locator(".passages-card")
+    expect(passages.locator("tr", has_text="Charged")).to_contain_text("not confirmed by a detector")
+    expect(passages.locator("tr", has_text="In review")).to_have_count(1)
+    passages.locator("tr", has_text="Held").get_by_role("button").click()
+    expect(page.get_by_role("dialog", name="Passage")).to_contain_text(
+        "It is charged when the lane's detector confirms it"
+    )
+
+
 def test_an_account_that_does_not_agree_is_a_caution_that_names_the_lane(
     tmp_path_factory: pytest.TempPathFactory, open_page: Callable[..., Page]
 ) -> None:

@@ -120,7 +120,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         short.get_by_role("button", name="Replay").click()
         opens = page.get_by_role("link", name="Open the replay")
         expect(opens).to_be_visible(timeout=40_000)
-        expect(ours.get_by_role("button", name="Solve")).to_be_disabled()
+        expect(ours.get_by_role("button", name="Reprocess")).to_be_disabled()
         second = httpx.post(f"{address}/api/recordings", json={"action": "solve", "name": broken.name}, timeout=5.0)
         assert (second.status_code, second.json()["detail"]) == (409, "another job runs; stop it first")
         with page.expect_popup() as popup:
@@ -129,7 +129,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         page.get_by_role("button", name="Stop").click()
         job = page.locator(".job")
         expect(job).to_contain_text("has ended", timeout=15_000)
-        short.get_by_role("button", name="Solve").click()
+        short.get_by_role("button", name="Reprocess").click()
         expect(job).to_contain_text("runs")
         report = short.get_by_role("link", name="Report")
         expect(report).to_be_visible(timeout=60_000)
@@ -137,7 +137,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         with page.expect_popup() as popup:
             report.click()
         expect(popup.value.get_by_role("heading", level=1)).to_be_visible()
-        page.locator(".recording", has_text="broken").get_by_role("button", name="Solve").click()
+        page.locator(".recording", has_text="broken").get_by_role("button", name="Reprocess").click()
         expect(job).to_contain_text("is no recording, not even a damaged one", timeout=20_000)
         expect(job).to_contain_text("failed")
         expect(page.locator(".recording", has_text="broken")).to_contain_text("cannot be read", timeout=20_000)

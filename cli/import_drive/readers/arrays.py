@@ -4,29 +4,58 @@ import struct
 import zlib
 from io import BytesIO
 from typing import Any, cast
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.errors import UserError
+from shared.unpacked import ALWAYS_BYTES, MOST_TIMES, BadPack, check_size, unpacked_size
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 FORMATS = (".npz", ".mat")
 HDF5 = b"\x89HDF\r\n\x1a\n"
+MATLAB_HEADER, MATLAB_PACKED = 128, 15  # [bytes], and the type of an element that is packed with zlib
 FEW_COLUMNS = 16  # a matrix with at most as many rows, and more columns, is transposed: time runs along the rows
 
 
 def arrays_of(data: bytes, name: str) -> Arrays:
     """Read the arrays of a file by the end of its name."""
+    try:
+        check_size(len(data), (_matlab_bytes if name.endswith(".mat") else _numpy_bytes)(data))
+    except BadPack as error:
+        raise UserError(f"{name} cannot be read: {error}") from error
     return _matlab(data, name) if name.endswith(".mat") else _numpy(data, name)
+
+
+def _numpy_bytes(data: bytes) -> int:
+    """What the members of an archive say that they unpack to; no more than that is read of them."""
+    try:
+        with ZipFile(BytesIO(data)) as archive:
+            return sum(member.file_size for member in archive.infolist())
+    except (OSError, ValueError, EOFError, BadZipFile):
+        return 0  # no archive, which is said where its arrays are read
+
+
+def _matlab_bytes(data: bytes) -> int:
+    """Bytes that the packed elements of a file of version 7 unpack to, as far as `check_size` allows."""
+    tag = struct.Struct(">II" if data[126:128] == b"MI" else "<II")
+    allowed = max(ALWAYS_BYTES, MOST_TIMES * len(data))
+    total, place = 0, MATLAB_HEADER
+    while place + tag.size <= len(data) and total <= allowed:
+        kind, size = tag.unpack_from(data, place)
+        place += tag.size
+        if kind == MATLAB_PACKED:
+            total += unpacked_size(data[place : place + size], "zlib", allowed + 1 - total)
+        place += size
+    return total
 
 
 def _numpy(data: bytes, name: str) -> Arrays:
     try:
         with np.lib.npyio.NpzFile(BytesIO(data), allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+    except (OSError, ValueError, EOFError, MemoryError, BadZipFile, zlib.error) as error:
         raise UserError(f"{name} is not an archive of NumPy arrays ({error}); write it with numpy.savez") from error
 
 

@@ -1,21 +1,25 @@
 """Converts the text log of Android's GnssLogger to messages: fixes, satellites, raw measurements, inertial samples.
 
 Every kind of line is named by its first field and described by a header such as `# Fix,Provider,LatitudeDegrees,...`;
-the names of the fields differ between versions of the app.
+the names of the fields differ between versions of the app. Its NMEA log has lines without a header,
+`NMEA,$GPGGA,...*63,1699400577561`: the sentence, and the time of its arrival in ms.
 """
 
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from services.parsers.gnss.process import Config, Process
 from shared.maths.earth import FloatArray
 from shared.messages.gnss import (
     Constellation,
     FixType,
     GnssFix,
+    GnssRaw,
     GnssRawEpoch,
     GnssSatellites,
     RawMeasurement,
@@ -33,14 +37,21 @@ L1_HZ = 1_575_420_030.0
 RANGES_M = (1.5e7, 6e7)  # pseudoranges of satellites in medium and geostationary orbits
 LARGEST_SV_TIME_SD_NS = 500.0
 BATCH = 10  # inertial samples a message
+SENSORS = ("UncalAccel", "Accel"), ("UncalGyro", "Gyro")
+FEWEST_SAMPLES = 2  # accelerations, between which those at the rates' times are interpolated
 GAP_NS = 100 * MS  # between accelerations, over which none is interpolated
-CODE_LOCK, TIME_OF_WEEK = 1, 8  # bits of State
+# Bits of State. A time of week or of day is decoded from this satellite, or known from others. A Galileo E1 signal has
+# a bit of its own for the lock to its code.
+CODE_LOCK = 1 | 1 << 10  # STATE_CODE_LOCK, STATE_GAL_E1BC_CODE_LOCK
+TIME_OF_WEEK = 1 << 3 | 1 << 14  # STATE_TOW_DECODED, STATE_TOW_KNOWN
+TIME_OF_DAY = 1 << 7 | 1 << 15  # STATE_GLO_TOD_DECODED, STATE_GLO_TOD_KNOWN
 RANGE_VALID = 1  # bit of AccumulatedDeltaRangeState
 # Time of each system behind GPS time [ns]; GLONASS gives the time of day instead and is not read.
 SYSTEMS = {
     1: (Constellation.GPS, 0), 4: (Constellation.QZSS, 0), 5: (Constellation.BEIDOU, 14 * NS),
     6: (Constellation.GALILEO, 0),
 }  # fmt: skip
+GLONASS = 3
 CONSTELLATIONS = {
     1: Constellation.GPS, 2: Constellation.SBAS, 3: Constellation.GLONASS, 4: Constellation.QZSS,
     5: Constellation.BEIDOU, 6: Constellation.GALILEO, 7: Constellation.NAVIC,
@@ -57,22 +68,24 @@ NAMES = {
     "accuracy": "accuracymeters", "(utc)timeinms": "unixtimemillis", "bearing": "bearingdegrees",
 }  # fmt: skip
 OLDEST_FIX = ("provider", "latitudedegrees", "longitudedegrees", "altitudemeters", "speedmps", "accuracymeters")
+NMEA_LINE = re.compile(r"NMEA,\s*(\$[^*]*\*[0-9A-Fa-f]{2})\s*,\s*(\d{1,16})\s*")
 Row = dict[str, str]
 LogMessage = GnssFix | GnssRawEpoch | GnssSatellites | ImuSamples
 
 
 @dataclass
 class Log:
-    """Rows of each kind, and the counts of lines and rejects."""
+    """Rows of each kind, NMEA sentences with their arrival [ms], and the counts of lines and rejects."""
 
     rows: dict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
+    sentences: list[tuple[str, int]] = field(default_factory=list)
     lines: int = 0
     rejects: Counter[str] = field(default_factory=Counter)
 
 
 def is_log(first_lines: Iterable[str]) -> bool:
     """Whether a file begins as GnssLogger's files do."""
-    return any(line.startswith("#") and "Header Description" in line for line in first_lines)
+    return any((line.startswith("#") and "Header Description" in line) or NMEA_LINE.match(line) for line in first_lines)
 
 
 def read_log(lines: Iterable[str]) -> Log:
@@ -89,7 +102,9 @@ def read_log(lines: Iterable[str]) -> Log:
             continue
         log.lines += 1
         header = headers.get(fields[0])
-        if header is None:
+        if (sentence := NMEA_LINE.match(line)) is not None:
+            log.sentences.append((sentence[1], int(sentence[2])))
+        elif header is None:
             log.rejects["line without header"] += 1
         elif len(fields) - 1 < min(len(header), len(OLDEST_FIX)):
             log.rejects["too few fields"] += 1
@@ -115,7 +130,7 @@ def messages_of(log: Log, axes: FloatArray) -> list[LogMessage]:
     """
     offset_ns = _clock_offset(log)
     made: list[LogMessage] = [
-        *_fixes(log, offset_ns),
+        *(_fixes(log, offset_ns) if log.rows.get("Fix") else _fixes_of_sentences(log)),
         *_satellites(log),
         *_raw_epochs(log),
         *_inertial(log, offset_ns, axes),
@@ -162,6 +177,31 @@ def _fixes(log: Log, offset_ns: int | None) -> Iterator[GnssFix]:
             ground_speed_m_s=speed, course_rad=None if bearing is None else math.radians(bearing),
             position_sd_ned_m=(axis, axis, vertical) if axis and vertical else None,
         )  # fmt: skip
+
+
+def _fixes_of_sentences(log: Log) -> Iterator[GnssFix]:
+    """Fixes of the receiver's own NMEA sentences, by the parser of the unit."""
+    parser = Process(Config())
+    for sentence, arrival_ms in log.sentences:
+        data = f"{sentence}\r\n".encode()
+        for message in parser.handle(GnssRaw(received_ns=arrival_ms * MS, source=SOURCE, data=data, recorded=True)):
+            if isinstance(message, GnssFix):
+                yield message
+    log.rejects.update({f"NMEA: {reason}": count for reason, count in parser.rejects.items()})
+
+
+def contents(log: Log) -> str:
+    """What a log holds and what it lacks, for a log of which nothing can be used."""
+    counts = {kind: len(rows) for kind, rows in log.rows.items()} | {"NMEA": len(log.sentences)}
+    held = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count) or "no lines of a known kind"
+    rejected = ", ".join(f"{count} {reason}" for reason, count in log.rejects.items())
+    missing = [f"`{kind}`" for kind in ("Fix", "Raw", "Status") if not counts.get(kind)]
+    lacks = [f"{' and '.join(missing)} lines (GNSS)"] if missing else []
+    for kinds in SENSORS:
+        if (best := max(counts.get(kind, 0) for kind in kinds)) < FEWEST_SAMPLES:
+            names = " or ".join(f"`{kind}`" for kind in kinds)
+            lacks.append(f"{names} lines ({best}, at least {FEWEST_SAMPLES} are required)")
+    return f"{held}" + (f"; rejected: {rejected}" if rejected else "") + f"; missing: {', '.join(lacks) or 'nothing'}"
 
 
 def _satellites(log: Log) -> Iterator[GnssSatellites]:
@@ -232,10 +272,10 @@ def _measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
     """One signal, or why it is rejected."""
     system, number, state = (_integer(row, name) for name in ("constellationtype", "svid", "state"))
     sent_ns, offset_ns = _integer(row, "receivedsvtimenanos"), _number(row, "timeoffsetnanos") or 0.0
+    if reason := _without_time(system, state or 0):
+        return reason
     if system not in SYSTEMS or number is None or not 0 < number < 300:
         return "constellation"
-    if state is None or not (state & CODE_LOCK and state & TIME_OF_WEEK):
-        return "no time of week"
     sent_sd_ns = _number(row, "receivedsvtimeuncertaintynanos")
     if sent_ns is None or sent_sd_ns is None or not 0.0 <= sent_sd_ns <= LARGEST_SV_TIME_SD_NS:
         return "time of transmission"
@@ -263,14 +303,22 @@ def _measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
     )  # fmt: skip
 
 
+def _without_time(system: int | None, state: int) -> str:
+    """Why the time of transmission of a signal is not known, or not used; empty where it is."""
+    if not state & CODE_LOCK:
+        return "no lock to the code"
+    if system == GLONASS:
+        return "GLONASS is not used" if state & TIME_OF_DAY else "no time of day"
+    return "" if state & TIME_OF_WEEK else "no time of week"
+
+
 def _inertial(log: Log, offset_ns: int | None, axes: FloatArray) -> Iterator[ImuSamples]:
     """Samples at the gyroscope's times, with the acceleration interpolated; uncalibrated sensors come first."""
-    pairs = ("UncalAccel", "Accel"), ("UncalGyro", "Gyro")
-    kinds = [next((kind for kind in pair if log.rows.get(kind)), None) for pair in pairs]
+    kinds = [next((kind for kind in pair if log.rows.get(kind)), None) for pair in SENSORS]
     if offset_ns is None or None in kinds:
         return
     (force_ns, force), (rate_ns, rate) = (_triples(log, kind, offset_ns) for kind in kinds if kind)
-    if len(force_ns) < 2:
+    if len(force_ns) < FEWEST_SAMPLES:
         return
     after = np.clip(np.searchsorted(force_ns, rate_ns), 1, len(force_ns) - 1)
     inside = (rate_ns >= force_ns[0]) & (rate_ns <= force_ns[-1]) & (force_ns[after] - force_ns[after - 1] <= GAP_NS)

@@ -71,8 +71,9 @@ def reproduce(drives: int, progress: bool) -> Paper:
     )  # fmt: skip
     found = with_recordings(found)
     tables = [_break_points(found), _detections(found), _random_drives(found), *_systems(found)]
+    not_reproduced = (*NOT_REPRODUCED, *_unfitted(found))
     return Paper(
-        "motion-conflict", tables, _document(found), FITTED, NOT_REPRODUCED, found.skipped, _deviations(found),
+        "motion-conflict", tables, _document(found), FITTED, not_reproduced, found.skipped, _deviations(found),
         _figures(found),
     )  # fmt: skip
 
@@ -180,6 +181,25 @@ def _random_drives(found: Findings) -> Table:
     return Table(title, ("", "median [range]", "drives", "reference"), rows)
 
 
+def _unfitted(found: Findings) -> list[str]:
+    """Published break-points that random drives, which were not fitted, miss by more than the tolerance."""
+    texts = []
+    for kind, drives in _kinds(found).items():
+        for name, column in (("delay, median", 1), ("delay, MT", 0), ("scale, median", 1), ("scale, MT", 0)):
+            expected = PUBLISHED.get(kind, {}).get(name)
+            values = [(drive.delay_s if name.startswith("delay") else drive.scale)[column] for drive in drives]
+            crossed = [value for value in values if value is not None]
+            if expected is None or not crossed:
+                continue
+            median = float(np.median(crossed))
+            if abs(median / expected - 1.0) > TOLERANCE:
+                texts.append(
+                    f"{kind}, {len(drives)} drives that were not fitted: {name} at {_text(name, median)}, published "
+                    f"{_text(name, expected)}."
+                )
+    return texts
+
+
 def _range(values: Sequence[float | None], unit: float) -> str:
     crossed = unit * np.array([value for value in values if value is not None])
     if not len(crossed):
@@ -202,13 +222,21 @@ def _systems(found: Findings) -> list[Table]:
     return [Table("One system alone, real pseudoranges", ("", ""), rows)] if rows else []
 
 
+def is_worse(name: str, ratio: float) -> bool:
+    """Whether a break-point misses the published one by more than the tolerance, to the side that is worse.
+
+    Smaller faults that are found are better; so are longer gaps that are no fault.
+    """
+    return ratio < 1.0 - TOLERANCE - 1e-9 if name.startswith("gap") else ratio > 1.0 + TOLERANCE + 1e-9
+
+
 def _deviations(found: Findings) -> list[str]:
     texts = []
     for kind, published in PUBLISHED.items():
         values = _values(found.profiles[kind])
         for name, expected in published.items():
             value = values[name]
-            if value is None or abs(value / expected - 1.0) > TOLERANCE + 1e-9:
+            if value is None or is_worse(name, value / expected):
                 texts.append(f"{kind}: {name} at {_text(name, value)}, published {_text(name, expected)}, 25 % allowed")
         nominal = with_scale(Drive(kind), 0.0)
         if max(nominal.mean, nominal.median) > NOMINAL_LIMIT_KM_H:

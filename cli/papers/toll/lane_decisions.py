@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
 
 from services.core.toll.delta import DeltaEstimator, ErrorModel
 from services.core.toll.lanes import LaneGeometry, lane_likelihood
@@ -37,6 +38,23 @@ class Errors:
         return replace(
             ErrorModel(), common_sd=self.common, vehicle_sd=self.vehicle, unit_sd=self.unit, white_sd=self.white
         )
+
+    @property
+    def raw_sd(self) -> float:
+        """Standard deviation [m] of an axis of a raw position."""
+        return float(np.sqrt(self.common**2 + self.vehicle**2 + self.white**2))
+
+
+def expected_raw(errors: Errors, *, ends_are_open: bool = False) -> float:
+    """Expected share of raw positions in the right lane, by the normal distribution.
+
+    A lane of width w has two bounds: P = mean over the place d in it of Φ((w/2 - d)/σ) - Φ((-w/2 - d)/σ). With open
+    ends, the outer two of n lanes have one bound, and what is beside the road counts for them.
+    """
+    places = np.linspace(-IN_LANE_M, IN_LANE_M, 61)
+    inside = ndtr((0.5 * WIDTH_M - places) / errors.raw_sd)
+    two = float((inside - ndtr((-0.5 * WIDTH_M - places) / errors.raw_sd)).mean())
+    return two if not ends_are_open else ((LANES - 2) * two + 2.0 * float(inside.mean())) / LANES
 
 
 ROWS = (Errors(3.0, 0.6, 0.4, 0.3), Errors(3.0, 1.0, 0.8, 0.4), Errors(1.5, 0.4, 0.3, 0.2), Errors(4.2, 0.6, 1.13, 0.3))

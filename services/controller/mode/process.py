@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationSolution
 from shared.messages.operation import Mode, ModeState
@@ -54,7 +54,7 @@ class Process:
         """Process a message; yield the mode each second, and when the mode or a selected source has changed."""
         appeared = self._unit.note(message)
         match message:
-            case GnssFix() if appeared and self._config.configure_gnss:
+            case GnssFix() | GnssReceiver() if appeared and self._config.configure_gnss:
                 yield from self._exchange(appeared).start(self._unit.now_ns)
             case GnssConfiguration():
                 if exchange := self._exchanges.get(message.source):

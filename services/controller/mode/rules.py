@@ -22,6 +22,7 @@ class Facts:
     imu_age_s: float | None = None
     gnss_age_s: float | None = None  # of any message of a receiver
     fix_age_s: float | None = None  # of a fix with a position
+    receiver: str | None = None  # what a receiver sends, by its bytes
     solution_age_s: float | None = None
     fusion_age_s: float | None = None  # of any message of core.fusion
     phase: NavigationPhase | None = None
@@ -35,7 +36,7 @@ Rule = Callable[[Facts], str | None]
 
 ALIGNING_REASONS = {
     NavigationPhase.WAITING_FOR_IMU: "waiting for inertial samples",
-    NavigationPhase.LEVELLING: "levelling: keep the vehicle still",
+    NavigationPhase.LEVELLING: "stand still for a few seconds",
     NavigationPhase.WAITING_FOR_GNSS: "waiting for a GNSS fix: give the antenna a view of the sky",
     NavigationPhase.WAITING_FOR_HEADING: "waiting for the heading: drive straight ahead for a moment",
 }
@@ -62,10 +63,14 @@ def _booting(facts: Facts) -> str | None:
 
 
 def _detecting(facts: Facts) -> str | None:
-    missing = [name for name, age in (("IMU", facts.imu_age_s), ("GNSS receiver", facts.gnss_age_s)) if age is None]
-    if not missing or facts.has_measured:
+    if facts.has_measured:
         return None
-    return f"no data from the {' and the '.join(missing)} yet: check its cable and its device in the vehicle file"
+    heard = facts.gnss_age_s is not None or facts.receiver is not None
+    missing = [name for name, there in (("IMU", facts.imu_age_s is not None), ("GNSS receiver", heard)) if not there]
+    if not missing:
+        return facts.receiver if facts.gnss_age_s is None and not facts.configuring else None
+    text = f"no data from the {' and the '.join(missing)} yet: check its cable and its device in the vehicle file"
+    return f"{text}; {facts.receiver}" if facts.receiver and facts.gnss_age_s is None else text
 
 
 def _configuring(facts: Facts) -> str | None:

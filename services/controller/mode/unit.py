@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from shared.chosen import ChosenSource
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssFix
+from shared.messages.gnss import GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
@@ -15,6 +15,9 @@ from .sources import Sources, age_s
 
 NS = 1_000_000_000
 NMEA = "/nmea"
+RECEIVER_SILENT_S = 6.0  # a statement comes every two seconds
+LISTED = 6
+FIXES = {"UBX NAV-PVT", "NMEA GGA", "NMEA RMC", "NMEA GNS"}  # messages of which fixes are made
 
 
 @dataclass(slots=True)
@@ -28,6 +31,7 @@ class Unit:
     imu: Sources = field(default_factory=lambda: Sources(IMU_SILENT_S))
     speed: ChosenSource = field(default_factory=ChosenSource)
     fix_ns: int | None = None
+    said: GnssReceiver | None = None  # of the receiver that was heard last
     utc_offset_ns: int | None = None  # UTC - OBU time line
     solution: NavigationSolution | None = None
     solution_ns: int | None = None
@@ -48,6 +52,8 @@ class Unit:
                 self.speed.takes(message.source, self.now_ns)
             case GnssFix():
                 return self._note_fix(message)
+            case GnssReceiver() if self.started_ns is not None:  # one that the broker kept may be of yesterday
+                return self._note_receiver(message)
             case NavigationSolution():
                 self._advance(message.sampled_ns)
                 self.solution, self.solution_ns = message, self.now_ns
@@ -70,6 +76,7 @@ class Unit:
             imu_age_s=self.imu.age_s(self.now_ns),
             gnss_age_s=self.gnss.age_s(self.now_ns),
             fix_age_s=age_s(self.fix_ns, self.now_ns),
+            receiver=self._receiver_sends(),
             solution_age_s=solution_age_s,
             fusion_age_s=fusion_age_s,
             phase=phase,
@@ -101,6 +108,24 @@ class Unit:
         self.now_ns = max(self.now_ns, stamp_ns)
         if self.started_ns is None:
             self.started_ns = self.now_ns
+
+    def _note_receiver(self, said: GnssReceiver) -> str | None:
+        self._advance(said.received_ns)
+        self.said = said
+        known = bool(said.messages) and self.receivers.note_received(said.source, self.now_ns)
+        return said.source if known else None
+
+    def _receiver_sends(self) -> str | None:
+        """Say what a receiver sends, and what that means, while it has no position."""
+        said = self.said
+        if said is None or (age_s(said.received_ns, self.now_ns) or 0.0) > RECEIVER_SILENT_S:
+            return None
+        if not said.messages:
+            return f"{said.source} sends bytes that are no messages: check the baud rate of its device"
+        listed = ", ".join(said.messages[:LISTED]) + (", ..." if len(said.messages) > LISTED else "")
+        if FIXES.isdisjoint(said.messages):
+            return f"{said.source} sends no message that gives a position, but {listed}"
+        return f"{said.source} has no position yet: give its antenna a view of the sky (it sends {listed})"
 
     def _note_fix(self, fix: GnssFix) -> str | None:
         self._advance(fix.received_ns)

@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
-from math import radians
+from math import inf, radians
 from typing import Literal
 
 import numpy as np
@@ -111,6 +111,8 @@ class Process:
                 self._use_neighbours(message)
             case NavigationState():
                 self._alert_limit_m = message.alert_limit_horizontal_m
+                if self._cooperative is not None:
+                    self._cooperative.alert_limit_m = inf if self._alert_limit_m is None else self._alert_limit_m
             case Tick():
                 self._now(message.now_ns)
                 if self._is_silent(message.now_ns):

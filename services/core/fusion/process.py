@@ -2,8 +2,6 @@
 
 from collections.abc import Iterator
 
-from pydantic import PrivateAttr
-
 from shared.chosen import ChosenSource
 from shared.messages.base import Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix
@@ -19,7 +17,6 @@ from shared.messages.navigation import (
 )
 from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
-from shared.runtime.config import LEVEL_MOUNTING, Matrix3, VehicleFile
 
 from . import messages
 from .navigator import Navigator
@@ -37,26 +34,13 @@ Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpS
 class Config(Settings):
     """Settings of core.fusion."""
 
-    _mounting: Matrix3 = PrivateAttr(default=LEVEL_MOUNTING)
-
-    def model_post_init(self, context: object) -> None:
-        """Note the mounting of the IMU, which the check of the set-up corrects."""
-        vehicle = context.get("vehicle") if isinstance(context, dict) else None
-        if isinstance(vehicle, VehicleFile):
-            self._mounting = vehicle.mounting
-
-    @property
-    def mounting(self) -> Matrix3:
-        """Mounting of the IMU as stated."""
-        return self._mounting
-
 
 class Process:
     """Passes messages to the navigator, and publishes its solutions, states and outcomes."""
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config)
-        self._set_up = SetUpMonitor(config, config.mounting)
+        self._set_up = SetUpMonitor(config)
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample

@@ -2,10 +2,10 @@
 
 from math import pi, radians
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from shared.messages.base import Vector3
-from shared.runtime.config import Section
+from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, VehicleFile
 
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
@@ -324,3 +324,16 @@ class Settings(Section):
     alignment: AlignmentSettings = AlignmentSettings()
     gating: GatingSettings = GatingSettings()
     integrity: IntegritySettings = IntegritySettings()
+
+    _mounting: Matrix3 = PrivateAttr(default=LEVEL_MOUNTING)
+
+    def model_post_init(self, context: object) -> None:
+        """Note the mounting of the IMU: the check of the set-up corrects it, and a saved state is of one mounting."""
+        vehicle = context.get("vehicle") if isinstance(context, dict) else None
+        if isinstance(vehicle, VehicleFile):
+            self._mounting = vehicle.mounting
+
+    @property
+    def mounting(self) -> Matrix3:
+        """Mounting of the IMU, as `[vehicle.imu]` of the vehicle's file states it."""
+        return self._mounting

@@ -13,6 +13,7 @@ from shared.maths.earth import FloatArray
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
     DELTAS,
+    MAX_USED,
     STATION_IDS,
     EvidenceFrame,
     GateCommand,
@@ -28,6 +29,7 @@ from shared.messages.toll import (
     TollRegistration,
     TollTrack,
     TollTracks,
+    UsedCam,
 )
 from shared.messages.v2x import Cam, StationType
 from shared.toll.plaza import Plaza, along
@@ -39,7 +41,7 @@ from .location import COMMON, Fixes, Location, locate
 from .measurement import ELLIPSE_95
 from .passages import Crossing, Here, Passage, can_reach, crossing_between, overlap, passage_id
 from .settings import Settings
-from .tracks import Track, TrackTable, Update, away_from_prediction
+from .tracks import REMEMBERED_NS, Received, Track, TrackTable, Update, away_from_prediction
 
 VERSION = "2"  # of the algorithms, for evidence: 2 states the crossing time of slow and silent vehicles wider
 SECOND_NS = 10**9
@@ -90,6 +92,7 @@ class Core:
         self._unsettled: dict[str, TollPassage] = {}  # last statements of ended passages
         self._contracts: dict[int, int] = {}  # station ID: end of its registration
         self._gates: dict[str, tuple[str, int]] = {}  # passage: content and time of its newest gate command
+        self._taken: deque[tuple[int, Received]] = deque()  # clock offset and CAM, as `used` has returned them
         self._rejected: Counter[str] = Counter()
         self._cams = 0
         self._first_cam_ns: int | None = None
@@ -171,11 +174,75 @@ class Core:
             self._passages[passage.passage_id] = passage
             yield from self._take_over(passage)
 
+    def used(self) -> tuple[UsedCam, ...]:
+        """Take what was used since the last call, at most as many as a message holds."""
+        taken, self._table.used = self._table.used[:MAX_USED], self._table.used[MAX_USED:]
+        self._taken += taken
+        while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
+            self._taken.popleft()
+        return tuple(
+            UsedCam(sampled_ns=sampled_ns, received_ns=received_ns, data=data, clock_offset_ns=offset_ns)
+            for offset_ns, (sampled_ns, received_ns, data) in taken
+        )
+
+    def recall(self) -> tuple[TollDelta, ...]:
+        """Let `used` begin with the oldest CAM again, which the ledger has lost; return the deltas of their time."""
+        self._table.used = [*self._taken, *self._table.used]
+        self._taken.clear()
+        first_ns = self._newest_cam_ns - REMEMBERED_NS
+        return tuple(delta for delta in self._deltas if delta.sampled_ns >= first_ns)
+
+    def restore(
+        self, cams: Sequence[tuple[Cam, int]], deltas: Sequence[TollDelta], message: OpenPassages
+    ) -> list[TollPassage]:
+        """Use what an earlier process has used, so that its passages go on as if there had been no restart.
+
+        To be called before any other CAM is used. A passage depends on the CAM since it was opened only: those of each
+        passage whose first CAM is there are used again, in their order; the others are remembered, against replays.
+
+        Parameters
+        ----------
+        cams : sequence of (Cam, int)
+            In the order of use, with corrected times, and [ns] the correction that is in them.
+        deltas : sequence of TollDelta
+            The delta positions of their time.
+        message : OpenPassages
+            What the ledger holds.
+
+        Returns
+        -------
+        list of TollPassage
+            Final statements that the ledger may not have received.
+        """
+        for station in message.registered:
+            self.register(station)
+        for delta in deltas:
+            self.use_delta(delta)
+        open_ids = {one.passage_id: set(one.station_ids) for one in message.passages if not one.state.is_final}
+        stations: set[int] = set()  # of the passages that have begun
+        self._ready_ns, self._table.on_time, said = -(1 << 62), True, list[Statement]()
+        batch: dict[int, Cam] = {}
+        for cam, _ in cams:
+            stations |= open_ids.get(passage_id(self._plaza.name, cam.frame), set())
+            if cam.station_id not in stations:
+                self._table.repetitions.add(cam)
+                continue
+            if cam.station_id in batch:
+                said += self.use(list(batch.values()))
+                batch.clear()
+            batch[cam.station_id] = cam
+        said += self.use(list(batch.values()))
+        self._ready_ns, self._first_cam_ns, self._table.on_time, self._table.used = None, None, False, []
+        self._taken += [(offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame)) for cam, offset_ns in cams]
+        for cam, offset_ns in cams:
+            self._table.continue_clock(cam.station_id, offset_ns)
+        return [one for one in said if isinstance(one, TollPassage) and one.state.is_final]
+
     def use(self, cams: Sequence[Cam]) -> Iterator[Statement]:
         """Use a batch of CAM."""
         vehicles = [cam for cam in cams if cam.station_type not in NO_VEHICLE]
         if self._first_cam_ns is None and vehicles:
-            self._first_cam_ns = min(cam.received_ns for cam in vehicles)
+            self._first_cam_ns = self._table.seen_since_ns = min(cam.received_ns for cam in vehicles)
         self._newest_cam_ns = max([self._newest_cam_ns, *(cam.received_ns for cam in vehicles)])
         self._rejected["no_road_vehicle"] += len(cams) - len(vehicles)
         for updates in self._table.use(vehicles):

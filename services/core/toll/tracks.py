@@ -128,14 +128,16 @@ class TrackTable:
 
     def __init__(self, settings: Settings, plaza: Plaza, *, on_time: bool = False) -> None:
         self._settings, self._plaza = settings.track, plaza
-        self._on_time = on_time  # the CAM's times are corrected already
+        self.on_time = on_time  # the CAM's times are corrected already
         self._white_sd = settings.errors.white_sd_m
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[int, Track] = {}
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
-        self._repetitions = Repetitions()
+        self.repetitions = Repetitions()
+        self.seen_since_ns = 0  # silence before the first CAM of this process is none
+        self.used: list[tuple[int, Received]] = []  # clock offset and CAM, since it was emptied last
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
         self._x = np.zeros((size, *start.x.shape[1:]))
         self._P = np.zeros((size, *start.P.shape[1:]))
@@ -176,6 +178,11 @@ class TrackTable:
         track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
+    def continue_clock(self, station_id: int, clock_offset_ns: int) -> None:
+        """Correct the times of a station from here on as before a restart; its CAM so far were corrected already."""
+        if track := self.by_station.get(station_id):
+            track.clock_offset_ns = clock_offset_ns
+
     def delete_silent(self, now_ns: int) -> list[Track]:
         """Delete the tracks that have been silent for too long; return them."""
         limit_ns = round(self._settings.deleted_after_s * 1e9)
@@ -186,7 +193,7 @@ class TrackTable:
 
     def _measured(self, cam: Cam) -> Measured | None:
         """Place of a CAM in the plane; None if it cannot be used."""
-        if reason := self._repetitions.add(cam):
+        if reason := self.repetitions.add(cam):
             self.rejected[reason] += 1
             return None
         if cam.latitude_deg is None or cam.longitude_deg is None:
@@ -208,7 +215,7 @@ class TrackTable:
         offset_ns = 0
         if track is not None:
             offset_ns = track.clock_offset_ns
-        elif not self._on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+        elif not self.on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
             offset_ns = age_ns
         if not offset_ns:
             return one
@@ -306,6 +313,7 @@ class TrackTable:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
         track.frames.append(_received(one.cam))
+        self.used.append((track.clock_offset_ns, track.frames[-1]))
         return Update(track, one, born, self._confirmed_predecessor(track))
 
     def _confirmed_predecessor(self, track: Track) -> Track | None:
@@ -317,7 +325,7 @@ class TrackTable:
         if old.updated_ns >= track.born_ns or owner not in (None, old):  # both station IDs are in use
             track.predecessor = None
             return None
-        if old.number in self._busy or track.updated_ns - old.updated_ns < track.silent_for_ns:
+        if old.number in self._busy or track.updated_ns - max(old.updated_ns, self.seen_since_ns) < track.silent_for_ns:
             return None
         track.predecessor = None
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]

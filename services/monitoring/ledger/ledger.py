@@ -7,7 +7,7 @@ after the commit. Messages may come twice, late, or after a restart: each is sto
 import hashlib
 import json
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
@@ -29,12 +29,14 @@ from shared.messages.toll import (
     PassageSummary,
     PlazaDetector,
     RegisteredStation,
+    RestoredCams,
     TollPassage,
     TollReceipt,
     TollRegistration,
     TollReview,
     TollTransaction,
     TransactionKind,
+    UsedCams,
 )
 from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
@@ -47,6 +49,7 @@ NS = 1_000_000_000
 HOUR_NS = 3600 * NS
 DAY_NS = 24 * HOUR_NS
 RECENT = 50
+USED_KEPT_NS = 70 * NS
 OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
 UNCONFIRMED = "not confirmed by a detector"
 AnyMessage = TypeVar("AnyMessage", bound=Message)
@@ -115,6 +118,10 @@ class Ledger:
         self._started_ns = now_ns
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
+        # What `core.toll` has used, this process and the one before: time, start of the process, message as JSON.
+        self._used: deque[tuple[int, int, str]] = deque()
+        self._core_since_ns: int | None = None
+        self._asked = False  # for them, by a new process
         self._next_send: dict[str, tuple[int, int]] = {}  # attempts and time of the next, by transaction
         self._numbers: Counter[str] = Counter()  # bookings by kind, up to the row `_summed`: none is ever changed
         self._detectors = {lane.name for lane in plaza.lanes if lane.detector}
@@ -134,6 +141,8 @@ class Ledger:
                 self.passage(message, now_ns)
             case TollReceipt():
                 self.receipt(message, now_ns)
+            case UsedCams():
+                self.remember(message)
             case _:
                 pass
 
@@ -189,6 +198,20 @@ class Ledger:
         if not message.accepted:
             self._reverse(message.passage_id, f"not accepted by {message.operator}: {message.reason}", now_ns)
 
+    def remember(self, used: UsedCams) -> None:
+        """Keep the CAM that `core.toll` has used, in memory only; a new process gets those of the one before."""
+        self._asked = self._asked or used.since_ns != self._core_since_ns
+        self._core_since_ns = used.since_ns
+        if used.anew:
+            self._used.clear()
+        if used.cams or used.deltas:
+            self._used.append((used.sampled_ns, used.since_ns, used.model_dump_json(exclude_none=True)))
+        self._forget_used(used.sampled_ns)
+
+    def _forget_used(self, now_ns: int) -> None:
+        while self._used and now_ns - self._used[0][0] > USED_KEPT_NS:
+            self._used.popleft()
+
     # Periodic work
 
     def expire(self, now_ns: int) -> None:
@@ -203,6 +226,7 @@ class Ledger:
                 self._settle(passage, state, "no statement from core.toll any more", now_ns)
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         self._store.execute("DELETE FROM registration WHERE valid_until_ns < ?", now_ns)
+        self._forget_used(now_ns)
         self._store.execute("DELETE FROM chain WHERE to_ns < ?", kept_ns)
         self._forget_reviews("since_ns >= ? AND since_ns < ? AND NOT EXISTS (SELECT 1 FROM evidence "
                              "WHERE evidence.passage_id = review.passage_id)", self._cleaned_ns, kept_ns)  # fmt: skip
@@ -298,14 +322,14 @@ class Ledger:
         if pulse is not None:
             away_s = abs(pulse["sampled_ns"] - row["crossing_ns"]) * 1e-9
             sds = away_s / hypot(row["sd_s"], self._settings.detector_sd_s)
-        held = self._store.row("SELECT charged FROM held WHERE passage_id = ?", row["passage_id"])
-        charged = self._read(TollPassage, held["charged"], row["passage_id"]) if held else None
+        held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
+        crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
         return Claim(
             passage_id=row["passage_id"],
             overlaps=frozenset(json.loads(row["overlaps"])),
             has_detector=row["lane"] in self._detectors,
             is_charge=row["state"] in (PassageState.CHARGED, PassageState.HELD),
-            is_derivable=charged is None or charged.derivable,
+            is_derivable=crossed is None or crossed.derivable,
             pulse_sds=sds,
             waited=now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS),
         )
@@ -342,6 +366,18 @@ class Ledger:
             found.append(content.model_copy(update={"attempt": attempts + 1}))
         return found
 
+    def restored(self) -> list[RestoredCams]:
+        """List what a new process of `core.toll` asks for, once; empty if none has asked, or nothing is kept."""
+        if not self._asked or self._core_since_ns is None:
+            return []
+        self._asked = False
+        mine = self._core_since_ns
+        return [
+            RestoredCams(since_ns=mine, used=UsedCams.model_validate_json(used))
+            for _, since_ns, used in self._used
+            if since_ns != mine
+        ]
+
     def reviews(self) -> list[TollReview]:
         """List the passages to review that are not published yet."""
         rows = self._store.rows("SELECT content, passage_id FROM review WHERE NOT sent ORDER BY since_ns LIMIT 100")
@@ -371,6 +407,8 @@ class Ledger:
                 RegisteredStation(station_id=row["station_id"], valid_until_ns=row["valid_until_ns"])
                 for row in registered
             ),
+            since_ns=self._started_ns,
+            core_since_ns=None if self._asked else self._core_since_ns,
         )
 
     def state(self, now_ns: int) -> LedgerState:
@@ -510,7 +548,7 @@ class Ledger:
             self._settle(message, PassageState.SUSPECT, reason, now_ns, min(contracts)[0])
         else:
             self._hold(message, proof, *min(contracts), now_ns)
-            if message.lane not in self._detectors and message.derivable and not message.overlaps:
+            if message.lane not in self._detectors and proof.derivable and not message.overlaps:
                 self._charge_held(message.passage_id, now_ns)
 
     def _hold(self, message: TollPassage, crossed: TollPassage, contract: str, tariff_class: str, now_ns: int) -> None:

@@ -129,7 +129,9 @@ class Process:
             with store.transaction():
                 for review in reviews:
                     ledger.reviewed(review)
-        if now_ns >= self._state_ns:
+        for restored in (found := ledger.restored()):
+            bus.publish(restored)
+        if found or now_ns >= self._state_ns:
             self._state_ns = now_ns + PERIOD_NS
             bus.publish(ledger.open_passages(now_ns))
             bus.publish(ledger.state(now_ns))

@@ -27,7 +27,7 @@ class Config(Section):
         description="folder of the recordings, below the state folder unless absolute; made if its parent exists",
     )
     chunk_bytes: int = Field(
-        default=256 * 1024, gt=0, le=64 * 1024**2, description="size of a chunk, the unit of compression and of reading"
+        default=256 * 1024, gt=0, le=8 * 1024**2, description="size of a chunk, the unit of compression and of reading"
     )
     flush_period_s: float = Field(
         default=0.5,

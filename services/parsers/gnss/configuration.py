@@ -14,6 +14,7 @@ from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssWrite
 
 ACK, CFG, MON = 0x05, 0x06, 0x0A
 VALSET, VALGET, VER = 0x8A, 0x8B, 0x04
+ANSWERS = ((ACK, 0), (ACK, 1), (CFG, VALGET), (MON, VER))  # that are used
 RAM = 1  # volatile layer of VALSET; VALGET numbers the same layer 0
 MAX_KEYS = 64
 TIMEOUT_TICKS = 3  # seconds without a response

@@ -14,10 +14,10 @@ UBX_SYNC = b"\xb5\x62"
 MAX_UBX_PAYLOAD = 4096  # RXM-RAWX of 120 signals is 3856
 MAX_NMEA = 256  # the standard allows 82; proprietary sentences are longer
 # A header of UBX whose length is possible, one of RTCM whose message number is (992 to 1311, and from 4000 on), a whole
-# sentence, or the beginning of one of them at the end of the data.
+# sentence (in an Android log with its arrival behind it), or the beginning of one of them at the end of the data.
 _STARTS = re.compile(
     rb"\xb5\x62(?s:.){3}[\x00-\x10]|\xd3[\x00-\x03](?s:.)[\x3e-\x51\xfa-\xff]"
-    rb"|\$[ -#%-\x7f]{0,248}\*[0-9A-Fa-f]{2}\r{0,3}\n"
+    rb"|\$[ -#%-\x7f]{0,248}\*[0-9A-Fa-f]{2}(?:,\d{1,16})?\r{0,3}\n"
     rb"|(?:\xb5(?:\x62(?s:.){0,3})?|\xd3(?:[\x00-\x03](?s:.)?)?|\$[ -#%-\x7f]{0,251}\r{0,3})\Z"
 )
 _DOLLAR, _RTCM = b"$\xd3"
@@ -113,7 +113,7 @@ class Framer(FrameFinder[Frame]):
 
     def _nmea(self, start: int, sentence: bytes) -> Frame | None:
         body, _, digits = sentence[1:].rstrip(b"\r\n").rpartition(b"*")
-        if reduce(xor, body, 0) == int(digits, 16):
+        if reduce(xor, body, 0) == int(digits[:2], 16):
             return Frame(Protocol.NMEA, sentence)
         self._reject(start, "nmea_checksum")
         return None

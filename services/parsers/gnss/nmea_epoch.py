@@ -1,93 +1,36 @@
-"""Combines the NMEA 0183 sentences of one epoch (RMC, GGA, GSA, GST), parsed by pynmea2, into one fix.
+"""Combines the NMEA 0183 sentences of one epoch (RMC, GGA or GNS, VTG, ZDA, GSA, GST), parsed by pynmea2, into one fix.
 
 Source: NMEA 0183 version 4.11, as described in u-blox F9 HPG 1.32 (UBX-22008968), section 2.
 """
 
 import math
-import re
-from collections import Counter, deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Sequence
 from datetime import date
-from typing import Any
 
-from pynmea2.nmea import NMEASentence, ParseError
+from pynmea2.nmea import NMEASentence
 
-from shared.faults import FOREIGN
-from shared.maths.dates import DAY_NS, NS, DeviceDates
+from shared.maths.dates import DAY_NS, DeviceDates
 from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+
+from .nmea_burst import NmeaEpoch, Sentence, time_of_day_ns
 
 KNOT_M_S = 1852 / 3600  # exact
 FASTEST_M_S = 600.0
 LARGEST = 1e6  # limit of every numerical field
-MOST_GSA = 8  # of one epoch: one or two a constellation
 NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: absent, no fix, manual input, simulator
-Sentence = Any  # pynmea2 creates the fields at run time; an empty or absent one is None or ""
-_WANTED = re.compile(rb"\$(?!P)\w\w(RMC|GGA|GSA|GST),")  # any talker; P marks proprietary sentences
+# GGA quality of each letter of GNS, one a constellation; the best of them is that of the fix.
+QUALITIES = {"R": 4, "F": 5, "P": 2, "D": 2, "A": 1, "E": 6, "M": 7, "S": 8, "N": 0}
 _parse: Callable[[str], Sentence] = NMEASentence.parse  # pynmea2 has no type annotations
 # Substitute for a sentence that was not received: empty fields that do not invalidate the fix.
 _ABSENT = {
     "RMC": _parse("$GNRMC,,A"),
     "GGA": _parse("$GNGGA,,,,,,1"),
-    "GSA0": _parse("$GNGSA,"),
+    "GSA": _parse("$GNGSA,"),
     "GST": _parse("$GNGST,"),
+    "VTG": _parse("$GNVTG,"),
 }
-
-
-class NmeaError(ValueError):
-    """A sentence with a valid checksum and invalid content; the text is the kind of reject."""
-
-
-@dataclass(slots=True)
-class NmeaEpoch:
-    """The sentences of one time of day; `sentences` maps RMC, GGA, GST, GSA1, GSA2 ... to the parsed sentence."""
-
-    time_of_day_ns: int
-    first_received_ns: int
-    last_received_ns: int
-    sentences: dict[str, Sentence] = field(default_factory=dict)
-
-
-class NmeaAssembler:
-    """Groups sentences by time of day and yields each epoch once.
-
-    An epoch is complete when every kind of sentence of the two previous epochs has been received, or when the next
-    epoch begins.
-    """
-
-    def __init__(self) -> None:
-        self._epoch: NmeaEpoch | None = None
-        self._kinds_before: deque[set[str]] = deque([set()], maxlen=2)
-        self._done = True
-
-    def take(self, sentence: bytes, received_ns: int) -> Iterator[NmeaEpoch]:
-        """Process one sentence with a valid checksum; yield the completed epochs."""
-        if (wanted := _WANTED.match(sentence)) is None:
-            return
-        kind, parsed = wanted[1].decode(), _read(sentence)
-        if kind != "GSA":
-            time_of_day = time_of_day_ns(parsed.data[0])
-            if self._epoch is None or self._epoch.time_of_day_ns != time_of_day:
-                yield from self._finish()
-                self._kinds_before.append(set(self._epoch.sentences) if self._epoch else set())
-                self._epoch, self._done = NmeaEpoch(time_of_day, received_ns, received_ns), False
-        elif self._epoch is None:
-            return
-        else:
-            number = sum(name.startswith("GSA") for name in self._epoch.sentences)
-            if number == MOST_GSA:
-                return
-            kind += str(number)
-        self._epoch.sentences[kind] = parsed
-        self._epoch.last_received_ns = received_ns
-        if all(self._kinds_before) and set.union(*self._kinds_before) <= self._epoch.sentences.keys():
-            yield from self._finish()
-
-    def _finish(self) -> Iterator[NmeaEpoch]:
-        if not self._done and self._epoch and self._epoch.sentences.keys() & {"RMC", "GGA"}:
-            yield self._epoch
-        self._done = True
 
 
 def fix_from_sentences(
@@ -95,27 +38,25 @@ def fix_from_sentences(
 ) -> GnssFix:
     """Combine the sentences of an epoch into one fix; an invalid field is counted as `nmea_field` and omitted.
 
-    NMEA has no vertical velocity: the velocity is ground speed and course. The accuracy is taken from GST. The
-    ellipsoidal height is the height above the geoid plus the geoid separation. `dates` gives UTC its era (None: as
-    told); an impossible date is counted as `nmea_date`.
+    NMEA has no vertical velocity: the velocity is ground speed and course, of RMC or else of VTG. Of several GSA, one a
+    constellation, the best mode decides, and gives the dilutions. The accuracy is taken from GST. The ellipsoidal
+    height is the height above the geoid plus the geoid separation. `dates` gives UTC its era (None: as told); an
+    impossible date is counted as `nmea_date`.
     """
-    rmc, gga, gsa, gst = (epoch.sentences.get(kind) or absent for kind, absent in _ABSENT.items())
+    rmc, gst, vtg = (epoch.sentences.get(kind) or _ABSENT[kind] for kind in ("RMC", "GST", "VTG"))
+    gga, gsa = _position_of(epoch), best_of(epoch.all("GSA"))
     read = _Reader(rejects)
     fix_type = _fix_type(rmc, gga, gsa)
     usable = fix_type is not FixType.NONE
     place = (read.place(gga) or read.place(rmc)) if usable else None
     height_msl_m, separation_m = read.number(gga.altitude), read.number(gga.geo_sep)
-    speed_knots, course_deg = read.number(rmc.spd_over_grnd), read.number(rmc.true_course)
-    speed_m_s = speed_knots * KNOT_M_S if speed_knots is not None and usable else None
-    if speed_m_s is not None and not 0 <= speed_m_s <= FASTEST_M_S:
-        rejects["nmea_field"] += 1
-        speed_m_s = None
+    speed_m_s, course_deg = read.motion(rmc, vtg) if usable else (None, None)
     satellites, quality = read.number(gga.num_sats), gga.gps_qual
     return GnssFix(
         sampled_ns=sampled_ns,
         received_ns=epoch.last_received_ns,
         source=source,
-        utc_ns=_utc(rmc, epoch.time_of_day_ns, dates or DeviceDates(rejects)),
+        utc_ns=_utc(rmc, epoch, dates or DeviceDates(rejects), usable=usable),
         fix_type=fix_type,
         carrier_solution={4: CarrierSolution.FIXED, 5: CarrierSolution.FLOAT}.get(quality, CarrierSolution.NONE),
         differential=quality in (2, 4, 5),
@@ -136,24 +77,6 @@ def fix_from_sentences(
     )
 
 
-def time_of_day_ns(text: str) -> int:
-    """Parse hhmmss.sss, leap second included (pynmea2 rejects it); raises NmeaError for an invalid time."""
-    try:
-        hour, minute, second = int(text[:2]), int(text[2:4]), float(text[4:])
-    except ValueError as error:
-        raise NmeaError("nmea_time") from error
-    if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
-        raise NmeaError("nmea_time")
-    return (hour * 3600 + minute * 60) * NS + round(second * 1000) * (NS // 1000)
-
-
-def _read(sentence: bytes) -> Sentence:
-    try:
-        return _parse(sentence.rpartition(b"*")[0].decode("ascii"))  # the framer has verified the checksum
-    except (ParseError, *FOREIGN) as error:
-        raise NmeaError("nmea_form") from error
-
-
 def _fix_type(rmc: Sentence, gga: Sentence, gsa: Sentence) -> FixType:
     if rmc.status != "A" or gga.gps_qual in NOT_A_FIX or gsa.mode_fix_type == "1":
         return FixType.NONE
@@ -162,13 +85,46 @@ def _fix_type(rmc: Sentence, gga: Sentence, gsa: Sentence) -> FixType:
     return FixType.TWO_D if gsa.mode_fix_type == "2" else FixType.THREE_D
 
 
-def _utc(rmc: Sentence, time_of_day: int, dates: DeviceDates) -> int | None:
-    """UTC [ns] if RMC is marked valid (the date before is arbitrary) and holds a date."""
-    day = rmc.datestamp
+def _position_of(epoch: NmeaEpoch) -> Sentence:
+    """GGA, or what GNS says in its form; without both an empty one that does not invalidate the fix."""
+    gga, gns = epoch.sentences.get("GGA"), epoch.sentences.get("GNS")
+    if gga is not None or gns is None:
+        return gga or _ABSENT["GGA"]
+    time, *place, modes, satellites, hdop, height, separation, age, station = (*gns.data, *[""] * 12)[:12]
+    known = [QUALITIES[mode] for mode in modes if mode in QUALITIES]
+    quality = next((q for q in (4, 5, 2, 1, 6, 7, 8) if q in known), 0)
+    fields = (time, *place, str(quality), satellites, hdop, height, "M", separation, "M", age, station)
+    return _parse(f"$GNGGA,{','.join(fields)}")
+
+
+def best_of(sentences: Sequence[Sentence]) -> Sentence:
+    """The GSA with the best mode: those of constellations that are not used say that there is no fix."""
+    return max(sentences, key=lambda gsa: gsa.mode_fix_type or "", default=_ABSENT["GSA"])
+
+
+def _utc(rmc: Sentence, epoch: NmeaEpoch, dates: DeviceDates, *, usable: bool) -> int | None:
+    """UTC [ns] if RMC is marked valid (the date before is arbitrary) and holds a date; otherwise by ZDA."""
+    day, time_of_day = rmc.datestamp, epoch.time_of_day_ns
+    if usable and not day and (zda := epoch.sentences.get("ZDA")) is not None:
+        return _utc_of_zda(zda, time_of_day, dates)
     if rmc.status != "A" or not day:
         return None
     known = isinstance(day, date)  # pynmea2 leaves what is no date as text
     return dates.utc_ns((day - date(1970, 1, 1)).days * DAY_NS + time_of_day if known else None, "nmea_date")
+
+
+def _utc_of_zda(zda: Sentence, time_of_day: int, dates: DeviceDates) -> int | None:
+    """UTC [ns] of the epoch next to the date and time of ZDA, which may be those of the next pulse."""
+    try:
+        day, month, year = (int(text) for text in zda.data[1:4])
+        midnight_ns = (date(year, month, day) - date(1970, 1, 1)).days * DAY_NS
+        apart_ns = (time_of_day - time_of_day_ns(zda.data[0]) + DAY_NS // 2) % DAY_NS - DAY_NS // 2
+        told_ns: int | None = midnight_ns + time_of_day_ns(zda.data[0]) + apart_ns
+    except (ValueError, OverflowError):
+        if not any(zda.data[1:4]):
+            return None
+        told_ns = None
+    return dates.utc_ns(told_ns, "nmea_date")
 
 
 class _Reader:
@@ -188,6 +144,24 @@ class _Reader:
             return value
         self._rejects["nmea_field"] += 1
         return None
+
+    def motion(self, rmc: Sentence, vtg: Sentence) -> tuple[float | None, float | None]:
+        """Speed [m/s] and course [deg] of RMC; what it lacks is that of VTG, unless that is marked invalid."""
+        speed, course_deg = self._speed(rmc.spd_over_grnd, KNOT_M_S), self.number(rmc.true_course)
+        if vtg.faa_mode == "N":
+            return speed, course_deg
+        if speed is None:
+            speed = self._speed(vtg.spd_over_grnd_kts, KNOT_M_S)
+        if speed is None:
+            speed = self._speed(vtg.spd_over_grnd_kmph, 1 / 3.6)
+        return speed, self.number(vtg.true_track) if course_deg is None else course_deg
+
+    def _speed(self, text: str | float | None, unit_m_s: float) -> float | None:
+        value = self.number(text)
+        if value is not None and not 0 <= value * unit_m_s <= FASTEST_M_S:
+            self._rejects["nmea_field"] += 1
+            return None
+        return None if value is None else value * unit_m_s
 
     def place(self, sentence: Sentence) -> tuple[float, float] | None:
         directions = sentence.lat_dir + sentence.lon_dir

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssConfigure, GnssRaw, GnssWrite
+from shared.messages.gnss import GnssConfigure, GnssRaw, GnssReceiver, GnssWrite
 from shared.runtime.config import Section
 
 from .receiver import Output, Receiver
@@ -31,7 +31,7 @@ class Process:
         self._receivers: dict[str, Receiver] = {}
         self._now_ns = 0
 
-    def handle(self, message: Message) -> Iterator[Output | GnssWrite]:
+    def handle(self, message: Message) -> Iterator[Output | GnssReceiver | GnssWrite]:
         """Process raw bytes, a configuration request or a tick."""
         match message:
             case GnssRaw():
@@ -45,6 +45,8 @@ class Process:
                 self._now_ns = message.now_ns
                 for receiver in self._receivers.values():
                     yield from receiver.configurator.tick()
+                    if said := receiver.seen.statement(self._now_ns):
+                        yield said
 
     def _receiver(self, source: str) -> Receiver | None:
         if source not in self._receivers:

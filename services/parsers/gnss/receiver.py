@@ -18,11 +18,15 @@ from shared.messages.gnss import (
 )
 
 from . import ubx_messages, ubx_raw, ubx_signal
-from .configuration import Configurator
+from .configuration import ANSWERS, Configurator
 from .framer import Frame, Framer, Protocol
 from .gnss_time import MS, Unwrapper
-from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
+from .nmea_burst import NmeaAssembler, NmeaEpoch, NmeaError
+from .nmea_epoch import fix_from_sentences
+from .nmea_satellites import satellites_of
+from .seen import Seen
 from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
+from .utc_steps import UtcSteps
 
 NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
 
@@ -37,13 +41,13 @@ class Receiver:
     """Decodes the bytes of one receiver to fixes, satellites, signals and configuration results."""
 
     def __init__(self, source: str, *, minimum_delay_s: float, rejects: Counter[str]) -> None:
-        self.configurator = Configurator(source)
+        self.configurator, self.seen = Configurator(source), Seen(source)
         self._source = source
         self._rejects = rejects
         self._framer = Framer(rejects)
         self._dates, self._faults = DeviceDates(rejects), Faults(rejects)
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
-        self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
+        self._week, self._day, self._utc_steps = Unwrapper(WEEK_NS), Unwrapper(DAY_NS), UtcSteps()
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[OfEpoch], tuple[int, OfEpoch]] = {}
@@ -51,11 +55,14 @@ class Receiver:
         self._resets: dict[ClockMapping, int] = {}  # of each mapping, published already
         self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
         self._ubx_fix_ns: int | None = None
+        self._nmea_stamp: tuple[NmeaEpoch, int] | None = None  # the newest epoch, and the time stamp of its fix [ns]
 
     def take(self, raw: GnssRaw) -> Iterator[Output]:
         """Process the next bytes; yield the completed messages."""
         self._dates.host_ns = None if raw.recorded else raw.received_ns
-        for frame in self._framer.feed(raw.data):
+        frames = list(self._framer.feed(raw.data))
+        self.seen.note(len(raw.data), frames, raw.received_ns)
+        for frame in frames:
             with self._faults.decoding(raw.received_ns):
                 yield from self._take_frame(frame, raw.received_ns)
 
@@ -79,6 +86,8 @@ class Receiver:
             return
         kind = ubx_messages.KINDS.get(frame.data[3]) if frame.data[2] == ubx_messages.NAV else None
         if kind is None:
+            if (frame.data[2], frame.data[3]) not in ANSWERS:
+                self._rejects["ubx_unused"] += 1
             yield from self.configurator.take(frame.data)
             return
         payload = frame.data[6:-2]
@@ -178,15 +187,35 @@ class Receiver:
         self._waiting[type(message)] = itow, message
 
     def _take_nmea(self, frame: Frame, received_ns: int) -> Iterator[Output]:
-        for epoch in tuple(self._nmea.take(frame.data, received_ns)):
+        epochs = tuple(self._nmea.take(frame.data, received_ns))
+        yield from self._nmea_satellites()
+        for epoch in epochs:
             if self._ubx_fix_ns is None or abs(epoch.last_received_ns - self._ubx_fix_ns) > NMEA_WAITS_NS:
                 with self._faults.decoding(received_ns):
-                    fix = self._nmea_fix(epoch)
-                    yield fix
-                    yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
+                    yield from self._nmea_outputs(epoch)
 
-    def _nmea_fix(self, epoch: NmeaEpoch) -> GnssFix:
+    def _nmea_outputs(self, epoch: NmeaEpoch) -> Iterator[Output]:
         device_ns = self._day.unwrap(epoch.time_of_day_ns)
+        device_ns, step_s = self._utc_steps.continuous(device_ns, epoch.first_received_ns)
+        fix = self._nmea_fix(epoch, device_ns)
+        yield fix
+        self._nmea_stamp = epoch, fix.sampled_ns
+        if step_s:
+            yield GnssSignalQuality(
+                sampled_ns=fix.sampled_ns, received_ns=fix.received_ns, source=self._source, time_step_s=float(step_s)
+            )
+        yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
+
+    def _nmea_satellites(self) -> Iterator[GnssSatellites]:
+        """Publish the satellites of the newest fix when its burst has ended: they may be told behind it."""
+        if self._nmea_stamp is None or not self._nmea.has_ended(self._nmea_stamp[0]):
+            return
+        epoch, sampled_ns = self._nmea_stamp
+        self._nmea_stamp = None
+        if (found := satellites_of(epoch, sampled_ns=sampled_ns, source=self._source)) is not None:
+            yield found
+
+    def _nmea_fix(self, epoch: NmeaEpoch, device_ns: int) -> GnssFix:
         return fix_from_sentences(
             epoch,
             sampled_ns=self._nmea_clock.stamp(device_ns, epoch.first_received_ns),

@@ -192,7 +192,12 @@ def test_invalid_payloads_on_a_topic_are_counted_and_the_process_continues(
 ) -> None:
     parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
     process = Answering()
-    good = {"sampled_ns": 1, "received_ns": 2, "source": "g", "fix_type": "none"}
+    good = {
+        "sampled_ns": 1_790_000_000 * 10**9,
+        "received_ns": 1_790_000_000 * 10**9,
+        "source": "g",
+        "fix_type": "none",
+    }
     sender = f'{{"sender":{{"process":"parsers.gnss","incarnation":{parser.incarnation},"sequence":1}},'.encode()
     with mqtt.Client(broker.port, "intruder", user="parsers.gnss") as intruder:
         intruder.connect()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.papers.motion_conflict.drives import FAULTS
-from cli.papers.motion_conflict.paper import reproduce
+from cli.papers.motion_conflict.paper import is_worse, reproduce
 from cli.papers.report import Paper, publish
 
 
@@ -28,6 +28,12 @@ def test_the_published_break_points_are_reproduced_and_nothing_is_detected_witho
     assert drives["urban"]["detections"]["delay 10 s"]["median_above"] > 0
 
 
+def test_break_points_of_drives_that_were_not_fitted_are_listed_beside_the_published_ones(paper: Paper) -> None:
+    assert paper.fitted
+    texts = [text for text in paper.not_reproduced if "were not fitted" in text]
+    assert any(text.startswith("highway") and "delay, median" in text and "published 6" in text for text in texts)
+
+
 def test_an_absent_recording_is_skipped_with_a_remedy(paper: Paper) -> None:
     assert len(paper.skipped) == 3
     assert all("set OBU_DATA" in text for text in paper.skipped)
@@ -45,6 +51,15 @@ def test_a_number_outside_its_tolerance_fails_the_command(paper: Paper, capsys: 
     assert publish(off, json=False, out=None) == 1
     printed = capsys.readouterr().out
     assert "delay [s] at 9 s" in printed and "all limits met" not in printed
+
+
+@pytest.mark.parametrize(
+    ("name", "ratio", "worse"),
+    [("delay, MT", 1.26, True), ("delay, MT", 0.1, False), ("bias", 1.25, False), ("scale, median", 1.3, True),
+     ("gap, median", 0.74, True), ("gap, median", 3.0, False)],
+)  # fmt: skip
+def test_break_points_may_only_be_better(name: str, ratio: float, worse: bool) -> None:
+    assert is_worse(name, ratio) is worse
 
 
 @pytest.mark.recording

@@ -113,7 +113,7 @@ class FakePlaza:
     def _ledger(self, now_ns: int) -> LedgerState:
         if self.problem:
             return LedgerState(now_ns=now_ns, plaza=PLAZA.name, problem=self.problem)
-        others = (PassageState.CROSSED, PassageState.SUSPECT, PassageState.VOID)
+        others = (PassageState.CROSSED, PassageState.VOID)
         states = [state for state in PassageState if state not in others]
         recent = []
         for n, state in enumerate(states):
@@ -125,11 +125,13 @@ class FakePlaza:
                     probability=0.995 if charged else None if missed else 0.7,
                     tariff_class="car" if charged else None, amount_cents=240 if charged else None,
                     currency="EUR" if charged else None, receipt=charged,
-                    evidence_digest="ab" * 32 if charged else None,
+                    evidence_digest="ab" * 32 if charged else None, confirmed=False if charged else None,
+                    reason="not confirmed by a detector" if charged else "",
                 )
             )  # fmt: skip
         hour_ns = now_ns // (3600 * NS) * 3600 * NS
         balance = LaneBalance(lane="n1", hour_ns=hour_ns, detections=9, charged=5, undecided=2, unregistered=1,
-                              missed=1 if self.agrees else 0, agrees=self.agrees)  # fmt: skip
+                              missed=1 if self.agrees else 0, provisional=4, agrees=self.agrees)  # fmt: skip
         return LedgerState(now_ns=now_ns, plaza=PLAZA.name, transactions=5, amount_cents=1200, outbox=1,
+                           held=2, in_review=3, unconfirmed=4,
                            last_receipt_ns=now_ns - 3 * NS, lanes=(balance,), recent=tuple(recent))  # fmt: skip

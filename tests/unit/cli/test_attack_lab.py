@@ -428,7 +428,7 @@ def test_the_report_has_every_attack_and_no_external_resources() -> None:
     case = Case("urban", 1, 300.0, ScheduledAttack(AttackName.JAM, 100.0, 60.0, {"power": 30.0, "rise": 6.0}))
     runs = [(case, timeline([(0.0, SAFE), (107.0, UNSAFE)], {"motion": [(105.0, 130.0)]}))]
     card = document(runs)
-    text = page(card, runs)
+    text = " ".join(page(card, runs).split())
     assert ">jam<" in text and "Stanford diagram, horizontal" in text
     assert "1 of 1 (3 to 100 %)" in text and "95 % interval of the rate, of Clopper and Pearson" in text
     assert "Attacks of the default campaign that were not run" in text and "gyroscope_bias(bias=0.1)" in text

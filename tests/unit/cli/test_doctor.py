@@ -1,10 +1,19 @@
 """`obu doctor` reports faults with their remedies."""
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from cli import doctor
+from cli.demo.local import free_port, start_of_broker
+from shared.messages.base import Message
+from shared.messages.gnss import FixType, GnssConfiguration, GnssFix, GnssReceiver
+from shared.messages.operation import Mode, ModeState
+from shared.runtime.config import BrokerAddress, parse_vehicle
 from tests.support.bus import brokers
 
 
@@ -80,3 +89,85 @@ def test_a_store_that_the_broker_set_aside_is_reported(
     (tmp_path / "broker" / "mosquitto.db.unreadable").write_bytes(bytes(8))
     assert doctor.examine(None) == 1
     assert "NO  the broker could not read its store, and started without it" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("section", "reason"),
+    [
+        ('[sensors.gnss]\ndevice = "serial:///dev/no-such-port"', "No such file"),
+        ('[sensors.gnss]\ndevice = "serial://1546:01a9"', "no USB device 1546:01a9"),
+        ('[sensors.imu]\ndevice = "tcp://127.0.0.1:1"', "Connection refused"),
+        ('[sensors.imu]\ndevice = "file:///no/such/file"', "No such file"),
+        ("[sensors.gnss]", "/dev/obu-gnss"),
+    ],
+)
+def test_a_device_is_opened_as_its_driver_does_and_the_reason_of_its_failure_is_told(section: str, reason: str) -> None:
+    [finding] = doctor._devices(parse_vehicle(section))
+    assert not finding.ok and reason in f"{finding.what} {finding.remedy}"
+
+
+def test_a_device_that_can_be_opened_is_ok(tmp_path: Path) -> None:
+    (tmp_path / "receiver.ubx").write_bytes(b"\xb5\x62")
+    [finding] = doctor._devices(parse_vehicle(f'[sensors.gnss]\ndevice = "file://{tmp_path}/receiver.ubx"'))
+    assert finding.ok
+
+
+def fix(*, located: bool) -> GnssFix:
+    return GnssFix(
+        sampled_ns=1, received_ns=1, source="gnss0", fix_type=FixType.THREE_D if located else FixType.NONE,
+        latitude_deg=42.0 if located else None, longitude_deg=13.0 if located else None,
+    )  # fmt: skip
+
+
+SAID = GnssReceiver(
+    received_ns=1, source="gnss0", messages=("UBX NAV-POSLLH",), received_bytes=36, other_bytes=0
+)  # fmt: skip
+MODE = ModeState(sampled_ns=1, mode=Mode.DETECTING, since_ns=1, reason="no data from the IMU yet")
+ANSWER = GnssConfiguration(request_id=1, source="gnss0", accepted=True)
+
+
+@pytest.mark.parametrize(
+    ("heard", "results", "remedies"),
+    [
+        ([fix(located=True), ANSWER], [True, True], ""),
+        ([fix(located=False), ANSWER, MODE], [False, True], "no data from the IMU yet"),
+        ([SAID, MODE], [False, False], "gnss0 sends UBX NAV-POSLLH"),
+        ([fix(located=True), ANSWER.model_copy(update={"accepted": False, "reason": "older"})], [True, False], "older"),
+        ([], [False, False], "nothing is heard of it"),
+    ],
+)
+def test_a_receiver_without_a_position_or_a_configuration_is_not_healthy(
+    heard: list[Message], results: list[bool], remedies: str
+) -> None:
+    findings = list(doctor.receiver(heard, configured=True))
+    assert [finding.ok for finding in findings] == results
+    assert remedies in " ".join(finding.remedy for finding in findings)
+    assert [finding.ok for finding in doctor.receiver(heard, configured=False)] == results[:1]
+
+
+def test_the_command_that_starts_the_broker_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cli.demo.local.SERVICE", Path("/no/such/service"))
+    assert start_of_broker(BrokerAddress()) == "start one with `obu broker`"
+    assert start_of_broker(BrokerAddress(port=1884)) == "start one with `obu broker --port 1884`"
+    assert start_of_broker(BrokerAddress("10.0.0.7")) == "start the broker on 10.0.0.7"
+
+
+def test_up_without_a_broker_says_one_line_and_waits_and_the_broker_command_ends_the_wait(tmp_path: Path) -> None:
+    port = free_port()
+    environment = {**os.environ, "OBU_STATE": str(tmp_path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}"}
+
+    def start(*arguments: str) -> "subprocess.Popen[str]":
+        command = [sys.executable, "-m", "cli", *arguments]
+        return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+    with start("up") as unit:
+        assert unit.stdout is not None
+        line = unit.stdout.readline()
+        assert line.startswith(f"no broker at 127.0.0.1:{port} (Connection refused); waiting for it: start one with")
+        with start("broker", "--port", str(port), "--broker", "simulated") as broker:
+            assert broker.stdout is not None and broker.stdout.readline().startswith("broker at mqtt://127.0.0.1:")
+            assert "started" in unit.stdout.readline() or unit.poll() is None
+            unit.send_signal(signal.SIGTERM)
+            unit.communicate(timeout=30.0)
+            broker.send_signal(signal.SIGTERM)
+            broker.communicate(timeout=10.0)

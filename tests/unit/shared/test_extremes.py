@@ -10,7 +10,7 @@ import typing
 from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import annotated_types
 import pytest
@@ -79,13 +79,17 @@ class Maker:
         return {bytes: b"x", bool: self._high}[kind]
 
     def _number(self, kind: type[int] | type[float], metadata: tuple[object, ...]) -> int | float:
-        low = [one for one in metadata if isinstance(one, annotated_types.Ge | annotated_types.Gt)]
-        high = [one for one in metadata if isinstance(one, annotated_types.Le | annotated_types.Lt)]
+        low: list[Any] = [one for one in metadata if isinstance(one, annotated_types.Ge | annotated_types.Gt)]
+        high: list[Any] = [one for one in metadata if isinstance(one, annotated_types.Le | annotated_types.Lt)]
         assert low and high, "a number without bounds"
         if self._high:
-            value: Any = min(one.le if isinstance(one, annotated_types.Le) else self._below(one.lt) for one in high)
+            value: Any = min(
+                [cast(Any, one.le if isinstance(one, annotated_types.Le) else self._below(one.lt)) for one in high]
+            )
         else:
-            value = max(one.ge if isinstance(one, annotated_types.Ge) else self._above(one.gt) for one in low)
+            value = max(
+                [cast(Any, one.ge if isinstance(one, annotated_types.Ge) else self._above(one.gt)) for one in low]
+            )
         return kind(value)
 
     @staticmethod

@@ -19,7 +19,7 @@ from ..v2x.forward import (
     correct_road,
     predict,
 )
-from ..v2x.virtual import prediction_matrix, residual_cov, residual_test
+from ..v2x.virtual import prediction_matrix, residual_cov, residual_test, snooping_test
 from . import scenario
 
 RATIOS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
@@ -134,6 +134,13 @@ def open_loop(drive: Drive, ratio: float, false_alarm_rate: float = 1e-5) -> tup
         errors.append(estimate.x[:, POSITION] - scenario.vehicle(float(k))[0])
     error = np.array(errors)
     return structure_test(drive, error, np.broadcast_to(drive.clock, error.shape[:2]), false_alarm_rate), error
+
+
+def snooping(drive: Drive, error: FloatArray) -> Rates:
+    """Baarda's iterative test against a forward estimate with given errors [m, NED], shape (90, runs, 3)."""
+    q = residuals(drive, error, np.broadcast_to(drive.clock, error.shape[:2]))
+    excluded = snooping_test(q, residual_covariance(), 1e-5).excluded
+    return rates_of(excluded, excluded & (scenario.faults() == 0.0)[:, np.newaxis])
 
 
 def structure_test(drive: Drive, error: FloatArray, clock_error: FloatArray, false_alarm_rate: float = 1e-5) -> Rates:
@@ -271,6 +278,7 @@ class Row:
     ratio: float
     published: Rates
     open_loop: Rates
+    snooping: Rates  # Baarda's test, open loop
     closed_loop: Rates
     leave_one_out: Rates
     position_m: dict[str, dict[str, float]]
@@ -292,4 +300,4 @@ def row(index: int, runs: int = 500, seed: int = 1) -> Row:
         "leave-one-out bank": fault_free,
     }
     position = {name: phase_rms(error) for name, error in errors.items()}
-    return Row(ratio, published, opened, closed_loop(drive, ratio)[0], bank, position)
+    return Row(ratio, published, opened, snooping(drive, forward), closed_loop(drive, ratio)[0], bank, position)

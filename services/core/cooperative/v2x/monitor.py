@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from math import log, sqrt
+from math import inf, log, sqrt
 
 import numpy as np
 
@@ -80,6 +80,8 @@ class CooperativeMonitor:
         self._satellites: tuple[SatelliteId, ...] = ()
         self._seen_ns: dict[SatelliteId, int] = {}
         self._time_ns = 0
+        self.alert_limit_m = inf  # of the paper's construction: a larger level selects the virtual satellites anew
+        self.construction_level_m = 0.0  # HPL of the paper's construction, where that is selected
         self._origin_e: FloatArray = np.zeros(3)
         self._ned_from_ecef: FloatArray = np.eye(3)
 
@@ -314,12 +316,17 @@ class CooperativeMonitor:
             tuple(CLOCKS[sights[row].satellite.constellation] for row in rising),
             np.zeros(n), np.ones(n), np.zeros(n), np.ones(n, dtype=np.bool_),
         )  # fmt: skip
-        rate = self._settings.bank.false_alarm_rate
-        test = construction_test(self._bank.estimate.x[-1], ranges, candidates, rate)
-        if test is not None:
-            self._bank.excluded = test.excluded
-            self._bank.correct_all(ranges)
-        return test
+        settings = self._settings
+        found = construction_test(
+            self._bank.estimate.x[-1], ranges, candidates, false_alarm_rate=settings.bank.false_alarm_rate,
+            missed_detection_rate=settings.missed_detection_rate, alert_limit_m=self.alert_limit_m,
+        )  # fmt: skip
+        if found is None:
+            return None
+        self._bank.excluded = found.test.excluded
+        self._bank.correct_all(ranges)
+        self.construction_level_m = found.hpl_m
+        return found.test
 
     def _solution(self) -> SatelliteSolution:
         assert self._bank is not None
@@ -366,7 +373,7 @@ class CooperativeMonitor:
         if np.linalg.norm(np.array(solution.position_e) - self._origin_e) > self._settings.farthest_from_origin_m:
             self._bank = None  # the next epoch starts in a new local frame
         reason = "excluded " + ", ".join(str(satellite) for satellite in excluded) if excluded else None
-        level = self._level() if used and self._bank is not None else None
+        level = max(self._level(), self.construction_level_m) if used and self._bank is not None else None
         return SatelliteVerdict(
             Outcome.ACCUSES if excluded else Outcome.PASS,
             reason,

@@ -6,10 +6,10 @@ choice of virtual satellites, which act through the covariance W alone. The corr
 docs/explanation/cooperative.md.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations, islice
-from math import cos, sin, sqrt
+from math import cos, inf, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +83,31 @@ def residual_test(q: FloatArray, W: FloatArray, false_alarm_rate: float) -> Resi
     return ResidualTest(statistic, threshold, t, local, (statistic > threshold)[..., np.newaxis] & (t > local))
 
 
+def snooping_test(q: FloatArray, W: FloatArray, false_alarm_rate: float) -> ResidualTest:
+    """Exclude one satellite after the other by Baarda's statistic, while T > T_H of those that are left.
+
+    Parameters and statistics as in `residual_test`; `t` holds w_i of all satellites. The one with the largest w_i is
+    excluded if w_i > D_H. A bias on one satellite raises the w_i of the others less than the t_i that are printed.
+    """
+    whole = residual_test(q, W, false_alarm_rate)
+    excluded, shape = np.zeros((q[..., 0].size, len(W)), dtype=np.bool_), q.shape
+    residuals = q.reshape(-1, len(W))
+    for left in range(len(W), 0, -1):
+        for pattern in np.unique(excluded, axis=0):
+            if (~pattern).sum() != left:
+                continue
+            rows = np.flatnonzero((excluded == pattern).all(axis=1))
+            used = np.flatnonzero(~pattern)
+            W_used, q_used = W[np.ix_(used, used)], residuals[np.ix_(rows, used)]
+            w = baarda_statistics(q_used, W_used)
+            statistic = (q_used * np.linalg.solve(W_used, q_used[..., np.newaxis])[..., 0]).sum(axis=-1)
+            found = (statistic > chi_square_limit(left, false_alarm_rate)) & (
+                w.max(axis=1) > local_threshold(left, false_alarm_rate)
+            )
+            excluded[rows[found], used[w.argmax(axis=1)[found]]] = True
+    return replace(whole, t=baarda_statistics(q, W), excluded=excluded.reshape(shape))
+
+
 def local_biases(W: FloatArray, false_alarm_rate: float) -> FloatArray:
     """Bias [m] of each satellite at which its local test fires, shape (n,)."""
     biases: FloatArray = local_threshold(len(W), false_alarm_rate) * np.sqrt(np.diag(W))
@@ -90,9 +115,9 @@ def local_biases(W: FloatArray, false_alarm_rate: float) -> FloatArray:
 
 
 def baarda_statistics(q: FloatArray, W: FloatArray) -> FloatArray:
-    """w_i = |(W^-1 q)_i|/sqrt((W^-1)_ii), shape (n,): the sharpest test of a bias on one satellite."""
+    """w_i = |(W^-1 q)_i|/sqrt((W^-1)_ii), shape (..., n) as q: the sharpest test of a bias on one satellite."""
     inverse = np.linalg.inv(W)
-    w: FloatArray = np.abs(inverse @ q) / np.sqrt(np.diag(inverse))
+    w: FloatArray = np.abs(q @ inverse) / np.sqrt(np.diag(inverse))
     return w
 
 
@@ -129,8 +154,18 @@ def horizontal_protection_level(
     return sd * sqrt(lambda_) * float(horizontal_slopes(H, real).max())
 
 
-def choose_virtual(H_real: FloatArray, candidates: FloatArray, count: int = 4) -> tuple[int, ...] | None:
+def choose_virtual(
+    H_real: FloatArray,
+    candidates: FloatArray,
+    count: int = 4,
+    *,
+    level: Callable[[FloatArray], float] | None = None,
+    limit: float = inf,
+) -> tuple[int, ...] | None:
     """Choose virtual satellites so that the least sensitive test is as sensitive as can be: least max W_ii.
+
+    Where the protection level with them exceeds the alert limit they are chosen anew: the next best set with a level
+    within the limit, or the one with the least level where there is none.
 
     Parameters
     ----------
@@ -140,18 +175,28 @@ def choose_virtual(H_real: FloatArray, candidates: FloatArray, count: int = 4) -
         Rows of satellites that may serve as virtual ones, the best first: `MAX_CHOICES` sets are compared.
     count : int
         How many to choose.
+    level : callable or None
+        Gives the protection level HPL [m] with virtual satellites of given rows, shape (count, m).
+    limit : float
+        [m] HAL.
 
     Returns
     -------
     tuple of int or None
         Rows of the candidates; None where no set determines the state.
     """
-    best: tuple[float, tuple[int, ...]] | None = None
+    sets: list[tuple[float, tuple[int, ...]]] = []
     for chosen in islice(combinations(range(len(candidates)), count), MAX_CHOICES):
         H_virtual = candidates[list(chosen)]
-        if np.linalg.cond(H_virtual) > 1e6:
-            continue
-        worst = float((prediction_matrix(H_real, H_virtual) ** 2).sum(axis=1).max())
-        if best is None or worst < best[0]:
-            best = worst, chosen
-    return best[1] if best else None
+        if np.linalg.cond(H_virtual) <= 1e6:
+            sets.append((float((prediction_matrix(H_real, H_virtual) ** 2).sum(axis=1).max()), chosen))
+    if level is None or not sets:
+        return min(sets)[1] if sets else None
+    least: tuple[float, tuple[int, ...]] | None = None
+    for _, chosen in sorted(sets):
+        found = level(candidates[list(chosen)])
+        if found <= limit:
+            return chosen
+        if least is None or found < least[0]:
+            least = found, chosen
+    return least[1] if least else None

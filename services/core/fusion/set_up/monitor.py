@@ -6,7 +6,6 @@ from math import hypot
 from typing import NamedTuple
 
 from shared.maths.rotation import Vector
-from shared.runtime.config import LEVEL_MOUNTING, Matrix3
 
 from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..measurements.base import Measurement
@@ -38,12 +37,10 @@ class SetUpMonitor:
     ----------
     settings : Settings
         Of the filter: lever arm, delays, scale and priors that the checks refer to.
-    mounting : tuple of 3 rows
-        Of the IMU, as the vehicle's file states it; a finding gives the right one.
     """
 
-    def __init__(self, settings: Settings, mounting: Matrix3 = LEVEL_MOUNTING) -> None:
-        self._settings, self._mounting = settings, mounting
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
         self._log = MotionLog()
         self._due_ns: int | None = None
         self._suspects: dict[str, Verdict] = {}  # verdict of the last evaluation
@@ -68,7 +65,7 @@ class SetUpMonitor:
         motion = self._log.motion()
         if motion is None:
             return
-        for check in evaluate(self._settings, motion, arm, mounting=self._mounting, delay_known=self.delay_known):
+        for check in evaluate(self._settings, motion, arm, delay_known=self.delay_known):
             self._adopt(check, time_ns)
         if any(self.delays) and self.checks["lever_arm"][0].verdict is not Verdict.UNKNOWN:
             self.checks["lever_arm"] = Check("lever_arm"), time_ns  # it was of late fixes
@@ -138,9 +135,8 @@ class SetUpMonitor:
 
 
 def evaluate(
-    settings: Settings, motion: Motion, arm: ArmError | None = None, *, mounting: Matrix3 = LEVEL_MOUNTING,
-    delay_known: bool = False,
-) -> Iterator[Check]:  # fmt: skip
+    settings: Settings, motion: Motion, arm: ArmError | None = None, *, delay_known: bool = False
+) -> Iterator[Check]:
     """Evaluate all checks on one window of motion; later ones rest on what the earlier ones have found.
 
     Parameters
@@ -151,8 +147,6 @@ def evaluate(
         Of the window.
     arm : ArmError, optional
         By the innovations of the filter.
-    mounting : tuple of 3 rows
-        Of the IMU, as the vehicle's file states it.
     delay_known : bool
         Whether the delay has agreed with the settings before: while it is open, a late fix looks in turns like an
         antenna that is elsewhere.
@@ -167,7 +161,7 @@ def evaluate(
     late = delay.verdict is Verdict.CONTRADICTS
     lag_s = delay.statistic if late and delay.statistic is not None else 0.0
     intervals = intervals_of(motion, chosen, lag_s) if len(chosen.begin) >= FEWEST_VELOCITIES else None
-    fit = axes.fit_axes(motion, intervals, mounting)
+    fit = axes.fit_axes(motion, intervals, settings.mounting)
     of_imu = (
         axes.check_accelerometer_scale(fit),
         axes.check_upright(fit),

@@ -6,8 +6,12 @@ import { words } from "./words.js";
 
 const w = words.tollPage;
 const PATH_S = 10;
-const STATE_ICON = { open: "info", crossed: "info", charged: "safe", undecided: "caution", unregistered: "off", suspect: "unsafe", void: "off", missed: "unsafe" };
-const OUTCOMES = ["charged", "undecided", "unregistered", "suspect", "void", "missed"];
+const STATE_ICON = { open: "info", crossed: "info", charged: "safe", held: "caution", undecided: "caution", unregistered: "off", suspect: "unsafe", void: "off", missed: "unsafe" };
+const OUTCOMES = ["charged", "held", "undecided", "unregistered", "suspect", "void", "missed"];
+// What the passage is, in a word; a charge that was reversed is none any more.
+const stateOf = (p) => (p.reversed && p.state === "charged" ? w.reversed : w.states[p.state]);
+const iconOf = (p) => (p.reversed && p.state === "charged" ? "off" : STATE_ICON[p.state]);
+const explained = (p) => (p.state === "charged" && p.reversed ? w.explained.reversed : p.state === "charged" && p.confirmed === false ? w.explained.unconfirmed : w.explained[p.state]);
 const paths = new Map(); // of each track: [ns, north, east] of the last seconds
 let drawnNs = null;
 
@@ -104,7 +108,7 @@ function LanesCard({ t }) {
       const passage = last(lane);
       return html`<tr key=${lane}><th scope="row">${lane}<span class="reason dim block">${w.modes[mode]}</span></th>
         <td>${!valid ? w.gate.none : gate.open ? w.gate.open : w.gate.hold}</td>
-        <td>${passage ? html`<${StateIcon} state=${STATE_ICON[passage.state]} word="" /> ${w.states[passage.state]}` : words.age.bar}</td><td>${ago(t.pulses[lane])}</td></tr>`;
+        <td>${passage ? html`<${StateIcon} state=${iconOf(passage)} word="" /> ${stateOf(passage)}` : words.age.bar}</td><td>${ago(t.pulses[lane])}</td></tr>`;
     })}</tbody></table>`}
   </${Card}>`;
 }
@@ -116,7 +120,7 @@ function PassagesCard({ t, onOpen }) {
     ${!rows.length ? html`<p class="note block">${w.noPassages}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.passages}><table class="plain"><thead><tr>
       ${[c.time, c.lane, c.state, c.amount].map((name) => html`<th scope="col">${name}</th>`)}${[c.probability, c.tariff, c.receipt].map((name) => html`<th scope="col" class="wide-only">${name}</th>`)}</tr></thead>
     <tbody>${rows.map((p) => html`<tr key=${p.passage_id}><th scope="row"><button class="link" onClick=${() => onOpen(p)}>${p.crossing_ns ? timeOfDay(p.crossing_ns / 1e6) : w.notCrossed}</button></th><td>${p.lane ?? words.age.bar}</td>
-      <td><span class="with-icon"><${StateIcon} state=${STATE_ICON[p.state]} word="" />${w.states[p.state]}</span></td><td>${amount(p.amount_cents, p.currency)}</td>
+      <td><span class="with-icon"><${StateIcon} state=${iconOf(p)} word="" />${stateOf(p)}</span>${p.state === "charged" && p.confirmed === false && html`<span class="reason dim block">${p.reason}</span>`}</td><td>${amount(p.amount_cents, p.currency)}</td>
       <td class="wide-only">${percent(p.probability)}</td><td class="wide-only">${p.tariff_class ?? words.age.bar}</td><td class="wide-only">${p.state === "charged" ? (p.receipt ? w.receiptHere : w.receiptWaiting) : words.age.bar}</td></tr>`)}</tbody></table></div>`}
   </${Card}>`;
 }
@@ -129,8 +133,10 @@ function AccountCard({ t }) {
     ${l.problem && html`<p class="with-icon problem"><${StateIcon} state="unsafe" word=${w.problem} />${l.problem}</p>`}
     ${!l.lanes.length ? html`<p class="note block">${w.noDetections}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.account}><table class="plain numbers-table"><thead><tr><th scope="col">${c.lane}</th><th scope="col">${c.hour}</th><th scope="col">${c.detections}</th>${OUTCOMES.map((name) => html`<th scope="col">${w.states[name]}</th>`)}<th scope="col">${c.pending}</th><th scope="col">${c.agrees}</th></tr></thead>
     <tbody>${l.lanes.map((b) => html`<tr key=${`${b.lane}${b.hour_ns}`}><th scope="row">${b.lane}</th><td>${timeOfDay(b.hour_ns / 1e6).slice(0, 5)}</td><td>${b.detections}</td>${OUTCOMES.map((name) => html`<td>${b[name]}</td>`)}<td>${b.pending}</td>
-      <td><${StateIcon} state=${b.agrees ? "safe" : "unsafe"} word=${b.agrees ? w.agrees : w.disagrees} />${b.charged_without_detection > 0 && w.withoutDetection(b.charged_without_detection)}</td></tr>`)}</tbody></table></div>`}
+      <td><${StateIcon} state=${b.agrees ? "safe" : "unsafe"} word=${b.agrees ? w.agrees : w.disagrees} />${b.charged_without_detection > 0 && w.withoutDetection(b.charged_without_detection)}${b.unconfirmed > 0 && w.unconfirmedIn(b.unconfirmed)}${b.provisional + b.pending > 0 && html`<span class="reason dim block">${w.open(b.provisional + b.pending)}</span>`}</td></tr>`)}</tbody></table></div>`}
     <dl class="rows"><${Row} label=${w.transactions} value=${l.transactions} extra=${w.reversals(l.reversals)} />
+      <${Row} label=${w.heldRow} value=${l.held} extra=${w.heldWhy} /><${Row} label=${w.reviewRow} value=${l.in_review} extra=${w.reviewWhy} />
+      <${Row} label=${w.unconfirmedRow} value=${l.unconfirmed} extra=${w.unconfirmedWhy} />
       <${Row} label=${w.outbox} value=${l.outbox} extra=${l.last_receipt_ns ? w.lastReceipt(ago(l.last_receipt_ns)) : w.noReceipt} /></dl>
   </${Card}>`;
 }
@@ -150,10 +156,11 @@ function DeltaCard({ t }) {
 
 function PassageDrawer({ passage: p, onClose }) {
   return html`<${Drawer} title=${w.drawer} onClose=${onClose}><dl class="rows">
-    <${Row} label=${w.columns.state} value=${w.states[p.state]} extra=${p.reason} /><${Row} label=${w.columns.lane} value=${p.lane ?? words.age.bar} extra=${p.probability == null ? null : percent(p.probability)} />
+    <${Row} label=${w.columns.state} value=${stateOf(p)} extra=${p.reason} /><${Row} label=${w.columns.lane} value=${p.lane ?? words.age.bar} extra=${p.probability == null ? null : percent(p.probability)} />
     <${Row} label=${w.columns.time} value=${p.crossing_ns ? timeOfDay(p.crossing_ns / 1e6, true) : w.notCrossed} /><${Row} label=${w.columns.amount} value=${amount(p.amount_cents, p.currency)} extra=${p.tariff_class} />
     ${p.state !== "missed" && html`<${Row} label=${w.passageId} value=${html`<code class="digest">${p.passage_id}</code>`} />`}${p.evidence_digest && html`<${Row} label=${w.evidence} value=${html`<code class="digest">${p.evidence_digest}</code>`} />`}
   </dl>
+  ${explained(p) && html`<p class="note block">${explained(p)}</p>`}
   ${p.state === "charged" && html`<h3>${w.verify}</h3><p class="note block">${w.verifyHow}</p><p><code class="digest">obu verify-toll ledger.sqlite --passage ${p.passage_id}</code></p>`}</${Drawer}>`;
 }
 

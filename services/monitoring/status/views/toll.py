@@ -80,7 +80,11 @@ def _ledger_check(ledger: LedgerState | None) -> Check:
         return Check("ledger", "Ledger", Trust.STALE, "no state of the ledger is received", link="toll")
     if ledger.problem:
         return Check("ledger", "Ledger", Trust.UNSAFE, ledger.problem, link="toll")
-    return Check("ledger", "Ledger", Trust.SAFE, f"{ledger.transactions} charges, {ledger.outbox} without receipt")
+    waiting = f", {ledger.held} held" if ledger.held else ""
+    waiting += f", {ledger.in_review} in review" if ledger.in_review else ""
+    waiting += f", {ledger.unconfirmed} not confirmed by a detector" if ledger.unconfirmed else ""
+    text = f"{ledger.transactions} charges, {ledger.outbox} without receipt{waiting}"
+    return Check("ledger", "Ledger", Trust.SAFE, text)
 
 
 def _delta_check(delta: TollDelta | None) -> Check:
@@ -95,7 +99,13 @@ def _accounts_check(ledger: LedgerState | None) -> Check:
     wrong = [lane.lane for lane in ledger.lanes if not lane.agrees] if ledger else []
     if wrong:
         return Check("accounts", "Reconciliation", Trust.CAUTION, f"lane {', '.join(wrong)}", link="toll")
-    return Check("accounts", "Reconciliation", Trust.SAFE, "every detection has one outcome")
+    open_ = sum(lane.pending + lane.provisional for lane in ledger.lanes) if ledger else 0
+    text = (
+        f"every closed detection has one outcome; {open_} not closed yet"
+        if open_
+        else "every detection has one outcome"
+    )
+    return Check("accounts", "Reconciliation", Trust.SAFE, text)
 
 
 def _dated(message: TollDelta | LedgerState | None, state: "State", topic: str) -> Json | None:
@@ -113,6 +123,7 @@ def _description(message: PlazaDescription) -> Json:
                 "lane": lane.lane,
                 "direction": lane.direction,
                 "mode": lane.mode,
+                "detector": lane.detector,
                 "width_m": lane.width_m,
                 "centre": [_plane(point, message) for point in lane.centre],
                 "approach": [_plane(point, message) for point in lane.approach_line],

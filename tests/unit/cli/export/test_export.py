@@ -10,7 +10,10 @@ from xml.etree import ElementTree
 
 import pynmea2
 import pytest
+import zstandard
+from mcap.writer import CompressionType
 
+from cli.__main__ import main
 from cli.export.export import Format, export
 from cli.export.positions import of_fixes
 from shared.errors import UserError
@@ -26,6 +29,7 @@ from tests.support.drives.meridian import (
     record,
     solution,
 )
+from tests.support.rewritten import chunk, file_of, rewrite
 
 SECONDS = 20
 GPX = {"g": "http://www.topografix.com/GPX/1/1"}
@@ -182,3 +186,50 @@ def test_speed_and_course_of_a_fix_without_a_velocity_are_exported() -> None:
     )  # fmt: skip
     (position,) = of_fixes([fix], 0)
     assert (position.speed_m_s, position.course_deg) == pytest.approx((12.0, 120.0))
+
+
+@pytest.mark.parametrize("to", list(Format))
+def test_a_recording_that_another_tool_packed_with_lz4_gives_the_same_files(
+    drive: Path, to: Format, tmp_path: Path
+) -> None:
+    rewrite(drive, tmp_path / "drive.mcap", CompressionType.LZ4)
+    if to is Format.RINEX:
+        with pytest.raises(UserError, match="raw measurements"):
+            exported(tmp_path / "drive.mcap", to, tmp_path)
+        return
+    (tmp_path / "before").mkdir()
+    before = exported(drive, to, tmp_path / "before").read_text()
+    assert exported(tmp_path / "drive.mcap", to, tmp_path).read_text() == before
+
+
+@pytest.mark.parametrize("to", list(Format))
+def test_an_export_of_nothing_is_an_error_and_leaves_no_file(drive: Path, to: Format, tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    rewrite(drive, path, CompressionType.LZ4)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"\x03\0\0\0lz4", b"\x03\0\0\0xyz"))
+    with pytest.raises(UserError, match=r"holds no .*packed with 'xyz' are not read"):
+        exported(path, to, tmp_path)
+    assert [one.name for one in tmp_path.iterdir()] == ["drive.mcap"]
+
+
+def test_a_topic_without_a_position_is_no_nmea(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "drive.mcap", vehicle="car", vehicle_toml="")
+    fix = GnssFix(sampled_ns=BEGIN_NS, received_ns=BEGIN_NS, source="gnss0", fix_type=FixType.NONE)
+    writer.write(sent(fix, BEGIN_NS, "parsers.gnss", 0, 1))
+    writer.close()
+    with pytest.raises(UserError, match="holds no position that can be read, and nothing was written"):
+        exported(tmp_path / "drive.mcap", Format.NMEA, tmp_path)
+    assert exported(tmp_path / "drive.mcap", Format.CSV, tmp_path, topic="gnss/fix").read_text().count("\n") == 2
+
+
+def test_a_recording_that_unpacks_to_gigabytes_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = zstandard.compress(bytes(16 << 20))
+    (tmp_path / "a.mcap").write_bytes(file_of(*[chunk(b"zstd", 16 << 20, data)] * 10))
+    monkeypatch.setattr("sys.argv", ["obu", "export", str(tmp_path / "a.mcap"), "--format", "csv"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "MB or more, over 100 times their size" in capsys.readouterr().err

@@ -1,3 +1,4 @@
+import gzip
 import json
 import shutil
 from pathlib import Path
@@ -225,4 +226,10 @@ def test_clocks_that_do_not_overlap_are_told(drive: Path, capsys: pytest.Capture
 def test_a_file_of_which_no_row_can_be_used_is_an_error(drive: Path) -> None:
     (drive / "fix.csv").write_text("0.1,149,6,300\n0.3,149,6,300\n")
     with pytest.raises(UserError, match=r"fix\.csv holds no row that can be used: 2 invalid position"):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap")
+
+
+def test_a_file_that_is_packed_is_an_error_that_says_so(drive: Path) -> None:
+    (drive / "fix.csv").write_bytes(gzip.compress((drive / "fix.csv").read_bytes()))
+    with pytest.raises(UserError, match=r"fix\.csv is packed with gzip; unpack it"):
         import_drive(drive / "m.toml", drive, drive / "out.mcap")

@@ -7,7 +7,7 @@ from services.controller.mode.configuration_exchange import ConfigurationExchang
 from services.controller.mode.process import Config, Process
 from services.controller.mode.sources import MAX_SOURCES, Sources
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import FixType, GnssConfiguration, GnssConfigure, GnssFix
+from shared.messages.gnss import FixType, GnssConfiguration, GnssConfigure, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
@@ -274,3 +274,49 @@ def test_the_stored_position_of_an_earlier_run_causes_no_output() -> None:
 def test_equal_messages_give_equal_outputs() -> None:
     script: list[Message] = [message for second in range(30) for message in healthy_second(second)]
     assert feed(Process(Config()), script) == feed(Process(Config()), script)
+
+
+def sends(second: float, *messages: str, other: int = 0) -> GnssReceiver:
+    return GnssReceiver(
+        received_ns=at(second), source="gnss0", messages=messages, received_bytes=500, other_bytes=other
+    )
+
+
+def test_a_receiver_without_a_fix_is_configured_by_its_bytes_and_once() -> None:
+    process = Process(Config())
+    outputs = feed(
+        process, [Tick(now_ns=at(0.0)), imu(0.5), sends(1.0, "UBX NAV-POSLLH"), sends(3.0, "UBX NAV-POSLLH")]
+    )
+    [request] = [message for message in outputs if isinstance(message, GnssConfigure)]
+    assert request.source == "gnss0" and "NAV-PVT" in request.messages
+    assert newest(outputs).mode is Mode.CONFIGURING
+    again = feed(process, [fix(4.0, good=False), sends(5.0, "UBX NAV-PVT")])
+    assert not [message for message in again if isinstance(message, GnssConfigure)], "it is the same receiver"
+
+
+def test_a_receiver_that_was_unplugged_is_configured_again() -> None:
+    outputs = feed(Process(Config()), [Tick(now_ns=at(0.0)), sends(1.0, "NMEA GGA"), sends(20.0, "NMEA GGA")])
+    assert len([message for message in outputs if isinstance(message, GnssConfigure)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        (("UBX NAV-POSLLH", "UBX NAV-SOL"), "sends no message that gives a position, but UBX NAV-POSLLH, UBX NAV-SOL"),
+        (("NMEA GGA",), "has no position yet: give its antenna a view of the sky (it sends NMEA GGA)"),
+        ((), "sends bytes that are no messages: check the baud rate of its device"),
+    ],
+)
+def test_a_receiver_whose_bytes_arrive_is_named_by_them_and_its_cable_is_not_suspected(
+    said: tuple[str, ...], reason: str
+) -> None:
+    process = Process(Config(configure_gnss=False))
+    messages = [Tick(now_ns=at(0.0)), sends(2.0, *said, other=0 if said else 500), imu(2.0), Tick(now_ns=at(2.5))]
+    shown = newest(feed(process, messages))
+    assert (shown.mode, shown.reason) == (Mode.DETECTING, f"gnss0 {reason}")
+    silent = newest(feed(process, [imu(20.0), Tick(now_ns=at(20.0))]))
+    assert silent.reason.startswith("no data from the GNSS receiver yet: check its cable")
+
+
+def test_a_statement_that_the_broker_kept_of_an_earlier_run_starts_nothing() -> None:
+    assert feed(Process(Config()), [sends(-3600.0, "UBX NAV-PVT")]) == []

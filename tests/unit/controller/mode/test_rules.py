@@ -25,7 +25,7 @@ YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELL
         (replace(YOUNG, gnss_age_s=None), Mode.DETECTING, "no data from the GNSS receiver yet"),
         (replace(YOUNG, configuring="requesting a fix"), Mode.CONFIGURING, "requesting a fix"),
         (replace(YOUNG, configuring="requesting a fix", imu_age_s=9.0), Mode.DEGRADED, "no IMU samples for 9 s"),
-        (YOUNG, Mode.ALIGNING, "levelling: keep the vehicle still"),
+        (YOUNG, Mode.ALIGNING, "stand still"),
         (replace(YOUNG, phase=P.WAITING_FOR_GNSS, fix_age_s=None), Mode.ALIGNING, "give the antenna a view of the sky"),
         (replace(YOUNG, phase=P.WAITING_FOR_HEADING), Mode.ALIGNING, "drive straight ahead"),
         (replace(YOUNG, phase=None, fusion_age_s=None, uptime_s=5.0), Mode.ALIGNING,
@@ -44,7 +44,7 @@ YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELL
         (replace(HEALTHY, solution_age_s=4.0), Mode.DEGRADED, "no navigation solution for 4 s"),
         (replace(HEALTHY, solution_age_s=40.0, fusion_age_s=40.0), Mode.DEGRADED,
          "no message from core.fusion for 40 s"),
-        (replace(HEALTHY, phase=P.LEVELLING, solution_age_s=9.0), Mode.ALIGNING, "levelling"),  # after a reset
+        (replace(HEALTHY, phase=P.LEVELLING, solution_age_s=9.0), Mode.ALIGNING, "stand still"),  # after a reset
         (replace(YOUNG, phase=None, fusion_age_s=None, uptime_s=20.0), Mode.DEGRADED, "no message from core.fusion"),
         (replace(YOUNG, imu_age_s=30.0, fusion_age_s=30.0), Mode.DEGRADED, "no IMU samples for 30 s"),
     ],

@@ -1,6 +1,7 @@
 """The bank on raw epochs: start, neighbours and road, exclusion, what is refused, and satellites that come and go."""
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
@@ -283,6 +284,19 @@ def test_the_papers_construction_can_be_selected_and_excludes_a_step() -> None:
         one = pushed(half_of_the_sky(k, rng), satellite, 150.0 if k in (10, 11) else 0.0)
         verdict = judged(monitor, one, k, rng)
         assert verdict.excluded == ((satellite,) if k in (10, 11) else ()), f"epoch {k}"
+
+
+def test_the_alert_limit_selects_the_virtual_satellites_of_the_construction() -> None:
+    """A level above the limit is published as it is; a wide limit leaves the sharpest tests."""
+    levels = []
+    for limit_m in (inf, 6.0, 1.0):
+        rng, monitor = np.random.default_rng(6), CooperativeMonitor(CooperativeSettings(paper_construction=True))
+        monitor.alert_limit_m = limit_m
+        verdicts = [judged(monitor, half_of_the_sky(k, rng), k, rng) for k in range(8)]
+        assert verdicts[-1].hpl_m is not None and not verdicts[-1].excluded
+        levels.append(monitor.construction_level_m)
+        assert verdicts[-1].hpl_m >= monitor.construction_level_m
+    assert levels[0] == levels[1] > levels[2] > 1.0, "6 m are kept; of none within 1 m, the least is chosen"
 
 
 def test_the_bank_excludes_a_ramp_of_1_m_s_earlier_than_the_papers_construction() -> None:

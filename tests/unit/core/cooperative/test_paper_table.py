@@ -18,8 +18,9 @@ from services.core.cooperative.paper.monte_carlo import (
 
 RUNS = 120
 DRIVE = draw(RUNS, 3)
-POINTS = 1.5  # [%] tolerance of the reference
+POINTS = 1.5  # [%] tolerance of the reference for the ramp
 SAMPLING = 1.0  # [%] what 120 runs instead of 500 add
+EPOCHS = 0.1  # [%] ten of 10,800 epochs, which rounding may turn
 
 
 def test_the_drive_is_1027_m_long() -> None:
@@ -54,15 +55,16 @@ def test_missed_ramps_depend_on_the_design_rate_as_in_the_reference(rate: float,
 
 
 @pytest.mark.parametrize(
-    ("ratio", "false_alarm", "step", "ramp"),
-    [(1.0, 3.2, 1.8, 42.6), (0.7, 0.40, 0.39, 43.1), (0.5, 0.02, 0.0, 44.3), (0.1, 0.0, 0.0, 45.0)]
+    ("ratio", "rates", "ramp"),
+    [(1.0, (4.59, 2.78, 44.43), 42.6), (0.7, (0.40, 1.17, 43.42), 43.1), (0.5, (0.03, 0.28, 44.46), 44.3),
+     (0.1, (0.0, 0.0, 45.99), 45.0)]
 )  # fmt: skip
-def test_the_open_loop_reference_has_the_reference_rates(
-    ratio: float, false_alarm: float, step: float, ramp: float
+def test_the_open_loop_has_its_rates_and_the_ramp_of_the_reference(
+    ratio: float, rates: tuple[float, float, float], ramp: float
 ) -> None:
+    """The rates of these 120 runs, to some epochs; the reference's false alarms and steps at 1.0 are 3.2 and 1.8 %."""
     found, _ = open_loop(DRIVE, ratio)
-    assert found.false_alarm == pytest.approx(false_alarm, abs=POINTS + SAMPLING)
-    assert found.missed_step == pytest.approx(step, abs=POINTS + SAMPLING)
+    assert (found.false_alarm, found.missed_step, found.missed_ramp) == pytest.approx(rates, abs=EPOCHS)
     assert found.missed_ramp == pytest.approx(ramp, abs=POINTS + SAMPLING)
     if ratio == 0.5:
         assert found.false_alarm < 1.0 and found.missed_step < 0.5 and found.missed_ramp < 50.0
@@ -81,10 +83,12 @@ def test_the_bank_sees_the_ramp_twice_as_early(ratio: float, ramp: float) -> Non
 
 @pytest.mark.parametrize("ratio", [1.0, 0.1])
 def test_a_closed_loop_absorbs_the_ramp(ratio: float) -> None:
-    """Reference: 99.96 and 98.6 % missed, 36 and 14 m horizontal RMS from 51 to 80 s."""
+    """Reference: 99.96 and 98.6 % missed, 36 and 14 m horizontal RMS from 51 to 80 s; the latter is not reproduced."""
     found, error = closed_loop(DRIVE, ratio)
     assert found.missed_ramp > 97.0 and found.missed_step < 0.5
-    assert np.sqrt((horizontal_rms(error)[50:80] ** 2).mean()) == pytest.approx({1.0: 36.0, 0.1: 14.0}[ratio], rel=0.4)
+    assert np.sqrt((horizontal_rms(error)[50:80] ** 2).mean()) == pytest.approx(
+        {1.0: 37.31, 0.1: 18.61}[ratio], rel=0.01
+    )
 
 
 def test_a_row_holds_one_ratio_of_all_methods() -> None:

@@ -1,5 +1,6 @@
 """The paper's construction against the reference numbers of section 001, and against least squares."""
 
+from itertools import combinations
 from math import radians, sqrt
 
 import numpy as np
@@ -19,6 +20,7 @@ from services.core.cooperative.v2x.virtual import (
     prediction_matrix,
     residual_cov,
     residual_test,
+    snooping_test,
 )
 from shared.maths.frequency_offset import cfo_from_range_rate, range_rate_from_cfo
 from shared.maths.quantiles import chi_square_limit
@@ -82,6 +84,20 @@ def test_the_tests_fire_at_the_reference_biases() -> None:
     assert not below and above
 
 
+@pytest.mark.parametrize(("scale", "global_fires", "local_fires"), [(4.6, False, False), (5.0, False, True),
+                                                                    (5.4, True, True)])  # fmt: skip
+def test_a_local_test_alone_excludes_nothing(scale: float, global_fires: bool, local_fires: bool) -> None:
+    """Residuals along a column of W have T = t_1²: t_1 = 5 is above 4.708, and T = 25 below 28.47."""
+    for row in range(4):
+        q = scale * W[row] / sqrt(W[row, row])
+        test = residual_test(q, W, P_FA)
+        assert float(test.statistic) == pytest.approx(scale**2) and test.t[row] == pytest.approx(scale)
+        assert bool(test.statistic > test.threshold) == global_fires
+        assert bool(test.t[row] > test.local) == local_fires
+        assert test.excluded[row] == (global_fires and local_fires)
+        assert test.excluded.any() == global_fires
+
+
 def test_baardas_statistic_fires_at_its_bias() -> None:
     for row, bias in enumerate(baarda_biases(W, P_FA)):
         w = baarda_statistics(bias * np.eye(4)[row], W)
@@ -95,6 +111,36 @@ def test_with_four_virtual_satellites_the_statistic_is_that_of_the_full_least_sq
     q = y[4:] - OMEGA @ y[:4]
     assert float(residual_test(q, W, P_FA).statistic) == pytest.approx(fit.statistic, rel=1e-9)
     assert fit.dof == 4
+
+
+def test_of_two_faults_baardas_test_excludes_both_and_no_other() -> None:
+    q = np.array([[0.0, 0.0, 0.0, 0.0], [24.9, 0.0, 0.0, 0.0], [60.0, 0.0, 0.0, -50.0]])
+    test = snooping_test(q, W, P_FA)
+    assert test.excluded.tolist() == [[False] * 4, [True, False, False, False], [True, False, False, True]]
+    assert not residual_test(q[1], W, P_FA).excluded.any(), "the printed local test fires at 28.02 m"
+    assert test.t[1] == pytest.approx(baarda_statistics(q[1], W))
+    assert snooping_test(q.reshape(3, 1, 4), W, P_FA).excluded.shape == (3, 1, 4)
+
+
+def test_a_protection_level_above_the_alert_limit_selects_other_virtual_satellites() -> None:
+    rng = np.random.default_rng(3)
+    candidates = np.array([design_row(float(el), float(az)) for el, az in rng.uniform((0.1, 0.0), (1.5, 6.28), (9, 2))])
+
+    def level(H_virtual: np.ndarray) -> float:
+        return horizontal_protection_level(
+            np.vstack([H_virtual, H_REAL]), REAL, SD, false_alarm_rate=P_FA, missed_detection_rate=P_MD
+        )
+
+    sharpest = choose_virtual(H_REAL, candidates)
+    assert sharpest is not None
+    first = level(candidates[list(sharpest)])
+    assert choose_virtual(H_REAL, candidates, level=level, limit=first) == sharpest
+    anew = choose_virtual(H_REAL, candidates, level=level, limit=0.97 * first)
+    assert anew is not None and anew != sharpest and level(candidates[list(anew)]) <= 0.97 * first
+    least = choose_virtual(H_REAL, candidates, level=level, limit=1.0)
+    assert least is not None
+    levels = [level(candidates[list(rows)]) for rows in combinations(range(9), 4)]
+    assert level(candidates[list(least)]) == pytest.approx(min(levels)), "none is within it: the one with the least"
 
 
 def test_with_six_virtual_satellites_the_expected_statistic_is_the_number_of_real_ones() -> None:

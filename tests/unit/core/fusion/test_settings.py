@@ -6,10 +6,18 @@ from pathlib import Path
 import pytest
 
 from cli.solve.overrides import with_settings
+from services.core.fusion.alignment.warm_start import fingerprint
 from services.core.fusion.settings import Settings
 from shared.errors import ConfigError
 from shared.runtime.config import Section, VehicleSection, dotted_keys, load_vehicle, parse_vehicle, with_values
 from shared.runtime.old_keys import PRESENT_KEYS
+
+
+def test_a_saved_state_is_of_one_mounting() -> None:
+    level = parse_vehicle("").section("core.fusion", Settings)
+    turned_file = "[vehicle.imu]\nbody_from_sensor = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]"
+    turned = parse_vehicle(turned_file).section("core.fusion", Settings)
+    assert fingerprint(level) == fingerprint(Settings()) != fingerprint(turned)
 
 
 def test_new_names_of_old_keys_are_settings_and_old_names_are_not() -> None:

@@ -4,15 +4,19 @@ from math import radians
 
 import pytest
 
+from cli.papers.motion_conflict.sweeps import statistics
+from services.core.motion_conflict.monitor import judged
 from services.core.motion_conflict.tachograph import (
     EVENT_S,
     KM_H,
+    THRESHOLD_M_S,
     DistanceRule,
     MotionSensorRule,
     SpeedWindow,
     WindowMode,
     distance_limit,
 )
+from services.core.motion_conflict.verdicts import Accused, State, Verdict
 
 SECOND_NS = 1_000_000_000
 PERIOD_NS = 10 * SECOND_NS
@@ -52,6 +56,26 @@ def test_no_fix_is_never_speed_zero(mode: WindowMode) -> None:
         window.add(k * PERIOD_NS, None, 30.0)
     assert max(window.differences) == pytest.approx(0.5 * KM_H)
     assert window.complete == (mode is WindowMode.MOVING)  # ten values of a wall window are missing
+
+
+@pytest.mark.parametrize(("scale", "above"), [(1.0 - 1e-12, False), (1.0, False), (1.0 + 1e-12, True)])
+def test_exactly_10_km_h_is_not_above_the_limit(monkeypatch: pytest.MonkeyPatch, scale: float, above: bool) -> None:
+    """The regulation and the paper say *exceeds*: for the event, the verdict, the suspect time and the sweeps.
+
+    No mean of 24 numbers is 10 km/h to the last bit (their sums are coarser), so that the window's is set.
+    """
+    difference = scale * THRESHOLD_M_S
+    monkeypatch.setattr(SpeedWindow, "trimmed_mean", lambda _window: difference)
+    window = SpeedWindow(WindowMode.MOVING)
+    for k in range(30):
+        window.add(k * PERIOD_NS, 0.0, difference)
+    assert window.exceeded_s == (10.0 if above else 0.0)
+    assert (window.suspect_since_ns is not None) == above
+    base = Verdict(State.NOT_EVALUATED, "", "m/s", 300.0, accused=(Accused.GNSS,))
+    assert (judged(difference, THRESHOLD_M_S, base).state is State.ACCUSES) == above
+    swept = statistics([(10.0 * k, 0.0, scale * 10.0) for k in range(30)])
+    assert (swept.mean_above, swept.median_above) == ((1, 1) if above else (0, 0))
+    assert (swept.first_s is not None) == above
 
 
 def test_the_event_counts_movement_and_standstill_does_not_interrupt_it() -> None:

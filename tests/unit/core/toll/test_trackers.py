@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cli.papers.toll.trajectory import cam_of, mixed
-from services.core.toll.trackers.filters import MANOEUVRE, Tracker, imm
+from services.core.toll.trackers.filters import MANOEUVRE, Estimates, Tracker, imm
 from services.core.toll.trackers.models import Cruise, Ctra, Ctrv, FourState, Linear, Model
 from services.core.toll.trackers.motion import arc, integrated_noise
 from services.core.toll.trackers.observation import ACCELERATION, YAW_RATE, Observation, cartesian
@@ -149,6 +149,40 @@ def test_headings_on_both_sides_of_south_west_north_are_averaged_across_the_wrap
     after = tracker.update(tracker.predict(tracker.start(west), np.array([0.1])), beyond)
     assert abs(wrap_angles(after.mean[:, 2] - pi)[0]) < 0.02
     assert after.cov[0, 2, 2] < 0.02**2
+
+
+@pytest.mark.parametrize(("dt", "stay"), [(0.1, 0.97060), (1.0, 0.77274), (3.3, 0.56767), (33.0, 0.50000)])
+def test_a_mode_is_held_with_the_probability_of_its_markov_chain(dt: float, stay: float) -> None:
+    """p = (1 + exp(-2 dt/3.3 s))/2: vectors by hand, 3.3 s being the mean holding time."""
+    estimates = two_modes(np.array([1.0, 0.0]))
+    assert_allclose(imm().predict(estimates, np.array([dt])).probability[0], [stay, 1.0 - stay], atol=2e-5)
+    mixed_up = imm().predict(two_modes(np.array([0.3, 0.7])), np.array([dt])).probability[0]
+    assert_allclose(mixed_up[0], 0.3 * stay + 0.7 * (1.0 - stay), atol=2e-5)
+
+
+def two_modes(probability: np.ndarray, distance: float = 1.0) -> Estimates:
+    """Two modes with means 2 m and 0.2 rad apart, times `distance`, and unit covariances."""
+    x = np.zeros((1, 2, 6))
+    x[0, 1, :4] = distance * np.array([2.0, 0.0, 0.2, 0.0])
+    return Estimates(x, np.broadcast_to(np.eye(6), (1, 2, 6, 6)).copy(), probability[None], 2)
+
+
+def test_the_covariance_of_a_mixture_holds_the_spread_of_its_means() -> None:
+    """P = Σ μ_j (P_j + (x_j - x)(x_j - x)'): with 0.25 and 0.75, 0.1875 of the squared distance beside P_j."""
+    mixture = two_modes(np.array([0.25, 0.75]))
+    expected = np.eye(6)
+    away = np.array([2.0, 0.0, 0.2, 0.0, 0.0, 0.0])
+    expected += 0.25 * 0.75 * np.outer(away, away)
+    assert_allclose(mixture.mean[0], [1.5, 0.0, 0.15, 0.0, 0.0, 0.0], atol=1e-15)
+    assert_allclose(mixture.cov[0], expected, atol=1e-15)
+
+
+def test_the_mixing_before_a_prediction_holds_the_spread_of_the_means_too() -> None:
+    """After a long step the modes were mixed half and half: a quarter of the squared distance of the headings."""
+    long_step = np.array([33.0])
+    apart, together = two_modes(np.array([0.5, 0.5])), two_modes(np.array([0.5, 0.5]), distance=0.0)
+    spread = imm().predict(apart, long_step).P[0, 0, 2, 2] - imm().predict(together, long_step).P[0, 0, 2, 2]
+    assert spread == pytest.approx(0.25 * 0.2**2, rel=1e-3)
 
 
 def mean_square(tracker: Tracker, cams: list[Observation], truth: np.ndarray) -> tuple[float, np.ndarray]:

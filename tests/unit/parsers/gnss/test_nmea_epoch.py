@@ -8,16 +8,12 @@ import pynmea2
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.framer import Framer, Protocol
-from services.parsers.gnss.nmea_epoch import (
-    KNOT_M_S,
-    MOST_GSA,
-    NmeaAssembler,
-    NmeaError,
-    fix_from_sentences,
-    time_of_day_ns,
-)
+from services.parsers.gnss.nmea_burst import MOST_GSA, NmeaAssembler, NmeaError, time_of_day_ns
+from services.parsers.gnss.nmea_epoch import KNOT_M_S, fix_from_sentences
+from services.parsers.gnss.nmea_satellites import satellites_of
 from services.parsers.gnss.process import Config, Process
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw
 from tests.support.data import recording
@@ -29,10 +25,16 @@ def read(data: bytes) -> list[tuple[GnssFix, dict[str, list[str]]]]:
     """Parse an NMEA stream; return each fix with the fields of its sentences."""
     assembler, rejects, found = NmeaAssembler(), Counter[str](), []
     for frame in Framer().feed(data):
-        if frame.protocol is Protocol.NMEA:
-            for epoch in assembler.take(frame.data, 1):
-                fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=rejects)
-                found.append((fix, {kind: parsed.data for kind, parsed in epoch.sentences.items()}))
+        if frame.protocol is not Protocol.NMEA:
+            continue
+        try:
+            epochs = list(assembler.take(frame.data, 1))
+        except NmeaError as fault:
+            assert str(fault) == "nmea_unused"
+            continue
+        for epoch in epochs:
+            fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=rejects)
+            found.append((fix, {kind: parsed.data for kind, parsed in epoch.sentences.items()}))
     assert not rejects
     return found
 
@@ -122,9 +124,21 @@ def test_a_sentence_rejected_by_pynmea2_raises_nmea_form(sentence: bytes) -> Non
         list(NmeaAssembler().take(sentence, 1))
 
 
-@pytest.mark.parametrize("body", ["PGRMC,A", "PUBX,00,000000.00", "GNXYZ,1", "GPGSV,1,1,00", "GNRMC", "RMC,1", ""])
-def test_unused_sentences_are_ignored(body: str) -> None:
-    assert not list(NmeaAssembler().take(f"${body}*00\r\n".encode(), 1))
+@pytest.mark.parametrize("body", ["PGRMC,A", "PUBX,00,000000.00", "GNXYZ,1", "GNHDT,1,T", "GNRMC", "RMC,1", ""])
+def test_sentences_that_are_not_used_are_counted(body: str) -> None:
+    process = Process(Config())
+    checksum = functools.reduce(operator.xor, body.encode(), 0)
+    data = f"${body}*{checksum:02X}\r\n".encode()
+    assert not [m for m in process.handle(GnssRaw(received_ns=1, source="g", data=data)) if isinstance(m, GnssFix)]
+    assert process.rejects == {"nmea_unused": 1}
+
+
+def test_ubx_messages_that_are_not_used_are_counted() -> None:
+    process = Process(Config())
+    data = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize() + UBXMessage("TIM", "TIM-TP", 0).serialize()
+    list(process.handle(GnssRaw(received_ns=1, source="g", data=data)))
+    assert process.rejects["ubx_unused"] >= 1
+    assert "nmea_unused" not in process.rejects
 
 
 @pytest.mark.parametrize("text", ["", "12", "126000.00", "240000.00", "aabbcc.dd", "12345", "123x56"])
@@ -144,7 +158,7 @@ def test_any_sentence_is_accepted_or_raises_nmea_error(body: str) -> None:
             for epoch in NmeaAssembler().take(f"${kind}{body}*00\r\n".encode(), 1):
                 fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=Counter())
         except NmeaError as fault:
-            assert str(fault) == "nmea_time"
+            assert str(fault) == ("nmea_time" if kind else "nmea_unused")
 
 
 def test_sentences_without_a_time_of_day_are_kept_in_bounds() -> None:
@@ -163,7 +177,8 @@ CONTENTS = ("", "A", "1", "-1", "nan", "inf", "1e400", "9999.99", "N", "E", "423
 
 @given(st.lists(st.sampled_from(CONTENTS), min_size=18, max_size=18))
 def test_fields_of_any_content_give_a_fix_or_are_omitted(fields: list[str]) -> None:
-    classes: dict[str, Any] = {"RMC": pynmea2.RMC, "GGA": pynmea2.GGA, "GSA0": pynmea2.GSA, "GST": pynmea2.GST}
+    classes: dict[str, Any] = {"RMC": pynmea2.RMC, "GGA": pynmea2.GGA, "GSA0": pynmea2.GSA, "GST": pynmea2.GST,
+                               "VTG": pynmea2.VTG, "ZDA": pynmea2.ZDA, "GSV0": pynmea2.GSV}  # fmt: skip
     sentences = {kind: create("GN", kind[:3], ["000000.00", *fields]) for kind, create in classes.items()}
     assembler = NmeaAssembler()
     list(assembler.take(b"$GNRMC,000000.00,V*00\r\n", 1))
@@ -171,6 +186,10 @@ def test_fields_of_any_content_give_a_fix_or_are_omitted(fields: list[str]) -> N
     epoch.sentences.update(sentences)
     fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=Counter())
     assert fix.ground_speed_m_s is None or 0 <= fix.ground_speed_m_s <= 600
+    satellites_of(epoch, sampled_ns=1, source="x")
+    del epoch.sentences["GGA"]
+    epoch.sentences["GNS"] = pynmea2.GNS("GN", "GNS", ["000000.00", *fields])  # type: ignore[no-untyped-call]
+    fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=Counter())
 
 
 @pytest.mark.parametrize("altitude", ["1e300", "9" * 150, "nan", "-1e9", "inf"])

@@ -1,12 +1,15 @@
 import random
 import struct
+import time
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from shared.bus import codec
 from shared.bus.bus import Envelope
@@ -15,7 +18,9 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.operation import Mode, ModeState
 from shared.recording import Recording, RecordingWriter
+from shared.recording.index import chosen
 from tests.support.bus.envelopes import sent, sent_bytes
+from tests.support.rewritten import chunk, file_of, rewrite
 
 START_NS = 1_790_000_000_000_000_000
 
@@ -356,3 +361,55 @@ def test_without_a_summary_a_lost_chunk_loses_the_channels_that_begin_in_it(tmp_
 
     assert found == other
     assert problems[-1] == "40 messages could not be decoded"
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_a_recording_that_another_tool_has_rewritten_holds_the_same(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    messages = envelopes(100)
+    record(tmp_path / "a.mcap", messages)
+    rewrite(tmp_path / "a.mcap", tmp_path / "b.mcap", compression)
+    found, problems = read(tmp_path / "b.mcap")
+    assert found == messages and not problems
+    with Recording(tmp_path / "b.mcap") as recording:
+        assert recording.attachments["vehicle.toml"] == b'[vehicle]\nname = "car"\n', "behind the messages"
+        assert recording.metadata["obu"]["vehicle"] == "car" and recording.topics
+        assert list(chosen(recording, ("imu/raw",))) == [one for one in messages if one.topic == "imu/raw"]
+
+
+@pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD])
+def test_a_rewritten_recording_that_was_cut_gives_what_is_whole(tmp_path: Path, compression: CompressionType) -> None:
+    messages = envelopes(2000)
+    record(tmp_path / "a.mcap", messages)
+    rewrite(tmp_path / "a.mcap", tmp_path / "b.mcap", compression)
+    data = (tmp_path / "b.mcap").read_bytes()
+    (tmp_path / "c.mcap").write_bytes(data[: len(data) // 2])
+    found, problems = read(tmp_path / "c.mcap")
+    assert 500 < len(found) < 1500 and found == messages[: len(found)]
+    assert "was not closed" in problems[0]
+
+
+def test_chunks_of_an_unknown_compression_are_said(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(file_of(chunk(b"brotli", 1000, b"x" * 100)))
+    found, problems = read(tmp_path / "a.mcap")
+    assert not found and "chunks packed with 'brotli' are not read: zstd, lz4 and none are" in problems
+
+
+ZEROS = bytes(16 << 20)
+
+
+@pytest.mark.parametrize(("name", "data"), [("zstd", zstandard.compress(ZEROS)), ("lz4", lz4.frame.compress(ZEROS))])
+def test_chunks_that_unpack_to_gigabytes_are_an_error_before_they_do(tmp_path: Path, name: str, data: bytes) -> None:
+    (tmp_path / "a.mcap").write_bytes(file_of(*[chunk(name.encode(), len(ZEROS), data)] * 100))
+    started = time.monotonic()
+    with pytest.raises(BadRecording, match=r"bytes unpack to \d+ MB or more, over 100 times their size"):
+        read(tmp_path / "a.mcap")
+    assert time.monotonic() - started < 5.0
+
+
+def test_a_chunk_beyond_the_limit_is_not_unpacked_and_said(tmp_path: Path) -> None:
+    data = zstandard.compress(bytes(40 << 20))
+    (tmp_path / "a.mcap").write_bytes(file_of(chunk(b"zstd", 40 << 20, data), chunk(b"zstd", 3 << 30, data)))
+    found, problems = read(tmp_path / "a.mcap")
+    assert not found and "a chunk that unpacks to 42 MB is not read: 16 MB at most" in problems

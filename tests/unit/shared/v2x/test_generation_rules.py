@@ -101,6 +101,20 @@ def test_the_low_frequency_container_is_in_the_first_cam_and_every_500_ms() -> N
     assert low == [0, 500, 1000, 1500, 2000, 2500, 3000]
 
 
+@pytest.mark.parametrize("late_ms", [0, 1, 5, 9])
+def test_two_low_frequency_containers_are_at_least_500_ms_apart(late_ms: int) -> None:
+    """EN 302 637-2 clause 6.1.3: where at least 500 ms have passed; a check that comes early is not late enough."""
+    rules, low = GenerationRules(), []
+    for step in range(200):
+        time_ms = step * 100 + (late_ms if step % 5 == 0 else 0)
+        position = geodetic_from_ned_difference((5.0 * step, 0.0, 0.0), ORIGIN)
+        generation = rules.check(Dynamics(time_ms * MS, position, 0.0, 50.0))
+        if generation and generation.low_frequency:
+            low.append(time_ms)
+    assert min(periods(low)) >= 500
+    assert max(periods(low)) <= 600
+
+
 def test_after_a_restart_of_the_time_line_cams_are_sent() -> None:
     rules = GenerationRules()
     assert rules.check(Dynamics(10**18, ORIGIN, 0.0, 0.0))

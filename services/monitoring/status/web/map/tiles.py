@@ -1,6 +1,5 @@
 """The map that the configuration names: one PMTiles or MBTiles file, described and read from disk."""
 
-import gzip
 import json
 import re
 from collections.abc import Mapping
@@ -10,16 +9,22 @@ from pathlib import Path
 from struct import Struct
 from typing import TYPE_CHECKING, cast
 
+from shared.unpacked import compression_of, unpacked
+
 if TYPE_CHECKING:
     import sqlite3
 
 HOW = "see docs/how-to/install-a-map.md"
-METADATA_BYTES = 2_000_000
+REPACK = "write it anew with tiles that are packed with gzip"
+METADATA_BYTES, METADATA_UNPACKED_BYTES = 2_000_000, 20_000_000
+SAMPLES, SAMPLE_BYTES = 20, 12  # tiles, and bytes of each, that are looked at
 # PMTiles specification, version 3, section 3: offsets of the fields that are read here.
-_PLACES = Struct("<Q")  # 24: offset of the metadata, 32: their length
+_PLACES = Struct("<Q")  # 24: offset of the metadata, 32: their length, 56: offset of the tiles
 _BOUNDS = Struct("<4i")  # 102: west, south, east, north [1e-7 deg]
 HEADER_BYTES, VERSION = 127, 3
 COMPRESSION_NONE, COMPRESSION_GZIP = 1, 2
+COMPRESSIONS = {0: "an unknown compression", 1: "no compression", 2: "gzip", 3: "Brotli", 4: "Zstandard"}
+MVT_LAYER = 0x1A  # the first byte of a vector tile that is not packed: the tag of its first layer
 TILE_FORMATS = {1: "mvt", 2: "png", 3: "jpg", 4: "webp"}
 MBTILES_FORMATS = {"pbf": "mvt", "mvt": "mvt", "png": "png", "jpg": "jpg", "jpeg": "jpg", "webp": "webp"}
 CONTENT_TYPES = {
@@ -75,10 +80,18 @@ def _describe_pmtiles(path: Path) -> MapDescription:
             raise ValueError(f"its metadata have {size} bytes, more than {METADATA_BYTES}")
         file.seek(begin)
         packed = file.read(size)
+        file.seek(_PLACES.unpack_from(header, 56)[0])
+        sample = file.read(SAMPLE_BYTES)
     tiles, compression = TILE_FORMATS.get(header[99]), header[97]
     if tiles is None or compression not in (COMPRESSION_NONE, COMPRESSION_GZIP):
         raise ValueError("its tiles are neither MVT nor PNG, JPEG or WebP, or it is not packed with gzip")
-    metadata = _object(gzip.decompress(packed) if compression == COMPRESSION_GZIP else packed)
+    if header[98] not in (COMPRESSION_NONE, COMPRESSION_GZIP):
+        named = COMPRESSIONS.get(header[98], "an unknown compression")
+        raise ValueError(f"its tiles are packed with {named}, which a browser does not unpack: {REPACK}")
+    if compression == COMPRESSION_GZIP:
+        packed = unpacked(packed, "gzip", METADATA_UNPACKED_BYTES)
+    _check_sample(sample, tiles, packed=header[98] == COMPRESSION_GZIP)
+    metadata = _object(packed)
     west, south, east, north = (e7 * 1e-7 for e7 in _BOUNDS.unpack_from(header, 102))
     return MapDescription(
         "pmtiles", tiles, header[100], header[101], (west, south, east, north), *_credits(metadata, metadata)
@@ -91,11 +104,17 @@ def _describe_mbtiles(path: Path) -> MapDescription:
     try:
         with closing(_open(path)) as database:
             metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+            query = "select substr(cast(tile_data as blob), 1, ?) from tiles limit ?"
+            samples = [bytes(row[0]) for row in database.execute(query, (SAMPLE_BYTES, SAMPLES)) if row[0]]
     except sqlite3.Error as error:
         raise ValueError(str(error)) from error
     tiles = MBTILES_FORMATS.get(metadata.get("format", ""))
     if tiles is None:
         raise ValueError(f"its format {metadata.get('format')!r} is none of {', '.join(MBTILES_FORMATS)}")
+    if not samples:
+        raise ValueError("it holds no tiles")
+    for sample in samples:
+        _check_sample(sample, tiles, packed=None)
     bounds = tuple(float(part) for part in metadata.get("bounds", "-180,-85,180,85").split(","))
     if len(bounds) != 4:
         raise ValueError("its bounds are not four numbers")
@@ -103,6 +122,36 @@ def _describe_mbtiles(path: Path) -> MapDescription:
     return MapDescription(
         "mbtiles", tiles, *zooms, bounds, *_credits(metadata, _object(metadata.get("json", "{}").encode()))
     )
+
+
+def _check_sample(sample: bytes, tiles: str, *, packed: bool | None) -> None:
+    """Raise ValueError for a tile that begins as none does that a browser can show.
+
+    Parameters
+    ----------
+    sample : bytes
+        The first bytes of a tile.
+    tiles : str
+        Format of the tiles: mvt, png, jpg or webp.
+    packed : bool or None
+        Whether they are packed with gzip; None: some may be.
+    """
+    compression = compression_of(sample)
+    if compression == "gzip" and packed is not False:
+        return
+    if compression is not None:
+        raise ValueError(f"its tiles are packed with {compression}, which is not what it says: {REPACK}")
+    if _is_zlib(sample) and tiles == "mvt":
+        raise ValueError(f"its tiles are packed with zlib, which a browser does not unpack: {REPACK}")
+    begins = {"mvt": bytes((MVT_LAYER,)), "png": b"\x89PNG", "jpg": b"\xff\xd8\xff", "webp": b"RIFF"}[tiles]
+    if packed or not sample.startswith(begins):
+        wanted = f"{tiles.upper()} packed with gzip" if packed else tiles.upper()
+        raise ValueError(f"its tiles begin with {sample[:4].hex(' ')}, and are not {wanted}: {REPACK}")
+
+
+def _is_zlib(sample: bytes) -> bool:
+    """Whether bytes begin as a stream of zlib (RFC 1950, section 2.2)."""
+    return len(sample) >= 2 and sample[0] & 0x0F == 8 and sample[0] >> 4 <= 7 and (sample[0] << 8 | sample[1]) % 31 == 0
 
 
 def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:

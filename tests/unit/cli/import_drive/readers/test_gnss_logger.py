@@ -2,6 +2,9 @@
 
 import csv
 import math
+from functools import reduce
+from itertools import pairwise
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -189,3 +192,101 @@ def test_recorded_logs_of_three_versions_are_read(path: str, fixes: int, epochs:
     assert len(raw) == epochs
     utc_ns = [one.gps_time_ns + (315_964_800 - 18) * NS for one in raw]
     assert all(abs(one.sampled_ns - true_ns) < 60 * NS for one, true_ns in zip(raw, utc_ns, strict=True))
+
+
+RAW = (
+    "# Raw,utcTimeMillis,TimeNanos,LeapSecond,FullBiasNanos,BiasNanos,Svid,TimeOffsetNanos,State,ReceivedSvTimeNanos,"
+    "ReceivedSvTimeUncertaintyNanos,Cn0DbHz,CarrierFrequencyHz,ConstellationType"
+)
+WEEK, TOW_NS = 2278, 414_016 * NS  # of the reception, GPS time
+
+
+def raw(state: int, system: int, frequency_hz: float = 1.57542e9, behind_ns: int = 0) -> str:
+    """A signal that was sent 75 ms before its reception."""
+    sent_ns = TOW_NS - behind_ns - 75_000_000
+    return (
+        f"Raw,,{NS},18,{NS - WEEK * 604_800 * NS - TOW_NS},0.0,7,0.0,{state},{sent_ns},10,40.0,{frequency_hz},{system}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("state", "system", "frequency_hz", "signal"),
+    [
+        (1 | 8, 1, 1.57542e9, "1C"),  # TOW_DECODED
+        (1 | 1 << 14, 1, 1.57542e9, "1C"),  # TOW_KNOWN: the time of week comes from elsewhere
+        (81921, 1, 1.17645e9, "5Q"),
+        (84003, 6, 1.17645e9, "5Q"),
+        (85026, 6, 1.57542e9, "1C"),  # of Galileo E1 the lock to the code has a bit of its own
+        (1 | 1 << 14, 4, 1.17645e9, "5Q"),
+        (1 | 1 << 14, 5, 1.17645e9, "5P"),
+    ],
+)
+def test_a_time_of_week_that_is_known_counts_as_one_that_is_decoded(
+    state: int, system: int, frequency_hz: float, signal: str
+) -> None:
+    (one,), rejects = converted(RAW, raw(state, system, frequency_hz, 14 * NS if system == 5 else 0))
+    assert isinstance(one, GnssRawEpoch) and not rejects
+    assert one.measurements[0].signal == signal
+    assert one.measurements[0].pseudorange_m == pytest.approx(0.075 * SPEED_OF_LIGHT)
+
+
+@pytest.mark.parametrize(
+    ("state", "system", "reason"),
+    [
+        (1, 1, "raw: no time of week"),
+        (1 << 14, 4, "raw: no lock to the code"),
+        (32995, 3, "raw: GLONASS is not used"),
+        (1 | 1 << 15, 3, "raw: GLONASS is not used"),
+        (1 | 1 << 14, 3, "raw: no time of day"),
+        (1 | 1 << 15, 1, "raw: no time of week"),
+    ],
+)
+def test_a_signal_without_its_time_of_transmission_is_rejected(state: int, system: int, reason: str) -> None:
+    assert converted(RAW, raw(state, system)) == ([], {reason: 1})
+
+
+def test_a_log_of_which_nothing_can_be_used_says_what_it_holds_and_what_is_missing(tmp_path: Path) -> None:
+    log = tmp_path / "gnss_log.txt"
+    log.write_text(HEADER + "\n".join([sensor("Accel", 0, 0.0, 0.0, 9.8), sensor("Mag", 0, 1.0, 2.0, 3.0)]))
+    with pytest.raises(UserError) as error:
+        import_drive(log, output=tmp_path / "phone.mcap")
+    said = str(error.value)
+    assert "1 Accel, 1 Mag; missing: `Fix` and `Raw` and `Status` lines (GNSS)" in said
+    assert "`UncalAccel` or `Accel` lines (1, at least 2 are required)" in said
+    assert "`UncalGyro` or `Gyro` lines (0, at least 2 are required)" in said
+    log.write_text(HEADER)
+    with pytest.raises(UserError, match="no lines of a known kind"):
+        import_drive(log, output=tmp_path / "phone.mcap")
+
+
+def nmea(second: int) -> list[str]:
+    """GGA and RMC of one second, as GnssLogger writes them."""
+    bodies = (
+        f"GPGGA,2342{second:02d}.00,3725.590397,N,12210.422534,W,1,24,0.4,51.9,M,-28.4,M,,",
+        f"GPRMC,2342{second:02d}.00,A,3725.590397,N,12210.422534,W,002.0,90.0,071123,,,A",
+    )
+    sums = [reduce(xor, body.encode()) for body in bodies]
+    return [
+        f"NMEA,${body}*{checksum:02X},{UTC_MS + 577_000 + 1000 * (second - 57) + 5 * k}"
+        for k, (body, checksum) in enumerate(zip(bodies, sums, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("header", ["", HEADER])
+def test_the_nmea_sentences_of_a_log_are_fixes(tmp_path: Path, header: str) -> None:
+    log = tmp_path / "gnss_log.nmea"
+    log.write_text(header + "\n".join(line for second in range(50, 58) for line in nmea(second)) + "\n")
+    assert import_drive(log, output=tmp_path / "phone.mcap") == 0
+    with Recording(tmp_path / "phone.mcap") as made:
+        fixes = [message for message in (one.decode() for one in made) if isinstance(message, GnssFix)]
+    assert len(fixes) == 8
+    assert fixes[-1].utc_ns == 1_699_400_577 * NS  # 2023-11-07 23:42:57
+    assert fixes[-1].latitude_deg == pytest.approx(37.42650662) and fixes[-1].height_msl_m == 51.9
+    assert fixes[-1].ground_speed_m_s == pytest.approx(2.0 * 1852 / 3600)
+    steps = {b.sampled_ns - a.sampled_ns for a, b in pairwise(fixes)}
+    assert steps == {NS}
+
+
+def test_sentences_beside_fixes_are_not_fixes_again() -> None:
+    messages, rejects = converted(fix(1), *nmea(50), *nmea(51))
+    assert len(messages) == 1 and not rejects

@@ -1,9 +1,14 @@
+import bz2
 import gzip
 import sqlite3
+import zlib
 from math import cos, log, pi, radians, tan
 from pathlib import Path
+from struct import pack
 
+import lz4.frame
 import pytest
+import zstandard
 
 from services.monitoring.status.web.map.tiles import BadMap, describe, read_tile
 from tests.support.dashboard.tile_files import tile_at, write_mbtiles, write_pmtiles
@@ -50,6 +55,91 @@ def test_a_file_that_is_no_map_is_refused_with_the_how_to(tmp_path: Path, name: 
     with pytest.raises(BadMap, match=why) as found:
         describe(tmp_path / name)
     assert "install-a-map.md" in str(found.value)
+
+
+def repacked(path: Path, tile: bytes) -> None:
+    """Replace every tile of an MBTiles file."""
+    with sqlite3.connect(path) as database:
+        database.execute("update tiles set tile_data = ?", (tile,))
+    database.close()
+
+
+VECTOR = b"\x1a\x10" + bytes(40)
+PNG = b"\x89PNG\r\n\x1a\n" + bytes(20)
+
+
+@pytest.mark.parametrize(
+    ("tile", "why"),
+    [
+        (zlib.compress(VECTOR), "packed with zlib, which a browser does not unpack"),
+        (zlib.compress(VECTOR, 1), "packed with zlib"),
+        (zstandard.compress(VECTOR), "packed with zstd"),
+        (lz4.frame.compress(VECTOR), "packed with lz4"),
+        (bz2.compress(VECTOR), "packed with bzip2"),
+        (PNG, "are not MVT"),
+        (b"\x8b\x02\x80" + VECTOR, "are not MVT"),  # Brotli has no magic number
+    ],
+)
+def test_tiles_that_a_browser_cannot_unpack_are_a_problem(tmp_path: Path, tile: bytes, why: str) -> None:
+    path = tmp_path / "a.mbtiles"
+    write_mbtiles(path, LATITUDE_DEG, LONGITUDE_DEG)
+    repacked(path, tile)
+    with pytest.raises(BadMap, match=why):
+        describe(path)
+
+
+@pytest.mark.parametrize("tile", [VECTOR, gzip.compress(VECTOR)])
+def test_vector_tiles_may_be_packed_with_gzip_or_not(tmp_path: Path, tile: bytes) -> None:
+    path = tmp_path / "a.mbtiles"
+    write_mbtiles(path, LATITUDE_DEG, LONGITUDE_DEG)
+    repacked(path, tile)
+    assert describe(path).tiles == "mvt"
+
+
+def test_pictures_of_another_format_and_no_tiles_are_a_problem(tmp_path: Path) -> None:
+    path = tmp_path / "a.mbtiles"
+    write_mbtiles(path, LATITUDE_DEG, LONGITUDE_DEG, png=PNG)
+    assert describe(path).tiles == "png"
+    repacked(path, b"\xff\xd8\xff\xe0" + bytes(20))
+    with pytest.raises(BadMap, match="are not PNG"):
+        describe(path)
+    with sqlite3.connect(path) as database:
+        database.execute("delete from tiles")
+    database.close()
+    with pytest.raises(BadMap, match="holds no tiles"):
+        describe(path)
+
+
+@pytest.mark.parametrize(
+    ("stated", "tile", "why"),
+    [(3, None, "packed with Brotli"), (4, None, "packed with Zstandard"), (0, None, "an unknown compression"),
+     (2, zlib.compress(VECTOR), "packed with zlib"), (1, zlib.compress(VECTOR), "packed with zlib"),
+     (2, VECTOR, "are not MVT packed with gzip"), (1, gzip.compress(VECTOR), "packed with gzip, which is not")],
+)  # fmt: skip
+def test_a_pmtiles_file_with_tiles_that_a_browser_cannot_unpack_is_a_problem(
+    tmp_path: Path, stated: int, tile: bytes | None, why: str
+) -> None:
+    path = tmp_path / "a.pmtiles"
+    write_pmtiles(path, LATITUDE_DEG, LONGITUDE_DEG)
+    data = bytearray(path.read_bytes())
+    data[98] = stated
+    if tile is not None:
+        begin = int.from_bytes(data[56:64], "little")
+        data[begin:] = tile
+    path.write_bytes(data)
+    with pytest.raises(BadMap, match=why):
+        describe(path)
+
+
+def test_metadata_that_unpack_to_gigabytes_are_a_problem(tmp_path: Path) -> None:
+    path = tmp_path / "a.pmtiles"
+    write_pmtiles(path, LATITUDE_DEG, LONGITUDE_DEG)
+    data = bytearray(path.read_bytes())
+    bomb = gzip.compress(bytes(30_000_000))
+    data[24:40] = pack("<2Q", len(data), len(bomb))
+    path.write_bytes(data + bomb)
+    with pytest.raises(BadMap, match="unpack to more than 20 MB"):
+        describe(path)
 
 
 @pytest.mark.parametrize("name", ["b.pmtiles", "b.mbtiles"])

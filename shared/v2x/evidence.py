@@ -1,0 +1,27 @@
+"""Received frames that are kept, back to the CAM that they were."""
+
+from pydantic import ValidationError
+
+from ..errors import RejectedFrame
+from ..messages.toll import EvidenceFrame
+from ..messages.v2x import Cam
+from . import cam, geonetworking
+
+
+def cam_of(frame: EvidenceFrame) -> Cam:
+    """Decode a frame as `parsers.v2x` did; its times are those of the evidence.
+
+    Raises
+    ------
+    RejectedFrame
+        The frame is no CAM.
+    """
+    bare = frame.data[:1] == bytes([cam.PROTOCOL_VERSION])  # UPER without headers, else GeoNetworking
+    content, delta_time = cam.decode(frame.data if bare else geonetworking.decode_payload(frame.data))
+    try:
+        return Cam(
+            **content, sampled_ns=frame.sampled_ns, received_ns=frame.received_ns, generation_delta_time=delta_time,
+            frame=frame.data,
+        )  # fmt: skip
+    except ValidationError as error:
+        raise RejectedFrame("range", error) from error
