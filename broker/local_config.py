@@ -19,6 +19,11 @@ def executable() -> str | None:
     return shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 
 
+def command(program: str, config: Path) -> list[str]:
+    """Command that starts Mosquitto, and sets aside a store that it cannot read."""
+    return ["sh", str(HERE / "start.sh"), program, str(config)]
+
+
 def configuration(port: int, store: Path, acl: Path = HERE / "acl.conf") -> str:
     """Keep every line of `mosquitto.conf` but its places: a loopback port, a folder of its own, the access list."""
     lines = [

@@ -36,6 +36,7 @@ ENOUGH_BYTES = 1_000_000_000
 LISTEN_S = 2.0
 OTHER_BROKER = "set OBU_BROKER=mqtt://host:port (a demo prints the line to copy)"
 SILENT_NS = 3_000_000_000
+STORE_REMEDY = "what was retained has been published again; check the disk, and delete the file"
 LIBRARIES = Path(__file__).parents[1] / "services" / "monitoring" / "status" / "dashboard" / "node_modules"
 
 
@@ -77,6 +78,7 @@ def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
     yield Finding(os.access(folder, os.W_OK), f"{folder} is writable", f"change the owner of {folder} or set OBU_STATE")
     yield from _devices(vehicle)
     yield from _v2x(vehicle)
+    yield from _broker_stores(folder)
     broker = _broker()
     yield broker
     if broker.ok:
@@ -115,6 +117,17 @@ def _devices(vehicle: VehicleFile) -> Iterator[Finding]:
             yield Finding(False, what, str(error))
         else:
             yield Finding(True, what)
+
+
+def _broker_stores(folder: Path) -> Iterator[Finding]:
+    """Name a store that the broker could not read and set aside, as after a power cut (broker/start.sh)."""
+    for store in (Path("/var/lib/obu-broker"), folder / "broker", folder / "demo" / "broker"):
+        aside = store / "mosquitto.db.unreadable"
+        if aside.exists():
+            what = f"the broker could not read its store, and started without it: {aside}"
+            yield Finding(
+                False, what, "what was retained has been published again; check the disk, and delete the file"
+            )
 
 
 def _v2x(vehicle: VehicleFile) -> Iterator[Finding]:

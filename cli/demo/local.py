@@ -78,7 +78,7 @@ def broker_command(folder: Path, port: int, kind: str, acl: Path = local_config.
     if not mosquitto and kind == "mosquitto":
         raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
     if mosquitto and kind != "simulated":
-        return [mosquitto, "-c", str(local_config.write(folder, port, acl))]
+        return local_config.command(mosquitto, local_config.write(folder, port, acl))
     return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
 
 

@@ -74,6 +74,8 @@ class Bus:
         self.last_error: str | None = None
         self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
+        if self._clock.not_stored is not None:
+            self.rejects["state disk"] += 1
         self._memory, self._end = ProportionalSize(), LastEnd(state_dir, process)
         self.incarnation = self.now_ns()
         self.sequence = 0  # of the last message sent
@@ -309,7 +311,13 @@ class Bus:
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.READY))
             if self._alive_file:
-                Path(self._alive_file).touch()
+                self._touch_alive_file(self._alive_file)
+
+    def _touch_alive_file(self, path: str) -> None:
+        try:
+            Path(path).touch()
+        except OSError as error:
+            self.last_error = f"cannot write {path}: {error.strerror}"
 
     def _take(self) -> list[Envelope]:
         envelopes = []

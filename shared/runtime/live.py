@@ -167,10 +167,9 @@ class LiveReactor:
         while not self._bus.stopping:
             if self._pause_s:
                 time.sleep(min(self._pause_s, self._until_tick_s()))
-            self._receive(min(self._until_tick_s(), SERVE_S))
-            while self._inbox:
+            self._receive(0.0 if self._inbox else min(self._until_tick_s(), SERVE_S))
+            for _ in range(len(self._inbox)):  # what arrives meanwhile comes behind the tick
                 self._consume(self._inbox.popleft())
-                self._tick()
             self._tick()
             self._publish_journal()
         closing = getattr(self._process, "close", None)

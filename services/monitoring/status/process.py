@@ -154,7 +154,10 @@ class Process:
         host, port = listener.getsockname()[:2]
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         address = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
-        (bus.state_dir / ADDRESS_FILE).write_text(address)
+        try:
+            (bus.state_dir / ADDRESS_FILE).write_text(address)
+        except OSError as error:  # the page is served all the same
+            log.warning("cannot write %s: %s", bus.state_dir / ADDRESS_FILE, error.strerror)
         log.info("dashboard at %s, listening on %s port %d", address, host, port)
 
 

@@ -35,9 +35,21 @@ class Mosquitto:
         self.stop()
         self._process = self._run()
 
+    def try_start(self) -> bool:
+        """Start it; return whether it stays."""
+        self._process = self._started()
+        return self._process.poll() is None
+
     def _run(self) -> subprocess.Popen[bytes]:
+        process = self._started()
+        if process.poll() is not None:
+            pytest.fail("Mosquitto does not start: " + (self._folder / "mosquitto.log").read_text())
+        return process
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        """Start it, and wait until it listens or has ended."""
         with (self._folder / "mosquitto.log").open("ab") as log:
-            process = subprocess.Popen([self._executable, "-c", str(self._config)], stderr=log)
+            process = subprocess.Popen(local_config.command(self._executable, self._config), stderr=log)
         deadline = time.monotonic() + READY_WITHIN_S
         while time.monotonic() < deadline and process.poll() is None:
             with socket.socket() as probe:
@@ -46,7 +58,7 @@ class Mosquitto:
             time.sleep(0.02)
         process.kill()
         process.wait()
-        pytest.fail("Mosquitto does not start: " + (self._folder / "mosquitto.log").read_text())
+        return process
 
 
 def start(folder: Path, acl: str | None = None) -> Mosquitto:

@@ -80,6 +80,17 @@ def test_sections_of_v2x_that_do_not_fit_together_are_reported(
     assert {what for what in ("CAM codec", "own CAM is sent") if f"NO  {what}" in printed} == faults
 
 
+def test_a_store_that_the_broker_set_aside_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
+    monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:1")
+    (tmp_path / "broker").mkdir()
+    (tmp_path / "broker" / "mosquitto.db.unreadable").write_bytes(bytes(8))
+    assert doctor.examine(None) == 1
+    assert "NO  the broker could not read its store, and started without it" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("section", "reason"),
     [

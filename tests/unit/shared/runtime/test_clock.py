@@ -1,6 +1,7 @@
 """The offset of the time line: set once a boot by the first process."""
 
 import ctypes
+import errno
 import os
 import threading
 import time
@@ -49,8 +50,62 @@ def test_an_agreed_offset_is_read_without_writing(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(Path, "write_text", full)
     assert clock.fixed_offset_ns(tmp_path) == offset
+
+
+def test_a_state_folder_that_is_not_there_is_an_error_with_its_remedy(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="OBU_STATE"):
         clock.fixed_offset_ns(tmp_path / "elsewhere")
+
+
+class Disk:
+    """A state folder on a disk that takes nothing until it has room, beside shared memory that does."""
+
+    def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: int) -> None:
+        self.state, self.memory = tmp_path / "state", tmp_path / "memory"
+        self.state.mkdir()
+        self.memory.mkdir()
+        self.full, write = True, Path.write_text
+
+        def write_text(path: Path, text: str, **options: Any) -> int:
+            if self.full and path.parent == self.state:
+                raise OSError(fault, os.strerror(fault))
+            return write(path, text, **options)
+
+        monkeypatch.setattr(Path, "write_text", write_text)
+        monkeypatch.setattr(clock, "SHARED_MEMORY", self.memory)
+
+
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT])
+def test_on_a_disk_that_takes_nothing_processes_agree_in_memory_and_say_so(
+    fault: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(tmp_path, monkeypatch, fault)
+    first = clock.Clock(disk.state)
+    monkeypatch.setattr(time, "time_ns", lambda: 1_900_000_000 * 10**9)  # NTP has set the host's clock
+    second = clock.Clock(disk.state)
+    assert first.offset_ns == second.offset_ns
+    assert first.not_stored is not None and os.strerror(fault) in first.not_stored
+    assert not list(disk.state.iterdir()), "not even an empty file"
+    disk.full = False
+    third = clock.Clock(disk.state)
+    assert third.offset_ns == first.offset_ns and third.not_stored is None
+
+
+def test_without_shared_memory_each_process_starts_with_a_time_line_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(tmp_path, monkeypatch, errno.ENOSPC)
+    monkeypatch.setattr(clock, "SHARED_MEMORY", tmp_path / "none")
+    made = clock.Clock(disk.state)
+    assert made.not_stored is not None and abs(made.now_ns() - time.time_ns()) < 5 * 10**9
+
+
+@pytest.mark.parametrize("content", ["", "\0\0\0\0", "12x"])
+def test_a_file_without_an_offset_is_made_anew(content: str, tmp_path: Path) -> None:
+    path = tmp_path / f"clock-{clock.boot_id()}"
+    path.write_text(content)
+    offset = clock.fixed_offset_ns(tmp_path)
+    assert int(path.read_text()) == offset == clock.fixed_offset_ns(tmp_path)
 
 
 @pytest.mark.parametrize("shown_ns", [0, 86_400 * 10**9, 10**19])
