@@ -2,7 +2,6 @@
 
 import hashlib
 import sqlite3
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from services.core.toll.settings import Settings
 from shared.errors import ConfigError, RejectedFrame, UserError
 from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
+from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
 from shared.v2x.evidence import cam_of
 
 from .progress import progress_on
@@ -93,11 +93,11 @@ def _evidence(passage_id: str, compressed: object, content: object) -> Evidence:
     """Read a row; one that is damaged is reported as such, and the others are verified."""
     what = "evidence"
     try:
-        pack = zlib.decompress(compressed)  # type: ignore[arg-type]  # SQLite stores any type in any column
+        pack = unpacked(compressed, "zlib", ALWAYS_BYTES)  # type: ignore[arg-type]  # SQLite stores any type anywhere
         EvidencePack.model_validate_json(pack)
         what = "transaction"
         return Evidence(passage_id, pack, TollTransaction.model_validate_json(content))  # type: ignore[arg-type]
-    except (zlib.error, TypeError, ValidationError) as error:
+    except (BadPack, TypeError, ValidationError) as error:
         first = str(error).splitlines()[0]
         return Evidence(passage_id, b"", damage=f"its {what} is damaged: {first}; restore the ledger from its backup")
 

@@ -40,6 +40,7 @@ from shared.messages.toll import (
 )
 from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
+from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
 
 from .confirmation import Claim, Verdict, groups, judge
 from .reconciliation import Crossing, Pulse, match
@@ -476,8 +477,8 @@ class Ledger:
         if row is None:
             return None
         try:
-            pack = zlib.decompress(row["pack"])
-        except zlib.error as error:
+            pack = unpacked(row["pack"], "zlib", ALWAYS_BYTES)
+        except BadPack as error:
             raise self._store.damaged(f"the evidence of passage {passage_id[:8]}", error) from error
         if hashlib.sha256(pack).hexdigest() != row["digest"]:
             raise self._store.damaged(f"the evidence of passage {passage_id[:8]}", "it has another digest")

@@ -9,6 +9,7 @@ import pytest
 from benchmarks.toll_campaign import Campaign
 from cli.verify_toll import differences_of, parse, read, verify_toll
 from shared.errors import UserError
+from shared.unpacked import ALWAYS_BYTES
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,8 @@ def test_an_unknown_passage_is_a_user_error(ledger: Path) -> None:
 @pytest.mark.parametrize(
     ("column", "damage"),
     [("pack", b"no zlib"), ("pack", b""), ("pack", "a text"), ("pack", zlib.compress(b"{}")),
-     ("pack", zlib.compress(b"\xff")), ("content", "{"), ("content", b"\x00")],
+     ("pack", zlib.compress(b"\xff")), ("pack", zlib.compress(bytes(ALWAYS_BYTES + 1))),
+     ("content", "{"), ("content", b"\x00")],
 )  # fmt: skip
 def test_a_damaged_row_is_a_sentence_and_the_other_charges_are_verified(
     ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str, damage: str | bytes

@@ -1,6 +1,7 @@
 """Charges and detectors: what is held, what stands, what a person has to judge, and what is one vehicle."""
 
 import sqlite3
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judg
 from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
+from shared.unpacked import ALWAYS_BYTES
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
@@ -315,7 +317,9 @@ def test_a_ledger_of_version_1_is_migrated_with_its_charges_and_passages_in_prog
     store.close()
 
 
-@pytest.mark.parametrize("damage", [b"", b"no zlib", b"x\x9c\x03\x00\x00\x00\x00\x01"])
+@pytest.mark.parametrize(
+    "damage", [b"", b"no zlib", b"x\x9c\x03\x00\x00\x00\x00\x01", zlib.compress(bytes(ALWAYS_BYTES + 1))]
+)
 def test_damaged_evidence_is_a_sentence(any_gate: Gate, damage: bytes) -> None:
     car = any_gate.vehicle("a")
     any_gate.pulse(car)
