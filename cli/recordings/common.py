@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from shared.bus.bus import Bus
-from shared.errors import BadRecording, UserError
+from shared.errors import BadRecording, ConfigError, UserError
 from shared.recording import Recording
 from shared.recording.writer import VEHICLE_FILE
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
@@ -37,9 +37,14 @@ def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:
     """Read the vehicle's file that was given, otherwise the recorded one, with the keys of this version."""
     name = f"{recording.path}: {VEHICLE_FILE}"
     text = recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace")
-    recorded = parse_vehicle(migrated(text, name)[0], name)
-    chosen = load_vehicle(path) if path is not None else recorded
-    return replace(chosen, samples_mounting=mounting_of_samples(text, name))
+    if path is None:
+        recorded = parse_vehicle(migrated(text, name)[0], name)
+        return replace(recorded, samples_mounting=mounting_of_samples(text, name))
+    given = load_vehicle(path)
+    try:
+        return replace(given, samples_mounting=mounting_of_samples(text, name))
+    except ConfigError:  # what replaces the recorded file need not be told how that was wrong
+        return given
 
 
 def print_problems(recording: Recording, console: Console) -> None:

@@ -14,6 +14,7 @@ from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution
+from shared.recording import RecordingWriter
 from shared.runtime.offline import OfflineUnit
 
 FloatArray = npt.NDArray[np.float64]
@@ -60,3 +61,13 @@ def test_another_mounting_in_the_file_that_is_given_turns_the_samples(tmp_path: 
 def test_what_another_mounting_has_made_cannot_be_verified_and_that_is_said() -> None:
     with pytest.raises(UserError, match="another mounting of the IMU"):
         verify([TURNED])
+
+
+def test_a_given_file_replaces_a_recorded_one_that_cannot_be_read(tmp_path: Path) -> None:
+    recorded, given = tmp_path / "drive.mcap", tmp_path / "car.toml"
+    RecordingWriter(recorded, vehicle="car", vehicle_toml="[vehicle").close()
+    given.write_text('[vehicle]\nname = "car"\n')
+    with open_recording(recorded) as recording:
+        assert vehicle_of(recording, given).name == "car"
+        with pytest.raises(UserError, match="not valid TOML"):
+            vehicle_of(recording, None)
