@@ -125,6 +125,12 @@ class VehicleFile:
             raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
 
 
+def vehicle_in(context: object) -> VehicleFile | None:
+    """Find the vehicle's file in the context of a validator; None for settings that were made without one."""
+    vehicle = context.get("vehicle") if isinstance(context, Mapping) else None
+    return vehicle if isinstance(vehicle, VehicleFile) else None
+
+
 def mounting_from(value: object) -> Matrix3:
     """Check a matrix of a mounting; raises `ValueError` with the reason."""
     try:
@@ -167,12 +173,17 @@ def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
     return f"[{section}] has no setting {key!r}; {hint}"
 
 
-def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
-    """Parse the text of a vehicle's file into one table a section."""
+def read_toml(text: str, path: str) -> dict[str, object]:
+    """Read the text of a vehicle's file as it is; raises `ConfigError` if it is no TOML."""
     try:
-        document = tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
+
+
+def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
+    """Parse the text of a vehicle's file into one table a section."""
+    document = read_toml(text, path)
     if old := next(old_keys(document), None):
         raise ConfigError(
             f"{path}: {in_section(old)} is of an earlier version; it is {in_section(PRESENT_KEYS[old])} now. "

@@ -1,6 +1,5 @@
 """Rewrites vehicle files of earlier versions; comments and order of the file stay."""
 
-import tomllib
 from collections.abc import Mapping, MutableMapping
 from operator import mul
 from typing import cast
@@ -9,7 +8,7 @@ import tomlkit
 from tomlkit.items import Array
 
 from ..errors import ConfigError
-from .config import LEVEL_MOUNTING, Matrix3, mounting_from
+from .config import LEVEL_MOUNTING, Matrix3, mounting_from, read_toml
 from .old_keys import FUSION_MOUNTING, MOUNTING, PARSER_MOUNTING, PRESENT_KEYS, in_section, old_keys, value_at
 
 DIGITS = 9  # of an element of a matrix that is a product
@@ -35,10 +34,7 @@ def migrated(text: str, path: str) -> tuple[str, list[str]]:
     ConfigError
         The text is not valid TOML, or a value that has to be moved is invalid.
     """
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
+    document = read_toml(text, path)
     found = list(old_keys(document))
     if not found:
         return text, []
@@ -62,7 +58,7 @@ def migrated(text: str, path: str) -> tuple[str, list[str]]:
 
 def mounting_of_samples(text: str, path: str) -> Matrix3:
     """Mounting with which the samples of a recording were turned into published axes, by its vehicle's file."""
-    document = tomllib.loads(text)
+    document = read_toml(text, path)
     key = PARSER_MOUNTING if value_at(document, PARSER_MOUNTING) is not None else MOUNTING
     return _matrix(document, key, path, LEVEL_MOUNTING)
 

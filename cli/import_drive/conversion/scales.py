@@ -5,11 +5,11 @@ from typing import Literal
 
 import numpy as np
 
+from shared.maths.dates import GPS_EPOCH_UTC_NS, NS, WEEK_NS
 from shared.maths.earth import FloatArray
 
 Scale = Literal["utc", "gps", "beidou", "tai"]
-GPS_EPOCH_S = 315_964_800.0  # Unix time of 1980-01-06
-WEEK_S = 604_800.0
+GPS_EPOCH_S, WEEK_S = GPS_EPOCH_UTC_NS / NS, WEEK_NS / NS  # the former is the Unix time of 1980-01-06
 AHEAD_OF_GPS_S: dict[str, float] = {"gps": 0.0, "beidou": -14.0, "tai": 19.0}
 # The days on which GPS time became one second more ahead of UTC (IERS Bulletin C).
 LEAP_DAYS = (

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from services.parsers.gnss.process import Config, Process
+from shared.maths.dates import GPS_EPOCH_UTC_NS, NS, WEEK_NS
 from shared.maths.earth import FloatArray
 from shared.messages.gnss import (
     Constellation,
@@ -28,9 +29,7 @@ from shared.messages.gnss import (
 from shared.messages.imu import ImuSamples
 
 SOURCE = "phone0"
-NS, MS = 1_000_000_000, 1_000_000
-GPS_EPOCH_UTC_NS = 315_964_800 * NS
-WEEK_NS = 604_800 * NS
+MS = 1_000_000
 LEAP_SECONDS = 18  # GPS - UTC since 2017, for logs that state none
 SPEED_OF_LIGHT = 299_792_458.0  # [m/s]
 L1_HZ = 1_575_420_030.0

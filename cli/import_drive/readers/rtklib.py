@@ -1,5 +1,6 @@
 """RTKLIB's solution files (.pos): the time scale that their header states, and the mapping of their columns."""
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -64,7 +65,8 @@ def mapping_of(header: Header, row: str, file: str) -> str:
     if dates and separator != "whitespace":  # the separator is not between date and time of day
         clock, time = ["clock"], f'unit = "date", {given}'
     lines = [
-        f'name = "{_toml(file)[:64]}"', 'truth_is = "none"', "[gnss]", f'file = "{_toml(file)}"',
+        f"name = {json.dumps(file[:64], ensure_ascii=False)}", 'truth_is = "none"', "[gnss]",
+        f"file = {json.dumps(file, ensure_ascii=False)}",
         f'separator = "{separator}"', f"skip_rows = {header.lines}",
         f"header = {[*clock, *header.names]}".replace("'", '"'),
         f'time = {{ column = "clock", {time} }}',
@@ -96,7 +98,3 @@ def _position(header: Header, file: str) -> list[str]:
         f"{file} has the columns {', '.join(header.names)}; choose latitude and longitude in degrees, or ECEF, as "
         "the output of RTKLIB, or write a mapping with `position_local`: `obu import --help`"
     )
-
-
-def _toml(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')

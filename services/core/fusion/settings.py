@@ -5,7 +5,7 @@ from math import pi, radians
 from pydantic import Field, PrivateAttr
 
 from shared.messages.base import Vector3
-from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, VehicleFile
+from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, vehicle_in
 
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
@@ -329,8 +329,7 @@ class Settings(Section):
 
     def model_post_init(self, context: object) -> None:
         """Note the mounting of the IMU: the check of the set-up corrects it, and a saved state is of one mounting."""
-        vehicle = context.get("vehicle") if isinstance(context, dict) else None
-        if isinstance(vehicle, VehicleFile):
+        if vehicle := vehicle_in(context):
             self._mounting = vehicle.mounting
 
     @property

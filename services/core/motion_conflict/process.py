@@ -1,9 +1,8 @@
 """Compares the speeds of GNSS and odometer as the smart tachograph does, and faster."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import hypot
-from typing import cast
 
 from pydantic import ValidationInfo, model_validator
 
@@ -12,7 +11,7 @@ from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
-from shared.runtime.config import VehicleFile
+from shared.runtime.config import vehicle_in
 
 from .monitor import MotionMonitor
 from .settings import Settings
@@ -33,8 +32,8 @@ class Config(Settings):
     @classmethod
     def _as_fusion(cls, given: object, info: ValidationInfo) -> object:
         """An odometer that the vehicle's file does not let fusion use is not compared either."""
-        vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
-        if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
+        vehicle = vehicle_in(info.context)
+        if not isinstance(given, dict) or vehicle is None:
             return given
         odometer = vehicle.tables.get("core.fusion", {}).get("odometer", {})
         disabled = isinstance(odometer, dict) and odometer.get("enabled") is False

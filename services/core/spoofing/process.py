@@ -21,7 +21,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
-from shared.runtime.config import Table, VehicleFile
+from shared.runtime.config import Table, VehicleFile, vehicle_in
 
 from .grade import LONG, UNKNOWN, Grade, profile_of
 from .inertial.strapdown import Anchor, FilterAnchor
@@ -60,8 +60,8 @@ class Config(Settings):
         """Fill up from the section of core.fusion, then with the thresholds of the stated grade."""
         if not isinstance(given, dict):
             return given
-        values, vehicle = dict(given), cast("Mapping[str, object]", info.context or {}).get("vehicle")
-        if isinstance(vehicle, VehicleFile):
+        values = dict(given)
+        if vehicle := vehicle_in(info.context):
             sections = {"gnss": _gnss_of_fusion(vehicle), "long": _long_of_fusion(vehicle)}
             values |= {key: {**found, **given.get(key, {})} for key, found in sections.items()}
             if isinstance(name := values.get("profile"), str):

@@ -220,7 +220,7 @@ class Core:
             self.use_delta(delta)
         open_ids = {one.passage_id: set(one.station_ids) for one in message.passages if not one.state.is_final}
         stations: set[int] = set()  # of the passages that have begun
-        self._ready_ns, self._table.on_time, said = -(1 << 62), True, list[Statement]()
+        self._ready_ns, self._table.on_time, said = 0, True, list[Statement]()
         batch: dict[int, Cam] = {}
         for cam, _ in cams:
             stations |= open_ids.get(passage_id(self._plaza.name, cam.frame), set())

@@ -60,7 +60,7 @@ class Receiver:
     def take(self, raw: GnssRaw) -> Iterator[Output]:
         """Process the next bytes; yield the completed messages."""
         self._dates.host_ns = None if raw.recorded else raw.received_ns
-        frames = list(self._framer.feed(raw.data))
+        frames = self._framer.feed(raw.data)
         self.seen.note(len(raw.data), frames, raw.received_ns)
         for frame in frames:
             with self._faults.decoding(raw.received_ns):

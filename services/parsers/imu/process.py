@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr
 from shared.errors import ConfigError
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw, ImuSamples
-from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, VehicleFile
+from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, vehicle_in
 from shared.runtime.old_keys import MOUNTING, in_section
 
 from .xsens import Tracker
@@ -27,8 +27,8 @@ class Config(Section):
 
     def model_post_init(self, context: object) -> None:
         """Take the mounting of the vehicle's file; raises `ConfigError` for one that no mount makes."""
-        vehicle = context.get("vehicle") if isinstance(context, dict) else None
-        if not isinstance(vehicle, VehicleFile):
+        vehicle = vehicle_in(context)
+        if vehicle is None:
             return
         self._body_from_sensor = vehicle.mounting
         (a, b, c), (d, e, f), (g, h, i) = vehicle.mounting
