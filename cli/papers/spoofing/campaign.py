@@ -10,6 +10,7 @@ import numpy.typing as npt
 from services.core.spoofing.profile import CLASSES, FORCE_EDGES_M_S2, SPEED_EDGES_M_S, SPEED_METRICS
 from services.core.spoofing.windows.metrics import CONSECUTIVE, Metric, consecutive
 from shared.maths.earth import STANDARD_GRAVITY
+from shared.maths.rotation import ned_from_body
 
 from .method import (
     CUT_OFF_HZ,
@@ -18,10 +19,12 @@ from .method import (
     attitude_rates,
     gnss_rates,
     metrics,
+    paper_rates,
     paper_sigma,
     sensor_rates,
+    turned_by_course,
 )
-from .phone import RATE_HZ, VELOCITY_SD, PhoneDrive, drive_phone
+from .phone import MOUNT, RATE_HZ, VELOCITY_SD, PhoneDrive, drive_phone
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -52,18 +55,17 @@ class Measured:
 
     velocity: FloatArray  # shape (n, 3) [m/s, ENU]
     true_velocity: FloatArray | None  # None of a recording
-    sensors: Mapping[tuple[Mode, float], Rates]  # n - 1 seconds each
+    sensors: Mapping[tuple[Mode, float], Rates]  # n - 1 seconds each; see `sensors_of`
     force_class: IntArray  # shape (n - 1,) of the largest | |f| - g | of each second
 
 
 def measured(drive: PhoneDrive) -> Measured:
     """Compute the rates of the sensors of a simulated phone, for all modes and cut-offs."""
     sensors = {}
+    read, mounting = (drive.force, drive.field, drive.height, RATE_HZ), ned_from_body(*MOUNT)
     for cut_off in CUT_OFFS_HZ:
-        for mode, low_passed in ((Mode.PAPER, False), (Mode.MATCHED, True)):
-            sensors[mode, cut_off] = sensor_rates(
-                drive.force, drive.field, drive.height, RATE_HZ, low_passed_gravity=low_passed, cut_off_hz=cut_off
-            )
+        sensors[Mode.PAPER, cut_off] = paper_rates(*read, mounting, cut_off_hz=cut_off)
+        sensors[Mode.MATCHED, cut_off] = sensor_rates(*read, cut_off_hz=cut_off)
     sensors[Mode.PAPER_RAW, CUT_OFF_HZ] = sensors[Mode.PAPER, CUT_OFF_HZ]
     sensors[Mode.GYROSCOPE, CUT_OFF_HZ] = attitude_rates(
         drive.force, drive.rate, drive.height, drive.d_from_enu, RATE_HZ
@@ -78,13 +80,19 @@ def measure(seed: int) -> Measured:
     return measured(drive_phone(seed))
 
 
+def sensors_of(drive: Measured, mode: Mode, velocity: FloatArray, cut_off_hz: float = CUT_OFF_HZ) -> Rates:
+    """Rates of the sensors in east, north, up: the paper turns them by the course of GNSS, true or not."""
+    rates = drive.sensors[mode, cut_off_hz]
+    return turned_by_course(rates, velocity) if mode in (Mode.PAPER, Mode.PAPER_RAW) else rates
+
+
 def differences(
     drive: Measured, mode: Mode, *, velocity: FloatArray | None = None, cut_off_hz: float = CUT_OFF_HZ
 ) -> dict[Metric, FloatArray]:
     """Metrics of every window, with the GNSS velocity of the drive or another one."""
     given = drive.velocity if velocity is None else velocity
     gnss = gnss_rates(given, filtered=mode is Mode.MATCHED, cut_off_hz=cut_off_hz)
-    return metrics(gnss, drive.sensors[mode, cut_off_hz], np.hypot(given[:, 0], given[:, 1]))
+    return metrics(gnss, sensors_of(drive, mode, given, cut_off_hz), np.hypot(given[:, 0], given[:, 1]))
 
 
 def class_range(drive: Measured, metric: Metric, velocity: FloatArray | None = None) -> tuple[IntArray, IntArray]:
@@ -124,7 +132,7 @@ def _samples(drive: Measured, mode: Mode, metric: Metric, cut_off_hz: float) -> 
     if drive.true_velocity is None:
         raise ValueError("the paper's sigma needs the true velocity; a recording has none")
     true = gnss_rates(drive.true_velocity)
-    given = (gnss_rates(drive.velocity), drive.sensors[mode, cut_off_hz])
+    given = (gnss_rates(drive.velocity), sensors_of(drive, mode, drive.velocity, cut_off_hz))
     pair = [_rate(rates, metric) - _rate(true, metric) for rates in given]
     speed = np.hypot(drive.velocity[1:, 0], drive.velocity[1:, 1])
     if metric is Metric.HEADING_RATE:

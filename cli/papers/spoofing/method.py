@@ -1,7 +1,8 @@
 """The paper's method on recorded arrays: differenced GNSS velocity against accelerometer, compass and barometer.
 
 Fixes come at 1 Hz, sensors at a multiple of it. Interval k is [k - 1, k) s: both sides are means over it. The sensors'
-axes are the device's own; gravity and field give them in east, north, up.
+axes are the device's own. The paper high-passes the specific force in the vehicle's axes and turns it by the course of
+GNSS; the improved methods take east, north and up from gravity and field, or from an attitude.
 """
 
 from dataclasses import dataclass
@@ -95,16 +96,16 @@ def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False, cut_off_hz: 
     )
 
 
-def sensor_rates(
+def paper_rates(
     force: FloatArray,
     field: FloatArray,
     height: FloatArray,
     rate_hz: int,
+    vehicle_from_device: FloatArray,
     *,
-    low_passed_gravity: bool = False,
     cut_off_hz: float = CUT_OFF_HZ,
 ) -> Rates:
-    """Rates of a phone's sensors.
+    """Rates of a phone's sensors as in the paper, with the acceleration in the axes of the vehicle.
 
     Parameters
     ----------
@@ -114,21 +115,103 @@ def sensor_rates(
         [m] Barometric.
     rate_hz : int
         [Hz] Samples a second.
-    low_passed_gravity : bool
-        Whether the compass takes a low-pass of the specific force for gravity; the paper takes the force itself.
+    vehicle_from_device : ndarray, shape (3, 3)
+        Mounting: rotation to forward, right, down. The paper's phone lies in the axes of the car.
     cut_off_hz : float
-        [Hz] Of the high-pass that removes gravity.
+        [Hz] Of the high-pass that removes gravity, in the vehicle's axes.
+
+    Returns
+    -------
+    Rates
+        n - 1 seconds, between the first sample of each second and the next; `turned_by_course` makes them comparable.
+    """
+    acceleration = high_pass(force @ vehicle_from_device.T, float(rate_hz), cut_off_hz=cut_off_hz)
+    return _with_compass(device_from_enu(force, field), acceleration, height, rate_hz)
+
+
+def turned_by_course(rates: Rates, velocity_enu: FloatArray) -> Rates:
+    """Turn accelerations from forward, right, down to east, north, up by the course of GNSS.
+
+    Parameters
+    ----------
+    rates : Rates
+        Of n seconds, by `paper_rates`.
+    velocity_enu : ndarray, shape (n + 1, 3)
+        [m/s, ENU] By GNSS, which an attack changes; the course of a second is that of its mean velocity, and stays as
+        it was below 1 m/s.
+    """
+    mean = 0.5 * (velocity_enu[1:, :2] + velocity_enu[:-1, :2])
+    moving = np.hypot(mean[:, 0], mean[:, 1]) > LEAST_SPEED
+    newest = np.maximum.accumulate(np.where(moving, np.arange(len(mean)), -1))
+    first = int(np.argmax(moving))  # the course before it is not known: that of the first is taken
+    course = np.arctan2(mean[:, 0], mean[:, 1])[np.where(newest < 0, first, newest)]
+    forward, right, down = rates.acceleration.T
+    acceleration = np.column_stack([
+        forward * np.sin(course) + right * np.cos(course), forward * np.cos(course) - right * np.sin(course), -down,
+    ])  # fmt: skip
+    return Rates(rates.heading_rate, acceleration, rates.altitude_rate)
+
+
+def mounting_of(force: FloatArray, gravity: FloatArray, velocity_enu: FloatArray) -> FloatArray:
+    """Rotation from device axes to forward, right, down, by gravity and the accelerations of GNSS.
+
+    Parameters
+    ----------
+    force, gravity : ndarray, shape (n, 3)
+        [m/s²] At 1 Hz, device axes; gravity points up, as a specific force at rest.
+    velocity_enu : ndarray, shape (n, 3)
+        [m/s, ENU] By GNSS.
+
+    Notes
+    -----
+    Down is the mean of gravity. With the level force z = x + iy and the acceleration w = forward + i right of GNSS, the
+    turn about it is the angle of sum conj(z) w, which is the least-squares one.
+    """
+    down = -gravity.mean(axis=0)
+    down /= np.linalg.norm(down)
+    aside = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
+    ahead = aside / np.linalg.norm(aside)
+    level = np.stack([ahead, np.cross(down, ahead), down])
+    mean = 0.5 * (velocity_enu[1:] + velocity_enu[:-1])
+    change, course = np.diff(velocity_enu, axis=0), np.arctan2(mean[:, 0], mean[:, 1])
+    along = change[:, 0] * np.sin(course) + change[:, 1] * np.cos(course)
+    across = change[:, 0] * np.cos(course) - change[:, 1] * np.sin(course)
+    moving = np.hypot(mean[:, 0], mean[:, 1]) > LEAST_SPEED
+    x, y, _ = level @ (force - gravity)[1:].T
+    angle = np.angle(np.sum(((x - 1j * y) * (along + 1j * across))[moving]))
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    mounting: FloatArray = turn @ level
+    return mounting
+
+
+def sensor_rates(
+    force: FloatArray, field: FloatArray, height: FloatArray, rate_hz: int, *, cut_off_hz: float = CUT_OFF_HZ
+) -> Rates:
+    """Rates of a phone's sensors in east, north, up, with a low-pass of the specific force as gravity.
+
+    Parameters
+    ----------
+    force, field, height, rate_hz, cut_off_hz
+        As of `paper_rates`.
 
     Returns
     -------
     Rates
         n - 1 seconds, between the first sample of each second and the next.
+
+    Notes
+    -----
+    With the force itself as gravity, up would be its own direction, and the horizontal acceleration zero.
     """
-    gravity = low_pass(force, float(rate_hz)) if low_passed_gravity else force
-    d_from_enu = device_from_enu(gravity, field)
-    heading = np.arctan2(d_from_enu[:, 1, 0], d_from_enu[:, 1, 1])  # of the device's y axis
+    d_from_enu = device_from_enu(low_pass(force, float(rate_hz)), field)
     acceleration = high_pass(np.einsum("nji,nj->ni", d_from_enu, force), float(rate_hz), cut_off_hz=cut_off_hz)
-    whole = slice(0, len(force) // rate_hz * rate_hz, rate_hz)
+    return _with_compass(d_from_enu, acceleration, height, rate_hz)
+
+
+def _with_compass(d_from_enu: FloatArray, acceleration: FloatArray, height: FloatArray, rate_hz: int) -> Rates:
+    """Accelerations as means of seconds, with the heading rate of a compass and the altitude rate of a barometer."""
+    heading = np.arctan2(d_from_enu[:, 1, 0], d_from_enu[:, 1, 1])  # of the device's y axis
+    whole = slice(0, len(height) // rate_hz * rate_hz, rate_hz)
     return Rates(wrap_angles(np.diff(heading[whole])), _second_means(acceleration, rate_hz), np.diff(height[whole]))
 
 

@@ -12,7 +12,7 @@ from services.core.spoofing.profile import FORCE_EDGES_M_S2
 from shared.maths.earth import STANDARD_GRAVITY
 
 from .campaign import Measured, Mode
-from .method import CUT_OFF_HZ, attitude_rates, sensor_rates
+from .method import CUT_OFF_HZ, attitude_rates, mounting_of, paper_rates, sensor_rates
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -55,9 +55,10 @@ def read(path: Path) -> Measured:
     height = np.array([barometric_height(100.0 * value) for value in pressure[chosen].tolist()])
     force, gravity, rate, field = force[chosen], gravity[chosen], rate[chosen], field[chosen]
     d_from_enu = device_from_enu(gravity, field)
+    mounting = mounting_of(force, gravity, np.column_stack([velocity, climb]))
     sensors = {
-        (Mode.PAPER, CUT_OFF_HZ): sensor_rates(force, field, height, 1),
-        (Mode.MATCHED, CUT_OFF_HZ): sensor_rates(force, field, height, 1, low_passed_gravity=True),
+        (Mode.PAPER, CUT_OFF_HZ): paper_rates(force, field, height, 1, mounting),
+        (Mode.MATCHED, CUT_OFF_HZ): sensor_rates(force, field, height, 1),
         (Mode.GYROSCOPE, CUT_OFF_HZ): attitude_rates(force, rate, height, d_from_enu, 1),
     }
     excess = np.abs(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY)

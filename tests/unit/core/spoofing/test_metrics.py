@@ -5,9 +5,21 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
-from cli.papers.spoofing.method import gnss_rates, metrics, paper_sigma, sensor_rates
+from cli.papers.spoofing.method import (
+    Rates,
+    gnss_rates,
+    metrics,
+    mounting_of,
+    paper_rates,
+    paper_sigma,
+    sensor_rates,
+    turned_by_course,
+)
 from services.core.spoofing.inertial.compass import barometric_pressure
 from services.core.spoofing.inertial.strapdown import SECOND_NS
 from services.core.spoofing.inertial.tracks import Heights, Series, VelocityFix
@@ -39,10 +51,18 @@ def phone(seconds: int, seed: int) -> tuple[FloatArray, FloatArray, FloatArray, 
     return fixes, force, field, height
 
 
+VEHICLE_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # forward, right, down
+
+
+def papers_rates(force: FloatArray, field: FloatArray, height: FloatArray, fixes: FloatArray) -> Rates:
+    return turned_by_course(paper_rates(force, field, height, RATE_HZ, VEHICLE_FROM_PHONE), fixes)
+
+
 def differences(*, improved: bool) -> dict[Metric, FloatArray]:
     fixes, force, field, height = phone(600, 1)
     gnss = gnss_rates(fixes, filtered=improved)
-    sensors = sensor_rates(force, field, height, RATE_HZ, low_passed_gravity=improved)
+    read = force, field, height
+    sensors = sensor_rates(*read, RATE_HZ) if improved else papers_rates(*read, fixes)
     found = metrics(gnss, sensors, np.hypot(fixes[:, 0], fixes[:, 1]))
     return {metric: values[20:] for metric, values in found.items()}
 
@@ -53,6 +73,44 @@ def test_the_papers_acceleration_metric_is_the_acceleration_of_the_vehicle_and_e
     for metric in (Metric.ACCELERATION_EAST, Metric.ACCELERATION_NORTH):
         assert papers[metric].std() > 0.3 and improved[metric].std() < 0.5 * papers[metric].std()
     assert papers[Metric.ALTITUDE_RATE].std() == pytest.approx(0.05, abs=0.02), "0.04 to 0.05 m/s by the reference"
+
+
+@pytest.mark.parametrize(("frequency_hz", "gain"), [(0.03, 0.0624), (0.06, 0.2425), (0.12, 0.7071), (0.24, 0.970)])
+def test_the_papers_accelerations_are_those_of_the_vehicle_times_the_gain_of_the_high_pass(
+    frequency_hz: float, gain: float
+) -> None:
+    """A car that drives east and oscillates along and across: f^2 / sqrt(f^4 + fc^4), and the mean over a second."""
+    n = 2000 * RATE_HZ
+    t = (np.arange(n) + 0.5) / RATE_HZ
+    along, across = np.sin(2.0 * np.pi * frequency_hz * t), 0.5 * np.cos(2.0 * np.pi * frequency_hz * t)
+    force = np.column_stack([across, along, np.full(n, 9.81)])  # the phone's y axis is forward
+    field, fixes = np.tile([0.0, 20.0, -47.0], (n, 1)), np.tile([12.0, 0.0, 0.0], (2000, 1))
+    east, north, up = papers_rates(force, field, np.zeros(n), fixes).acceleration[300:].T
+    mean = np.sinc(frequency_hz)  # of a second
+    assert np.sqrt(2.0) * east.std() == pytest.approx(gain * mean, rel=0.02)
+    assert np.sqrt(2.0) * north.std() == pytest.approx(0.5 * gain * mean, rel=0.02), "right is south"
+    assert np.abs(up).max() < 1e-9
+
+
+def test_accelerations_are_turned_by_the_course_which_stays_below_1_m_s() -> None:
+    rates = Rates(np.zeros(4), np.tile([2.0, 1.0, -3.0], (4, 1)), np.zeros(4))
+    velocity = np.array([[0.0, 9.0, 0.0], [0.0, 9.0, 0.0], [9.0, -9.0, 0.0], [0.3, 0.2, 0.0], [-0.2, 0.3, 0.0]])
+    turned = turned_by_course(rates, velocity).acceleration
+    assert turned[0] == pytest.approx([1.0, 2.0, 3.0]), "north"
+    assert turned[1] == pytest.approx([2.0, -1.0, 3.0]), "east"
+    assert turned[3] == pytest.approx(turned[2]), "standing"
+
+
+@given(st.integers(0, 2**32))
+@settings(max_examples=20, deadline=None)
+def test_a_mounting_is_found_by_gravity_and_the_accelerations_of_gnss(seed: int) -> None:
+    fixes, force, _, _ = phone(300, 3)
+    turn = Rotation.random(rng=seed).as_matrix()
+    seconds = force.reshape(-1, RATE_HZ, 3).mean(axis=1) @ turn.T
+    shifted = np.vstack([seconds[:1], seconds[:-1]])  # second k is [k - 1, k)
+    found = mounting_of(shifted, np.tile(turn @ [0.0, 0.0, 9.81], (300, 1)), fixes)
+    assert np.linalg.det(found) == pytest.approx(1.0)
+    assert found == pytest.approx(VEHICLE_FROM_PHONE @ turn.T, abs=0.03)
 
 
 def test_the_papers_sigma_of_1_hz_errors_is_too_wide_for_the_mean_of_a_differenced_series() -> None:
@@ -66,7 +124,7 @@ def test_the_heading_rate_is_not_defined_below_1_m_s() -> None:
     fixes, force, field, height = phone(60, 2)
     fixes[30] = 0.0
     speed = np.hypot(fixes[:, 0], fixes[:, 1])
-    found = metrics(gnss_rates(fixes), sensor_rates(force, field, height, RATE_HZ), speed)
+    found = metrics(gnss_rates(fixes), papers_rates(force, field, height, fixes), speed)
     missing = np.flatnonzero(np.isnan(found[Metric.HEADING_RATE]))
     assert missing.tolist() == list(range(25, 31)), "the six windows that hold the epoch"
     assert np.isfinite(found[Metric.ACCELERATION_EAST]).all()
