@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from services.core.fusion.measurements.base import Measurement
+    from services.core.fusion.aids.base import Measurement
     from services.core.fusion.navigator import Navigator
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -158,9 +158,9 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
 
     import numpy as np
 
-    from services.core.fusion.alignment.heading import Prior
-    from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
-    from services.core.fusion.measurements.odometer import WheelSpeed
+    from services.core.fusion.start.heading import Prior
+    from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
+    from services.core.fusion.aids.odometer import WheelSpeed
     from services.core.fusion.navigator import Navigator
     from services.core.fusion.settings import Settings
     from shared.maths.earth import Geodetic

@@ -17,7 +17,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from services.core.fusion.alignment.heading import Prior
+from services.core.fusion.start.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, NonHolonomicSettings, Settings
 from services.sensors.simulator.drive import ODOMETER_SCALE_SD, ODOMETER_SD, Drive, simulate

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.core.fusion.filter import error_model as em
-from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.inertial import error_model as em
+from services.core.fusion.inertial.filter import ErrorStateFilter
 from shared.maths.rotation import roll_pitch_yaw_of_quaternion
 
 from .metrics.errors import errors_against

@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 import pytest
 
-from services.core.fusion.alignment.warm_start import LONGEST_GAP_S
+from services.core.fusion.start.warm_start import LONGEST_GAP_S
 from services.monitoring.health.watch import RETURN_NS, SETTLE_NS
 from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference

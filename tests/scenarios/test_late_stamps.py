@@ -9,12 +9,12 @@ import pytest
 from benchmarks.given import fixes_of
 from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
-from services.core.fusion.filter import error_model as em
-from services.core.fusion.measurements.base import Measurement
-from services.core.fusion.measurements.gnss import GnssPosition, GnssVelocity
+from services.core.fusion.inertial import error_model as em
+from services.core.fusion.aids.base import Measurement
+from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
-from services.core.fusion.timing.delay_compensation import SuspectedDelay
+from services.core.fusion.timeline.delays import SuspectedDelay
 from services.sensors.simulator.drive import simulate
 from shared.maths.earth import Geodetic, ned_track
 

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.starts.report import moments
 from benchmarks.starts.start import Receiver, Start, drive
-from services.core.fusion.alignment.heading import Prior
+from services.core.fusion.start.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from shared.maths.earth import Geodetic

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .filter.propagation import samples_of
-from .measurements.base import Measurement
+from .inertial.propagation import samples_of
+from .aids.base import Measurement
 from .navigator import Navigator
-from .plausibility.imu_faults import FORCE_LIMIT, RATE_LIMIT, faults
+from .inertial.imu_faults import FORCE_LIMIT, RATE_LIMIT, faults
 from .solution import Solution
-from .timing.out_of_sequence import order
+from .timeline.out_of_sequence import order
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

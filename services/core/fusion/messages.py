@@ -24,19 +24,19 @@ from shared.messages.navigation import (
 from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-from .alignment.heading import Prior
-from .alignment.warm_start import SavedState, fingerprint
-from .filter.strapdown import InertialState
+from .start.heading import Prior
+from .start.warm_start import SavedState, fingerprint
+from .inertial.strapdown import InertialState
 from .integrity.disagreement import NOTHING, Disagreement
-from .measurements.base import Measurement, Outcome
-from .measurements.dual_antenna import BaselineHeading
-from .measurements.gnss import Reading, Stamp, gnss_measurements, true_time_ns
-from .measurements.odometer import WheelSpeed
+from .aids.base import Measurement, Outcome
+from .aids.dual_antenna import BaselineHeading
+from .aids.gnss.fix import Reading, Stamp, gnss_measurements, true_time_ns
+from .aids.odometer import WheelSpeed
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor
 from .settings import Settings
 from .solution import Solution
-from .timing.delay_compensation import known_delays
+from .timeline.delays import known_delays
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -19,25 +19,25 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
 
-from .alignment.heading import Prior
-from .alignment.warm_start import SavedState, fault, saved_state
+from .start.heading import Prior
+from .start.warm_start import SavedState, fault, saved_state
 from .integrity.set_up_spread import SetUpSpread
-from .measurements import barometer, magnetometer
-from .measurements.base import Counts, Measurement, Outcome
-from .measurements.gnss import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
-from .measurements.odometer import WheelSpeed
-from .plausibility.imu_faults import Repeats, Sample, credible
-from .plausibility.measurements import Devices, implausible
+from .aids import barometer, magnetometer
+from .aids.base import Counts, Measurement, Outcome
+from .aids.gnss.fix import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
+from .aids.odometer import WheelSpeed
+from .inertial.imu_faults import Repeats, Sample, credible
+from .aids.plausibility import Devices, implausible
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
 from .solution import Solution, UncertaintyCache, solution_of
-from .timing.delay_compensation import SuspectedDelay
-from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
-from .timing.out_of_sequence import OutOfSequenceEngine, key_of
-from .timing.roll_back import RollBack
-from .update.engine import Engine
-from .update.heights import WrongHeights
-from .update.imu_gaps import LostTime
+from .timeline.delays import SuspectedDelay
+from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
+from .timeline.out_of_sequence import OutOfSequenceEngine, key_of
+from .timeline.roll_back import RollBack
+from .timeline.engine import Engine
+from .aids.gnss.heights import WrongHeights
+from .inertial.imu_gaps import LostTime
 
 FloatArray = npt.NDArray[np.float64]
 

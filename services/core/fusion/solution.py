@@ -11,13 +11,13 @@ from shared.maths.rotation import Vector, roll_pitch_yaw_of_quaternion
 from shared.messages.base import Symmetric3
 from shared.messages.navigation import NavigationPhase
 
-from .filter import error_model as em
-from .filter.eskf import ErrorStateFilter
+from .inertial import error_model as em
+from .inertial.filter import ErrorStateFilter
 from .integrity.error_monitor import ErrorMonitor
 from .integrity.protection_levels import LARGEST_M, Levels, protection_levels
 from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
-from .update.engine import Engine
+from .timeline.engine import Engine
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
-from services.core.fusion.measurements.odometer import WheelSpeed
+from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
+from services.core.fusion.aids.odometer import WheelSpeed
 from services.core.fusion.messages import measurements_from_fix, speed_of
 from services.core.fusion.set_up.findings import Check
 from services.core.fusion.set_up.monitor import ArmError, evaluate

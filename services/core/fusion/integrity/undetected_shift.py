@@ -9,9 +9,9 @@ import numpy.typing as npt
 from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
-from ..filter import error_model as em
-from ..filter.eskf import ErrorStateFilter
-from ..measurements.base import Outcome
+from ..inertial import error_model as em
+from ..inertial.filter import ErrorStateFilter
+from ..aids.base import Outcome
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from shared.maths.rotation import Vector
 
 from ..integrity.set_up_spread import Measured, SetUpSpread
-from ..measurements.base import Measurement
+from ..aids.base import Measurement
 from ..settings import Settings
 from . import axes, receiver
 from .delay import check_delay, lag_of, lag_of_positions

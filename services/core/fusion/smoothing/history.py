@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from shared.maths.kalman import Correction
 
-from ..filter import error_model as em
+from ..inertial import error_model as em
 
 if TYPE_CHECKING:
-    from ..filter.eskf import ErrorStateFilter
+    from ..inertial.filter import ErrorStateFilter
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 
-from ..filter import error_model as em
-from ..filter.eskf import ErrorStateFilter
+from ..inertial import error_model as em
+from ..inertial.filter import ErrorStateFilter
 from .history import CorrectionRecord, Knot, ParameterReset, Record, Rescaled, Start, Step
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.core.fusion.alignment.heading import Prior
-from services.core.fusion.measurements.base import Outcome
+from services.core.fusion.start.heading import Prior
+from services.core.fusion.aids.base import Outcome
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution

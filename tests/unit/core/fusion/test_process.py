@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.core.fusion.filter import error_model as em
+from services.core.fusion.inertial import error_model as em
 from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
 from services.core.fusion.settings import GnssSettings, IntegritySettings, OdometerSettings

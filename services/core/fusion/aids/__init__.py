@@ -1,0 +1,1 @@
+"""Aids: each gives innovation, Jacobian and noise covariance of one kind of measurement."""

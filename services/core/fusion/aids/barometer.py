@@ -1,0 +1,78 @@
+"""Barometric height: a height above an unknown level that the weather moves slowly."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import exp, hypot, log
+
+import numpy as np
+
+from shared.maths.earth import STANDARD_GRAVITY
+from shared.messages.navigation import AidingKind
+
+from ..inertial import error_model as em
+from ..inertial.filter import ErrorStateFilter
+from ..settings import Settings
+from .base import Observation
+
+PERIOD_NS = 1_000_000_000  # once a second is enough
+CORRELATION_S = 10.0  # of the pressure of the wind: successive readings are no independent evidence
+WIND = 0.002  # [m per (m/s)²] by which the air stream shifts the height: 2 % of its stagnation pressure
+LOWEST_PA, HIGHEST_PA = 40_000.0, 115_000.0  # no road is higher or lower
+STANDARD_PA, STANDARD_K, LAPSE_K_M = 101_325.0, 288.15, -0.0065
+EXPONENT = 8.31432 * 0.0065 / (STANDARD_GRAVITY * 0.0289644)
+
+
+def pressure_height(pressure_pa: float) -> float:
+    """Height in the standard atmosphere.
+
+    Parameters
+    ----------
+    pressure_pa : float
+        [Pa] Static pressure.
+
+    Returns
+    -------
+    float
+        [m] Geopotential height above the level of 101325 Pa.
+
+    Notes
+    -----
+    ::
+
+        h = T_b/L_b [(P/P_b)^(-R L_b/(g M)) - 1],  L_b = -0.0065 K/m
+
+    References
+    ----------
+    U.S. Standard Atmosphere, 1976, eq. 33a, solved for the height.
+    """
+    return STANDARD_K / LAPSE_K_M * (exp(EXPONENT * log(pressure_pa / STANDARD_PA)) - 1.0)
+
+
+@dataclass(frozen=True)
+class BarometricHeight:
+    """Height [m] in the standard atmosphere; its offset to the ellipsoid is a state of the filter."""
+
+    time_ns: int
+    received_ns: int
+    source: str
+    height: float
+    settings: Settings
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Height alone."""
+        yield self.observe
+
+    def observe(self, navigation: ErrorStateFilter) -> Observation:
+        """Innovation against the height of the filter plus the offset."""
+        z = self.height - navigation.position.height - navigation.parameter(em.BAROMETER_OFFSET)
+        H = np.zeros((1, em.SIZE))
+        H[0, em.POSITION.stop - 1] = 1.0  # down is positive in the error, up in the height
+        H[0, em.BAROMETER_OFFSET] = -1.0
+        north, east, _ = navigation.velocity
+        wind = WIND * (north * north + east * east) * CORRELATION_S**0.5
+        return Observation(
+            AidingKind.BAROMETRIC_HEIGHT,
+            np.array([z]),
+            H,
+            np.array([[hypot(self.settings.barometer.height_sd_m, wind) ** 2]]),
+        )

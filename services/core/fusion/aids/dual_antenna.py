@@ -1,0 +1,56 @@
+"""Heading of the line between two antennas, as a moving-base receiver measures it."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import atan2, cos, sin
+
+import numpy as np
+
+from shared.maths.earth import wrap_angle
+from shared.maths.rotation import Quaternion, Vector
+from shared.messages.navigation import AidingKind
+
+from ..inertial import error_model as em
+from ..inertial.filter import ErrorStateFilter
+from ..inertial.strapdown import rotate
+from .base import Observation
+
+
+@dataclass(frozen=True)
+class BaselineHeading:
+    """Direction [rad, clockwise from north] from the first to the second antenna; both lie level in the vehicle."""
+
+    time_ns: int
+    received_ns: int
+    source: str
+    heading: float
+    sd: float
+    yaw_body: float  # [rad] direction of the same line against forward, clockwise
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Heading alone."""
+        yield self.observe
+
+    def turn_from(self, quaternion: Quaternion) -> float:
+        """Angle [rad] by which a frame's x axis lies clockwise from north, its attitude being given."""
+        x, y, _ = self._direction(quaternion)
+        return wrap_angle(self.heading - atan2(y, x))
+
+    def observe(self, navigation: ErrorStateFilter) -> Observation:
+        """Innovation against the heading of the line by the attitude.
+
+        Notes
+        -----
+        With d = C u the direction of the line, the error psi turns its heading by::
+
+            (d_N^2 + d_E^2) dh = (psi_D (d_N^2 + d_E^2) - d_D (psi_N d_N + psi_E d_E))
+        """
+        north, east, down = self._direction(navigation.quaternion)
+        z = wrap_angle(self.heading - atan2(east, north))
+        level2 = north * north + east * east
+        H = np.zeros((1, em.SIZE))
+        H[0, em.ATTITUDE] = down * north / level2, down * east / level2, -1.0
+        return Observation(AidingKind.BASELINE_HEADING, np.array([z]), H, np.array([[self.sd**2]]))
+
+    def _direction(self, quaternion: Quaternion) -> Vector:
+        return rotate(quaternion, (cos(self.yaw_body), sin(self.yaw_body), 0.0))

@@ -1,0 +1,1 @@
+"""GNSS as an aid: positions and velocities, models of their errors, comparison with the inertial sensors."""

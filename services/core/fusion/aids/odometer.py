@@ -1,0 +1,137 @@
+"""Wheel speeds, and the non-holonomic constraint (NHC): no sideways and no vertical velocity of the rear axle."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import hypot, tanh
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.rotation import Vector
+from shared.messages.navigation import AidingKind
+
+from ..inertial import error_model as em
+from ..inertial.filter import ErrorStateFilter
+from ..settings import Settings
+from .base import Observation
+
+FloatArray = npt.NDArray[np.float64]
+
+PERIOD_S = 0.1
+CORRELATION_S = 1.0  # of the wheels' sideways and vertical motion: successive zeros are no independent evidence
+SLOWEST_M_S = 2.0  # below it a wheel goes where it is steered
+SLIP = 0.006  # [rad per m/s²] by which a tyre runs askew in a bend; 0.006 in a real car
+UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where its position is not configured
+HALF_TRACK_M = 0.8  # by which a speed may be that of one side
+STAMP_SD = 0.02  # [s] of the speed's stamp, because the age of a control unit's value is unknown
+DEAD_ZONE_SD = 0.3  # [m/s] of a speed of zero: sensors are silent at a walking pace
+SWAY_SD = 0.1  # [m/s] of a body on its springs, sideways and vertically, while the wheels stand
+
+
+@dataclass(frozen=True)
+class WheelSpeed:
+    """Speed [m/s] with its step: of the wheels or some other speed of the vehicle, `exact` if of both rear wheels."""
+
+    time_ns: int
+    received_ns: int
+    source: str
+    speed: float
+    resolution: float
+    of_wheels: bool
+    exact: bool
+    settings: Settings
+    removed_s: float = 0.0  # of its age, in `time_ns`
+    doubt: str | None = None  # why a speed of zero may be no standstill
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Speed alone."""
+        yield self.observe
+
+    def observe(self, navigation: ErrorStateFilter) -> Observation:
+        """Innovation against (1 + k) times the forward velocity of the rear axle, k being the error of its scale.
+
+        Most speeds have no sign. The filter's own says which way it was, with a probability: with f the predicted
+        speed and S the innovation's variance, the mean of the two is s tanh(s f / S), their variance
+        s² (1 - tanh²). One below zero has a sign.
+        """
+        ahead, H = _axle(navigation, self.settings)
+        scale, left_s = 1.0 + navigation.parameter(em.ODOMETER_SCALE), navigation.parameter(em.ODOMETER_DELAY)
+        left_s -= self.removed_s
+        gain = float((navigation.vehicle_from_body @ navigation.ned_from_body.T)[0] @ navigation.smoothed_acceleration)
+        forward = float(ahead[0]) - left_s * gain
+        H = scale * H[:1]
+        H[0, em.ODOMETER_SCALE] = -forward
+        H[0, em.ODOMETER_DELAY] = scale * gain
+        predicted, speed, variance = scale * forward, self.speed, self._variance(navigation)
+        if speed > 0.0:
+            direction = tanh(speed * predicted / (float(H[0] @ navigation.P @ H[0]) + variance))
+            variance += speed**2 * (1.0 - direction**2)
+            speed *= direction
+        if self.speed == 0.0:
+            return self._observe_zero(navigation, ahead, H, predicted, variance)
+        return Observation(AidingKind.ODOMETER, np.array([speed - predicted]), H, np.array([[variance]]))
+
+    def _observe_zero(
+        self, navigation: ErrorStateFilter, ahead: FloatArray, H: FloatArray, predicted: float, variance: float
+    ) -> Observation:
+        """Wheels that stand move the axle in no direction: forward to within the dead zone, sideways and down at once.
+
+        A zero in doubt is not used while the filter does not know better; where it does, the gate decides.
+        """
+        arm_sd = UNKNOWN_ARM_SD if self.settings.non_holonomic.rear_axle_body_m is None else 0.0
+        sway2 = SWAY_SD**2 + (arm_sd * navigation.rate[2]) ** 2
+        rows = np.vstack([H, _axle(navigation, self.settings)[1][1:]])
+        unsure = float(H[0] @ navigation.P @ H[0]) > DEAD_ZONE_SD**2
+        z, R = np.array([-predicted, -float(ahead[1]), -float(ahead[2])]), np.diag([variance, sway2, sway2])
+        return Observation(AidingKind.ODOMETER, z, rows, R, self.doubt if unsure else None)
+
+    def _variance(self, navigation: ErrorStateFilter) -> float:
+        noise = hypot(self.settings.odometer.speed_sd_m_s, self.resolution / 12.0**0.5)
+        if self.speed == 0.0:
+            noise = hypot(noise, DEAD_ZONE_SD)
+        exact = self.exact and self.settings.non_holonomic.rear_axle_body_m is not None
+        side = 0.0 if exact else HALF_TRACK_M * navigation.rate[2]
+        old = STAMP_SD * hypot(*navigation.acceleration)
+        return noise**2 + side**2 + old**2
+
+
+@dataclass(frozen=True)
+class NonHolonomic:
+    """Non-holonomic constraint: at this instant the rear axle moves neither sideways nor down."""
+
+    time_ns: int
+    settings: Settings
+    source: str = "core.fusion"
+
+    @property
+    def received_ns(self) -> int:
+        """When it became known: at once."""
+        return self.time_ns
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Both at once."""
+        yield self.observe
+
+    def observe(self, navigation: ErrorStateFilter) -> Observation:
+        """Innovation of two zeros against the velocity of the rear axle, right and down.
+
+        In bends tyres slip by an angle that is proportional to the acceleration, and an unknown arm swings; straight on
+        they give way less than springs, on which a body pitches and heaves. These errors, as those of camber, are
+        time-correlated; ten of them in their correlation time count as one.
+        """
+        ahead, H = _axle(navigation, self.settings)
+        turn = abs(navigation.rate[2])
+        sd, vertical_sd = self.settings.non_holonomic.lateral_sd_m_s, self.settings.non_holonomic.vertical_sd_m_s
+        repeated = CORRELATION_S / PERIOD_S
+        arm_sd = UNKNOWN_ARM_SD if self.settings.non_holonomic.rear_axle_body_m is None else 0.0
+        sideways = sd**2 + (SLIP * float(ahead[0]) ** 2 * turn) ** 2 + (arm_sd * turn) ** 2
+        return Observation(AidingKind.NON_HOLONOMIC, -ahead[1:], H[1:], repeated * np.diag([sideways, vertical_sd**2]))
+
+
+def _axle(navigation: ErrorStateFilter, settings: Settings) -> tuple[FloatArray, FloatArray]:
+    """Velocity of the rear axle [m/s, vehicle], and the matrix of its errors; the Earth's rate times l is left out."""
+    arm: Vector = settings.non_holonomic.rear_axle_body_m or (0.0, 0.0, 0.0)
+    C, M = navigation.ned_from_body, navigation.vehicle_from_body
+    velocity, (x, y, z), (a, b, c) = navigation.velocity, navigation.rate, arm
+    axle_b = C.T @ np.array(velocity) + np.array([y * c - z * b, z * a - x * c, x * b - y * a])
+    return M @ axle_b, em.axle_velocity_matrix(arm, velocity, axle_b, C, M)

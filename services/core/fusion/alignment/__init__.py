@@ -1,1 +1,0 @@
-"""Initial alignment: roll and pitch, heading and position before the filter runs."""

@@ -1,1 +1,0 @@
-"""The error-state Kalman filter: strapdown mechanisation, error model, propagation and correction."""

@@ -1,0 +1,430 @@
+"""Error-state Kalman filter (ESKF): inertial state, IMU errors and parameters, with the covariance of their errors."""
+
+from math import exp, inf, isfinite, sqrt
+from operator import sub
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import FilterDiverged
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.maths.kalman import Correction, correct, predict
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
+
+from ..aids.gnss import velocity_errors as gnss_velocity_errors
+from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
+from ..settings import Settings
+from ..smoothing.history import HistoryRecorder
+from .standstill import Limits
+from . import error_model as em
+from .propagation import SMOOTHING_S, ZERO, ImuErrors, Intervals, Samples, Stop, implausible, initial_state, propagate, propagate_arrays
+from .strapdown import InertialState, corrected, local_earth
+
+FloatArray = npt.NDArray[np.float64]
+
+SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
+MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
+DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
+SCATTER = 0.25  # [-] of delays that are found
+UNCERTAIN_SHARE = 0.5  # [-] of the way in a delay that has just been found
+NO_ERRORS = ImuErrors()
+NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
+
+
+class Late(NamedTuple):
+    """Delays [s] of GNSS that the filter has found, and the velocity [m/s, NED] of the longer one ago.
+
+    Stamps are corrected by them. Velocities count less where they change nevertheless: a receiver that is late smooths
+    them too. The velocity is that of a first-order lag.
+    """
+
+    position_s: float
+    velocity_s: float
+    velocity: Vector
+
+    @property
+    def longest_s(self) -> float:
+        """The longer of the two, or the earlier if they are negative [s]."""
+        return max(abs(self.position_s), abs(self.velocity_s))
+
+    def change(self, velocity: Vector) -> Vector:
+        """Change of the velocity [m/s, NED] in that time."""
+        return minus(velocity, [*self.velocity])
+
+    def velocity_cov(self, velocity: Vector) -> FloatArray:
+        """Covariance [m²/s²] of a late GNSS velocity by its delay, shape (3, 3)."""
+        error = self.velocity_s / self.longest_s * np.array(self.change(velocity))
+        return np.outer(error, error)
+
+    def way(self, velocity: Vector) -> Vector:
+        """Way [m, NED] in the delay of positions, which a receiver has still to go: by the mean velocity in it."""
+        mean = minus(velocity, [0.5 * abs(self.position_s) / self.longest_s * part for part in self.change(velocity)])
+        north, east, down = (self.position_s * part for part in mean)
+        return north, east, down
+
+
+class ErrorStateFilter:
+    """The state, and the covariance of its 34 errors; estimated errors are subtracted from the state at once.
+
+    A state that is not estimated has neither variance nor noise, and keeps its value. Nothing is changed in place, so
+    that `copy.copy` gives an independent filter.
+
+    Parameters
+    ----------
+    settings : Settings
+        Noise densities and initial standard deviations.
+    inertial : InertialState
+        Attitude, velocity and position at the start.
+    P : ndarray, shape (34, 34)
+        Covariance at the start, in the order of `error_model`.
+    imu : ImuErrors
+        Estimated biases and scale factors at the start.
+    parameters : tuple of float
+        Parameters of the aiding sensors at the start, in the order of `error_model.PARAMETERS`.
+    gnss_errors : GnssErrorBank or KnownGnssErrors
+        Statistics of the errors of GNSS positions.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        inertial: InertialState,
+        P: FloatArray,
+        imu: ImuErrors = NO_ERRORS,
+        parameters: tuple[float, ...] = NO_PARAMETERS,
+        gnss_errors: GnssErrorBank | KnownGnssErrors = UNKNOWN,
+    ) -> None:
+        self.state = initial_state(inertial, ZERO, ZERO)
+        self.P = P
+        self.imu = imu
+        self.parameters = parameters
+        self.gnss_errors = gnss_errors
+        self.velocity_errors = gnss_velocity_errors.UNKNOWN
+        self.position_correction: Vector = ZERO  # [m, NED] sum of all corrections
+        self.late: Late | None = None  # fixes that seem to be older than their stamps
+        self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
+        self._settings = settings
+        self._has_sample = False
+        self._noise_psd = em.process_noise_psd(
+            (em.ATTITUDE, settings.imu.angle_random_walk_rad_sqrt_s**2),
+            (em.VELOCITY, settings.imu.velocity_random_walk_m_s_sqrt_s**2),
+            (em.ACCELEROMETER_BIAS, settings.imu.accelerometer_bias_psd_m2_s5),
+            (em.GYROSCOPE_BIAS, settings.imu.gyroscope_bias_psd_rad2_s3),
+            (em.ODOMETER_SCALE, SCALE_PSD),
+            (em.MOUNTING, MOUNTING_PSD),
+            (em.DELAYS, DELAY_PSD if settings.estimate_delays else 0.0),
+            (
+                em.BAROMETER_OFFSET,
+                settings.barometer.offset_random_walk_m_sqrt_s**2 if settings.barometer.enabled else 0.0,
+            ),
+        )
+
+    @property
+    def inertial(self) -> InertialState:
+        """Attitude, velocity and position."""
+        state = self.state
+        return InertialState(state.time_ns, state.quaternion, state.velocity, Geodetic(*state.position))
+
+    @inertial.setter
+    def inertial(self, inertial: InertialState) -> None:
+        _, quaternion, velocity, (latitude, longitude, height) = inertial
+        self.state = self.state._replace(
+            quaternion=quaternion,
+            velocity=velocity,
+            position=(latitude, longitude, height),
+            earth=local_earth(latitude),
+        )
+
+    @property
+    def time_ns(self) -> int:
+        """Instant of the state."""
+        return self.state.time_ns
+
+    @property
+    def quaternion(self) -> Quaternion:
+        """Attitude, NED from body."""
+        return self.state.quaternion
+
+    @property
+    def velocity(self) -> Vector:
+        """Velocity [m/s, NED]."""
+        return self.state.velocity
+
+    @property
+    def position(self) -> Geodetic:
+        """Position of the IMU."""
+        return Geodetic(*self.state.position)
+
+    @property
+    def published_position(self) -> Geodetic:
+        """Position for the time of the receiver where its stamps are the exact ones, otherwise that of the state."""
+        if self.late is None or not self._settings.gnss.stamps_exact:
+            return self.position
+        north, east, down = self.late.way(self.velocity)
+        return geodetic_from_ned_difference((-north, -east, -down), self.position)
+
+    @property
+    def ned_from_body(self) -> FloatArray:
+        """Attitude as a matrix, shape (3, 3)."""
+        return matrix_from_quaternion(self.state.quaternion)
+
+    @property
+    def rate(self) -> Vector:
+        """Angular rate [rad/s, body] of the last sample, IMU errors removed."""
+        return self.state.rate_b
+
+    @property
+    def acceleration(self) -> Vector:
+        """Acceleration [m/s², NED] of the last sample."""
+        return self.state.acceleration_n
+
+    @property
+    def smoothed_acceleration(self) -> FloatArray:
+        """Acceleration [m/s², NED] averaged over 0.1 s, times the share that is not vibration; shape (3,)."""
+        a = np.array(self.state.smoothed_acceleration_n)
+        size2, noise2 = float(a @ a), 1.5 * self.state.force_vibration_psd / SMOOTHING_S
+        return max(0.0, 1.0 - noise2 / size2) * a if size2 > 0.0 else a
+
+    def rate_noise(self, span_s: float) -> float:
+        """Standard deviation [rad/s] of the mean angular rate over a time, due to vibration."""
+        return sqrt(self.state.rate_vibration_psd / span_s)
+
+    def parameter(self, place: int) -> float:
+        """Value of a parameter, by the index of its error in the state."""
+        return self.parameters[place - em.DRIVING]
+
+    @property
+    def gnss_error(self) -> FloatArray:
+        """Time-correlated error of GNSS positions over its standard deviation, shape (3,)."""
+        place = em.GNSS_ERROR
+        return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
+
+    @property
+    def gnss_velocity_error(self) -> FloatArray:
+        """Time-correlated error of GNSS velocities [m/s, NED], shape (3,)."""
+        place = em.GNSS_VELOCITY_ERROR
+        return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
+
+    def _set_parameters(self, place: slice, values: FloatArray) -> None:
+        begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
+        self.parameters = (*self.parameters[:begin], *values.tolist(), *self.parameters[end:])
+
+    @property
+    def vehicle_from_body(self) -> FloatArray:
+        """Mounting as a matrix, shape (3, 3)."""
+        first = em.MOUNTING.start
+        return ned_from_body(0.0, self.parameter(first), self.parameter(first + 1))
+
+    def propagate(
+        self, samples: Samples, begin: int, end: int, limits: Limits, intervals: Intervals
+    ) -> tuple[int, Stop]:
+        """Propagate the state over samples; returns how many, and why it stopped: see `propagation.propagate`."""
+        times_ns, rows, _ = samples
+        if not self._has_sample and begin < end:
+            fx, fy, fz, wx, wy, wz = map(float, rows[begin])
+            self.state, self._has_sample = self.state._replace(force=(fx, fy, fz), rate=(wx, wy, wz)), True
+        loop = propagate_arrays if isinstance(rows, np.ndarray) else propagate
+        self.state, taken, stop = loop(self.state, times_ns, rows, begin, end, self.imu, limits, intervals)
+        return taken, Stop(stop)
+
+    def propagate_covariance(self) -> None:
+        """Propagate the covariance to the instant of the state: P = Phi P Phi^T + Q."""
+        state, span_s = self.state, self.state.span_s
+        if span_s == 0.0:
+            return
+        estimated = self.P.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start) > 0.0
+        factor = self._settings.imu.vibration_factor
+        F, Phi, Q = em.discretised(
+            state.quaternion,
+            state.velocity,
+            state.position,
+            state.earth,
+            state.velocity_gain_n,
+            state.rotation_b,
+            span_s,
+            self._noise_psd,
+            factor * state.rate_vibration_psd,
+            factor * state.force_vibration_psd,
+            self.gnss_errors.correlation_s if estimated else inf,
+            gnss_velocity_errors.CORRELATION_S,
+            self.velocity_errors.variance,
+        )
+        self.P = predict(self.P, Phi, np.diag(Q))
+        gnss_decay = Phi.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start)
+        if gnss_decay != 1.0:
+            self._set_parameters(em.GNSS_ERROR, gnss_decay * self.gnss_error)
+        velocity_decay = Phi.item(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.start)
+        self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
+        self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
+        if self.late is not None:
+            self._lag(self.late, span_s)
+        self._check()
+        if self.recorder is not None:
+            self.recorder.record_step(self, F, span_s, (gnss_decay, velocity_decay))
+
+    def set_gnss_errors(self, gnss_errors: GnssErrorBank | KnownGnssErrors) -> None:
+        """Use new statistics of GNSS errors; the estimate of the error [m] is kept, and its variance is scaled."""
+        if gnss_errors is self.gnss_errors:
+            return
+        ratios, place = gnss_errors.unit / self.gnss_errors.unit, em.GNSS_ERROR
+        self.gnss_errors = gnss_errors
+        if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():
+            return
+        if self.recorder is not None:
+            self.recorder.record_rescaling(self.time_ns, place, ratios, self.P[place])
+        self.P = rescaled(self.P, place, ratios)
+        self._set_parameters(place, self.gnss_error / ratios)
+
+    def correct_delay(self, position_s: float, velocity_s: float) -> None:
+        """Take fixes to be older than their stamps from now on, and go the way that they were behind.
+
+        What is left of the way is allowed for by a half of it: a delay that is found scatters, and the vehicle did not
+        keep its velocity in it.
+        """
+        more_s = position_s - self.parameter(em.GNSS_DELAY)
+        self.propagate_covariance()
+        self.set_parameter(em.GNSS_DELAY, position_s, 0.0)
+        self.set_parameter(em.GNSS_VELOCITY_DELAY, velocity_s - position_s, 0.0)
+        self.late = Late(position_s, velocity_s, self.velocity) if position_s or velocity_s else None
+        north, east, down = (more_s * part for part in self.velocity)
+        self.inertial = self.inertial._replace(
+            position=geodetic_from_ned_difference((north, east, down), self.position)
+        )
+        self.inflate_along(em.POSITION, UNCERTAIN_SHARE * np.array([north, east, down]))
+
+    def _lag(self, late: Late, span_s: float) -> None:
+        """Let the velocity of the delay ago follow, and the position be less sure where it changes.
+
+        Its variance grows by (d_p c / 4)² in the delay T, with the change c: found delays scatter by a quarter.
+        """
+        change, share = late.change(self.velocity), SCATTER * late.position_s / late.longest_s
+        self.inflate_along(em.POSITION, share * sqrt(late.longest_s * span_s) * np.array(change))
+        left = exp(-span_s / late.longest_s)
+        self.late = late._replace(velocity=minus(self.velocity, [left * part for part in change]))
+
+    def begin_standstill(self) -> None:
+        """Begin a new interval between two zero-velocity updates."""
+        self.state = self.state._replace(standstill_s=0.0, standstill_rotation_b=ZERO)
+
+    def begin_non_holonomic(self) -> None:
+        """Begin a new interval between two updates by the non-holonomic constraint."""
+        self.state = self.state._replace(since_non_holonomic_s=0.0)
+
+    def inflate(
+        self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0, height_sd: float = 0.0
+    ) -> None:
+        """Add variances to P: standard deviations [rad, m/s, m] of errors that the error model does not contain."""
+        self.propagate_covariance()
+        inflated = self.P.copy()
+        diagonal = np.einsum("ii->i", inflated)
+        diagonal[em.ATTITUDE] += attitude_sd**2
+        diagonal[em.VELOCITY] += velocity_sd**2
+        diagonal[em.POSITION] += position_sd**2
+        diagonal[em.POSITION.stop - 1] += height_sd**2
+        self.P = inflated
+
+    def inflate_along(self, block: slice, error: FloatArray) -> None:
+        """Add to P the covariance of an error along a direction, shape (3,), of one block of the state, in its unit."""
+        self.P = self.P.copy()
+        self.P[block, block] += np.outer(error, error)
+
+    def reset_odometer_scale(self) -> None:
+        """Reset the scale factor of the odometer and its variance, for another odometer."""
+        self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer.scale_sd)
+
+    def reset_gnss_error(self) -> None:
+        """Reset the time-correlated GNSS error to zero with unit variance, independent of the error before."""
+        for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
+            self.set_parameter(place, 0.0, 1.0)
+
+    def zero_gnss_velocity_error(self) -> None:
+        """Set the time-correlated error of GNSS velocities to zero, and its variance too."""
+        for place in range(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.stop):
+            self.set_parameter(place, 0.0, 0.0)
+
+    def set_parameter(self, place: int, value: float, sd: float) -> None:
+        """Set a parameter and its variance, independent of the estimate before."""
+        own = place - em.DRIVING
+        self.parameters = (*self.parameters[:own], value, *self.parameters[own + 1 :])
+        self.P = self.P.copy()
+        self.P[place] = self.P[:, place] = 0.0
+        self.P[place, place] = sd**2
+        if self.recorder is not None:
+            self.recorder.record_reset(self.time_ns, place)
+
+    def innovate(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
+        """Compute the correction by a measurement z = H x + noise of covariance R; the state is not changed."""
+        self.propagate_covariance()
+        return correct(self.P, z, H, R)
+
+    def apply(self, correction: Correction) -> None:
+        """Subtract the estimated errors from the state, after which their estimate is zero."""
+        self.subtract_errors(correction.x, correction.P)
+        if self.recorder is not None:
+            self.recorder.record_correction(self.time_ns, correction)
+
+    def subtract_errors(self, errors: FloatArray, P: FloatArray) -> None:
+        """Subtract errors x, shape (34,), from the state, true = estimated - x, and set the covariance P after it."""
+        x: list[float] = errors.tolist()
+        self.P = P
+        self.position_correction = minus(self.position_correction, x[em.POSITION])
+        self.imu = ImuErrors(
+            minus(self.imu.accelerometer_bias, x[em.ACCELEROMETER_BIAS]),
+            minus(self.imu.gyroscope_bias, x[em.GYROSCOPE_BIAS]),
+            minus(self.imu.accelerometer_scale, x[em.ACCELEROMETER_SCALE]),
+            minus(self.imu.gyroscope_scale, x[em.GYROSCOPE_SCALE]),
+        )
+        self.inertial = corrected(self.inertial, x[: em.MOVING])
+        rx, ry, rz = self.state.rate_b
+        bx, by, bz = x[em.GYROSCOPE_BIAS]
+        self.state = self.state._replace(rate_b=(rx + bx, ry + by, rz + bz))
+        self.parameters = tuple(map(sub, self.parameters, x[em.PARAMETERS]))
+        self._check()
+
+    def _check(self) -> None:
+        """Raise `FilterDiverged` if P is not finite with positive variances, or the state is implausible."""
+        variances = self.P.diagonal().tolist()
+        if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
+            raise FilterDiverged("the covariance is not positive")
+        if (violation := implausible(self.state)) is not None:
+            raise FilterDiverged(violation)
+
+
+def minus(old: Vector, errors: list[float]) -> Vector:
+    """Difference of a vector and its errors."""
+    return old[0] - errors[0], old[1] - errors[1], old[2] - errors[2]
+
+
+def rescaled(P: FloatArray, place: slice, ratios: FloatArray) -> FloatArray:
+    """Covariance after a change of unit of some errors u, whose numerical values and variances are kept.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    place : slice
+        Indices of u; all of these errors have a variance above zero.
+    ratios : ndarray, shape (m,)
+        [-] New unit of each error over the old one.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        The part of the other errors x that is correlated with u is scaled by the ratios, as if the new unit had been
+        used from the start; the uncorrelated part is kept.
+
+    Notes
+    -----
+    With P_xu, P_uu the blocks of P and D = diag(ratios)::
+
+        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest,  P+ = (I + W) P (I + W)^T  with  W = A (D - I)
+    """
+    A = P[:, place].dot(np.linalg.inv(P[place, place]))
+    A[place] = 0.0
+    W = A * (ratios - 1.0)
+    half = P + W.dot(P[place])
+    after = half + half[:, place].dot(W.T)
+    symmetric: FloatArray = after + after.T
+    symmetric *= 0.5
+    return symmetric

@@ -1,1 +1,0 @@
-"""Measurement models: each gives innovation, Jacobian and noise covariance of one kind of measurement."""

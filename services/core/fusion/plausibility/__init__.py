@@ -1,1 +1,0 @@
-"""Plausibility limits: inputs that no road vehicle or sensor can produce are counted and rejected."""

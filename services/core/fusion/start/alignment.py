@@ -1,0 +1,294 @@
+"""Initial alignment: levelling, heading and position from inertial samples and the first fixes, and the filter."""
+
+from copy import copy
+from math import cos, hypot, radians, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned_difference
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
+from shared.messages.navigation import NavigationPhase
+
+from ..inertial import error_model as em
+from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
+from ..inertial.propagation import ImuErrors
+from ..inertial.strapdown import InertialState, rotate
+from ..aids.dual_antenna import BaselineHeading
+from ..aids.gnss.fix import GnssPosition, GnssVelocity
+from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
+from ..settings import Settings
+from .heading import STANDSTILL_RATE_SD, Heading, Motion, Prior, drift_sd, forwards_or_backwards, heading_of_accelerations, heading_of_motion, saved_heading
+from .initial_position import FirstPlace, first_place
+from .levelling import MOVING_M_S, Levelling, standstill_gyroscope_bias
+from .track_matching import Point, moved_m_s, track
+from ..aids.gnss.comparison import STANDSTILL_OFFSET_SD, Comparison
+
+FloatArray = npt.NDArray[np.float64]
+
+VERTICAL_BIAS_SD_LIMIT = radians(1.0)  # [rad/s] of the prior of a start on the move: with more, heading takes longer
+TRACK_S = 5.0  # longest span of the positions that give a course
+MOTION_AGE_S = 0.5  # largest age of a velocity that is used with a fix
+STANDSTILL_VELOCITY_SD = 0.05  # [m/s]
+ARM_RATE_SD = 0.05  # [rad/s] error of the rate that makes the lever-arm velocity
+DELAY_SD = (0.1, 0.1, 0.1)  # [s] of GNSS, of the odometer, and of GNSS velocity beyond that of its position
+UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
+BASELINE_AGE_S = 2.0  # largest age of a two-antenna heading that is used with a fix
+BASELINE_TILT_SD = 0.02  # [rad] error of that heading by the tilt error
+
+
+class Alignment:
+    """Initial alignment: collects measurements until a filter can be started.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of the filter to be started.
+    lost : ErrorStateFilter, optional
+        Filter before a reset; its biases and parameters are reused.
+    kept : Heading, optional
+        Correction of its heading, with the standard deviation; without it the attitude is not reused. If the correction
+        is not zero, biases and parameters are not reused.
+    first : bool
+        Whether no filter ran before; `gnss.zero_error_at_start` holds for the first fix only.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        lost: ErrorStateFilter | None = None,
+        kept: Heading | None = None,
+        *,
+        first: bool = True,
+    ) -> None:
+        self.method = ""  # of the heading that started the filter
+        self.has_fix = False
+        self._settings = settings
+        self._lost = None if kept and kept.turn else lost
+        self._saved: Prior | None = None
+        self._kept = kept
+        self.levelling = (
+            Levelling(settings, lost.inertial.quaternion, lost.imu.gyroscope_bias)
+            if lost and kept
+            else Levelling(settings)
+        )
+        self.comparison = Comparison()
+        self._from_zero = first and settings.gnss.zero_error_at_start
+        self._zero_ns: int | None = None  # stamp of the fix without time-correlated error
+        self._has_velocity = False
+        self._motion: Motion | None = None
+        self._course: Heading | None = None
+        self._baseline: tuple[int, Heading] | None = None  # stamp and heading of two antennas
+        self._track: tuple[Point, ...] = ()  # newest last
+        self._standstill_fixes: tuple[GnssPosition, ...] = ()
+
+    def copy(self) -> "Alignment":
+        """Independent copy."""
+        made = copy(self)
+        made.levelling = copy(self.levelling)
+        return made
+
+    def use_prior(self, prior: Prior) -> None:
+        """Use a position and heading saved before the unit was switched off; only the first is used."""
+        self._saved = self._saved or prior
+
+    @property
+    def phase(self) -> NavigationPhase:
+        """Phase of the alignment."""
+        if not self.levelling.ready:
+            return NavigationPhase.LEVELLING
+        return NavigationPhase.WAITING_FOR_HEADING if self.has_fix else NavigationPhase.WAITING_FOR_GNSS
+
+    @property
+    def reason(self) -> str:
+        """Reason of the phase."""
+        match self.phase:
+            case NavigationPhase.LEVELLING:
+                return f"levelling, up to {self._settings.alignment.levelling_s:g} s at rest"
+            case NavigationPhase.WAITING_FOR_GNSS:
+                return "level, no position yet"
+            case _:
+                return f"no heading yet: drive at more than {self._settings.alignment.course_speed_m_s:g} m/s"
+
+    def use_velocity(self, measurement: GnssVelocity) -> None:
+        """Use a velocity for the heading and the initial velocity."""
+        self._has_velocity = True
+        self.levelling.use_speed(hypot(measurement.velocity[0], measurement.velocity[1]))
+        north, east, down = np.sqrt(measurement.cov.diagonal()).tolist()
+        sd = (north, east, down if measurement.axes == 3 else 1.0)
+        arm_velocity = self._lever_arm_velocity()
+        self._compare(measurement, arm_velocity)
+        self._set_motion(Motion(measurement.time_ns, measurement.velocity, sd, arm_velocity))
+
+    def use_heading(self, measurement: BaselineHeading) -> None:
+        """Use the heading of two antennas."""
+        turn = measurement.turn_from(self.levelling.quaternion)
+        self._baseline = measurement.time_ns, Heading(turn, hypot(measurement.sd, BASELINE_TILT_SD), "two antennas")
+
+    def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
+        """Use a position; returns the filter if attitude and velocity are known, otherwise None."""
+        if self._from_zero and not self.has_fix:
+            self._zero_ns = fix.time_ns
+        self.has_fix = True
+        self._add_to_track(fix)
+        self._compare(fix, self._lever_arm_velocity())
+        self._standstill_fixes = (*self._standstill_fixes[-99:], fix) if self.levelling.is_stationary else ()
+        if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
+            self._set_motion_from_track(fix)
+        if self._motion is None or not self.levelling.ready:
+            return None
+        heading = self._heading(fix)
+        return self._start(fix, self._motion, heading) if heading else None
+
+    def _heading(self, fix: GnssPosition) -> Heading | None:
+        """Most accurate of all known headings, without those that the motion contradicts."""
+        drift = drift_sd(self.levelling)
+        kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
+        saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
+        known = [one for one in (kept, saved) if one and not self.comparison.contradicts(one.turn)]
+        course = self._course and forwards_or_backwards(self._course, self.comparison)
+        matched = heading_of_accelerations(self.comparison, self.levelling)
+        found = (one for one in (*known, course, matched, self._two_antennas(fix)) if one)
+        return min(found, key=lambda heading: heading.sd, default=None)
+
+    def _compare(self, measurement: GnssPosition | GnssVelocity, arm_velocity: Vector) -> None:
+        """Compare GNSS with the velocity of the antenna by inertial sensors alone."""
+        if self.levelling.standstill_quaternion is not None and self.comparison.offset_sd != STANDSTILL_OFFSET_SD:
+            self.comparison = Comparison(offset_sd=STANDSTILL_OFFSET_SD)
+        (north, east), (x, y) = self.levelling.velocity, self.levelling.velocity_before
+        antenna = complex(north + x + arm_velocity[0], east + y + arm_velocity[1])
+        self.comparison = self.comparison.after(measurement, antenna)
+
+    def _two_antennas(self, fix: GnssPosition) -> Heading | None:
+        recent = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
+        return self._baseline[1] if self._baseline and recent else None
+
+    def _add_to_track(self, fix: GnssPosition) -> None:
+        """Add a position to the track; without GNSS velocities, levelling uses the speed of the track."""
+        level, now_ns = self.levelling, fix.time_ns
+        x, y, _ = rotate(level.quaternion, self._settings.gnss.lever_arm_body_m)
+        recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
+        self._track = (*tuple(recent)[-99:], Point(fix, level.heading_integral, level.displacement, complex(x, y)))
+        if self._has_velocity:
+            return
+        level.use_speed(moved_m_s(self._track))
+        recent_points = [point for point in self._track if now_ns - point.fix.time_ns <= level.standstill_s * 1e9]
+        if level.is_stationary and moved_m_s(recent_points) > MOVING_M_S:
+            level.discard_standstill()
+            self.comparison = Comparison()
+
+    def _set_motion(self, motion: Motion) -> None:
+        self._motion, self._course = motion, heading_of_motion(motion, self.levelling, self._settings)
+
+    def _lever_arm_velocity(self) -> Vector:
+        """Velocity of the antenna relative to the IMU [m/s, level frame]: C (w x l)."""
+        x, y, z = np.cross(self.levelling.rate, self._settings.gnss.lever_arm_body_m).tolist()
+        return rotate(self.levelling.quaternion, (x, y, z))
+
+    def _set_motion_from_track(self, fix: GnssPosition) -> None:
+        """Velocity without GNSS velocities: zero at standstill, otherwise from the track."""
+        if self.levelling.is_stationary:
+            self._set_motion(Motion(fix.time_ns, (0.0, 0.0, 0.0), (STANDSTILL_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0)))
+        else:
+            self._motion, self._course = track(self._track, self.levelling, self._settings) or (None, None)
+
+    def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
+        """Filter at the instant of the fix."""
+        self.method, self.comparison = heading.method, self.comparison.turned(heading.turn).interrupted()
+        settings, arm = self._settings, self._settings.gnss.lever_arm_body_m
+        north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
+        quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
+        arm_n = rotate(quaternion, arm)
+        first = self._first_place(fix)
+        (north, east, down), (x, y, z) = motion.velocity, rotate(north_from_level, motion.lever_arm_velocity)
+        velocity = north - x, east - y, down - z
+        position = geodetic_from_ned_difference((-arm_n[0], -arm_n[1], -arm_n[2]), first.position)
+        bias, bias_cov = self._accelerometer_bias()
+        drift, drift_cov = self._gyroscope_bias(north_from_level, position.latitude)
+        tilt2 = self.levelling.tilt_sd**2 + float(bias_cov[0, 0]) / STANDARD_GRAVITY**2
+
+        P = np.zeros((em.SIZE, em.SIZE))
+        P[em.ATTITUDE, em.ATTITUDE] = np.diag([tilt2, tilt2, heading.sd**2])
+        P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
+        P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
+        P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
+        if self._lost is None:
+            tilt = _tilt_by_bias_error(matrix_from_quaternion(quaternion))
+            P[em.ATTITUDE, em.ACCELEROMETER_BIAS] = tilt @ bias_cov
+            P[em.ACCELEROMETER_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.ACCELEROMETER_BIAS].T
+        if self._lost is None and self.levelling.standstill_quaternion is None:
+            level = np.diag([1.0, 1.0, 0.0]) @ matrix_from_quaternion(quaternion)
+            P[em.ATTITUDE, em.GYROSCOPE_BIAS] = self.levelling.covariance.cross * level
+            P[em.GYROSCOPE_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.GYROSCOPE_BIAS].T
+        P[em.SCALES, em.SCALES] = self._scales_cov()
+        P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
+        P[em.POSITION, em.POSITION] = first.cov
+        P[em.GNSS_ERROR, :] = P[:, em.GNSS_ERROR] = 0.0
+        P[em.GNSS_ERROR, em.GNSS_ERROR] = first.error_cov
+        P[em.POSITION, em.GNSS_ERROR] = first.cross_cov
+        P[em.GNSS_ERROR, em.POSITION] = first.cross_cov.T
+        inertial = InertialState(fix.time_ns, quaternion, velocity, position)
+        known = self._lost.parameters if self._lost else NO_PARAMETERS
+        begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
+        parameters = (*known[:begin], *first.error, *known[end:])
+        imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
+        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.gnss_errors)
+        if self._lost is not None:
+            started.velocity_errors = self._lost.velocity_errors
+        return started
+
+    def _first_place(self, fix: GnssPosition) -> FirstPlace:
+        """Weighted mean of the fixes at standstill, or the newest fix on the move."""
+        fixes = [
+            one for one in self._standstill_fixes if (one.axes, one.time_correlated) == (fix.axes, fix.time_correlated)
+        ]
+        gnss_errors = self._lost.gnss_errors.at_start() if self._lost else gnss_error_model(self._settings)
+        return first_place(fixes or [fix], gnss_errors, self._zero_ns)
+
+    def _scales_cov(self) -> FloatArray:
+        if self._lost is not None:
+            return self._lost.P[em.SCALES, em.SCALES]
+        sd = self._settings.imu.accelerometer_scale_sd, self._settings.imu.gyroscope_scale_sd
+        return np.diag(np.repeat(np.square(sd), 3))
+
+    def _parameters_cov(self) -> FloatArray:
+        if self._lost is not None:
+            return self._lost.P[em.PARAMETERS, em.PARAMETERS]
+        sd = np.zeros(em.SIZE)
+        sd[em.ODOMETER_SCALE] = self._settings.odometer.scale_sd
+        sd[em.MOUNTING] = self._settings.non_holonomic.mounting_sd_rad
+        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer.enabled else 0.0
+        sd[em.DELAYS] = DELAY_SD if self._settings.estimate_delays else 0.0
+        return np.diag(np.square(sd[em.PARAMETERS]))
+
+    def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
+        if self._lost is not None:
+            return self._lost.imu.accelerometer_bias, self._lost.P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS]
+        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.imu.accelerometer_bias_sd_m_s2**2
+
+    def _gyroscope_bias(self, north_from_level: Quaternion, latitude: float) -> tuple[Vector, FloatArray]:
+        attitude = self.levelling.standstill_quaternion
+        if attitude is not None:
+            C = matrix_from_quaternion(quaternion_product(north_from_level, attitude))
+            bias = standstill_gyroscope_bias(self.levelling.rate_bias, C, earth_rate_n(latitude))
+            return bias, np.eye(3) * STANDSTILL_RATE_SD**2
+        if self._lost is not None:
+            return self._lost.imu.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
+        horizontal = self.levelling.covariance.bias
+        C = matrix_from_quaternion(self.levelling.quaternion)
+        vertical = min(self._settings.imu.gyroscope_bias_sd_rad_s, VERTICAL_BIAS_SD_LIMIT)
+        cov = np.diag([horizontal, horizontal, vertical**2])
+        return self.levelling.rate_bias, C.T @ cov @ C
+
+
+def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:
+    """Statistics of GNSS errors before the first fix: those of the settings, or unknown."""
+    correlation_s = settings.gnss.correlation_time_s
+    return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
+
+
+def _tilt_by_bias_error(ned_from_body: FloatArray) -> FloatArray:
+    """Matrix A [rad per m/s²] of psi = A db_a for an attitude from levelling, in which C f is vertical."""
+    cross = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # e_N e_E^T - e_E e_N^T
+    tilt: FloatArray = cross @ ned_from_body / STANDARD_GRAVITY
+    return tilt

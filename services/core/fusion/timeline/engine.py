@@ -1,0 +1,474 @@
+"""The engine: alignment and filter as a function of IMU samples and measurements in the order of their stamps."""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from math import degrees, hypot, inf, radians, sqrt
+
+import numpy as np
+
+from shared.errors import FilterDiverged
+from shared.maths.earth import ned_from_geodetic_difference
+from shared.messages.navigation import AidingKind, NavigationPhase
+
+from ..start.alignment import Alignment
+from ..start.heading import Heading, Prior
+from ..aids.gnss.comparison import Comparison
+from ..start.warm_start import SavedState, restored
+from ..inertial.filter import ErrorStateFilter
+from ..inertial.propagation import Intervals, Samples, Stop, samples_of
+from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
+from ..aids import odometer, zero_velocity as zupt
+from ..aids.base import Counts, Measurement, Outcome
+from ..aids.dual_antenna import BaselineHeading
+from ..aids.gnss.fix import GnssPosition, GnssVelocity
+from ..aids.odometer import NonHolonomic
+from ..aids.zero_velocity import Standstill
+from ..inertial.imu_faults import Sample, mean
+from ..settings import Settings
+from ..smoothing.history import HistoryRecorder
+from .delays import FoundDelay, SuspectedDelay
+from ..aids.aiding import Aids
+from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, Held, OdometerExclusion
+from ..aids.gnss.heights import WrongHeights
+from ..inertial.imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
+from ..inertial.standstill import is_standstill
+
+# A step longer than `propagation.GAP_S` is a gap: the state is propagated over it, and the covariance is inflated.
+LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases are kept
+LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
+KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
+BEFORE_ALL_NS = -(2**64)
+PARKED_M_S, PARKED_S = 0.5, 3.0  # a vehicle that moves within this time of its first fix may have left its place
+# Events, which are no measurements.
+Event = FoundDelay | SuspectedDelay | LostTime | WrongHeights | GnssExcluded | GnssReadmitted | OdometerExclusion | Held
+
+
+class Engine:
+    """Alignment, then the filter with its measurements, gaps and resets.
+
+    All members are replaced and never changed in place, so that a copy is cheap and independent.
+
+    Parameters
+    ----------
+    settings : Settings
+        All settings of the process.
+    counts : Counts, optional
+        Counts to continue from.
+    lost_reason : str
+        Why the solution before this engine ended; empty if there was none.
+    """
+
+    def __init__(self, settings: Settings, counts: Counts | None = None, lost_reason: str = "") -> None:
+        self._settings = settings
+        self._coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
+        self._intervals = Intervals(
+            settings.covariance_period_s,
+            zupt.PERIOD_S if settings.standstill.enabled else inf,
+            odometer.PERIOD_S if settings.non_holonomic.enabled else inf,
+        )
+        self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
+        self.reason = "no inertial sample yet"
+        self.counts = counts or Counts()
+        self.last: Sample | None = None  # newest sample, up to which the state is propagated
+        self.filter: ErrorStateFilter | None = None
+        self.recorder: HistoryRecorder | None = None  # of all filters, for the smoother
+        self.accepted_ns: int | None = None  # stamp of the last position that was used
+        self.started_ns: int | None = None  # of the filter
+        self._prior: Prior | None = None  # until the first position has been compared with it
+        self._first: GnssPosition | None = None  # position, until a filter starts
+        self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
+        self._alignment: Alignment | None = Alignment(settings, first=not lost_reason)
+        self._saved: SavedState | None = None  # to be restored with the first sample
+        self.aids = Aids(settings)
+        self.exclusions = Exclusions()
+        self._suspect_s = 0.0  # time of suspect samples since the last inflation
+        self._rejections = 0  # number of consecutive rejected positions
+        self._lost_reason = lost_reason
+
+    def copy(self) -> "Engine":
+        """Independent copy."""
+        made = copy(self)
+        made.filter, made.aids = copy(self.filter), self.aids.copy()
+        made._alignment = self._alignment.copy() if self._alignment else None
+        return made
+
+    def use_prior(self, prior: Prior) -> None:
+        """Use a saved position and heading, unless a filter has started before."""
+        if self._alignment is not None and self.accepted_ns is None:
+            self._alignment.use_prior(prior)
+            self._prior = self._prior or prior
+
+    def restore(self, saved: SavedState) -> None:
+        """Restore a saved state with the first sample, which must be the next."""
+        self._saved = saved
+
+    @property
+    def time_ns(self) -> int:
+        """Instant of the state."""
+        return self.last.time_ns if self.last is not None else BEFORE_ALL_NS
+
+    @property
+    def odometer_age_s(self) -> float | None:
+        """Time since the last speed of the odometer that was used [s]; None without one."""
+        return None if self._odometer_ns is None else (self.time_ns - self._odometer_ns) * 1e-9
+
+    @property
+    def stationary(self) -> bool:
+        """Whether the vehicle is at standstill."""
+        if self.filter is not None:
+            return is_standstill(self.filter.state.quiet)
+        return self._alignment is not None and self._alignment.levelling.is_stationary
+
+    def process(self, samples: Samples, measurements: Sequence[Measurement]) -> list[Outcome]:
+        """Propagate over samples, and use the measurements up to the last of them at their stamps.
+
+        Parameters
+        ----------
+        samples : Samples
+            Samples newer than all before.
+        measurements : sequence of Measurement
+            Measurements in the order of their stamps. Those older than the state are left out: they are of a gap that
+            ended the solution.
+
+        Returns
+        -------
+        list of Outcome
+            Outcomes of all observations, in the order in which they were used.
+        """
+        begin = 0
+        if self.last is None and len(samples.times_ns):
+            self.last, begin = _sample(samples, 0), 1
+            reason = self._with_loss("levelling") if self._lost_reason else "measuring tilt and gyroscope bias at rest"
+            self._enter(NavigationPhase.LEVELLING, self.last.time_ns, reason)
+            if self._saved is not None:
+                self._start_warm(self._saved, self.last)
+        return self._process(samples, begin, measurements, self._intervals)
+
+    def _process(
+        self, samples: Samples, here: int, measurements: Sequence[Measurement], intervals: Intervals
+    ) -> list[Outcome]:
+        times_ns, end, due = samples.times_ns, len(samples.times_ns), 0
+        outcomes: list[Outcome] = []
+        while here < end:
+            time_ns = times_ns[here]
+            if (time_ns - self.time_ns) * 1e-9 > intervals.gap_s:
+                until = bisect_right(measurements, time_ns, due, key=lambda m: m.time_ns)
+                outcomes += self._bridge(_sample(samples, here), measurements[due:until])
+                here, due = here + 1, until
+            elif due < len(measurements) and measurements[due].time_ns <= time_ns:
+                outcomes += self._use_within(samples, here, measurements[due], intervals)
+                due += 1
+            else:
+                stop = end
+                if due < len(measurements):
+                    stop = bisect_left(times_ns, measurements[due].time_ns, here)
+                here += self._propagate(samples, here, stop, intervals, outcomes)
+        return outcomes
+
+    def _use_within(self, samples: Samples, here: int, measurement: Measurement, intervals: Intervals) -> list[Outcome]:
+        """Propagate over the part of a sample up to a measurement, and use the measurement."""
+        outcomes: list[Outcome] = []
+        if measurement.time_ns < self.time_ns:
+            return outcomes
+        if measurement.time_ns > self.time_ns:
+            faults = {0: samples.faults[here]} if here in samples.faults else {}
+            part = samples_of([measurement.time_ns], [[*map(float, samples.rows[here])]], faults)
+            while not self._propagate(part, 0, 1, intervals, outcomes):
+                pass  # another update was due first
+        return outcomes + self._use(measurement)
+
+    def _propagate(self, samples: Samples, begin: int, end: int, intervals: Intervals, outcomes: list[Outcome]) -> int:
+        """Propagate over samples until an update is due, and make the update; returns the number of samples used."""
+        before_ns, navigation = self.time_ns, self.filter
+        if navigation is None:
+            self._level(_sample(samples, begin))
+            return 1
+        limits = self.aids.standstill_limits(before_ns, navigation)
+        taken, stop = navigation.propagate(samples, begin, self._stop(samples, begin, end), limits, intervals)
+        if taken:
+            self.last = Sample(navigation.time_ns, navigation.state.force, navigation.state.rate)
+        match stop:
+            case Stop.COVARIANCE_DUE:
+                self._try(ErrorStateFilter.propagate_covariance)
+            case Stop.ZERO_VELOCITY_DUE:
+                (x, y, z), span_s = navigation.state.standstill_rotation_b, navigation.state.standstill_s
+                navigation.begin_standstill()
+                rate, rate_sd = (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)
+                outcomes += self._use(Standstill(self.time_ns, rate, rate_sd))
+            case Stop.NON_HOLONOMIC_DUE:
+                navigation.begin_non_holonomic()
+                if hypot(*navigation.velocity) > odometer.SLOWEST_M_S:
+                    outcomes += self._use(NonHolonomic(self.time_ns, self._settings))
+            case Stop.GAP | Stop.END_OF_SAMPLES:
+                pass  # handled by `_process`
+        if taken and begin in samples.faults:
+            self._inflate_for_suspect((self.time_ns - before_ns) * 1e-9)
+        self._update_phase()
+        return taken
+
+    def _stop(self, samples: Samples, begin: int, end: int) -> int:
+        """End of the samples for one propagation: before a suspect sample, and after the first that is coasting."""
+        if end == begin + 1:
+            return end
+        faults = samples.faults
+        if faults:
+            end = begin + 1 if begin in faults else min((k for k in faults if begin < k < end), default=end)
+        if self.phase is not NavigationPhase.COASTING:
+            coasting_ns = (self.accepted_ns or 0) + self._coasting_ns
+            end = min(end, bisect_right(samples.times_ns, coasting_ns, begin, end) + 1)
+        return end
+
+    def _level(self, sample: Sample) -> None:
+        """Use a sample in the alignment."""
+        assert self._alignment is not None
+        step_s = (sample.time_ns - self.time_ns) * 1e-9
+        if step_s > 0.0:
+            self._alignment.levelling.advance(sample.force, sample.rate, step_s)
+            self.last = sample
+            self._update_phase()
+
+    def _bridge(self, sample: Sample, measurements: Sequence[Measurement]) -> list[Outcome]:
+        """Propagate over a gap before a sample with the mean of its two ends, or end the solution."""
+        assert self.last is not None
+        gap_s = (sample.time_ns - self.time_ns) * 1e-9
+        self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
+        if gap_s > LONGEST_BRIDGED_S:
+            kept = KEPT_HEADING if gap_s <= LONGEST_ATTITUDE_S else None
+            self.last = sample
+            self._end_solution(f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
+            return []
+        self._try(partial(inflate_for_gap, span_s=gap_s))
+        row = *mean(self.last.force, sample.force), *mean(self.last.rate, sample.rate)
+        bridge = samples_of([sample.time_ns], [row], {0: sample.fault} if sample.fault else {})
+        outcomes = self._process(bridge, 0, measurements, self._intervals._replace(gap_s=inf))
+        self._try(ErrorStateFilter.propagate_covariance)
+        self.last = sample
+        return outcomes
+
+    def _inflate_for_suspect(self, span_s: float) -> None:
+        """Inflate the covariance for a time of suspect samples, ten times a second."""
+        self._suspect_s += span_s
+        if self.filter is None or self._suspect_s < SUSPECT_PERIOD_S - 1e-3:
+            return
+        self.aids.gate.comparison = Comparison()  # its accelerations would be wrong
+        self._try(partial(inflate_for_suspect_samples, span_s=self._suspect_s))
+        self._suspect_s = 0.0
+
+    def _try(self, act: Callable[[ErrorStateFilter], None]) -> None:
+        """Apply a function to the filter, if there is one, and reset the filter if it diverges."""
+        try:
+            if self.filter is not None:
+                act(self.filter)
+        except FilterDiverged as error:
+            self._reset(str(error), kept=None)
+
+    def _use(self, measurement: Measurement) -> list[Outcome]:
+        """Use a measurement in the filter, or in the alignment."""
+        if isinstance(measurement, Event):
+            self._apply(measurement)
+            return []
+        if (reason := self.exclusions.reason(measurement)) is not None:
+            return self._use_excluded(measurement, reason)
+        if self.aids.is_duplicate(measurement, self.filter):
+            self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
+            return []
+        if self.filter is None or self._is_heading_wrong(measurement, self.filter):
+            self._align(measurement)
+            return []
+        outcomes = []
+        try:
+            for outcome in self.aids.use(self.filter, measurement):
+                outcomes.append(outcome)
+                if outcome.used and outcome.kind is AidingKind.ODOMETER:
+                    self._odometer_ns = outcome.time_ns
+                if isinstance(measurement, GnssPosition):
+                    self._count_position(outcome, measurement.left_out)
+        except FilterDiverged as error:
+            self._reset(str(error), kept=None)
+        if self._is_reset_due(measurement.time_ns):
+            self._reset(f"{self._rejections} positions in a row rejected", KEPT_HEADING)
+            self._align(measurement)
+        return outcomes
+
+    def _apply(self, event: Event) -> None:
+        """Apply an event that is no measurement.
+
+        The scale of an excluded odometer is reset. The covariance of a state that contains suspect GNSS is inflated by
+        its largest effect.
+        """
+        if isinstance(event, Held):
+            self.aids.error_monitor = replace(self.aids.error_monitor, held=event.disagreement)
+            return
+        if isinstance(event, FoundDelay | SuspectedDelay | LostTime | WrongHeights):
+            if isinstance(event, FoundDelay | SuspectedDelay):
+                self.aids.keep(event)
+            self._try(event.apply)
+            return
+        begins = isinstance(event, OdometerExclusion) and event.excluded and not self.exclusions.odometer
+        self.exclusions = self.exclusions.after(event)
+        if begins:
+            self._try(ErrorStateFilter.reset_odometer_scale)
+        if isinstance(event, GnssExcluded) and event.contaminated_s > 0.0:
+            self._try(partial(self.aids.undetected_shift.inflate, span_s=event.contaminated_s))
+
+    def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
+        """Compare a measurement of an excluded source with the filter, without using it."""
+        outcomes: list[Outcome] = []
+        try:
+            if self.filter is not None:
+                outcomes = list(self.aids.test_only(self.filter, measurement, reason))
+        except FilterDiverged as error:
+            self._reset(str(error), kept=None)
+        if isinstance(measurement, GnssPosition):
+            ratio = outcomes[0].test_ratio if outcomes else None
+            self.exclusions = replace(self.exclusions, fixes=self.exclusions.fixes + 1, test_ratio=ratio)
+        return outcomes
+
+    def _is_heading_wrong(self, measurement: Measurement, navigation: ErrorStateFilter) -> bool:
+        """Compare the heading with GNSS, and reset a filter whose heading it cannot correct."""
+        if not isinstance(measurement, GnssPosition | GnssVelocity):
+            return False
+        kept = self.aids.gate.heading_error(measurement, navigation)
+        if kept is None:
+            return False
+        self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
+        return True
+
+    def _count_position(self, outcome: Outcome, left_out: tuple[str, ...]) -> None:
+        self.counts = self.counts.with_position(outcome.used)
+        self.accepted_ns = outcome.time_ns if outcome.used else self.accepted_ns
+        if outcome.used and self.exclusions.readmitted_after_s is not None:
+            reason = f"GNSS is used again after {self.exclusions.readmitted_after_s:.0f} s"
+            distance_m = hypot(*outcome.innovation[:2])
+            self._enter(
+                NavigationPhase.NAVIGATING, outcome.time_ns, f"{reason}, {distance_m:.1f} m from dead reckoning"
+            )
+            self.exclusions = replace(self.exclusions, readmitted_after_s=None)
+        if outcome.used and left_out != self.exclusions.satellites:
+            if left_out and not self.exclusions.satellites:
+                self._hold_satellite_fault(outcome)
+            self.exclusions = replace(self.exclusions, satellites=left_out)
+        self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
+
+    def _hold_satellite_fault(self, outcome: Outcome) -> None:
+        """Hold what a satellite may have done before it was found: the first fix without it against the solution."""
+        z, sd = outcome.innovation, outcome.innovation_sd
+        spread = hypot(sd[0], sd[1]), sd[2] if len(sd) == 3 else 0.0
+        far = hypot(z[0], z[1]) > spread[0] / sqrt(2.0), len(z) == 3 and abs(z[2]) > spread[1]
+        if any(far):
+            vector = (*((z[0], z[1]) if far[0] else (0.0, 0.0)), z[2] if far[1] else 0.0)
+            monitor = self.aids.error_monitor
+            held = monitor.held.after(vector, spread, outcome.time_ns, grew=True)
+            self.aids.error_monitor = replace(monitor, held=held)
+
+    def _is_reset_due(self, time_ns: int) -> bool:
+        """Whether enough consecutive positions were rejected for long enough."""
+        enough = self._rejections >= self._settings.gating.reset_after_rejections
+        return enough and time_ns - (self.accepted_ns or 0) >= self._settings.gating.reset_after_s * 1e9
+
+    def _align(self, measurement: Measurement) -> None:
+        """Use a measurement in the alignment, and start the filter when it is complete."""
+        assert self._alignment is not None
+        if isinstance(measurement, GnssPosition) and self._first is None:
+            self._first = measurement
+        if isinstance(measurement, GnssVelocity):
+            self._alignment.use_velocity(measurement)
+        elif isinstance(measurement, BaselineHeading):
+            self._alignment.use_heading(measurement)
+        started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
+        if started is None:
+            return
+        reason = self._with_loss(self._alignment.method)
+        self._start(started, measurement.time_ns, self._alignment.comparison)
+        self.counts = self.counts.with_position(used=True)
+        self.accepted_ns = measurement.time_ns
+        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, reason)
+        self.exclusions = replace(self.exclusions, readmitted_after_s=None)
+
+    def _aside(self, first: GnssPosition, prior: Prior, started: ErrorStateFilter) -> Disagreement:
+        """Compare the first position with the saved one; a vehicle that moves already may have left its place."""
+        moving_s = (started.time_ns - first.time_ns) * 1e-9
+        if hypot(*started.velocity[:2]) > PARKED_M_S and moving_s < PARKED_S:
+            return NOTHING
+        integrity, axes = self._settings.integrity, first.axes
+        north, east, down = ned_from_geodetic_difference(first.position, prior.position)
+        sd = np.sqrt(first.cov.diagonal()[:axes])
+        spread = hypot(sd[0], sd[1], *prior.position_sd[:2]), hypot(sd[2], prior.position_sd[2]) if axes == 3 else inf
+        far = hypot(north, east) > max(CLOSURE_SDS * spread[0], integrity.alert_limit_horizontal_m)
+        high = abs(down) > max(CLOSURE_SDS * spread[1], integrity.alert_limit_vertical_m)
+        if not (far or high):
+            return NOTHING
+        vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)
+        spread = spread[0], min(spread[1], abs(down))
+        return NOTHING.after(vector, spread, first.time_ns, grew=False, at_start=True)
+
+    def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
+        """Continue with a filter that has just started."""
+        self.aids.begin(time_ns, started, comparison)
+        self.started_ns = time_ns
+        if self._prior is not None and self._first is not None:
+            aside = self._aside(self._first, self._prior, started)
+            if aside.is_open:
+                self.aids.error_monitor = replace(self.aids.error_monitor, held=aside)
+        self._prior = self._first = None
+        self.filter, self._alignment, self._lost_reason, self._rejections = started, None, "", 0
+        if self.recorder is not None:
+            self.recorder.start(started)
+
+    def _start_warm(self, saved: SavedState, sample: Sample) -> None:
+        """Continue from a saved state; the alignment goes on if the restored filter diverges."""
+        time_ns, self._saved = sample.time_ns, None
+        try:
+            started = restored(self._settings, saved, sample)
+        except FilterDiverged:
+            return
+        self._start(started, time_ns, Comparison())
+        self.accepted_ns = saved.accepted_ns
+        self.exclusions = replace(self.exclusions, gnss_since_ns=saved.gnss_excluded_since_ns)
+        self.aids.error_monitor = replace(self.aids.error_monitor, held=saved.held)
+        coasting = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
+        gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
+        phase = NavigationPhase.COASTING if coasting else NavigationPhase.NAVIGATING
+        self._enter(phase, time_ns, f"warm start from a state of {gap_s:.1f} s before")
+
+    def _update_phase(self) -> None:
+        """Enter the phase of the present state, if it is another one."""
+        if self.filter is None:
+            assert self._alignment is not None
+            phase, reason = self._alignment.phase, self._alignment.reason
+        elif self.time_ns - (self.accepted_ns or 0) > self._coasting_ns:
+            excluded = self.exclusions.gnss_since_ns is not None
+            reason = "GNSS is excluded by core.trust" if excluded else "no position used lately"
+            phase = NavigationPhase.COASTING
+        else:
+            phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
+        if phase is not self.phase:
+            self._enter(phase, self.time_ns, self._with_loss(reason))
+
+    def _with_loss(self, reason: str) -> str:
+        """Append to a reason why the last solution ended."""
+        return f"{reason}, after {self._lost_reason}" if self._lost_reason else reason
+
+    def _enter(self, phase: NavigationPhase, time_ns: int, reason: str) -> None:
+        self.phase, self.since_ns, self.reason = phase, time_ns, reason
+
+    def _reset(self, reason: str, kept: Heading | None) -> None:
+        """End the solution and count a reset; `kept` is the heading correction if the attitude is kept."""
+        self.counts = self.counts._replace(resets=self.counts.resets + 1)
+        self._end_solution(reason, kept, self.filter if kept else None)
+        if kept and self._alignment is not None:  # not after a gap, in which the level frame may have turned
+            self._alignment.comparison = self.aids.gate.comparison.interrupted()
+
+    def _end_solution(self, reason: str, kept: Heading | None, lost: ErrorStateFilter | None) -> None:
+        """Begin another alignment, with the attitude and the biases of the lost filter where they are kept."""
+        self._alignment = Alignment(self._settings, lost, kept, first=False)
+        self.filter, self._lost_reason, self._rejections = None, reason, 0
+        self._enter(self._alignment.phase, self.time_ns, self._with_loss(self._alignment.reason))
+
+
+def _sample(samples: Samples, k: int) -> Sample:
+    fx, fy, fz, wx, wy, wz = map(float, samples.rows[k])
+    return Sample(int(samples.times_ns[k]), (fx, fy, fz), (wx, wy, wz), samples.faults.get(k))

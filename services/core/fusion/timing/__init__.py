@@ -1,1 +1,0 @@
-"""Out-of-sequence measurements, clocks and delays."""

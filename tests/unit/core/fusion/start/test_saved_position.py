@@ -1,0 +1,46 @@
+"""The first fix of a parked vehicle against its saved position."""
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from benchmarks.given import fixes_of
+from services.core.fusion.start.heading import Prior
+from services.core.fusion.batch import solve
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import GnssSettings, Settings
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+
+END_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return simulate("urban", 3, END_S)
+
+
+def started(drive: Drive, aside_m: float) -> Navigator:
+    """A navigator that was switched off where the drive begins, or aside of it."""
+    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
+    navigator = Navigator(settings)
+    saved = geodetic_from_ned_difference((0.0, -aside_m, 0.0), Geodetic(*drive.position[0].tolist()))
+    navigator.use_prior(Prior(saved, (1.0, 1.0, 2.0), float(drive.attitude[0, 2]), radians(1.0)))
+    readings = np.hstack([drive.force_b, drive.rate_b])
+    for _ in solve(navigator, drive.t_ns, readings, fixes_of(drive, settings), every_ns=10**9):
+        pass
+    return navigator
+
+
+def test_a_first_fix_50_m_aside_is_held_by_the_level_and_both_are_stated(drive: Drive) -> None:
+    navigator = started(drive, 50.0)
+    held, solution = navigator.engine.aids.error_monitor.held, navigator.solution()
+    assert held.at_start and held.bound[0] == pytest.approx(50.0, abs=6.0)
+    assert "saved position of the parked vehicle" in held.reason and "2000 m driven" in held.reason
+    assert solution is not None and solution.protection_level_horizontal > 44.0
+
+
+def test_a_first_fix_where_the_vehicle_was_parked_holds_nothing(drive: Drive) -> None:
+    navigator = started(drive, 2.0)
+    assert not navigator.engine.aids.error_monitor.held.is_open
