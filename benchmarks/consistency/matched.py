@@ -11,16 +11,16 @@ from math import inf, radians, sqrt
 
 import numpy as np
 
-from services.core.fusion.inertial import error_model as em
-from services.core.fusion.inertial.filter import ErrorStateFilter
-from services.core.fusion.inertial.propagation import Intervals, samples_of
-from services.core.fusion.inertial.strapdown import InertialState
+from services.core.fusion.aids.aiding import Aids
 from services.core.fusion.aids.base import Measurement
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
 from services.core.fusion.aids.gnss.position_errors import UNKNOWN, KnownGnssErrors
-from services.core.fusion.settings import GnssSettings, ImuSettings, Settings
-from services.core.fusion.aids.aiding import Aids
+from services.core.fusion.inertial import error_model as em
+from services.core.fusion.inertial.filter import ErrorStateFilter
+from services.core.fusion.inertial.propagation import Intervals, samples_of
 from services.core.fusion.inertial.standstill import CERTAIN
+from services.core.fusion.inertial.strapdown import InertialState
+from services.core.fusion.settings import GnssSettings, ImuSettings, Settings
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE

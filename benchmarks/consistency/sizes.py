@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from services.core.fusion.aids.base import Outcome
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
-from services.core.fusion.aids.base import Outcome
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body

@@ -11,7 +11,7 @@ from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.inertial.propagation import samples_of
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from services.core.fusion.timeline.out_of_sequence import order
+from services.core.fusion.timeline.log import order
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import InjectedError
 from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors

@@ -158,11 +158,11 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
 
     import numpy as np
 
-    from services.core.fusion.start.heading import Prior
     from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
     from services.core.fusion.aids.odometer import WheelSpeed
     from services.core.fusion.navigator import Navigator
     from services.core.fusion.settings import Settings
+    from services.core.fusion.start.heading import Prior
     from shared.maths.earth import Geodetic
 
     log, every = np.load(path), aiding == "all"

@@ -17,9 +17,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from services.core.fusion.start.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, NonHolonomicSettings, Settings
+from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import ODOMETER_SCALE_SD, ODOMETER_SD, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import BASE_SD, ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -281,13 +282,14 @@ def _run(
     processes = [name for name in drive.vehicle.processes if with_trust or name != "core.trust"]
     unit, builder, counters = OfflineUnit(drive.vehicle, processes), TrackBuilder(), Counters()
     verdicts = VerdictLog()
+    fusion = cast(Process, unit.process("core.fusion"))
     if history is not None:
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
-        cast(Process, unit.process("core.fusion")).record_history(HistoryRecorder(history, period_ns))
+        fusion.record_history(HistoryRecorder(history, period_ns))
     fixes: list[GnssFix] = []
     motions = {"the IMU": MotionLog(), "GNSS": MotionLog()}
     started = time.perf_counter()
-    for message in unit.run(_fed(drive, outages, counters, progress)):
+    for message in chain(unit.run(_fed(drive, outages, counters, progress)), fusion.finish()):
         match message:
             case NavigationSolution():
                 builder.add(message)

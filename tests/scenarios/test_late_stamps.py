@@ -8,13 +8,10 @@ import pytest
 
 from benchmarks.given import fixes_of
 from cli.papers.navigation import YAW_SD, saved_heading
-from services.core.fusion.batch import solve
-from services.core.fusion.inertial import error_model as em
 from services.core.fusion.aids.base import Measurement
 from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
-from services.core.fusion.timeline.delays import SuspectedDelay
 from services.sensors.simulator.drive import simulate
 from shared.maths.earth import Geodetic, ned_track
 
@@ -36,10 +33,16 @@ def test_positions_of_a_late_receiver_are_of_the_time_that_the_settings_say(stam
     navigator = Navigator(settings)
     navigator.use_prior(saved_heading(drive, YAW_SD))
     seen = [late(fix) for fix in fixes_of(drive, settings) if fix.time_ns + LATE_NS < GONE_S * 1e9]
-    seen.append(SuspectedDelay(round(FOUND_S * 1e9), LATE_S, LATE_S, LATE_S))
-    readings = np.hstack([drive.force_b, drive.rate_b])
-    rows = []
-    for solution in solve(navigator, drive.t_ns, readings, seen, every_ns=500_000_000):
+    rows, k = [], 0
+    for i, time_ns in enumerate(drive.t_ns.tolist()):
+        while k < len(seen) and seen[k].received_ns <= time_ns:
+            navigator.measure(seen[k])
+            k += 1
+        navigator.imu(time_ns, drive.force_b[i].tolist(), drive.rate_b[i].tolist())
+        if time_ns >= FOUND_S * 1e9:
+            navigator.correct_delay(LATE_S, LATE_S)
+        if time_ns % 500_000_000 or (solution := navigator.solution()) is None:
+            continue
         now, then = (
             min(int(np.searchsorted(drive.t_ns, solution.time_ns - age_ns)), len(drive.t_ns) - 1)
             for age_ns in (0, LATE_NS)
@@ -77,24 +80,22 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
             break
     steps = [((0.5, 0.6), (0.5, 0.6)), ((0.54, 0.6), (0.5, 0.6)), ((0.0, 0.4), (0.0, 0.4)), ((0.6, 0.0), None)]
     for (position_s, velocity_s), expected in steps:
-        navigator.suspect_delay(position_s, velocity_s)
-        time_ns += 10_000_000
+        navigator.correct_delay(position_s, velocity_s)
+        time_ns += 100_000_000
         navigator.imu(time_ns, force, rate)
         filter_ = navigator.engine.filter
         assert filter_ is not None
         assert (None if filter_.late is None else filter_.late[:2]) == expected
         assert navigator.engine.aids.error_monitor.delay_s == (0.0 if expected else 0.6), "only that is not corrected"
         assert navigator.corrected_delay_s == (expected[0] if expected else None)
-    navigator.suspect_delay(0.5, 0.5)
-    time_ns += 10_000_000
+    navigator.correct_delay(0.5, 0.5)
+    time_ns += 100_000_000
     navigator.imu(time_ns, force, rate)
     engine = navigator.engine
     assert engine.filter is not None
     again = copy(engine.filter)
     again.late, place = None, again.position
-    again.set_parameter(em.GNSS_DELAY, 0.0, 0.0)
     engine.aids.begin(time_ns, again, engine.aids.gate.comparison)
-    assert again.late is not None and again.late.position_s == again.parameter(em.GNSS_DELAY) == 0.5
+    assert again.late is not None and again.late.position_s == 0.5
     assert again.position == place, "a fix of the right time has given it"
     assert engine.aids.error_monitor.delay_s == 0.0
-    assert not again.P[em.GNSS_DELAY].any(), "the delay is no state that is estimated"

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.given import fixes_of
 from cli.papers.navigation import YAW_SD, saved_heading
-from services.core.fusion.batch import solve
 from services.core.fusion.aids.base import Counts
+from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .inertial.propagation import samples_of
 from .aids.base import Measurement
-from .navigator import Navigator
 from .inertial.imu_faults import FORCE_LIMIT, RATE_LIMIT, faults
+from .inertial.propagation import samples_of
+from .navigator import Navigator
 from .solution import Solution
-from .timeline.out_of_sequence import order
+from .timeline.log import order
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -40,18 +40,11 @@ def solve(
     every_ns : int
         Period of the solutions, each at the first sample of a period.
 
-    Raises
-    ------
-    ValueError
-        `estimate_delays` is set, which needs samples and measurements one by one.
-
     Yields
     ------
     Solution
         From the start of the filter to the last sample. Plausibility limits of measurements are not tested.
     """
-    if navigator.settings.estimate_delays:
-        raise ValueError("delays are estimated by a navigator that is given samples and measurements one by one")
     usable = _usable(stamps_ns, samples)
     navigator.samples_used += int(usable.sum())
     navigator.samples_rejected += int((~usable).sum())

@@ -24,19 +24,18 @@ from shared.messages.navigation import (
 from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-from .start.heading import Prior
-from .start.warm_start import SavedState, fingerprint
-from .inertial.strapdown import InertialState
-from .integrity.disagreement import NOTHING, Disagreement
 from .aids.base import Measurement, Outcome
 from .aids.dual_antenna import BaselineHeading
 from .aids.gnss.fix import Reading, Stamp, gnss_measurements, true_time_ns
 from .aids.odometer import WheelSpeed
+from .inertial.strapdown import InertialState
+from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor
 from .settings import Settings
 from .solution import Solution
-from .timeline.delays import known_delays
+from .start.heading import Prior
+from .start.warm_start import SavedState, fingerprint
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -362,12 +361,10 @@ def state_message(
 
     While the delay of GNSS is not known, what turns show is no error of the lever arm.
     """
-    counts, exclusions, roll_back = navigator.counts, navigator.engine.exclusions, navigator.roll_back
-    conflict, difference, held = roll_back.conflict, roll_back.difference(), navigator.engine.aids.error_monitor.held
-    declined = roll_back.unresolved or (conflict.declined if conflict else "")
+    counts, exclusions, verdicts = navigator.counts, navigator.engine.exclusions, navigator.verdicts
+    conflict, difference, held = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor.held
+    declined = verdicts.unresolved or (conflict.declined if conflict else "")
     silent = silent_since_ns is not None
-    estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
-    gnss, odometer, velocity = estimated or ((None, None),) * 3
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,
@@ -381,24 +378,18 @@ def state_message(
         resets=counts.resets,
         epochs_repeated=counts.epochs_repeated,
         measurements_late=navigator.measurements_late,
-        gnss_delay_s=gnss[0],
-        gnss_delay_sd_s=gnss[1],
-        gnss_velocity_delay_s=velocity[0],
-        gnss_velocity_delay_sd_s=velocity[1],
-        odometer_delay_s=odometer[0],
-        odometer_delay_sd_s=odometer[1],
         lever_arm_error_body_m=navigator.lever_arm_error if delay_known else None,
         alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
         alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
         gnss_excluded_since_ns=exclusions.gnss_since_ns,
         fixes_excluded=exclusions.fixes,
-        excluded_test_ratio=roll_back.excluded_test_ratio,
+        excluded_test_ratio=verdicts.excluded_test_ratio,
         odometer_excluded=exclusions.odometer,
         odometer_age_s=navigator.engine.odometer_age_s,
         conflict_since_ns=None if conflict is None else conflict.since_ns,
         other_distance_m=None if difference is None else hypot(*difference[0][:2]),
         other_level_m=None if difference is None else difference[1][0],
-        without_gnss_level_m=None if roll_back.without_gnss_m is None else roll_back.without_gnss_m[0],
+        without_gnss_level_m=None if verdicts.without_gnss_m is None else verdicts.without_gnss_m[0],
         exclusion_declined=declined[:REASON_LENGTH] or None,
         held_horizontal_m=held.bound[0],
         held_vertical_m=held.bound[1],

@@ -6,10 +6,8 @@ navigator.imu(t_ns, force, rate)
 solution = navigator.solution()
 """
 
-from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -19,40 +17,35 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
 
-from .start.heading import Prior
-from .start.warm_start import SavedState, fault, saved_state
-from .integrity.set_up_spread import SetUpSpread
 from .aids import barometer, magnetometer
 from .aids.base import Counts, Measurement, Outcome
-from .aids.gnss.fix import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
+from .aids.devices import Devices
+from .aids.gnss.fix import Reading, Stamp, gnss_measurements
 from .aids.odometer import WheelSpeed
+from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
 from .inertial.imu_faults import Repeats, Sample, credible
-from .aids.plausibility import Devices, implausible
+from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
 from .solution import Solution, UncertaintyCache, solution_of
-from .timeline.delays import SuspectedDelay
-from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
-from .timeline.out_of_sequence import OutOfSequenceEngine, key_of
-from .timeline.roll_back import RollBack
+from .start.heading import Prior
+from .start.warm_start import SavedState, fault, saved_state
+from .timeline.conflict import Verdicts
 from .timeline.engine import Engine
-from .aids.gnss.heights import WrongHeights
-from .inertial.imu_gaps import LostTime
+from .timeline.events import FoundDelay, LostTime, WrongHeights
+from .timeline.timeline import Timeline
 
 FloatArray = npt.NDArray[np.float64]
 
-NEWEST_LIMIT = 256  # largest number of pairs of device and kind of measurement
-HELD_LIMIT = 1000  # largest number of measurements that are held back
 SPEED_PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
-FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
-FAULT_FREE_WAIT_NS = 1_000_000_000  # time for which the receiver's own fix waits for it
 NEW_DELAY_S = 0.05  # change of a suspected delay that matters
 
 
 class Navigator:
     """Loosely coupled INS/GNSS whose result depends on stamps alone, and not on the order of arrival.
 
-    A measurement is held back until an inertial sample is received `merge_delay_s` later; then it is used at its stamp.
+    The filter runs behind the newest sample, at the horizon of the `timeline`, where all measurements have arrived; the
+    solution is that filter, carried to the newest sample by the inertial sensors.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -60,17 +53,13 @@ class Navigator:
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
-        self.measurements_late = 0  # used after newer ones of the same device
-        self._roll_back = RollBack(self.settings)
+        self._timeline = Timeline(self.settings, self.rejects)
         self._uncertainty = UncertaintyCache(self.settings)
         self._clock: Clock | None = None  # while samples are rejected for their stamps
         self._repeats: Repeats | None = None
-        self._newest: dict[tuple[str, type], int] = {}  # newest stamp that was used, by device and kind
-        self._suspected = 0.0, 0.0  # [s] delays of GNSS
+        self._found = 0.0, 0.0  # [s] delays of GNSS positions and velocities
         self._heights_wrong = False  # of GNSS: they are left out
         self._devices = Devices(self.rejects, self._now_ns)
-        self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
-        self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
         self,
@@ -126,28 +115,17 @@ class Navigator:
             self.rejects[fault] += 1
             sample = sample._replace(fault=fault)
         self.samples_used += 1
-        self._roll_back.add(sample)
+        self._timeline.add(sample)
 
     def measure(self, measurement: Measurement) -> None:
-        """Add a measurement of any kind, which is used when `merge_delay_s` has passed."""
+        """Add a measurement of any kind, which is used at its stamp."""
         if measurement.time_ns > measurement.received_ns + FUTURE_LIMIT_NS:
             self.rejects["measurement from the future"] += 1
             return
-        if violation := implausible(measurement):
+        if violation := measurement.implausible():
             self.rejects[violation] += 1
-            return
-        if not self._devices.is_known(measurement.source):
-            return
-        if self._heights_wrong and isinstance(measurement, GnssPosition):
-            measurement = replace(measurement, axes=2)
-        release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
-        if isinstance(measurement, GnssPosition | GnssVelocity):
-            release_ns += self._await_fault_free(measurement)
-        entry = (release_ns, measurement.time_ns, measurement.source, measurement)
-        insort(self._held, entry, key=lambda held: held[:3])
-        if len(self._held) > HELD_LIMIT:
-            self._held.pop(0)
-            self.rejects["held without inertial samples"] += 1
+        elif self._devices.is_known(measurement.source):
+            self._timeline.measure(measurement.without_height() if self._heights_wrong else measurement)
 
     def fix(
         self,
@@ -216,26 +194,26 @@ class Navigator:
 
     def record_history(self, recorder: HistoryRecorder) -> None:
         """Record a history for the smoother, from the first sample on."""
-        self._oosm.record_history(recorder)
+        self._timeline.record_history(recorder)
 
     def use_prior(self, prior: Prior) -> None:
         """Use a position and heading saved before the unit was switched off."""
-        self._oosm.use_prior(prior)
+        self._timeline.use_prior(prior)
 
     def restore(self, saved: SavedState, time_ns: int) -> None:
         """Restore the state of an earlier process, if it is valid at the stamp of the first sample."""
         if reason := fault(saved, time_ns):
             self.rejects[reason] += 1
         else:
-            self._oosm.restore(saved)
+            self._timeline.restore(saved)
 
     def saved_state(self) -> SavedState | None:
         """State for a later process; None while no filter runs."""
-        engine = self._oosm.engine
+        engine = self._timeline.now
         if engine.filter is None or engine.last is None:
             return None
         return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns,
-                           self._roll_back.held)  # fmt: skip
+                           self.verdicts.held)  # fmt: skip
 
     def apply_exclusions(
         self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool, exclude: bool = True
@@ -245,36 +223,32 @@ class Navigator:
         With `exclude` the solution without GNSS is published, as far as it is good; otherwise it only adds its distance
         to the level.
         """
-        self._roll_back.follow(gnss_suspect_since_ns, exclude=exclude, odometer_excluded=odometer_excluded)
+        self.verdicts.follow(gnss_suspect_since_ns, exclude=exclude, odometer_excluded=odometer_excluded)
 
     @property
-    def roll_back(self) -> RollBack:
+    def verdicts(self) -> Verdicts:
         """The published solution, and the other one while there is a conflict."""
-        return self._roll_back
+        return self._timeline.verdicts
 
-    def suspect_delay(self, position_s: float, velocity_s: float) -> None:
+    def correct_delay(self, position_s: float, velocity_s: float) -> None:
         """Correct delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
-        newest, (old_s, old_velocity_s) = self._oosm.newest, self._suspected
-        changes = abs(position_s - old_s), abs(velocity_s - old_velocity_s)
-        if newest is None or self.settings.estimate_delays or max(changes) < NEW_DELAY_S:
+        old_s, old_velocity_s = self._found
+        if max(abs(position_s - old_s), abs(velocity_s - old_velocity_s)) < NEW_DELAY_S:
             return
-        self._suspected = position_s, velocity_s
+        self._found = position_s, velocity_s
         grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
-        self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+        self._timeline.correct_delay(FoundDelay(self._timeline.next_ns, position_s, velocity_s, grown_s))
 
     def leave_out_heights(self, *, wrong: bool) -> None:
         """Use positions of GNSS without their heights from now on, because these have the wrong sign, or with them."""
-        newest = self._oosm.newest
-        if newest is None or wrong is self._heights_wrong:
-            return
+        if wrong and not self._heights_wrong:
+            self._timeline.happen(WrongHeights(self._timeline.next_ns))
         self._heights_wrong = wrong
-        if wrong:
-            self._roll_back.insert(WrongHeights(newest.time_ns + 1))
 
     @property
     def corrected_delay_s(self) -> float | None:
         """Delay of positions [s] that has been found and is corrected; None if there is none."""
-        position_s, velocity_s = self._suspected
+        position_s, velocity_s = self._found
         return position_s if velocity_s else None
 
     def use_spread(self, spread: SetUpSpread) -> None:
@@ -282,89 +256,68 @@ class Navigator:
         self._uncertainty.spread = spread
 
     @property
-    def _oosm(self) -> OutOfSequenceEngine:
-        return self._roll_back.engine
+    def engine(self) -> Engine:
+        """Alignment or filter at the horizon."""
+        return self._timeline.engine
 
     @property
-    def engine(self) -> Engine:
-        """Alignment or filter at the newest sample."""
-        return self._oosm.engine
+    def now(self) -> Engine:
+        """Alignment or filter at the newest sample, which is that of the horizon, carried on; not to be changed."""
+        return self._timeline.now
 
     @property
     def phase(self) -> NavigationPhase:
         """Phase of the solution."""
-        return self._oosm.engine.phase
+        return self._timeline.now.phase
 
     @property
     def since_ns(self) -> int:
         """When the phase began."""
-        return self._oosm.engine.since_ns
+        return self._timeline.now.since_ns
 
     @property
     def reason(self) -> str:
         """Why the phase began."""
-        return self._oosm.engine.reason
+        return self._timeline.now.reason
 
     @property
     def counts(self) -> Counts:
         """Counts of used and rejected positions, gaps and resets."""
-        return self._oosm.engine.counts
+        return self.engine.counts
+
+    @property
+    def measurements_late(self) -> int:
+        """Number of measurements that came behind the horizon."""
+        return self._timeline.measurements_late
 
     @property
     def lever_arm_error(self) -> tuple[float, float] | None:
         """True minus assumed lever arm, forward and right [m], if the difference is significant."""
-        return self._oosm.engine.aids.gate.lever_arm.significant_error()
+        return self.engine.aids.gate.lever_arm.significant_error()
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is no valid one."""
-        solution = solution_of(self._oosm.engine, self._uncertainty)
-        difference = None if solution is None else self._roll_back.difference()
+        solution = solution_of(self._timeline.now, self._uncertainty)
+        difference = None if solution is None else self.verdicts.difference()
         return solution if solution is None or difference is None else solution.reaching(*difference)
 
     def release(self, received_ns: int) -> list[Outcome]:
-        """Use the measurements that are due at `received_ns`, and return all outcomes since the last call."""
-        last = self._oosm.newest
-        while self._held and self._held[0][0] <= received_ns:
-            measurement = self._held.pop(0)[3]
-            if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
-                self.rejects["measurement from the future"] += 1  # on the clock of the inertial samples
-                continue
-            if self._roll_back.insert(measurement):
-                self._count_if_late(measurement)
-            else:
-                self.rejects["measurement older than the memory"] += 1
-        return self._roll_back.outcomes()
+        """Move the horizon, all being known that was received by a time; returns the outcomes since the last call."""
+        return self._timeline.advance(received_ns)
 
-    def _await_fault_free(self, measurement: GnssPosition | GnssVelocity) -> int:
-        """Additional time [ns] for which a fix is held back for the fault-free fix of its epoch, if one is expected.
-
-        A fault-free fix replaces the held one.
-        """
-        if not measurement.left_out:
-            after_ns = measurement.time_ns - self._fault_free_ns
-            return FAULT_FREE_WAIT_NS if 0 < after_ns <= FAULT_FREE_NS else 0
-        self._fault_free_ns = measurement.time_ns
-        self._held = [held for held in self._held if key_of(held[3]) != key_of(measurement)]
-        return 0
+    def finish(self) -> list[Outcome]:
+        """Use everything that has arrived up to the newest sample, at the end of a log; returns the outcomes."""
+        return self._timeline.finish()
 
     def _now_ns(self) -> int:
-        newest = self._oosm.newest
-        return newest.time_ns if newest else 0
-
-    def _count_if_late(self, measurement: Measurement) -> None:
-        key = measurement.source, type(measurement)
-        if len(self._newest) > NEWEST_LIMIT and key not in self._newest:
-            self._newest.clear()  # bounds memory; the stamps serve a count only
-        newest_ns = self._newest.setdefault(key, measurement.time_ns)
-        self.measurements_late += measurement.time_ns < newest_ns
-        self._newest[key] = max(newest_ns, measurement.time_ns)
+        return self._timeline.newest_ns
 
     def _unusable(self, sample: Sample, received_ns: int | None) -> str | None:
         """Reason for which a sample cannot be used; None if it can."""
         time_ns, force, rate, _ = sample
         if not credible(force, rate):
             return "implausible sample" if isfinite(sum(force) + sum(rate)) else "sample not finite"
-        last = self._oosm.newest
+        last = self._timeline.log.newest
         if last is not None and not 0 < time_ns - last.time_ns <= FUTURE_LIMIT_NS:
             return self._stamp_fault(sample, last.time_ns, received_ns)
         return None
@@ -378,10 +331,9 @@ class Navigator:
             self._clock = clock
             return "sample from the future"
         self._clock = clock
-        if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
-            self._roll_back.restart("the inertial clock went back")
-            self._clock, self._repeats, self._newest = None, None, {}
-            self._suspected = 0.0, 0.0
+        if clock.goes_back(sample.time_ns, known=self._timeline.is_known(sample)):
+            self._timeline.restart("the inertial clock went back")
+            self._clock, self._repeats, self._found = None, None, (0.0, 0.0)
         return "sample doubled or out of order"
 
     def _end_clock_fault(self, time_ns: int, lost_s: float) -> None:
@@ -389,7 +341,7 @@ class Navigator:
         self._clock = None
         if lost_s:
             self.rejects["time lost as the inertial clock went back"] += 1
-            self._roll_back.insert(LostTime(time_ns, lost_s))
+            self._timeline.happen(LostTime(time_ns, lost_s))
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:

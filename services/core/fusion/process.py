@@ -93,11 +93,15 @@ class Process:
             self._set_up.sample(sampled_ns, force, rate)
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
-            self._navigator.suspect_delay(*self._set_up.delays)
+            self._navigator.correct_delay(*self._set_up.delays)
             self._navigator.leave_out_heights(wrong=self._set_up.heights_wrong)
             self._navigator.use_spread(self._set_up.spread(self._navigator.corrected_delay_s))
             yield messages.set_up_message(self._set_up, self._sampled_ns)
         messages.use_environment(self._navigator, batch)
+
+    def finish(self) -> Iterator[AidingUpdate]:
+        """Use everything up to the newest sample, at the end of a recording; yields the last outcomes."""
+        yield from map(messages.aiding_message, self._navigator.finish())
 
     def _is_due(self, sampled_ns: int) -> bool:
         """Whether a sample is the first of a solution period."""

@@ -301,17 +301,14 @@ class Settings(Section):
         default=0.05, gt=0.0, le=1.0, description="longest time between two propagations of the covariance"
     )
     merge_delay_s: float = Field(
-        default=0.2,
+        default=0.1,
         ge=0.0,
         le=1.0,
-        description="time for which a measurement is held back, so that delayed ones are used in order",
+        description="time after its arrival within which a measurement reaches the filter: the filter runs so far "
+        "behind the newest sample, beyond the largest delay of a measurement",
     )
     history_s: float = Field(
         default=2.5, ge=0.2, le=10.0, description="largest age at which an out-of-sequence measurement is still used"
-    )
-    estimate_delays: bool = Field(
-        default=False,
-        description="estimate the delays of GNSS position, GNSS velocity and odometer beyond the configured ones",
     )
     imu: ImuSettings = ImuSettings()
     gnss: GnssSettings = GnssSettings()

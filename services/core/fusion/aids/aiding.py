@@ -4,22 +4,20 @@ from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 
-from .gnss.comparison import Comparison
-from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
+from ..inertial.standstill import Limits, limits_of
 from ..integrity.error_monitor import NO_BLOCK, ErrorMonitor, block
 from ..integrity.undetected_shift import UndetectedShift
+from ..settings import Settings
 from .base import Measurement, Outcome
+from .gate import Gate
+from .gnss.comparison import Comparison
+from .gnss.duplicate_epochs import Epochs
 from .gnss.fix import GnssPosition, GnssVelocity
+from .gnss.lever_arm import LeverArmMonitor
 from .magnetometer import CompassCheck, MagneticHeading
 from .odometer import WheelSpeed
 from .zero_speeds import ZeroSpeeds
-from ..settings import Settings
-from ..timeline.delays import FoundDelay, SuspectedDelay
-from .gnss.duplicate_epochs import Epochs
-from .gate import Gate
-from .gnss.lever_arm import LeverArmMonitor
-from ..inertial.standstill import Limits, limits_of
 
 ODOMETER_SILENT_NS = 2_000_000_000  # silence of the odometer in use after which another one is used
 
@@ -36,7 +34,7 @@ class Aids:
         self._zeros = ZeroSpeeds()  # of the odometer in use
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | SuspectedDelay | None = None  # newest delay, for filters that start later
+        self._delays: tuple[float, float] | None = None  # [s] of GNSS, found: for later filters
 
     def copy(self) -> "Aids":
         """Independent copy."""
@@ -46,19 +44,22 @@ class Aids:
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Start with a new filter and the comparison that gave its heading."""
-        if isinstance(self._delay, SuspectedDelay):
-            self._delay.begin(started)
-        elif self._delay is not None and not started.parameter(em.GNSS_DELAY):
-            self._delay.apply(started)
+        if self._delays is not None:
+            started.correct_delay(*self._delays, moved=False)  # it starts at a place that a corrected fix has given
         self.gate.restart(comparison)
         self.error_monitor = self.error_monitor.restarted(time_ns, started)
 
-    def keep(self, delay: FoundDelay | SuspectedDelay) -> None:
-        """Keep a found delay for filters that start later."""
-        self._delay = delay
-        if isinstance(delay, SuspectedDelay):
-            self.error_monitor = replace(self.error_monitor, delay_s=delay.left_s)
-            self.gate.lever_arm = LeverArmMonitor()  # what late fixes have shown is of the delay
+    def use_delay(self, corrected: tuple[float, float], left_s: float) -> None:
+        """Keep the delays of GNSS [s] by which stamps are corrected from now on, and what is left of a position's."""
+        self._delays = corrected
+        self.error_monitor = replace(self.error_monitor, delay_s=left_s)
+        self.gate.lever_arm = LeverArmMonitor()  # what late fixes have shown is of the delay
+
+    def heading_error(self, measurement: Measurement, navigation: ErrorStateFilter) -> tuple[float, float] | None:
+        """Turn that corrects the filter's heading where GNSS contradicts it, and its 1 σ [rad]; None if it does not."""
+        if isinstance(measurement, GnssPosition | GnssVelocity):
+            return self.gate.heading_error(measurement, navigation)
+        return None
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""

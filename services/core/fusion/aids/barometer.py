@@ -12,7 +12,7 @@ from shared.messages.navigation import AidingKind
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..settings import Settings
-from .base import Observation
+from .base import Kind, Observation
 
 PERIOD_NS = 1_000_000_000  # once a second is enough
 CORRELATION_S = 10.0  # of the pressure of the wind: successive readings are no independent evidence
@@ -49,7 +49,7 @@ def pressure_height(pressure_pa: float) -> float:
 
 
 @dataclass(frozen=True)
-class BarometricHeight:
+class BarometricHeight(Kind):
     """Height [m] in the standard atmosphere; its offset to the ellipsoid is a state of the filter."""
 
     time_ns: int

@@ -1,8 +1,8 @@
-"""Base of all measurements. A new kind is one file with one class that has these members."""
+"""Base of all measurements. A new kind is one file with one class, and one row where its message is converted."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from enum import Enum, auto
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,19 @@ from shared.messages.navigation import AidingKind
 
 from ..inertial.filter import ErrorStateFilter
 
+if TYPE_CHECKING:
+    from .dual_antenna import BaselineHeading
+    from .gnss.fix import GnssPosition, GnssVelocity
+
 FloatArray = npt.NDArray[np.float64]
+
+
+class Sensor(Enum):
+    """Sensor that a measurement is of, as far as it can be excluded."""
+
+    GNSS = auto()
+    ODOMETER = auto()
+    OTHER = auto()
 
 
 class Observation(NamedTuple):
@@ -24,8 +36,55 @@ class Observation(NamedTuple):
     unfit: str | None = None  # why it is published and not used
 
 
+class Start(Protocol):
+    """What a measurement can tell an alignment."""
+
+    def use_velocity(self, measurement: "GnssVelocity") -> None:
+        """Use a velocity for heading and initial velocity."""
+
+    def use_heading(self, measurement: "BaselineHeading", sd: float) -> None:
+        """Use the heading of two antennas with its standard deviation [rad]."""
+
+    def start_at(self, fix: "GnssPosition") -> ErrorStateFilter | None:
+        """Use a position; returns the filter if it can start."""
+
+
+class Kind:
+    """What a kind of measurement may override; a measurement of another kind does nothing of it."""
+
+    sensor: ClassVar[Sensor] = Sensor.OTHER
+    is_fix: ClassVar[bool] = False  # it is a position: counted, and after many rejected ones the filter is reset
+    epoch: ClassVar[bool] = False  # it is of an epoch of a receiver, which a fault-free fix may replace
+    left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
+
+    def implausible(self) -> str | None:
+        """Plausibility limit that it violates, or None."""
+        return None
+
+    def corrected(self, position_s: float, velocity_s: float) -> Self:
+        """At its time of validity, where positions and velocities of GNSS are late by these times [s]."""
+        return self
+
+    def without_height(self) -> Self:
+        """Without what it says of the height."""
+        return self
+
+    def align(self, start: Start) -> ErrorStateFilter | None:
+        """Tell an alignment what it measures; returns the filter if it can start."""
+        return None
+
+
 class Measurement(Protocol):
-    """Something that was measured at an instant."""
+    """Something that was measured at an instant; its class is a `Kind`."""
+
+    sensor: ClassVar[Sensor]
+    is_fix: ClassVar[bool]
+    epoch: ClassVar[bool]
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Satellites that a fault-free fix is without."""
+        ...
 
     @property
     def time_ns(self) -> int:
@@ -46,26 +105,21 @@ class Measurement(Protocol):
         """Functions that give its observations, each to be called after the one before has been used."""
         ...
 
+    def implausible(self) -> str | None:
+        """See `Kind`."""
+        ...
 
-@dataclass(frozen=True)
-class FilterEvent:
-    """An event in the order of the measurements that is none itself, such as a found delay."""
+    def corrected(self, position_s: float, velocity_s: float) -> Self:
+        """See `Kind`."""
+        ...
 
-    time_ns: int
+    def without_height(self) -> Self:
+        """See `Kind`."""
+        ...
 
-    @property
-    def received_ns(self) -> int:
-        """When it became known; not used."""
-        return self.time_ns
-
-    @property
-    def source(self) -> str:
-        """Process that found it."""
-        return "core.fusion"
-
-    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
-        """Nothing is measured."""
-        yield from ()
+    def align(self, start: Start) -> ErrorStateFilter | None:
+        """See `Kind`."""
+        ...
 
 
 class Height(NamedTuple):

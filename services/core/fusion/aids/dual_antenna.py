@@ -1,8 +1,9 @@
 """Heading of the line between two antennas, as a moving-base receiver measures it."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from math import atan2, cos, sin
+from dataclasses import dataclass, replace
+from math import atan2, cos, hypot, sin
+from typing import Self
 
 import numpy as np
 
@@ -13,12 +14,16 @@ from shared.messages.navigation import AidingKind
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.strapdown import rotate
-from .base import Observation
+from .base import Kind, Observation, Sensor, Start
+
+TILT_SD = 0.02  # [rad] error of a heading in the alignment by the tilt error
 
 
 @dataclass(frozen=True)
-class BaselineHeading:
+class BaselineHeading(Kind):
     """Direction [rad, clockwise from north] from the first to the second antenna; both lie level in the vehicle."""
+
+    sensor = Sensor.GNSS
 
     time_ns: int
     received_ns: int
@@ -26,6 +31,16 @@ class BaselineHeading:
     heading: float
     sd: float
     yaw_body: float  # [rad] direction of the same line against forward, clockwise
+    removed_s: float = 0.0  # of its age, in `time_ns`
+
+    def corrected(self, position_s: float, velocity_s: float) -> Self:
+        """As late as a position."""
+        shift_ns = round((position_s - self.removed_s) * 1e9)
+        return replace(self, time_ns=self.time_ns - shift_ns, removed_s=position_s)
+
+    def align(self, start: Start) -> None:
+        """Heading, whose error grows with that of the tilt."""
+        start.use_heading(self, hypot(self.sd, TILT_SD))
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Heading alone."""

@@ -8,13 +8,12 @@ from shared.maths.kalman import Correction
 from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
-from ..start.heading import Heading
-from .gnss.comparison import Comparison, Corrections
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from .base import Height, Measurement, Observation, Outcome
-from .gnss.fix import GnssPosition, GnssVelocity, antenna_velocity
 from ..settings import Settings
+from .base import Height, Measurement, Observation, Outcome
+from .gnss.comparison import Comparison, Corrections
+from .gnss.fix import GnssPosition, GnssVelocity, antenna_velocity
 from .gnss.lever_arm import FloatArray, LeverArmMonitor
 
 # Standard deviations [m, m/s] by which each rejected GNSS measurement inflates the covariance.
@@ -79,8 +78,10 @@ class Gate:
         self._status, self.corrections, self.lever_arm = {}, Corrections(), LeverArmMonitor()
         self.comparison = comparison
 
-    def heading_error(self, measurement: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
-        """Turn that corrects the filter's heading where GNSS contradicts it; None if it does not."""
+    def heading_error(
+        self, measurement: GnssPosition | GnssVelocity, navigation: ErrorStateFilter
+    ) -> tuple[float, float] | None:
+        """Turn that corrects the filter's heading where GNSS contradicts it, and its 1 σ [rad]; None if it does not."""
         corrections = self.corrections.at(measurement.time_ns)
         (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, measurement.lever_arm), navigation.velocity
         self.corrections = corrections._replace(yaw=0.0)
@@ -89,7 +90,7 @@ class Gate:
         if not self.comparison.is_wrong(measurement.time_ns):
             return None
         turn, sd = self.comparison.result()
-        return Heading(turn, max(sd, CORRECTED_HEADING_SD), "matched accelerations")
+        return turn, max(sd, CORRECTED_HEADING_SD)
 
     def use(self, navigation: ErrorStateFilter, measurement: Measurement, observation: Observation) -> Outcome:
         """Correct the filter by an observation whose NIS is within the gate, or up to `gating.robust_limit` times it.

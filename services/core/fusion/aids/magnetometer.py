@@ -13,7 +13,7 @@ from shared.messages.navigation import AidingKind
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.strapdown import rotate
-from .base import Observation
+from .base import Kind, Observation
 
 PERIOD_NS = 1_000_000_000
 CORRELATION_S = 20.0  # of the disturbance by iron that the vehicle passes: readings are no independent evidence
@@ -23,6 +23,7 @@ SECTORS = 8  # of the horizon
 JUDGED_SECTORS = 4  # in which it must have been judged: iron of the vehicle errs by the heading
 WORST = radians(10.0)  # mean error of a sector up to which a compass is one
 LEAST_SD = radians(2.0)
+STRONGEST_FIELD = 100.0  # plausible, times that of the Earth
 SHARE = 0.1  # weight of a new reading in the mean of its sector
 
 
@@ -55,7 +56,7 @@ class CompassCheck:
 
 
 @dataclass(frozen=True)
-class MagneticHeading:
+class MagneticHeading(Kind):
     """Magnetic field in body axes, in units of its strength where the magnetometer was calibrated."""
 
     time_ns: int
@@ -69,6 +70,10 @@ class MagneticHeading:
     def plausible(self) -> bool:
         """Whether it has about the strength of the Earth's field."""
         return STRENGTH[0] <= hypot(*self.field_b) <= STRENGTH[1]
+
+    def implausible(self) -> str | None:
+        """Limit of the field."""
+        return None if hypot(*self.field_b) < STRONGEST_FIELD else "implausible magnetic field"
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Heading alone."""

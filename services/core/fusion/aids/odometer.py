@@ -12,8 +12,9 @@ from shared.messages.navigation import AidingKind
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
+from ..inertial.propagation import FASTEST_M_S
 from ..settings import Settings
-from .base import Observation
+from .base import Kind, Observation, Sensor
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,8 +30,10 @@ SWAY_SD = 0.1  # [m/s] of a body on its springs, sideways and vertically, while 
 
 
 @dataclass(frozen=True)
-class WheelSpeed:
+class WheelSpeed(Kind):
     """Speed [m/s] with its step: of the wheels or some other speed of the vehicle, `exact` if of both rear wheels."""
+
+    sensor = Sensor.ODOMETER
 
     time_ns: int
     received_ns: int
@@ -40,8 +43,12 @@ class WheelSpeed:
     of_wheels: bool
     exact: bool
     settings: Settings
-    removed_s: float = 0.0  # of its age, in `time_ns`
     doubt: str | None = None  # why a speed of zero may be no standstill
+
+    def implausible(self) -> str | None:
+        """Limit of speeds."""
+        fast = not (abs(self.speed) < FASTEST_M_S and abs(self.resolution) < FASTEST_M_S)
+        return "implausible speed" if fast else None
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Speed alone."""
@@ -55,13 +62,9 @@ class WheelSpeed:
         s² (1 - tanh²). One below zero has a sign.
         """
         ahead, H = _axle(navigation, self.settings)
-        scale, left_s = 1.0 + navigation.parameter(em.ODOMETER_SCALE), navigation.parameter(em.ODOMETER_DELAY)
-        left_s -= self.removed_s
-        gain = float((navigation.vehicle_from_body @ navigation.ned_from_body.T)[0] @ navigation.smoothed_acceleration)
-        forward = float(ahead[0]) - left_s * gain
+        scale, forward = 1.0 + navigation.parameter(em.ODOMETER_SCALE), float(ahead[0])
         H = scale * H[:1]
         H[0, em.ODOMETER_SCALE] = -forward
-        H[0, em.ODOMETER_DELAY] = scale * gain
         predicted, speed, variance = scale * forward, self.speed, self._variance(navigation)
         if speed > 0.0:
             direction = tanh(speed * predicted / (float(H[0] @ navigation.P @ H[0]) + variance))
@@ -96,7 +99,7 @@ class WheelSpeed:
 
 
 @dataclass(frozen=True)
-class NonHolonomic:
+class NonHolonomic(Kind):
     """Non-holonomic constraint: at this instant the rear axle moves neither sideways nor down."""
 
     time_ns: int

@@ -9,10 +9,10 @@ from shared.maths.earth import earth_rate_n
 from shared.maths.rotation import Vector
 from shared.messages.navigation import AidingKind
 
-from ..start.heading import STANDSTILL_RATE_SD
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from .base import Observation
+from ..inertial.standstill import STANDSTILL_RATE_SD
+from .base import Kind, Observation
 
 PERIOD_S = 0.1
 VELOCITY_SD = 0.02  # [m/s]
@@ -21,7 +21,7 @@ SETTLING_S = 10.0  # for which beside it an error of `STANDSTILL_RATE_SD` is cor
 
 
 @dataclass(frozen=True)
-class Standstill:
+class Standstill(Kind):
     """The vehicle stands still at this instant; `rate` is the mean [rad/s, body; bias removed] of the last period."""
 
     time_ns: int

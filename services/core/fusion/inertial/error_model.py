@@ -36,13 +36,9 @@ SCALES = slice(15, 21)  # accelerometers and gyroscopes
 ODOMETER_SCALE = 21  # [-]
 MOUNTING = slice(22, 24)  # [rad] pitch, yaw
 GNSS_ERROR = slice(24, 27)  # [-] time-correlated error of GNSS positions over its standard deviation
-GNSS_DELAY = 27  # [s] age of GNSS at its stamp
-ODOMETER_DELAY = 28  # [s]
-BAROMETER_OFFSET = 29  # [m] of barometric height
-GNSS_VELOCITY_DELAY = 30  # [s] delay of GNSS velocity beyond that of GNSS position
-GNSS_VELOCITY_ERROR = slice(31, 34)  # [m/s, NED] time-correlated error of GNSS velocities
-DELAYS = np.array([GNSS_DELAY, ODOMETER_DELAY, GNSS_VELOCITY_DELAY])
-SIZE = 34
+BAROMETER_OFFSET = 27  # [m] of barometric height
+GNSS_VELOCITY_ERROR = slice(28, 31)  # [m/s, NED] time-correlated error of GNSS velocities
+SIZE = 31
 MOVING = 9  # number of states whose derivative F gives: attitude, velocity, position
 DRIVING = 21  # number of states on which that derivative depends: these and the errors of the IMU
 PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
@@ -76,7 +72,7 @@ def system_matrix(
 
     Returns
     -------
-    ndarray, shape (34, 34)
+    ndarray, shape (31, 31)
         [1/s and mixed]
 
     Notes
@@ -188,7 +184,7 @@ def system_matrix(
 def transition_matrix(
     F: FloatArray, step_s: float, gnss_correlation_s: float = inf, velocity_correlation_s: float = inf
 ) -> FloatArray:
-    """Transition matrix Phi, shape (34, 34), of a short step: I + F t.
+    """Transition matrix Phi, shape (31, 31), of a short step: I + F t.
 
     The time-correlated errors of GNSS positions and velocities decay by exp(-t/T), exact for any step: no other state
     acts on them.
@@ -210,7 +206,7 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 
     Returns
     -------
-    ndarray, shape (34,)
+    ndarray, shape (31,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -231,7 +227,7 @@ def process_noise(
 
     Parameters
     ----------
-    psd : ndarray, shape (34,)
+    psd : ndarray, shape (31,)
         [unit²/s] See `process_noise_psd`.
     attitude_psd, velocity_psd : float
         [rad²/s], [m²/s³] Least densities of attitude and velocity, from the measured vibration.
@@ -242,7 +238,7 @@ def process_noise(
 
     Returns
     -------
-    ndarray, shape (34,)
+    ndarray, shape (31,)
         [unit²]
 
     References
@@ -289,7 +285,7 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
     Returns
     -------
     tuple of ndarray
-        Shapes (34, 34), (34, 34) and (34,).
+        Shapes (31, 31), (31, 31) and (31,).
     """
     (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
     force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)
@@ -301,7 +297,7 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 34), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 31), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
     H[:, POSITION] = -UNIT
@@ -322,7 +318,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 34)
+    ndarray, shape (3, 31)
         The term of the Earth's rate in the prediction is neglected.
 
     Notes
@@ -362,7 +358,7 @@ def axle_velocity_matrix(
 
     Returns
     -------
-    ndarray, shape (3, 34)
+    ndarray, shape (3, 31)
         Rows forward, right, down. The roll of the mounting is zero: it is not observable.
 
     Notes

@@ -16,16 +16,26 @@ from ..aids.gnss import velocity_errors as gnss_velocity_errors
 from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
-from .standstill import Limits
 from . import error_model as em
-from .propagation import SMOOTHING_S, ZERO, ImuErrors, Intervals, Samples, Stop, implausible, initial_state, propagate, propagate_arrays
+from .propagation import (
+    SMOOTHING_S,
+    ZERO,
+    ImuErrors,
+    Intervals,
+    Samples,
+    Stop,
+    implausible,
+    initial_state,
+    propagate,
+    propagate_arrays,
+)
+from .standstill import Limits
 from .strapdown import InertialState, corrected, local_earth
 
 FloatArray = npt.NDArray[np.float64]
 
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
-DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
 SCATTER = 0.25  # [-] of delays that are found
 UNCERTAIN_SHARE = 0.5  # [-] of the way in a delay that has just been found
 NO_ERRORS = ImuErrors()
@@ -65,7 +75,7 @@ class Late(NamedTuple):
 
 
 class ErrorStateFilter:
-    """The state, and the covariance of its 34 errors; estimated errors are subtracted from the state at once.
+    """The state, and the covariance of its 31 errors; estimated errors are subtracted from the state at once.
 
     A state that is not estimated has neither variance nor noise, and keeps its value. Nothing is changed in place, so
     that `copy.copy` gives an independent filter.
@@ -76,7 +86,7 @@ class ErrorStateFilter:
         Noise densities and initial standard deviations.
     inertial : InertialState
         Attitude, velocity and position at the start.
-    P : ndarray, shape (34, 34)
+    P : ndarray, shape (31, 31)
         Covariance at the start, in the order of `error_model`.
     imu : ImuErrors
         Estimated biases and scale factors at the start.
@@ -113,7 +123,6 @@ class ErrorStateFilter:
             (em.GYROSCOPE_BIAS, settings.imu.gyroscope_bias_psd_rad2_s3),
             (em.ODOMETER_SCALE, SCALE_PSD),
             (em.MOUNTING, MOUNTING_PSD),
-            (em.DELAYS, DELAY_PSD if settings.estimate_delays else 0.0),
             (
                 em.BAROMETER_OFFSET,
                 settings.barometer.offset_random_walk_m_sqrt_s**2 if settings.barometer.enabled else 0.0,
@@ -276,21 +285,19 @@ class ErrorStateFilter:
         self.P = rescaled(self.P, place, ratios)
         self._set_parameters(place, self.gnss_error / ratios)
 
-    def correct_delay(self, position_s: float, velocity_s: float) -> None:
-        """Take fixes to be older than their stamps from now on, and go the way that they were behind.
+    def correct_delay(self, position_s: float, velocity_s: float, *, moved: bool = True) -> None:
+        """Take fixes to be older than their stamps from now on, and go the way that they were behind, if `moved`.
 
         What is left of the way is allowed for by a half of it: a delay that is found scatters, and the vehicle did not
         keep its velocity in it.
         """
-        more_s = position_s - self.parameter(em.GNSS_DELAY)
+        more_s = position_s - (self.late.position_s if self.late is not None else 0.0)
         self.propagate_covariance()
-        self.set_parameter(em.GNSS_DELAY, position_s, 0.0)
-        self.set_parameter(em.GNSS_VELOCITY_DELAY, velocity_s - position_s, 0.0)
         self.late = Late(position_s, velocity_s, self.velocity) if position_s or velocity_s else None
         north, east, down = (more_s * part for part in self.velocity)
-        self.inertial = self.inertial._replace(
-            position=geodetic_from_ned_difference((north, east, down), self.position)
-        )
+        if moved:
+            place = geodetic_from_ned_difference((north, east, down), self.position)
+            self.inertial = self.inertial._replace(position=place)
         self.inflate_along(em.POSITION, UNCERTAIN_SHARE * np.array([north, east, down]))
 
     def _lag(self, late: Late, span_s: float) -> None:
@@ -365,7 +372,7 @@ class ErrorStateFilter:
             self.recorder.record_correction(self.time_ns, correction)
 
     def subtract_errors(self, errors: FloatArray, P: FloatArray) -> None:
-        """Subtract errors x, shape (34,), from the state, true = estimated - x, and set the covariance P after it."""
+        """Subtract errors x, shape (31,), from the state, true = estimated - x, and set the covariance P after it."""
         x: list[float] = errors.tolist()
         self.P = P
         self.position_correction = minus(self.position_correction, x[em.POSITION])

@@ -1,7 +1,7 @@
 """Estimates the state of the IMU clock from the stamps of rejected samples."""
 
+from .imu_gaps import LONGEST_BRIDGED_S
 from .propagation import GAP_S
-from ..timeline.engine import LONGEST_BRIDGED_S
 
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 REJECTED_LIMIT = 100  # successive samples that do not follow, after which it is the clock that was set

@@ -1,14 +1,15 @@
 """Inflates the covariance for gaps in the IMU samples, and for suspect samples."""
 
-from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
 from . import error_model as em
 from .filter import ErrorStateFilter
-from ..aids.base import FilterEvent
 
+# A step longer than `propagation.GAP_S` is a gap: the state is propagated over it, and the covariance is inflated.
+LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases are kept
+LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
 FORCE_SD = 2.0  # [m/s²] unmeasured acceleration of a car in a gap
 RATE_SD = 0.3  # [rad/s] unmeasured rate
 SUSPECT_PERIOD_S = 0.1  # between two inflations for suspect samples
@@ -21,16 +22,10 @@ def inflate_for_gap(navigation: ErrorStateFilter, span_s: float) -> None:
     navigation.inflate(attitude_sd=rate_sd, velocity_sd=force_sd, position_sd=0.5 * force_sd * span_s)
 
 
-@dataclass(frozen=True)
-class LostTime(FilterEvent):
-    """Samples of the time `span_s` [s] before this instant were rejected."""
-
-    span_s: float
-
-    def apply(self, navigation: ErrorStateFilter) -> None:
-        """Inflate the covariance as for a gap, and the position by the distance driven in that time."""
-        inflate_for_gap(navigation, self.span_s)
-        navigation.inflate_along(em.POSITION, np.multiply(navigation.velocity, self.span_s))
+def inflate_for_lost_time(navigation: ErrorStateFilter, span_s: float) -> None:
+    """Inflate the covariance as for a gap, and the position by the distance driven in that time [s]."""
+    inflate_for_gap(navigation, span_s)
+    navigation.inflate_along(em.POSITION, np.multiply(navigation.velocity, span_s))
 
 
 def inflate_for_suspect_samples(navigation: ErrorStateFilter, span_s: float) -> None:

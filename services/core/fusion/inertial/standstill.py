@@ -26,6 +26,7 @@ DRIVING_M_S = 1.0  # speed above which the detector is reset
 SPEED_SDS = 3.0  # standard deviations of the velocity within which it may be zero
 TILT_ACCELERATION_LIMIT = 0.2  # [m/s²] gravity times a tilt error of 1.2 degrees
 SMOOTHING_S = 0.25  # time constant of the low-pass: single samples of an idling engine exceed both limits
+STANDSTILL_RATE_SD = 2e-4  # [rad/s] of the mean rate over a standstill of a few seconds
 SLOWEST_PACE = QUIET_S / UNCERTAIN_QUIET_S
 
 

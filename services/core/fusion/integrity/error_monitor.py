@@ -8,9 +8,9 @@ from math import hypot, sqrt
 from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
+from ..aids.base import Outcome
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from ..aids.base import Outcome
 from .disagreement import CLOSURE_SDS, GREW_RATIO, NONE, NOTHING, STILL, Disagreement, Pair, Vector
 from .innovation_statistics import ESTIMATED, UNKNOWN, InnovationStatistics
 

@@ -53,8 +53,6 @@ class SetUpSpread:
             [s] Delay that is left, by the check.
         """
         arm_m, delay_s = assumed_arm_sd_m(settings.gnss), assumed_delay_sd_s(settings.gnss)
-        if settings.estimate_delays:
-            delay_s = 0.0  # the covariance holds it
         return cls(_replaced(arm_m, arm), arm_m, _replaced(delay_s, delay))
 
 

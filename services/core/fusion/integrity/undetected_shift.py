@@ -9,9 +9,9 @@ import numpy.typing as npt
 from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
+from ..aids.base import Outcome
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from ..aids.base import Outcome
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class UndetectedShift:
         ----------
         outcome : Outcome
             Of the measurement.
-        before, now : ndarray, shape (34, 34)
+        before, now : ndarray, shape (31, 31)
             Covariance of the filter before and after it.
         gate : tuple of float
             False-alarm probability of the gate, and the multiple of its limit up to which a measurement is used.

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from shared.maths.rotation import Vector
 
-from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..aids.base import Measurement
+from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..settings import Settings
 from . import axes, receiver
 from .delay import check_delay, lag_of, lag_of_positions

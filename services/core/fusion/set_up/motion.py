@@ -11,10 +11,10 @@ import numpy.typing as npt
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import Vector
 
-from ..inertial.propagation import GAP_S
 from ..aids.base import Measurement
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
 from ..aids.odometer import WheelSpeed
+from ..inertial.propagation import GAP_S
 
 FloatArray = npt.NDArray[np.float64]
 

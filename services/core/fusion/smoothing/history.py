@@ -36,7 +36,7 @@ class Step(NamedTuple):
 
     @property
     def transition(self) -> FloatArray:
-        """Matrix Phi, shape (34, 34)."""
+        """Matrix Phi, shape (31, 31)."""
         Phi = np.eye(em.SIZE)
         Phi[: em.MOVING, : em.DRIVING] += self.Ft
         Phi[em.GNSS_ERROR, em.GNSS_ERROR] *= self.decays[0]

@@ -10,19 +10,29 @@ from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
 from shared.messages.navigation import NavigationPhase
 
+from ..aids.dual_antenna import BaselineHeading
+from ..aids.gnss.comparison import STANDSTILL_OFFSET_SD, Comparison
+from ..aids.gnss.fix import GnssPosition, GnssVelocity
+from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.propagation import ImuErrors
+from ..inertial.standstill import STANDSTILL_RATE_SD
 from ..inertial.strapdown import InertialState, rotate
-from ..aids.dual_antenna import BaselineHeading
-from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
-from .heading import STANDSTILL_RATE_SD, Heading, Motion, Prior, drift_sd, forwards_or_backwards, heading_of_accelerations, heading_of_motion, saved_heading
+from .heading import (
+    Heading,
+    Motion,
+    Prior,
+    drift_sd,
+    forwards_or_backwards,
+    heading_of_accelerations,
+    heading_of_motion,
+    saved_heading,
+)
 from .initial_position import FirstPlace, first_place
 from .levelling import MOVING_M_S, Levelling, standstill_gyroscope_bias
 from .track_matching import Point, moved_m_s, track
-from ..aids.gnss.comparison import STANDSTILL_OFFSET_SD, Comparison
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,10 +41,8 @@ TRACK_S = 5.0  # longest span of the positions that give a course
 MOTION_AGE_S = 0.5  # largest age of a velocity that is used with a fix
 STANDSTILL_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] error of the rate that makes the lever-arm velocity
-DELAY_SD = (0.1, 0.1, 0.1)  # [s] of GNSS, of the odometer, and of GNSS velocity beyond that of its position
 UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
 BASELINE_AGE_S = 2.0  # largest age of a two-antenna heading that is used with a fix
-BASELINE_TILT_SD = 0.02  # [rad] error of that heading by the tilt error
 
 
 class Alignment:
@@ -62,7 +70,7 @@ class Alignment:
         first: bool = True,
     ) -> None:
         self.method = ""  # of the heading that started the filter
-        self.has_fix = False
+        self.first_fix: GnssPosition | None = None
         self._settings = settings
         self._lost = None if kept and kept.turn else lost
         self._saved: Prior | None = None
@@ -97,7 +105,7 @@ class Alignment:
         """Phase of the alignment."""
         if not self.levelling.ready:
             return NavigationPhase.LEVELLING
-        return NavigationPhase.WAITING_FOR_HEADING if self.has_fix else NavigationPhase.WAITING_FOR_GNSS
+        return NavigationPhase.WAITING_FOR_GNSS if self.first_fix is None else NavigationPhase.WAITING_FOR_HEADING
 
     @property
     def reason(self) -> str:
@@ -120,16 +128,16 @@ class Alignment:
         self._compare(measurement, arm_velocity)
         self._set_motion(Motion(measurement.time_ns, measurement.velocity, sd, arm_velocity))
 
-    def use_heading(self, measurement: BaselineHeading) -> None:
-        """Use the heading of two antennas."""
+    def use_heading(self, measurement: BaselineHeading, sd: float) -> None:
+        """Use the heading of two antennas with its standard deviation [rad]."""
         turn = measurement.turn_from(self.levelling.quaternion)
-        self._baseline = measurement.time_ns, Heading(turn, hypot(measurement.sd, BASELINE_TILT_SD), "two antennas")
+        self._baseline = measurement.time_ns, Heading(turn, sd, "two antennas")
 
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
         """Use a position; returns the filter if attitude and velocity are known, otherwise None."""
-        if self._from_zero and not self.has_fix:
+        if self._from_zero and self.first_fix is None:
             self._zero_ns = fix.time_ns
-        self.has_fix = True
+        self.first_fix = self.first_fix or fix
         self._add_to_track(fix)
         self._compare(fix, self._lever_arm_velocity())
         self._standstill_fixes = (*self._standstill_fixes[-99:], fix) if self.levelling.is_stationary else ()
@@ -258,7 +266,6 @@ class Alignment:
         sd[em.ODOMETER_SCALE] = self._settings.odometer.scale_sd
         sd[em.MOUNTING] = self._settings.non_holonomic.mounting_sd_rad
         sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer.enabled else 0.0
-        sd[em.DELAYS] = DELAY_SD if self._settings.estimate_delays else 0.0
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:

@@ -7,14 +7,14 @@ from typing import NamedTuple
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference, wrap_angle
 from shared.maths.rotation import Vector
 
+from ..aids.gnss.comparison import MEMORY_S, Comparison
 from ..aids.gnss.fix import GnssPosition
+from ..inertial.standstill import STANDSTILL_RATE_SD
 from ..settings import Settings
 from .levelling import Levelling
-from ..aids.gnss.comparison import MEMORY_S, Comparison
 
 MATCH_S = 20.0  # longest time since a standstill after which the velocity gained is matched with that of GNSS
 MATCH_ACCELERATION_SD = 0.05  # [m/s²] drift of that velocity, by tilt
-STANDSTILL_RATE_SD = 2e-4  # [rad/s] of the mean rate over a standstill of a few seconds
 SAVED_YAW_SD_FLOOR = radians(0.5)
 SAVED_YAW_SD_LIMIT = radians(30.0)  # largest standard deviation of a saved heading that is used
 MOVED_M = 20.0  # distance of the first fix from the saved position above which the vehicle was moved

@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 from shared.maths.earth import ned_from_geodetic_difference
 
-from ..inertial.propagation import FASTEST_M_S, ZERO
+from ..aids.gnss.comparison import GAIN, LARGEST_JITTER_M
 from ..aids.gnss.fix import GnssPosition
+from ..inertial.propagation import FASTEST_M_S, ZERO
 from ..settings import Settings
 from .heading import COURSE, MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
-from ..aids.gnss.comparison import GAIN, LARGEST_JITTER_M
 
 SHORTEST_M = 2.0  # shortest track that gives a heading
 LARGEST_TURN_SD = 0.1  # [rad] of a heading

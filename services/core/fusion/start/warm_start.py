@@ -21,17 +21,17 @@ from shared.maths.rotation import Vector
 
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
+from ..inertial.imu_faults import Sample, credible, mean
 from ..inertial.propagation import ZERO, ImuErrors, Intervals, implausible, initial_state, samples_of
+from ..inertial.standstill import CERTAIN, UNSETTLED
 from ..inertial.strapdown import InertialState
 from ..integrity.disagreement import NOTHING, Disagreement
-from ..inertial.imu_faults import Sample, credible, mean
 from ..settings import Settings
-from ..inertial.standstill import CERTAIN, UNSETTLED
 from .alignment import gnss_error_model
 
 FloatArray = npt.NDArray[np.float64]
 
-LAYOUT = 3  # version of the saved state; increased when the meaning of its elements changes
+LAYOUT = 4  # version of the saved state; increased when the meaning of its elements changes
 LONGEST_GAP_S = 5.0
 STEP_S = 0.05  # of the propagation over the gap
 # Unmeasured motion: power spectral densities of the noise that drives the random walks,
@@ -114,7 +114,7 @@ def fault(saved: SavedState, time_ns: int) -> str | None:
 
 
 def covariance_of(saved: SavedState) -> FloatArray:
-    """Covariance of a saved state, shape (34, 34)."""
+    """Covariance of a saved state, shape (31, 31)."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[UPPER] = saved.covariance
     return P + np.triu(P, 1).T
@@ -187,7 +187,7 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
 
 
 def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
-    """Covariance added over a time [s] without samples, shape (34, 34).
+    """Covariance added over a time [s] without samples, shape (31, 31).
 
     Notes
     -----

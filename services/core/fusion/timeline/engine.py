@@ -13,37 +13,37 @@ from shared.errors import FilterDiverged
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
 
-from ..start.alignment import Alignment
-from ..start.heading import Heading, Prior
-from ..aids.gnss.comparison import Comparison
-from ..start.warm_start import SavedState, restored
-from ..inertial.filter import ErrorStateFilter
-from ..inertial.propagation import Intervals, Samples, Stop, samples_of
-from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
-from ..aids import odometer, zero_velocity as zupt
+from ..aids import odometer
+from ..aids import zero_velocity as zupt
+from ..aids.aiding import Aids
 from ..aids.base import Counts, Measurement, Outcome
-from ..aids.dual_antenna import BaselineHeading
-from ..aids.gnss.fix import GnssPosition, GnssVelocity
+from ..aids.gnss.comparison import Comparison
+from ..aids.gnss.fix import GnssPosition
 from ..aids.odometer import NonHolonomic
 from ..aids.zero_velocity import Standstill
+from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, mean
+from ..inertial.imu_gaps import (
+    LONGEST_ATTITUDE_S,
+    LONGEST_BRIDGED_S,
+    SUSPECT_PERIOD_S,
+    inflate_for_gap,
+    inflate_for_suspect_samples,
+)
+from ..inertial.propagation import Intervals, Samples, Stop, samples_of
+from ..inertial.standstill import is_standstill
+from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
-from .delays import FoundDelay, SuspectedDelay
-from ..aids.aiding import Aids
-from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, Held, OdometerExclusion
-from ..aids.gnss.heights import WrongHeights
-from ..inertial.imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
-from ..inertial.standstill import is_standstill
+from ..start.alignment import Alignment
+from ..start.heading import Heading, Prior
+from ..start.warm_start import SavedState, restored
+from .events import Event
+from .exclusion import Exclusions
 
-# A step longer than `propagation.GAP_S` is a gap: the state is propagated over it, and the covariance is inflated.
-LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases are kept
-LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
 KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
-BEFORE_ALL_NS = -(2**64)
+BEFORE_ALL_NS = -(2**62)
 PARKED_M_S, PARKED_S = 0.5, 3.0  # a vehicle that moves within this time of its first fix may have left its place
-# Events, which are no measurements.
-Event = FoundDelay | SuspectedDelay | LostTime | WrongHeights | GnssExcluded | GnssReadmitted | OdometerExclusion | Held
 
 
 class Engine:
@@ -63,7 +63,7 @@ class Engine:
 
     def __init__(self, settings: Settings, counts: Counts | None = None, lost_reason: str = "") -> None:
         self._settings = settings
-        self._coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
+        self.coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
         self._intervals = Intervals(
             settings.covariance_period_s,
             zupt.PERIOD_S if settings.standstill.enabled else inf,
@@ -78,7 +78,6 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.started_ns: int | None = None  # of the filter
         self._prior: Prior | None = None  # until the first position has been compared with it
-        self._first: GnssPosition | None = None  # position, until a filter starts
         self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
         self._alignment: Alignment | None = Alignment(settings, first=not lost_reason)
         self._saved: SavedState | None = None  # to be restored with the first sample
@@ -93,6 +92,14 @@ class Engine:
         made = copy(self)
         made.filter, made.aids = copy(self.filter), self.aids.copy()
         made._alignment = self._alignment.copy() if self._alignment else None
+        return made
+
+    def unrecorded(self) -> "Engine":
+        """Independent copy without a history for the smoother."""
+        made = self.copy()
+        made.recorder = None
+        if made.filter is not None:
+            made.filter.recorder = None
         return made
 
     def use_prior(self, prior: Prior) -> None:
@@ -122,7 +129,9 @@ class Engine:
             return is_standstill(self.filter.state.quiet)
         return self._alignment is not None and self._alignment.levelling.is_stationary
 
-    def process(self, samples: Samples, measurements: Sequence[Measurement]) -> list[Outcome]:
+    def process(
+        self, samples: Samples, measurements: Sequence[Measurement], intervals: Intervals | None = None
+    ) -> list[Outcome]:
         """Propagate over samples, and use the measurements up to the last of them at their stamps.
 
         Parameters
@@ -132,6 +141,8 @@ class Engine:
         measurements : sequence of Measurement
             Measurements in the order of their stamps. Those older than the state are left out: they are of a gap that
             ended the solution.
+        intervals : Intervals, optional
+            Other intervals of the updates than those of the settings.
 
         Returns
         -------
@@ -145,7 +156,7 @@ class Engine:
             self._enter(NavigationPhase.LEVELLING, self.last.time_ns, reason)
             if self._saved is not None:
                 self._start_warm(self._saved, self.last)
-        return self._process(samples, begin, measurements, self._intervals)
+        return self._process(samples, begin, measurements, intervals or self._intervals)
 
     def _process(
         self, samples: Samples, here: int, measurements: Sequence[Measurement], intervals: Intervals
@@ -156,7 +167,7 @@ class Engine:
             time_ns = times_ns[here]
             if (time_ns - self.time_ns) * 1e-9 > intervals.gap_s:
                 until = bisect_right(measurements, time_ns, due, key=lambda m: m.time_ns)
-                outcomes += self._bridge(_sample(samples, here), measurements[due:until])
+                outcomes += self._bridge(_sample(samples, here), measurements[due:until], intervals)
                 here, due = here + 1, until
             elif due < len(measurements) and measurements[due].time_ns <= time_ns:
                 outcomes += self._use_within(samples, here, measurements[due], intervals)
@@ -192,7 +203,7 @@ class Engine:
             self.last = Sample(navigation.time_ns, navigation.state.force, navigation.state.rate)
         match stop:
             case Stop.COVARIANCE_DUE:
-                self._try(ErrorStateFilter.propagate_covariance)
+                self.attempt(ErrorStateFilter.propagate_covariance)
             case Stop.ZERO_VELOCITY_DUE:
                 (x, y, z), span_s = navigation.state.standstill_rotation_b, navigation.state.standstill_s
                 navigation.begin_standstill()
@@ -217,7 +228,7 @@ class Engine:
         if faults:
             end = begin + 1 if begin in faults else min((k for k in faults if begin < k < end), default=end)
         if self.phase is not NavigationPhase.COASTING:
-            coasting_ns = (self.accepted_ns or 0) + self._coasting_ns
+            coasting_ns = (self.accepted_ns or 0) + self.coasting_ns
             end = min(end, bisect_right(samples.times_ns, coasting_ns, begin, end) + 1)
         return end
 
@@ -230,7 +241,7 @@ class Engine:
             self.last = sample
             self._update_phase()
 
-    def _bridge(self, sample: Sample, measurements: Sequence[Measurement]) -> list[Outcome]:
+    def _bridge(self, sample: Sample, measurements: Sequence[Measurement], intervals: Intervals) -> list[Outcome]:
         """Propagate over a gap before a sample with the mean of its two ends, or end the solution."""
         assert self.last is not None
         gap_s = (sample.time_ns - self.time_ns) * 1e-9
@@ -240,11 +251,11 @@ class Engine:
             self.last = sample
             self._end_solution(f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
             return []
-        self._try(partial(inflate_for_gap, span_s=gap_s))
+        self.attempt(partial(inflate_for_gap, span_s=gap_s))
         row = *mean(self.last.force, sample.force), *mean(self.last.rate, sample.rate)
         bridge = samples_of([sample.time_ns], [row], {0: sample.fault} if sample.fault else {})
-        outcomes = self._process(bridge, 0, measurements, self._intervals._replace(gap_s=inf))
-        self._try(ErrorStateFilter.propagate_covariance)
+        outcomes = self._process(bridge, 0, measurements, intervals._replace(gap_s=inf))
+        self.attempt(ErrorStateFilter.propagate_covariance)
         self.last = sample
         return outcomes
 
@@ -254,10 +265,10 @@ class Engine:
         if self.filter is None or self._suspect_s < SUSPECT_PERIOD_S - 1e-3:
             return
         self.aids.gate.comparison = Comparison()  # its accelerations would be wrong
-        self._try(partial(inflate_for_suspect_samples, span_s=self._suspect_s))
+        self.attempt(partial(inflate_for_suspect_samples, span_s=self._suspect_s))
         self._suspect_s = 0.0
 
-    def _try(self, act: Callable[[ErrorStateFilter], None]) -> None:
+    def attempt(self, act: Callable[[ErrorStateFilter], None]) -> None:
         """Apply a function to the filter, if there is one, and reset the filter if it diverges."""
         try:
             if self.filter is not None:
@@ -268,7 +279,7 @@ class Engine:
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
         if isinstance(measurement, Event):
-            self._apply(measurement)
+            measurement.apply(self)
             return []
         if (reason := self.exclusions.reason(measurement)) is not None:
             return self._use_excluded(measurement, reason)
@@ -284,7 +295,7 @@ class Engine:
                 outcomes.append(outcome)
                 if outcome.used and outcome.kind is AidingKind.ODOMETER:
                     self._odometer_ns = outcome.time_ns
-                if isinstance(measurement, GnssPosition):
+                if measurement.is_fix:
                     self._count_position(outcome, measurement.left_out)
         except FilterDiverged as error:
             self._reset(str(error), kept=None)
@@ -293,26 +304,9 @@ class Engine:
             self._align(measurement)
         return outcomes
 
-    def _apply(self, event: Event) -> None:
-        """Apply an event that is no measurement.
-
-        The scale of an excluded odometer is reset. The covariance of a state that contains suspect GNSS is inflated by
-        its largest effect.
-        """
-        if isinstance(event, Held):
-            self.aids.error_monitor = replace(self.aids.error_monitor, held=event.disagreement)
-            return
-        if isinstance(event, FoundDelay | SuspectedDelay | LostTime | WrongHeights):
-            if isinstance(event, FoundDelay | SuspectedDelay):
-                self.aids.keep(event)
-            self._try(event.apply)
-            return
-        begins = isinstance(event, OdometerExclusion) and event.excluded and not self.exclusions.odometer
-        self.exclusions = self.exclusions.after(event)
-        if begins:
-            self._try(ErrorStateFilter.reset_odometer_scale)
-        if isinstance(event, GnssExcluded) and event.contaminated_s > 0.0:
-            self._try(partial(self.aids.undetected_shift.inflate, span_s=event.contaminated_s))
+    def hold(self, disagreement: Disagreement) -> None:
+        """Let the level hold a disagreement."""
+        self.aids.error_monitor = replace(self.aids.error_monitor, held=disagreement)
 
     def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
         """Compare a measurement of an excluded source with the filter, without using it."""
@@ -322,18 +316,17 @@ class Engine:
                 outcomes = list(self.aids.test_only(self.filter, measurement, reason))
         except FilterDiverged as error:
             self._reset(str(error), kept=None)
-        if isinstance(measurement, GnssPosition):
+        if measurement.is_fix:
             ratio = outcomes[0].test_ratio if outcomes else None
             self.exclusions = replace(self.exclusions, fixes=self.exclusions.fixes + 1, test_ratio=ratio)
         return outcomes
 
     def _is_heading_wrong(self, measurement: Measurement, navigation: ErrorStateFilter) -> bool:
         """Compare the heading with GNSS, and reset a filter whose heading it cannot correct."""
-        if not isinstance(measurement, GnssPosition | GnssVelocity):
+        error = self.aids.heading_error(measurement, navigation)
+        if error is None:
             return False
-        kept = self.aids.gate.heading_error(measurement, navigation)
-        if kept is None:
-            return False
+        kept = Heading(*error, "matched accelerations")
         self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
         return True
 
@@ -360,9 +353,7 @@ class Engine:
         far = hypot(z[0], z[1]) > spread[0] / sqrt(2.0), len(z) == 3 and abs(z[2]) > spread[1]
         if any(far):
             vector = (*((z[0], z[1]) if far[0] else (0.0, 0.0)), z[2] if far[1] else 0.0)
-            monitor = self.aids.error_monitor
-            held = monitor.held.after(vector, spread, outcome.time_ns, grew=True)
-            self.aids.error_monitor = replace(monitor, held=held)
+            self.hold(self.aids.error_monitor.held.after(vector, spread, outcome.time_ns, grew=True))
 
     def _is_reset_due(self, time_ns: int) -> bool:
         """Whether enough consecutive positions were rejected for long enough."""
@@ -372,13 +363,7 @@ class Engine:
     def _align(self, measurement: Measurement) -> None:
         """Use a measurement in the alignment, and start the filter when it is complete."""
         assert self._alignment is not None
-        if isinstance(measurement, GnssPosition) and self._first is None:
-            self._first = measurement
-        if isinstance(measurement, GnssVelocity):
-            self._alignment.use_velocity(measurement)
-        elif isinstance(measurement, BaselineHeading):
-            self._alignment.use_heading(measurement)
-        started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
+        started = measurement.align(self._alignment)
         if started is None:
             return
         reason = self._with_loss(self._alignment.method)
@@ -409,11 +394,12 @@ class Engine:
         """Continue with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
         self.started_ns = time_ns
-        if self._prior is not None and self._first is not None:
-            aside = self._aside(self._first, self._prior, started)
+        first = self._alignment.first_fix if self._alignment is not None else None
+        if self._prior is not None and first is not None:
+            aside = self._aside(first, self._prior, started)
             if aside.is_open:
-                self.aids.error_monitor = replace(self.aids.error_monitor, held=aside)
-        self._prior = self._first = None
+                self.hold(aside)
+        self._prior = None
         self.filter, self._alignment, self._lost_reason, self._rejections = started, None, "", 0
         if self.recorder is not None:
             self.recorder.start(started)
@@ -428,8 +414,8 @@ class Engine:
         self._start(started, time_ns, Comparison())
         self.accepted_ns = saved.accepted_ns
         self.exclusions = replace(self.exclusions, gnss_since_ns=saved.gnss_excluded_since_ns)
-        self.aids.error_monitor = replace(self.aids.error_monitor, held=saved.held)
-        coasting = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
+        self.hold(saved.held)
+        coasting = time_ns - (saved.accepted_ns or 0) > self.coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
         phase = NavigationPhase.COASTING if coasting else NavigationPhase.NAVIGATING
         self._enter(phase, time_ns, f"warm start from a state of {gap_s:.1f} s before")
@@ -439,7 +425,7 @@ class Engine:
         if self.filter is None:
             assert self._alignment is not None
             phase, reason = self._alignment.phase, self._alignment.reason
-        elif self.time_ns - (self.accepted_ns or 0) > self._coasting_ns:
+        elif self.time_ns - (self.accepted_ns or 0) > self.coasting_ns:
             excluded = self.exclusions.gnss_since_ns is not None
             reason = "GNSS is excluded by core.trust" if excluded else "no position used lately"
             phase = NavigationPhase.COASTING

@@ -195,7 +195,7 @@ def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
     solve(tmp_path / "raw.mcap", outage="5/15", out=tmp_path / "out")
     found = metrics_in(tmp_path / "out")
     assert found["truth_count"] > 400 and found["outage_count"] == 3
-    assert found["fixes_removed"] >= 15
+    assert found["fixes_removed"] >= 12, "a gap begins and ends within the bytes of a fix"
     assert found["horizontal_rmse_m"] < 2.0
 
 

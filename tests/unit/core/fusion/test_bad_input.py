@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.core.fusion.start.heading import Prior
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
-from services.core.fusion.navigator import Navigator
 from services.core.fusion.inertial.imu_faults import Repeats
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import AlignmentSettings, GnssSettings, Settings
 from services.core.fusion.solution import Solution
+from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase

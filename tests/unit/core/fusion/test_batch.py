@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.core.fusion.start.heading import Prior
-from services.core.fusion.batch import solve
-from services.core.fusion.inertial.propagation import samples_of
 from services.core.fusion.aids.base import Measurement
 from services.core.fusion.aids.odometer import WheelSpeed
-from services.core.fusion.navigator import Navigator
+from services.core.fusion.batch import solve
 from services.core.fusion.inertial.imu_faults import Repeats, faults
+from services.core.fusion.inertial.propagation import samples_of
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
+from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic
 from shared.messages.navigation import NavigationPhase

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.core.fusion.navigator import HELD_LIMIT, Navigator
-from services.core.fusion.aids.plausibility import DEVICES, SILENT_NS, Devices
+from services.core.fusion.aids.devices import DEVICES, SILENT_NS, Devices
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, In, Process
 from services.core.fusion.settings import AlignmentSettings, ImuSettings, MagnetometerSettings
-from services.core.fusion.timeline.out_of_sequence import MOST
+from services.core.fusion.timeline import timeline
+from services.core.fusion.timeline.timeline import HELD_LIMIT
 from shared.maths.dates import BEYOND_NS
 from shared.maths.earth import Geodetic
 from shared.messages.base import LARGEST, LARGEST_SQUARE, Tick
@@ -285,18 +286,21 @@ def test_a_renamed_receiver_is_accepted_once_its_old_names_were_silent_for_an_ho
     assert devices.is_known("one too many")
 
 
-def test_samples_one_nanosecond_apart_make_a_bounded_number_of_snapshots() -> None:
-    process = deepcopy(started())
-    for k in range(1, 67):
+def test_of_samples_one_nanosecond_apart_a_bounded_number_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timeline, "MOST_PENDING", 2_000)
+    monkeypatch.setattr(timeline, "MOST_SAMPLES", 5_000)
+    process, sizes = deepcopy(started()), []
+    for k in range(1, 30):
         send(process, sample(NOW_NS + k * 1000, count=1000, step_ns=1))
-    assert len(process._navigator._oosm._snapshots) == MOST, "of one in 8 of 66,000 samples"
+        sizes.append(process._navigator._timeline.log.size)
+    assert max(sizes) < 9_000 < sum([1000] * 29)
 
 
 def test_fixes_far_ahead_of_the_samples_are_rejected() -> None:
     process, ahead_ns = deepcopy(started()), LATEST_NS - 10**9
     for k in range(1, 50):
         send(process, fix(NOW_NS + k * STEP_NS).model_copy(update={"sampled_ns": ahead_ns, "received_ns": ahead_ns}))
-    later = sample(NOW_NS + STEP_NS).model_copy(update={"received_ns": LATEST_NS})
+    later = sample(NOW_NS + 10 * STEP_NS).model_copy(update={"received_ns": LATEST_NS})
     send(process, later)
     assert process.rejects["measurement from the future"] == 2 * 49, "position and velocity"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from cli.solve.overrides import with_settings
-from services.core.fusion.start.warm_start import fingerprint
 from services.core.fusion.settings import Settings
+from services.core.fusion.start.warm_start import fingerprint
 from shared.errors import ConfigError
 from shared.runtime.config import Section, VehicleSection, dotted_keys, load_vehicle, parse_vehicle, with_values
 from shared.runtime.old_keys import PRESENT_KEYS

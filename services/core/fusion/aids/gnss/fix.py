@@ -1,10 +1,10 @@
 """GNSS position and velocity of the antenna as measurements of the filter."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import sqrt
-from typing import NamedTuple
+from math import hypot, isfinite, sqrt
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,11 @@ from shared.messages.navigation import AidingKind
 
 from ...inertial import error_model as em
 from ...inertial.filter import ErrorStateFilter
+from ...inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
+from ...inertial.standstill import is_standstill
 from ...inertial.strapdown import rotate
 from ...settings import Settings
-from ...inertial.standstill import is_standstill
-from ..base import Measurement, Observation
+from ..base import Kind, Measurement, Observation, Sensor, Start
 from .position_errors import KnownGnssErrors
 
 FloatArray = npt.NDArray[np.float64]
@@ -27,6 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 LARGEST_SD = 1e4  # [m, m/s] upper limit of stated standard deviations
 SMALLEST_SD = 1e-6  # [m, m/s] below it a stated standard deviation is invalid
 CORRELATED_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
+LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # plausible heights
 SMALLEST_EIGENVALUE = 1e-3  # [-] of a valid correlation matrix
 
 
@@ -47,8 +49,10 @@ class Reading(NamedTuple):
 
 
 @dataclass(frozen=True)
-class GnssPosition:
+class GnssPosition(Kind):
     """Position of the antenna with its covariance [m², NED]; of its height only the value if `axes` is 2."""
+
+    sensor, is_fix, epoch = Sensor.GNSS, True, True
 
     time_ns: int
     received_ns: int
@@ -62,6 +66,27 @@ class GnssPosition:
     removed_s: float = 0.0  # of its age, in `time_ns`
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
+    def implausible(self) -> str | None:
+        """Limits of latitude and height."""
+        if not isfinite(sum(self.position)):
+            return "position not finite"
+        if not abs(self.position.latitude) < HIGHEST_LATITUDE:
+            return "position too near a pole"
+        return None if LOWEST_M <= self.position.height <= HIGHEST_M else "implausible height"
+
+    def corrected(self, position_s: float, velocity_s: float) -> Self:
+        """At its time of validity."""
+        shift_ns = round((position_s - self.removed_s) * 1e9)
+        return replace(self, time_ns=self.time_ns - shift_ns, removed_s=position_s)
+
+    def without_height(self) -> Self:
+        """Latitude and longitude alone."""
+        return replace(self, axes=2)
+
+    def align(self, start: Start) -> ErrorStateFilter | None:
+        """Place of the start."""
+        return start.start_at(self)
+
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
         yield self.observe
@@ -70,11 +95,6 @@ class GnssPosition:
         """Innovation against the predicted antenna position plus the estimated time-correlated error, in metres."""
         arm_n, velocity = rotate(navigation.quaternion, self.lever_arm), navigation.velocity
         z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
-        H[:, em.GNSS_DELAY] = np.add(velocity, antenna_velocity(navigation, self.lever_arm))
-        left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
-        if left_s:
-            H[:, em.GNSS_DELAY] -= left_s * navigation.smoothed_acceleration
-            H -= left_s * em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
         correlated_share = max(navigation.gnss_errors.correlated_share, 1e-6) if self.time_correlated else 0.0
         cov = navigation.gnss_errors.scaled(self.cov) if self.time_correlated else self.cov
@@ -103,18 +123,14 @@ class GnssPosition:
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
         """Measured minus predicted antenna position [m, NED] at its time of validity."""
         antenna = geodetic_from_ned_difference(arm_n, navigation.position)
-        beside = np.array(ned_from_geodetic_difference(self.position, antenna))
-        left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
-        if not left_s:
-            return beside
-        v = np.add(navigation.velocity, antenna_velocity(navigation, self.lever_arm))
-        moved: FloatArray = beside + left_s * (v - 0.5 * left_s * navigation.smoothed_acceleration)
-        return moved
+        return np.array(ned_from_geodetic_difference(self.position, antenna))
 
 
 @dataclass(frozen=True)
-class GnssVelocity:
+class GnssVelocity(Kind):
     """Velocity of the antenna [m/s, NED] with its covariance; without its vertical part if `axes` is 2."""
+
+    sensor, epoch = Sensor.GNSS, True
 
     time_ns: int
     received_ns: int
@@ -128,6 +144,19 @@ class GnssVelocity:
     removed_s: float = 0.0  # of its age, in `time_ns`
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
+    def implausible(self) -> str | None:
+        """Limit of speeds."""
+        return None if hypot(*self.velocity) < FASTEST_M_S else "implausible velocity"
+
+    def corrected(self, position_s: float, velocity_s: float) -> Self:
+        """At its time of validity."""
+        shift_ns = round((velocity_s - self.removed_s) * 1e9)
+        return replace(self, time_ns=self.time_ns - shift_ns, removed_s=velocity_s)
+
+    def align(self, start: Start) -> None:
+        """Heading and initial velocity."""
+        start.use_velocity(self)
+
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Velocity alone."""
         yield self.observe
@@ -138,9 +167,6 @@ class GnssVelocity:
         an, ae, ad = antenna_velocity(navigation, self.lever_arm)
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
         H = em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
-        age_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
-        z += (age_s - self.removed_s) * navigation.smoothed_acceleration
-        H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.smoothed_acceleration
         if self.time_correlated:
             z -= navigation.gnss_velocity_error
             H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT

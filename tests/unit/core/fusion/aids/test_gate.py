@@ -8,16 +8,16 @@ from math import radians
 import numpy as np
 import pytest
 
-from services.core.fusion.start.heading import Prior
+from services.core.fusion.aids.base import Height, Outcome
+from services.core.fusion.aids.gate import FaultStatus, Gate
+from services.core.fusion.aids.gnss.fix import GnssPosition
+from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.integrity.error_monitor import ErrorMonitor, block
-from services.core.fusion.aids.base import Height, Outcome
-from services.core.fusion.aids.gnss.fix import GnssPosition
-from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import AlignmentSettings, GatingSettings, GnssSettings, Settings
-from services.core.fusion.aids.gate import FaultStatus, Gate
+from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind

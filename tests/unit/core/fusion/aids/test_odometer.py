@@ -11,16 +11,16 @@ import pytest
 
 from benchmarks.starts.start import Receiver, Start
 from cli.papers.navigation import give_fix
-from services.core.fusion.start.heading import Prior
+from services.core.fusion.aids.base import Outcome
+from services.core.fusion.aids.gate import Gate
+from services.core.fusion.aids.odometer import NonHolonomic, WheelSpeed
+from services.core.fusion.aids.zero_speeds import ZeroSpeeds
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
-from services.core.fusion.aids.base import Outcome
-from services.core.fusion.aids.odometer import NonHolonomic, WheelSpeed
-from services.core.fusion.navigator import Navigator
-from services.core.fusion.aids.zero_speeds import ZeroSpeeds
-from services.core.fusion.settings import Settings
-from services.core.fusion.aids.gate import Gate
 from services.core.fusion.inertial.standstill import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, is_standstill
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body

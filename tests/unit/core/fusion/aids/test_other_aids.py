@@ -11,15 +11,23 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cli.papers.navigation import give_fix
-from services.core.fusion.inertial import error_model as em
-from services.core.fusion.inertial.filter import ErrorStateFilter
-from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.aids.barometer import BarometricHeight, pressure_height
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna import BaselineHeading
 from services.core.fusion.aids.magnetometer import SECTORS, WORST, CompassCheck, MagneticHeading
+from services.core.fusion.inertial import error_model as em
+from services.core.fusion.inertial.filter import ErrorStateFilter
+from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import AlignmentSettings, GnssSettings, MagnetometerSettings, NonHolonomicSettings, OdometerSettings, Settings, StandstillSettings
+from services.core.fusion.settings import (
+    AlignmentSettings,
+    GnssSettings,
+    MagnetometerSettings,
+    NonHolonomicSettings,
+    OdometerSettings,
+    Settings,
+    StandstillSettings,
+)
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix

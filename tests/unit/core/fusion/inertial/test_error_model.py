@@ -9,12 +9,12 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity, antenna_velocity
+from services.core.fusion.aids.odometer import NonHolonomic, WheelSpeed
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial import strapdown
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.strapdown import InertialState
-from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity, antenna_velocity
-from services.core.fusion.aids.odometer import NonHolonomic, WheelSpeed
 from services.core.fusion.settings import NonHolonomicSettings, Settings
 from shared.maths.earth import (
     EARTH_RATE,
@@ -285,53 +285,21 @@ def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
     assert defaults.imu.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
 
 
-LEFT_S = 0.03  # [s] the part of a delay by which no stamp was shifted
-
-
 @pytest.mark.parametrize(
     "measurement",
     [
-        GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=-LEFT_S),
-        GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM, removed_s=-LEFT_S),
-        WheelSpeed(
-            0,
-            0,
-            "",
-            0.0,
-            0.0,
-            True,
-            True,
-            Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM)),
-            removed_s=-LEFT_S,
-        ),
+        GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0),
+        GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM),
+        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))),
     ],
     ids=["position", "velocity", "odometer"],
 )
-def test_the_matrices_of_delays_agree_with_finite_differences(
+def test_all_columns_of_measurements_agree_with_finite_differences(
     measurement: GnssPosition | GnssVelocity | WheelSpeed,
 ) -> None:
-    """All columns; H neglects the acceleration times the remaining delay, some mm/s a degree."""
     seen = measurement.observe(PERFECT)
-    neglected = LEFT_S * hypot(*ACCELERATION) * 1.1
     for j in range(em.SIZE):
         step = np.zeros(em.SIZE)
         step[j] = 1e-4
         ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
-        delay = j in em.DELAYS
-        assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=1e-4 if delay else neglected), j
-    assert seen.H[:, em.DELAYS].any(axis=0).sum() == (2 if isinstance(measurement, GnssVelocity) else 1)
-
-
-def test_a_known_delay_makes_measurements_of_an_earlier_instant_agree() -> None:
-    """Position and velocity of the antenna at an earlier instant agree with a filter that has the delay as a state."""
-    then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(ACCELERATION)
-    old = geodetic_from_ned_difference(vector(-then_s * v + 0.5 * then_s**2 * a), ANTENNA)
-    knowing = np.zeros(em.SIZE)
-    knowing[em.GNSS_DELAY], knowing[em.GNSS_VELOCITY_DELAY] = 0.02, 0.03
-    velocity = GnssVelocity(0, 0, "", vector(v - then_s * a), np.eye(3), 3, ARM)
-    assert velocity.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-9)
-    knowing[em.GNSS_DELAY] = 0.05
-    position = GnssPosition(0, 0, "", old, np.eye(3), 3, ARM, 0.0)
-    assert position.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=2e-4), "curvature of the Earth"
-    moved = GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=0.05)
-    assert moved.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-8)
+        assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=1e-3), j

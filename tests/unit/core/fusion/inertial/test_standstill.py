@@ -1,13 +1,22 @@
 import numpy as np
 import pytest
 
-from services.core.fusion.start.heading import STANDSTILL_RATE_SD
+from services.core.fusion.aids.zero_velocity import PERIOD_S, RATE_SD, SETTLING_S, Standstill
 from services.core.fusion.inertial.error_model import SIZE, VELOCITY
 from services.core.fusion.inertial.filter import ErrorStateFilter
+from services.core.fusion.inertial.standstill import (
+    CERTAIN,
+    STANDSTILL_RATE_SD,
+    UNCERTAIN_QUIET_S,
+    UNSETTLED,
+    Limits,
+    Quiet,
+    detect,
+    is_standstill,
+    limits_of,
+)
 from services.core.fusion.inertial.strapdown import InertialState
-from services.core.fusion.aids.zero_velocity import PERIOD_S, RATE_SD, SETTLING_S, Standstill
 from services.core.fusion.settings import Settings
-from services.core.fusion.inertial.standstill import CERTAIN, UNCERTAIN_QUIET_S, UNSETTLED, Limits, Quiet, detect, is_standstill, limits_of
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 

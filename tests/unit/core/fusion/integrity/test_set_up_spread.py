@@ -28,7 +28,6 @@ def test_a_lever_arm_that_is_not_given_is_known_less_than_one_that_is_and_a_stat
     assert SetUpSpread.of(Settings(gnss=GnssSettings(delay_s=0.4))).delay_s == 0.05
     stated = GIVEN.with_values({"gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.0})
     assert SetUpSpread.of(stated) == SetUpSpread(0.02, 0.02, 0.0)
-    assert SetUpSpread.of(Settings(estimate_delays=True)).delay_s == 0.0, "the covariance holds it"
 
 
 def test_a_check_replaces_what_was_assumed_by_what_it_has_seen_and_never_by_more() -> None:

@@ -15,12 +15,12 @@ from cli.papers.navigation import saved_heading
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter, rescaled
 from services.core.fusion.inertial.propagation import Intervals, samples_of
+from services.core.fusion.inertial.standstill import CERTAIN
 from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.smoothing.history import CorrectionRecord, HistoryRecorder, Knot, Start, Step
 from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
-from services.core.fusion.inertial.standstill import CERTAIN
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
@@ -188,6 +188,7 @@ def history_of(
             fix += 1
         if not imu_gap_s[0] < time_ns * 1e-9 < imu_gap_s[1]:
             navigator.imu(time_ns, forces[i], rates[i])
+    navigator.finish()
     return records
 
 

@@ -3,10 +3,10 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from services.core.fusion.start.heading import Heading, Motion, Prior, heading_of_motion, saved_heading
-from services.core.fusion.start.levelling import Levelling
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.settings import Settings
+from services.core.fusion.start.heading import Heading, Motion, Prior, heading_of_motion, saved_heading
+from services.core.fusion.start.levelling import Levelling
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector
 

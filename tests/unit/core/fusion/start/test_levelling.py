@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.core.fusion.start.levelling import Levelling, level, standstill_gyroscope_bias
 from services.core.fusion.settings import Settings
+from services.core.fusion.start.levelling import Levelling, level, standstill_gyroscope_bias
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n
 from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
 

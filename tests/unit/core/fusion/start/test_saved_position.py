@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks.given import fixes_of
-from services.core.fusion.start.heading import Prior
 from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 

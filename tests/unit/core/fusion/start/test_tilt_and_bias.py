@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.core.fusion.start.heading import Prior
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import ImuSettings, Settings
+from services.core.fusion.start.heading import Prior
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic
 from shared.maths.rotation import Vector, ned_from_body
 

@@ -6,11 +6,11 @@ from math import radians, sqrt
 import numpy as np
 import pytest
 
+from services.core.fusion.aids.gnss.fix import GnssPosition
+from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Heading, Motion
 from services.core.fusion.start.levelling import Levelling
 from services.core.fusion.start.track_matching import Point, moved_m_s, track
-from services.core.fusion.aids.gnss.fix import GnssPosition
-from services.core.fusion.settings import Settings
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic, geodetic_from_ned_difference, wrap_angle
 from shared.maths.rotation import Vector
 

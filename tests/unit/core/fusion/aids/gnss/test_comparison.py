@@ -6,7 +6,14 @@ from math import degrees, inf, pi, radians, sqrt
 import numpy as np
 import pytest
 
-from services.core.fusion.aids.gnss.comparison import MOTION_OFFSET_SD, SHIFT_SD, STANDSTILL_OFFSET_SD, Comparison, Corrections, Match
+from services.core.fusion.aids.gnss.comparison import (
+    MOTION_OFFSET_SD,
+    SHIFT_SD,
+    STANDSTILL_OFFSET_SD,
+    Comparison,
+    Corrections,
+    Match,
+)
 from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic, geodetic_from_ned_difference
 

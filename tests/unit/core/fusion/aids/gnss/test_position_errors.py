@@ -4,9 +4,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.core.fusion.start.initial_position import first_place
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import UNKNOWN, GnssErrorBank, mean_at_rest
+from services.core.fusion.start.initial_position import first_place
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 

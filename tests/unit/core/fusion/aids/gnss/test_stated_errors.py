@@ -10,13 +10,20 @@ import pytest
 from scipy.stats import chi2
 
 from cli.papers.navigation import navigate, saved_heading
+from services.core.fusion.aids.gnss.fix import GnssPosition
+from services.core.fusion.aids.gnss.position_errors import (
+    HYPOTHESES,
+    SCALES,
+    UNKNOWN,
+    GnssErrorBank,
+    KnownGnssErrors,
+    mean_at_rest,
+)
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.start import alignment
 from services.core.fusion.start.alignment import Alignment
 from services.core.fusion.start.initial_position import first_place
-from services.core.fusion.aids.gnss.fix import GnssPosition
-from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN, GnssErrorBank, KnownGnssErrors, mean_at_rest
-from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error

@@ -1,19 +1,8 @@
-"""Plausibility limits for measurements; violations are counted and rejected."""
+"""Devices whose measurements are accepted, and how many values of each are used."""
 
 from collections import Counter
 from collections.abc import Callable
-from math import hypot, isfinite
 
-from shared.maths.earth import Geodetic
-
-from ..inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
-from .base import Measurement
-from .gnss.fix import GnssPosition, GnssVelocity
-from .magnetometer import MagneticHeading
-from .odometer import WheelSpeed
-
-LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # limits of heights
-STRONGEST_FIELD = 100.0  # times that of the Earth
 LATE_PERIODS = 100  # periods by which a value may be older than the newest; more is a clock that was set back
 SILENT_NS = 3_600_000_000_000  # silence after which a device is dropped
 DEVICES = 32  # largest number of devices, which bounds memory
@@ -58,25 +47,3 @@ class Devices:
             return False
         self._used[key] = period
         return True
-
-
-def implausible(measurement: Measurement) -> str | None:
-    """Plausibility limit that a measurement violates, or None."""
-    match measurement:
-        case GnssPosition():
-            return _implausible_position(measurement.position)
-        case GnssVelocity() if not hypot(*measurement.velocity) < FASTEST_M_S:
-            return "implausible velocity"
-        case WheelSpeed() if not (abs(measurement.speed) < FASTEST_M_S and abs(measurement.resolution) < FASTEST_M_S):
-            return "implausible speed"
-        case MagneticHeading() if not hypot(*measurement.field_b) < STRONGEST_FIELD:
-            return "implausible magnetic field"
-    return None
-
-
-def _implausible_position(position: Geodetic) -> str | None:
-    if not isfinite(sum(position)):
-        return "position not finite"
-    if not abs(position.latitude) < HIGHEST_LATITUDE:
-        return "position too near a pole"
-    return None if LOWEST_M <= position.height <= HIGHEST_M else "implausible height"

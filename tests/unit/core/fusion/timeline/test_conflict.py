@@ -1,21 +1,21 @@
 """Exclusion of GNSS and odometer: state after a roll-back, estimates meanwhile, and readmission."""
 
 from copy import deepcopy
-from dataclasses import replace
 from functools import cache
 from math import hypot
 
 import numpy as np
 import pytest
 
-from services.core.fusion.inertial import error_model as em
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna import BaselineHeading
+from services.core.fusion.inertial import error_model as em
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from services.core.fusion.timeline import roll_back
-from services.core.fusion.timeline.roll_back import PART
-from services.core.fusion.timeline.exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
+from services.core.fusion.timeline import conflict as conflicts
+from services.core.fusion.timeline.conflict import PART
+from services.core.fusion.timeline.engine import Engine
+from services.core.fusion.timeline.events import GnssExcluded, GnssReadmitted, OdometerExclusion
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
@@ -28,7 +28,7 @@ STAGES_S = (0, 60, 70, 75, 80)  # times of navigators that several tests continu
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the filter of this short drive count as converged before the suspect time."""
-    monkeypatch.setattr(roll_back, "CONVERGED_S", 20.0)
+    monkeypatch.setattr(conflicts, "CONVERGED_S", 20.0)
 
 
 @cache
@@ -195,9 +195,9 @@ def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -
 def test_without_a_snapshot_before_the_suspect_time_the_largest_pull_of_gnss_is_added_to_the_level(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(roll_back, "CONVERGED_S", 0.0)
-    monkeypatch.setattr(roll_back, "MOST_LIMITS", 1000.0)
-    monkeypatch.setattr(roll_back, "LAST_LIMITS", 1000.0)
+    monkeypatch.setattr(conflicts, "CONVERGED_S", 0.0)
+    monkeypatch.setattr(conflicts, "MOST_LIMITS", 1000.0)
+    monkeypatch.setattr(conflicts, "LAST_LIMITS", 1000.0)
     levels = {}
     for suspect_s in (60.0, -10.0):  # the oldest snapshot is of the first sample
         saved = stage(70).saved_state()
@@ -260,7 +260,7 @@ def test_a_conflict_that_is_not_decided_keeps_gnss_and_the_level_reaches_to_the_
     run(nav, SUSPECT_S, VERDICT_S, moved_m=8.0)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
     run(nav, VERDICT_S, END_S, moved_m=8.0)
-    solution, difference = nav.solution(), nav.roll_back.difference()
+    solution, difference = nav.solution(), nav.verdicts.difference()
     assert solution is not None and solution.gnss_excluded_since_ns is None and difference is not None
     apart_m = hypot(*difference[0][:2])
     assert apart_m == pytest.approx(8.0, abs=2.5)
@@ -273,9 +273,9 @@ def test_a_conflict_that_is_not_decided_keeps_gnss_and_the_level_reaches_to_the_
 def test_a_filter_that_had_not_converged_before_the_suspect_time_declines_to_exclude(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(roll_back, "CONVERGED_S", 60.0)
+    monkeypatch.setattr(conflicts, "CONVERGED_S", 60.0)
     nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
-    conflict, solution = nav.roll_back.conflict, nav.solution()
+    conflict, solution = nav.verdicts.conflict, nav.solution()
     assert conflict is not None and "60 s are needed" in conflict.declined
     assert solution is not None and solution.gnss_excluded_since_ns is None
 
@@ -293,7 +293,7 @@ def test_a_solution_without_gnss_that_outgrows_its_bound_is_not_published_and_th
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 92.0)
-    conflict, difference, solution = nav.roll_back.conflict, nav.roll_back.difference(), nav.solution()
+    conflict, difference, solution = nav.verdicts.conflict, nav.verdicts.difference(), nav.solution()
     assert conflict is not None and "decides nothing" in conflict.declined and difference is not None
     assert solution is not None and solution.gnss_excluded_since_ns is None
     assert solution.protection_level_horizontal >= hypot(*difference[0][:2]) + difference[1][0] - 1e-9 > 15.0
@@ -304,7 +304,7 @@ def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_its_d
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 110.0)
-    assert nav.roll_back.conflict is None and "of no use" in nav.roll_back.unresolved
+    assert nav.verdicts.conflict is None and "of no use" in nav.verdicts.unresolved
     held_m = nav.engine.aids.error_monitor.held.bound[0]
     solution = nav.solution()
     assert held_m > 90.0 and solution is not None and solution.protection_level_horizontal > held_m
@@ -329,7 +329,7 @@ def test_a_gap_of_the_imu_in_a_conflict_keeps_the_last_difference() -> None:
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
     run(nav, VERDICT_S, 80.0, moved_m=8.0)
     run(nav, 82.0, 100.0, moved_m=8.0)
-    assert "lost" in nav.roll_back.unresolved
+    assert "lost" in nav.verdicts.unresolved
     assert nav.engine.aids.error_monitor.held.bound[0] > 8.0 and error_m(nav) > 5.0
 
 
@@ -353,8 +353,8 @@ def test_a_second_conflict_after_a_decided_one_has_a_solution_without_gnss() -> 
     run(nav, 85.0, 95.0)
     nav.apply_exclusions(88 * SECOND_NS, odometer_excluded=False)
     run(nav, 95.0, 100.0)
-    conflict = nav.roll_back.conflict
-    assert conflict is not None and conflict.engine is not None and conflict.levels_m[0] < 20.0
+    conflict = nav.verdicts.conflict
+    assert conflict is not None and conflict.cursor is not None and conflict.levels_m[0] < 20.0
     assert nav.counts.fixes_used > 60, "counts of the drive go on"
 
 
@@ -366,7 +366,7 @@ def test_a_position_that_comes_back_closes_a_conflict_and_nothing_is_held() -> N
     run(nav, 80.0, 100.0)
     nav.apply_exclusions(None, odometer_excluded=False)
     run(nav, 100.0, 101.0)
-    assert nav.roll_back.conflict is None and not nav.engine.aids.error_monitor.held.is_open
+    assert nav.verdicts.conflict is None and not nav.engine.aids.error_monitor.held.is_open
     assert error_m(nav) < 3.0
 
 
@@ -385,11 +385,15 @@ def test_an_excluded_odometer_is_not_used_and_its_scale_covariance_is_reset() ->
 
 
 def test_a_dual_antenna_heading_is_excluded_with_gnss_and_the_earliest_suspect_time_is_kept() -> None:
-    heading = BaselineHeading(10, 10, "gnss", 0.1, 0.01, 0.0)
-    begun = Exclusions().after(GnssExcluded(9, 5))
-    assert begun.reason(heading) == "GNSS is excluded by core.trust"
-    assert begun.after(GnssExcluded(20, 8)).gnss_since_ns == 5 and begun.after(GnssExcluded(20, 3)).gnss_since_ns == 3
-    ended = begun.after(GnssReadmitted(2 * SECOND_NS + 5))
-    assert ended.reason(heading) is None and ended.readmitted_after_s == 2.0
-    assert Exclusions().after(OdometerExclusion(9, excluded=True)).reason(heading) is None
-    assert replace(ended, odometer=True).after(OdometerExclusion(9, excluded=False)).odometer is False
+    heading, engine = BaselineHeading(10, 10, "gnss", 0.1, 0.01, 0.0), Engine(Settings())
+    GnssExcluded(9, 5).apply(engine)
+    assert engine.exclusions.reason(heading) == "GNSS is excluded by core.trust"
+    for since_ns, kept_ns in ((8, 5), (3, 3)):
+        GnssExcluded(20, since_ns).apply(engine)
+        assert engine.exclusions.gnss_since_ns == kept_ns
+    GnssReadmitted(2 * SECOND_NS + 3).apply(engine)
+    assert engine.exclusions.reason(heading) is None and engine.exclusions.readmitted_after_s == 2.0
+    OdometerExclusion(9, excluded=True).apply(engine)
+    assert engine.exclusions.odometer and engine.exclusions.reason(heading) is None
+    OdometerExclusion(9, excluded=False).apply(engine)
+    assert not engine.exclusions.odometer

@@ -1,0 +1,319 @@
+"""Two solutions during a conflict: with GNSS, and without it since it became suspect.
+
+A monitor accuses GNSS 6 to 120 s after the error began. When a conflict begins a second cursor starts from the last
+snapshot before the suspect time and uses everything again without GNSS, a part with each step of the horizon, while the
+first goes on. From then on both run, and the level of the one that is published reaches to the other. The one without
+GNSS is published only if core.trust excludes GNSS and if that solution is good: `Conflict.declined` says why not.
+"""
+
+from math import hypot
+
+from shared.maths.earth import ned_from_geodetic_difference
+
+from ..aids.base import Outcome
+from ..integrity.disagreement import CLOSURE_SDS, Disagreement, Pair, Vector
+from ..settings import Settings
+from ..solution import UncertaintyCache
+from .cursor import PERIOD_NS, Cursor
+from .engine import Engine
+from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
+from .log import Log
+
+PART = 40  # samples that are used again for each new one: two minutes take 3 s
+CONVERGED_S = 60.0  # of the filter before the suspect time, without which GNSS is not excluded
+MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
+LAST_LIMITS = 30.0  # alert limits beyond which it is given up
+CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
+
+
+def _converged_s(engine: Engine, time_ns: int) -> float:
+    """For how long a filter has run at a time [s]; 0 without one."""
+    return 0.0 if engine.started_ns is None else max(0.0, (time_ns - engine.started_ns) * 1e-9)
+
+
+def distance_n(one: Engine, other: Engine) -> Vector | None:
+    """Position of one engine minus that of another [m, NED]; None while one has no filter."""
+    if one.filter is None or other.filter is None:
+        return None
+    return ned_from_geodetic_difference(one.filter.position, other.filter.position)
+
+
+class Conflict:
+    """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it.
+
+    One that begins again with an earlier suspect time goes on with what the `earlier` one had until its replay is over.
+    """
+
+    def __init__(self, since_ns: int, main: Cursor, earlier: "Conflict | None" = None) -> None:
+        snapshot_ns = main.before(since_ns).time_ns
+        contaminated_s = max(0.0, (snapshot_ns - since_ns) * 1e-9)
+        excluded = GnssExcluded(max(snapshot_ns, since_ns) + 1, since_ns, contaminated_s)
+        self.since_ns = since_ns
+        self.replay: Cursor | None = main.fork(since_ns, (excluded,))
+        self.converged_s = _converged_s(self.replay.engine, since_ns)
+        self.cursor: Cursor | None = earlier.cursor if earlier else None  # None until the first replay is over
+        # Of the engine with GNSS when the conflict began: its resets, and what its level held.
+        self.resets: int = earlier.resets if earlier else main.engine.counts.resets
+        self.held: Disagreement = earlier.held if earlier else main.engine.aids.error_monitor.held
+        self.published: bool = earlier is not None and earlier.published  # whether the solution without GNSS is
+        self.declined = ""  # why it is not, although core.trust excludes GNSS
+        # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
+        self.apart_n: Vector | None = earlier.apart_n if earlier else None
+        self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
+        # Newest: published minus other position, and the levels of the other.
+        self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
+        self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
+
+    @property
+    def cursors(self) -> tuple[Cursor, ...]:
+        """Cursors without GNSS that read the log."""
+        return tuple(one for one in (self.cursor, self.replay) if one is not None)
+
+    def advance(self, log: Log, horizon_ns: int, samples: int) -> bool:
+        """Follow the horizon, which went on by so many samples; returns whether a replay is over."""
+        if self.cursor is not None:
+            self.cursor.advance(log, horizon_ns)
+        if self.replay is None:
+            return False
+        most = PART * samples
+        if self.replay.advance(log, horizon_ns, most) == most:
+            return False
+        self.replay.outcomes()  # all were reported before
+        self.cursor, self.replay = self.replay, None
+        return True
+
+
+class Verdicts:
+    """The cursor with GNSS, and the conflict with the one without it, as core.trust decides."""
+
+    def __init__(self, settings: Settings, log: Log, main: Cursor) -> None:
+        self._settings, self._log, self.main = settings, log, main
+        self._of_main, self._of_other = UncertaintyCache(settings), UncertaintyCache(settings)
+        self.conflict: Conflict | None = None
+        # Suspect time, whether GNSS is excluded, and whether the odometer is: as core.trust published.
+        self._wanted: tuple[int | None, bool, bool] | None = None
+        self._odometer_excluded: bool | None = None  # as applied
+        self.unresolved = ""  # why the present conflict goes on without a second solution
+        self._decided_ns = 0  # second of the last decision
+
+    @property
+    def cursors(self) -> tuple[Cursor, ...]:
+        """All cursors on the log."""
+        return (self.main, *(self.conflict.cursors if self.conflict is not None else ()))
+
+    @property
+    def published(self) -> Cursor:
+        """The cursor whose solution is published."""
+        conflict = self.conflict
+        return conflict.cursor if conflict and conflict.published and conflict.cursor else self.main
+
+    @property
+    def engine(self) -> Engine:
+        """The engine whose solution is published."""
+        return self.published.engine
+
+    @property
+    def other(self) -> Engine | None:
+        """The other one, while there are two."""
+        conflict = self.conflict
+        if conflict is None or conflict.cursor is None:
+            return None
+        return self.main.engine if conflict.published else conflict.cursor.engine
+
+    @property
+    def excluded_test_ratio(self) -> float | None:
+        """Test ratio of the newest position against the solution without GNSS; None without one."""
+        without = self.conflict.cursor if self.conflict else None
+        return (without or self.main).engine.exclusions.test_ratio
+
+    def difference(self) -> tuple[Vector, Pair] | None:
+        """Published minus other position [m, NED], and the levels of the other [m]; None without another.
+
+        While the other aligns again after a reset, its last difference stands.
+        """
+        other, conflict = self.other, self.conflict
+        if other is None or conflict is None:
+            return None
+        apart = distance_n(self.engine, other)
+        if apart is None:
+            return conflict.difference
+        horizontal_m, vertical_m = self._levels(other)
+        if other is self.main.engine:  # a reset in this conflict holds the same difference again
+            held, before = other.aids.error_monitor.held.bound, conflict.held.bound
+            horizontal_m -= max(0.0, held[0] - before[0])
+            vertical_m -= max(0.0, held[1] - before[1])
+        conflict.difference = apart, (horizontal_m, vertical_m)
+        return conflict.difference
+
+    @property
+    def without_gnss_m(self) -> Pair | None:
+        """Levels of the solution without GNSS in a conflict [m, horizontal and vertical]; None without one."""
+        conflict = self.conflict
+        return None if conflict is None or conflict.cursor is None else conflict.levels_m
+
+    @property
+    def held(self) -> Disagreement:
+        """What the level holds, for a later process: with the difference of an open conflict."""
+        held, conflict = self.engine.aids.error_monitor.held, self.conflict
+        if conflict is None or conflict.apart_n is None:
+            return held
+        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+        return held.after(conflict.apart_n, spread, self.engine.time_ns, grew=False, slack=conflict.levels_m)
+
+    def _levels(self, engine: Engine) -> Pair:
+        """Protection levels of an engine with a filter."""
+        assert engine.filter is not None
+        cache = self._of_main if engine is self.main.engine else self._of_other
+        levels = cache.of(engine.filter, engine.aids.error_monitor).levels
+        return levels.horizontal, levels.vertical
+
+    def advance(self, horizon_ns: int, samples: int) -> None:
+        """Follow the horizon with the cursor without GNSS, and decide once a second which one is published."""
+        if self.conflict is not None:
+            begins = self.conflict.advance(self._log, horizon_ns, samples)
+            if begins or horizon_ns // PERIOD_NS != self._decided_ns:
+                self._decided_ns = horizon_ns // PERIOD_NS
+                self._decide()
+        elif self._odometer_excluded is None:
+            self._apply()
+
+    def outcomes(self) -> list[Outcome]:
+        """Outcomes of the published cursor since the last call."""
+        found = self.main.outcomes()
+        if self.conflict is not None and self.conflict.cursor is not None:
+            without = self.conflict.cursor.outcomes()
+            found = without if self.conflict.published else found
+        return found
+
+    def follow(self, gnss_since_ns: int | None, *, exclude: bool, odometer_excluded: bool) -> None:
+        """Follow the verdict.
+
+        Parameters
+        ----------
+        gnss_since_ns : int or None
+            Suspect time of a conflict of GNSS with the other sensors; None without one.
+        exclude : bool
+            Whether core.trust has decided that GNSS is wrong.
+        odometer_excluded : bool
+            Whether the odometer is not used.
+        """
+        self._wanted = gnss_since_ns, exclude, odometer_excluded
+        self._apply()
+
+    def _apply(self) -> None:
+        """Apply what differs from the verdict, from the horizon on."""
+        if self._wanted is None or self.main.engine.last is None:
+            return
+        since_ns, _, odometer = self._wanted
+        known = self.main.engine.exclusions
+        if odometer != (known.odometer if self._odometer_excluded is None else self._odometer_excluded):
+            self._log.insert(OdometerExclusion(self._next_ns, excluded=odometer))
+        self._odometer_excluded = odometer
+        if since_ns is None:
+            self._end(self.main.engine.time_ns)
+        elif known.gnss_since_ns is None and not self.unresolved:
+            self._begin(since_ns)
+        self._decide()
+
+    @property
+    def _next_ns(self) -> int:
+        """Time behind the horizon, at which an event is the next one."""
+        return self.main.engine.time_ns + 1
+
+    def _begin(self, since_ns: int) -> None:
+        """Begin a conflict, or begin it again where its suspect time is earlier than was known."""
+        conflict = self.conflict
+        if conflict is not None and conflict.since_ns <= since_ns:
+            return
+        oldest_ns = self.main.oldest_ns or 0
+        if conflict is not None and oldest_ns > since_ns and conflict.cursor is not None:
+            # No snapshot is older: what GNSS may have done between the two times is added to the solution without it.
+            span_s = (conflict.since_ns - since_ns) * 1e-9
+            conflict.cursor.own = (*conflict.cursor.own, GnssExcluded(self._next_ns, since_ns, span_s))
+            conflict.since_ns = since_ns
+            return
+        self.conflict = Conflict(since_ns, self.main, conflict)
+
+    def _decide(self) -> None:
+        """Choose which of the two solutions is published, once a second and with every verdict."""
+        conflict = self.conflict
+        if conflict is None or conflict.cursor is None or self._wanted is None:
+            return
+        without, integrity = conflict.cursor.engine, self._settings.integrity
+        if without.filter is None:
+            self._leave("the solution without GNSS is lost")
+            return
+        conflict.levels_m = horizontal_m, vertical_m = self._levels(without)
+        apart = distance_n(self.main.engine, without)
+        if apart is not None:  # the one with GNSS may align again after a reset
+            conflict.apart_n = apart
+            far_h, far_v = conflict.farthest_m
+            conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
+        limits = integrity.alert_limit_horizontal_m, integrity.alert_limit_vertical_m
+        share = max(horizontal_m / limits[0], vertical_m / limits[1])
+        if share > LAST_LIMITS:
+            self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")
+        elif share > MOST_LIMITS:
+            conflict.declined = (
+                f"without GNSS the protection levels are {horizontal_m:.0f} m horizontal and {vertical_m:.0f} m "
+                "vertical, so that this solution decides nothing any more"
+            )
+        elif conflict.converged_s < CONVERGED_S:
+            conflict.declined = (
+                f"the filter had run for {conflict.converged_s:.0f} s before the suspect time, {CONVERGED_S:.0f} s are "
+                "needed"
+            )
+        else:
+            conflict.declined = ""
+        conflict.published = self._wanted[1] and not conflict.declined
+
+    def _leave(self, why: str) -> None:
+        """Give the solution without GNSS up: the level holds what the two differed by, and its level."""
+        conflict, self.conflict, self.unresolved = self.conflict, None, why
+        if conflict is not None and conflict.apart_n is not None:
+            main = self.main.engine
+            before = main.aids.error_monitor.held
+            spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+            self._hold(before.after(conflict.apart_n, spread, main.time_ns, grew=False, slack=conflict.levels_m))
+
+    def _end(self, now_ns: int) -> None:
+        """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
+
+        The solution with GNSS goes on, but for one that has been reset in the conflict or was not published.
+        """
+        conflict, self.conflict, self.unresolved = self.conflict, None, ""
+        main = self.main
+        if main.engine.exclusions.gnss_since_ns is not None:  # of a saved state
+            self._log.insert(GnssReadmitted(now_ns + 1))
+        if conflict is None or conflict.cursor is None:
+            return
+        apart = distance_n(main.engine, conflict.cursor.engine) or conflict.apart_n
+        left = None if apart is None else self._left(apart, conflict)
+        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+        if conflict.published or main.engine.counts.resets > conflict.resets:
+            conflict.cursor.carry(main)
+            self.main = conflict.cursor
+            self._log.insert(GnssReadmitted(now_ns + 1))
+        if left is not None:
+            before = self.main.engine.aids.error_monitor.held
+            self._hold(before.after(left, spread, now_ns, grew=False))
+
+    def _left(self, apart_n: Vector, conflict: Conflict) -> Vector | None:
+        """Part of a difference that no return has closed: above half of the largest, and above the own level."""
+        main = self.main.engine
+        levels = (0.0, 0.0) if main.filter is None else self._levels(main)
+        closed_h, closed_v = (
+            distance <= max(CLOSED_SHARE * far, level)
+            for distance, far, level in zip(
+                (hypot(apart_n[0], apart_n[1]), abs(apart_n[2])), conflict.farthest_m, levels, strict=True
+            )
+        )
+        if closed_h and closed_v:
+            return None
+        north, east, down = apart_n
+        return (0.0 if closed_h else north, 0.0 if closed_h else east, 0.0 if closed_v else down)
+
+    def _hold(self, held: Disagreement) -> None:
+        """Let the level of the engine in use hold a disagreement, at once and when late measurements take it back."""
+        self.main.engine.hold(held)
+        self._log.insert(Held(self._next_ns, held))
