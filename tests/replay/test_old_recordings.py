@@ -53,7 +53,7 @@ def test_another_mounting_in_the_file_that_is_given_turns_the_samples(tmp_path: 
         inputs = inputs_of(recording)
         right, level = vehicle_of(recording, None), vehicle_of(recording, file)
     turned, as_recorded = (forces(inputs.messages(vehicle)) for vehicle in (right, level))
-    correction = np.array(right.mounting) @ np.array(level.mounting).T
+    correction = np.array(right.facts.imu.body_from_sensor) @ np.array(level.facts.imu.body_from_sensor).T
     assert turned == pytest.approx(as_recorded @ correction.T, abs=1e-9)
     assert np.degrees(np.arctan2(correction[1, 0], correction[0, 0])) == pytest.approx(90.0, abs=0.1)
 

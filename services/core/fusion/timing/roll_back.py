@@ -354,7 +354,7 @@ class RollBack:
         conflict = self.conflict
         if conflict is None or conflict.engine is None or self._wanted is None:
             return
-        without, integrity = conflict.engine.engine, self._settings.integrity
+        without = conflict.engine.engine
         if without.filter is None:
             self._leave("the solution without GNSS is lost")
             return
@@ -364,7 +364,7 @@ class RollBack:
             conflict.apart_n = apart
             far_h, far_v = conflict.farthest_m
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
-        limits = integrity.alert_limit_horizontal_m, integrity.alert_limit_vertical_m
+        limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
         if share > LAST_LIMITS:
             self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")

@@ -15,7 +15,7 @@ from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
-from services.core.fusion.settings import NonHolonomicSettings, Settings
+from services.core.fusion.settings import Settings
 from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,
@@ -34,6 +34,7 @@ from shared.maths.rotation import (
     quaternion_from_matrix,
     skew,
 )
+from shared.runtime.config import Vehicle
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -252,12 +253,10 @@ AXLE = vector(
     ("measurement", "predicted"),
     [
         (
-            WheelSpeed(
-                0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))
-            ),
+            WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(vehicle=Vehicle(rear_axle_body_m=ARM))),
             [1.03 * AXLE[0], *AXLE[1:]],
         ),
-        (NonHolonomic(0, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))), AXLE[1:]),
+        (NonHolonomic(0, Settings(vehicle=Vehicle(rear_axle_body_m=ARM))), AXLE[1:]),
     ],
     ids=["odometer", "non-holonomic"],
 )
@@ -301,7 +300,7 @@ LEFT_S = 0.03  # [s] the part of a delay by which no stamp was shifted
             0.0,
             True,
             True,
-            Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM)),
+            Settings(vehicle=Vehicle(rear_axle_body_m=ARM)),
             removed_s=-LEFT_S,
         ),
     ],

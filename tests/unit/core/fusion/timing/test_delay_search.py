@@ -32,7 +32,7 @@ def processed(d: Drive, delay_s: float, *, late_s: float = 0.0, quiet_s: float =
     A fix is received `late_s` after its stamp; the last `quiet_s` of the drive have none.
     """
     settings = {
-        "gnss.lever_arm_body_m": d.lever_arm_b,
+        "vehicle.gnss.lever_arm_body_m": d.lever_arm_b,
         "alignment.levelling_s": 2.0,
         "estimate_delays": True,
         **changes,
