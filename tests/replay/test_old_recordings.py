@@ -10,6 +10,8 @@ import pytest
 from cli.recordings.common import open_recording, vehicle_of
 from cli.recordings.verify import verify
 from cli.solve.inputs import inputs_of
+from services.core.fusion.process import Config as Fusion
+from services.core.trust.process import Config as Trust
 from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.imu import ImuSamples
@@ -71,3 +73,18 @@ def test_a_given_file_replaces_a_recorded_one_that_cannot_be_read(tmp_path: Path
         assert vehicle_of(recording, given).name == "car"
         with pytest.raises(UserError, match="not valid TOML"):
             vehicle_of(recording, None)
+
+
+def test_facts_of_the_vehicle_in_a_recorded_file_are_those_of_the_sections_of_then(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    then = (
+        "[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\ndelay_s = 0.1\n"
+        "[core.fusion.integrity]\nalert_limit_horizontal_m = 5.0\n"
+    )
+    RecordingWriter(path, vehicle="car", vehicle_toml=then).close()
+    with open_recording(path) as recording:
+        vehicle = vehicle_of(recording, None)
+    fusion, trust = vehicle.section("core.fusion", Fusion), vehicle.section("core.trust", Trust)
+    assert fusion.vehicle == trust.vehicle == vehicle.facts
+    assert fusion.vehicle.gnss.lever_arm_body_m == (0.3, 0.0, -1.2) and fusion.gnss.delay_s == 0.1
+    assert trust.vehicle.alert_limits_m == (5.0, 20.0)
