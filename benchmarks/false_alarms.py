@@ -125,7 +125,7 @@ def inertial(job: Job) -> list[Count]:
     """
     seed, seconds = job
     drive = simulate(SCENARIOS[seed % len(SCENARIOS)], seed, float(seconds))
-    values = {"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
+    values = {"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
     fusion = Fusion(FusionConfig().with_values(values))
     monitors = [
         Spoofing(

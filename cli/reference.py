@@ -12,7 +12,7 @@ from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
 from shared.messages.trust import TrustLevel
 from shared.processes import PROCESSES, Role, running
-from shared.runtime.config import Section, VehicleSection
+from shared.runtime.config import Section, Vehicle, own_fields
 
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
@@ -24,7 +24,7 @@ HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\
 
 def configuration_pages() -> str:
     """Print every setting of every process."""
-    parts = [*_tables("vehicle", VehicleSection)]
+    parts = [*_tables("vehicle", Vehicle)]
     for row in PROCESSES:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
         parts += _tables(row.name, config)
@@ -33,9 +33,10 @@ def configuration_pages() -> str:
 
 def _tables(name: str, config: type[Section], said: str = "") -> Iterator[str]:
     """Print one table for a section, below what it is about, then one for each section inside it."""
+    own = own_fields(config)
     inner = {
         key: field.annotation
-        for key, field in config.model_fields.items()
+        for key, field in own.items()
         if isinstance(field.annotation, type) and issubclass(field.annotation, Section)
     }
     fields = cast("dict[str, Json]", config.model_json_schema().get("properties", {}))
@@ -47,7 +48,7 @@ def _tables(name: str, config: type[Section], said: str = "") -> Iterator[str]:
             str(field.get("description", "")),
         )
         for key, field in fields.items()
-        if key not in inner
+        if key in own and key not in inner
     ]
     body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
     yield f"## [{name}]\n\n{said}{body}\n"

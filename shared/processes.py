@@ -169,7 +169,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "navigation/state"),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours"),
         produces=("trust/monitor", "gnss/fault_free_fix"),
     ),
     ProcessRow(

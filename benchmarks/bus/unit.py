@@ -28,12 +28,12 @@ VEHICLE = """
 [vehicle]
 name = "bench"
 
+[vehicle.gnss]
+lever_arm_body_m = [0.3, 0.0, -1.2]
+
 [sensors.simulator]
 scenario = "urban"
 seed = 1
-
-[core.fusion.gnss]
-lever_arm_body_m = [0.3, 0.0, -1.2]
 
 [monitoring.status]
 port = 0

@@ -27,6 +27,7 @@ from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, quaternion_from_rotation_vector
 from shared.maths.rotation import quaternion_product as product
+from shared.runtime.config import GnssAntenna, Vehicle
 
 from .sizes import INNOVATIONS, STATES, FloatArray, Sizes, error_of, innovation_size, sizes_of
 
@@ -57,7 +58,8 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     time_correlated = model.time_correlated or not model.known
     settings = Settings(
         imu=ImuSettings(gyroscope_bias_sd_rad_s=model.gyroscope_bias_sd),
-        gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=time_correlated),
+        vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b)),
+        gnss=GnssSettings(time_correlated_errors=time_correlated),
     )
     rng = np.random.default_rng((seed, STREAM))
     first = START * EPOCH_NS // STEP_NS - 1

@@ -34,7 +34,7 @@ class Unit:
 def run(unit: Unit, scenario: str, seed: int, duration_s: float) -> Sizes:
     """Drive once; the errors of epoch k stand in row k - 1, without a number where there is no solution."""
     drive = simulate(with_error(scenario_of(scenario, seed), unit.error), seed, duration_s)
-    settings = Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **unit.changes})
+    settings = Settings().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b, **unit.changes})
     navigator = Navigator(settings)
     navigator.use_prior(saved_heading(drive, YAW_SD))
     engine, biases = navigator.engine, true_biases(drive)

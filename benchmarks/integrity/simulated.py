@@ -18,6 +18,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
 from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
+from shared.runtime.config import GnssAntenna, Vehicle
 
 DURATION_S = 180.0
 OUTAGE_S, PERIOD_S, FIRST_NS = 15, 60, 45_000_000_000
@@ -73,7 +74,10 @@ def judge_run(job: tuple[Case, int]) -> Judged:
     scenario = scenario_of(case.scenario, seed)
     drive = simulate(with_error(scenario, case.error) if case.error else scenario, seed, DURATION_S)
     drive.fix_valid[_hidden(drive.fix_ns)] = False
-    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, lever_arm_sd_m=0.0, delay_sd_s=0.0))
+    settings = Settings(
+        vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b, lever_arm_sd_m=0.0)),
+        gnss=GnssSettings(delay_sd_s=0.0),
+    )
     rng = np.random.default_rng((seed, STREAM))
     drive.fix_ns[:] += round(abs(settings.gnss.time_sd_s * rng.standard_normal()) * 1e9)
     base_sd = case.base_share * drive.fix_position_sd_n[0]

@@ -169,7 +169,7 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
     settings = Settings().with_values(
         {
             "merge_delay_s": 0.0,
-            "gnss.lever_arm_body_m": tuple(log["arm"].tolist()),
+            "vehicle.gnss.lever_arm_body_m": tuple(log["arm"].tolist()),
             "alignment.levelling_s": 2.0,
             "standstill.enabled": every,
             "non_holonomic.enabled": every,

@@ -53,7 +53,9 @@ class Start:
 
     def run(self, duration_s: float, settings: dict[str, object] | None = None) -> Iterator[tuple[int, Navigator]]:
         """Lead a new navigator on from there; after each sample its number and the navigator."""
-        made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": self.drive.lever_arm_b, **(settings or {})}))
+        made = Navigator(
+            Settings().with_values({"vehicle.gnss.lever_arm_body_m": self.drive.lever_arm_b, **(settings or {})})
+        )
         yield from self.lead(made, duration_s)
 
     def lead(self, made: Navigator, duration_s: float, until_s: float = inf) -> Iterator[tuple[int, Navigator]]:

@@ -116,5 +116,5 @@ def _collected(
     collector = Collector()
     for message in unit.run(messages):
         collector.add(message)
-    lever_arm = vehicle.section("core.fusion", Fusion).gnss.lever_arm_body_m
+    lever_arm = vehicle.facts.gnss.lever_arm_body_m
     return collector.timeline(interval_ns, lever_arm, reference)

@@ -8,7 +8,6 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from services.core.fusion.settings import Settings
 from shared.maths import earth, rotation
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
@@ -70,7 +69,7 @@ class Balance:
 
     def __init__(self, vehicle: VehicleFile, *, keep: bool = True) -> None:
         self._keep = keep
-        self._lever_b = np.array(vehicle.section("core.fusion", Settings).gnss.lever_arm_body_m)
+        self._lever_b = np.array(vehicle.facts.gnss.lever_arm_body_m)
         self._truth: list[TruthState] = []
         self._fixes: list[GnssFix] = []
         self._solutions: list[NavigationSolution] = []

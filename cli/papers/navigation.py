@@ -18,12 +18,13 @@ from rich.console import Console
 from rich.table import Table
 
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, NonHolonomicSettings, Settings
+from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import ODOMETER_SCALE_SD, ODOMETER_SD, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import BASE_SD, ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_track
+from shared.runtime.config import GnssAntenna, Vehicle
 
 from ..progress import progress_on
 
@@ -166,8 +167,9 @@ def position_errors(drive: Drive, track: Track) -> FloatArray:
 def settings_for(drive: Drive, *, wheels: bool) -> Settings:
     """Filter settings of the simulated vehicle."""
     return Settings(
-        gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b),
-        non_holonomic=NonHolonomicSettings(rear_axle_body_m=IMU_ON_AXLE if wheels else None),
+        vehicle=Vehicle(
+            gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b), rear_axle_body_m=IMU_ON_AXLE if wheels else None
+        )
     )
 
 

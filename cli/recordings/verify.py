@@ -57,7 +57,7 @@ def verify(
     console = Console(stderr=True)
     with open_recording(files[0]) as first:
         file = vehicle_of(first, vehicle)
-        if file.mounting != file.samples_mounting:
+        if file.facts.imu.body_from_sensor != file.samples_mounting:
             raise UserError(
                 f"the inertial samples of {files[0]} were made with another mounting of the IMU than the vehicle's "
                 "file states, so nothing can be repeated byte for byte; `obu solve` processes it anew"

@@ -156,7 +156,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     clocks = solved.clocks() if is_hardly_used(metrics) else []
     again = None
     if smoothed is not None:
-        again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).gnss.lever_arm_body_m)
+        again = smoothed_run(run, smoothed, reference, drive.vehicle.facts.gnss.lever_arm_body_m)
         metrics |= smoothed_metrics(run, again)
     truth_is = reference.description if reference else "none"
     risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
@@ -380,8 +380,7 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
             f"the filter was never aligned ({reason}); "
             + (" ".join(solved.clocks()) or "check lever arm, axes and stamps, or use a longer drive")
         )
-    config = _fusion(drive.vehicle)
-    lever_arm = config.gnss.lever_arm_body_m
+    lever_arm = drive.vehicle.facts.gnss.lever_arm_body_m
     outages, aligned_ns = solved.outages, solved.counters.aligned_ns
     return Run(
         track,
@@ -393,7 +392,7 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         len(fixes),
         len(fixes) - len(solved.fixes),
         fixes_offered=len({fix.sampled_ns for fix in solved.fixes if fix.sampled_ns >= (aligned_ns or 0)}),
-        alert_limits_m=(config.integrity.alert_limit_horizontal_m, config.integrity.alert_limit_vertical_m),
+        alert_limits_m=drive.vehicle.facts.alert_limits_m,
     )
 
 
@@ -401,9 +400,9 @@ def _gnss_alone(drive: Drive, solved: Solved, reference: Reference | None) -> Gn
     """Errors of the fixes given to the filter; the truth is not made of them."""
     if reference is None:
         return None
-    gnss = _fusion(drive.vehicle).gnss
+    arm, delay_s = drive.vehicle.facts.gnss.lever_arm_body_m, _fusion(drive.vehicle).gnss.delay_s
     track = solved.builder.track().valid()
-    return gnss_alone(solved.fixes, reference, track, lever_arm_b=gnss.lever_arm_body_m, delay_s=gnss.delay_s)
+    return gnss_alone(solved.fixes, reference, track, lever_arm_b=arm, delay_s=delay_s)
 
 
 def _trust(
@@ -412,7 +411,7 @@ def _trust(
     """Verdicts of a run, and its errors over those of the run without core.trust; None if that did not run."""
     if not len(solved.verdicts):
         return None
-    lever_arm = _fusion(drive.vehicle).gnss.lever_arm_body_m
+    lever_arm = drive.vehicle.facts.gnss.lever_arm_body_m
     harm: Harm | None = None
     if reference is not None:
         runs = (made.builder.track().valid() for made in (solved, plain))

@@ -5,11 +5,13 @@ import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from math import pi
 from pathlib import Path
 from typing import Self, TypeVar
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic.fields import FieldInfo
 
 from ..errors import ConfigError, UserError
 from ..messages.base import Vector3
@@ -53,14 +55,62 @@ class ImuMounting(Section):
         return rows
 
 
-class VehicleSection(Section):
-    """Name and role of this unit."""
+class GnssAntenna(Section):
+    """Where the GNSS antenna is, and the second one of a receiver that measures a heading."""
+
+    lever_arm_body_m: Vector3 = Field(
+        default=(0.0, 0.0, 0.0), description="lever arm from the IMU to the GNSS antenna: forward, right, down"
+    )
+    lever_arm_sd_m: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=10.0,
+        description="standard deviation of the lever arm on each axis, which the protection levels hold until the "
+        "check of the set-up agrees; if not given, 0.35 m, or 0.5 m where the lever arm is zero",
+    )
+    baseline_yaw_body_rad: float = Field(
+        default=0.0,
+        ge=-pi,
+        le=pi,
+        description="direction from the first to the second antenna in body axes, clockwise from forward",
+    )
+
+
+class Vehicle(Section):
+    """Name and role of this unit, and the facts of its vehicle that more than one process needs."""
 
     name: str = Field(
         default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$", description="the second level of every topic"
     )
     role: Role = Field(default=Role.OBU, description="obu: on-board unit of a vehicle; rsu: road-side unit of a plaza")
+    rear_axle_body_m: Vector3 | None = Field(
+        default=None,
+        description="lever arm from the IMU to the middle of the rear axle: forward, right, down; if not given, the "
+        "non-holonomic constraint and the wheel speed are weighted less in bends",
+    )
+    alert_limit_horizontal_m: float = Field(
+        default=10.0,
+        gt=0.0,
+        description="horizontal alert limit: a larger protection level makes the verdict UNSAFE; reports use it too",
+    )
+    alert_limit_vertical_m: float = Field(
+        default=20.0,
+        gt=0.0,
+        description="vertical alert limit: a larger protection level makes the verdict UNSAFE; reports use it too",
+    )
     imu: ImuMounting = ImuMounting()
+    gnss: GnssAntenna = GnssAntenna()
+
+    @property
+    def alert_limits_m(self) -> tuple[float, float]:
+        """Horizontal and vertical alert limit."""
+        return self.alert_limit_horizontal_m, self.alert_limit_vertical_m
+
+
+class VehicleSettings(Section):
+    """Settings of a process that needs facts of the vehicle; they stand in [vehicle], and not in its own section."""
+
+    vehicle: Vehicle = Vehicle()
 
 
 @dataclass(frozen=True)
@@ -95,19 +145,19 @@ class VehicleFile:
     samples_mounting: Matrix3 | None = None  # of a recording: with which its inertial samples were made
 
     @property
-    def mounting(self) -> Matrix3:
-        """Rotation from the axes of the IMU to those of the vehicle (forward, right, down)."""
-        return self.section("vehicle", VehicleSection).imu.body_from_sensor
+    def facts(self) -> Vehicle:
+        """What [vehicle] states."""
+        return self.section("vehicle", Vehicle)
 
     @property
     def name(self) -> str:
         """Name of the vehicle, the second level of every topic."""
-        return self.section("vehicle", VehicleSection).name
+        return self.facts.name
 
     @property
     def role(self) -> Role:
         """Role of this unit, which determines the processes that run."""
-        return self.section("vehicle", VehicleSection).role
+        return self.facts.role
 
     @property
     def processes(self) -> tuple[str, ...]:
@@ -119,8 +169,15 @@ class VehicleFile:
 
         Validators find this file in the context, for a value that another section or a file beside this one holds.
         """
+        table = self.tables.get(name, {})
+        if issubclass(kind, VehicleSettings):
+            if "vehicle" in table:
+                raise ConfigError(
+                    f"{self.path}: [{name}.vehicle]: facts of the vehicle stand in [vehicle]; move it there"
+                )
+            table = {**table, "vehicle": self.facts}
         try:
-            return kind.model_validate(self.tables.get(name, {}), context={"vehicle": self})
+            return kind.model_validate(table, context={"vehicle": self})
         except ValidationError as error:
             raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
 
@@ -151,11 +208,16 @@ def with_values(table: Mapping[str, object], values: Mapping[str, object]) -> Ta
 
 def dotted_keys(kind: type[Section]) -> Iterator[str]:
     """Name every setting of a section, those of its sections with a dot."""
-    for name, info in kind.model_fields.items():
+    for name, info in own_fields(kind).items():
         if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
             yield from (f"{name}.{key}" for key in dotted_keys(info.annotation))
         else:
             yield name
+
+
+def own_fields(kind: type[Section]) -> dict[str, FieldInfo]:
+    """Fields that a section of a vehicle's file may hold: without the facts of [vehicle]."""
+    return {name: info for name, info in kind.model_fields.items() if info.annotation is not Vehicle}
 
 
 def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
@@ -167,9 +229,13 @@ def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
         return f"[{section}] has no setting {key!r}; it is {in_section(new)} now"
     if first["type"] != "extra_forbidden":
         return f"[{section}] {key} = {first['input']!r}: {first['msg']}"
-    names = {known.rpartition(".")[2]: known for known in keys} | {known: known for known in keys}
+    facts = dotted_keys(Vehicle) if issubclass(kind, VehicleSettings) else ()
+    names = {
+        **{fact.rpartition(".")[2]: in_section(f"vehicle.{fact}") for fact in facts},
+        **{name: repr(known) for known in keys for name in (known.rpartition(".")[2], known)},
+    }
     near = difflib.get_close_matches(key, names, n=1) or difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
-    hint = f"did you mean {names[near[0]]!r}?" if near else f"known keys: {', '.join(sorted(keys)) or 'none'}"
+    hint = f"did you mean {names[near[0]]}?" if near else f"known keys: {', '.join(sorted(keys)) or 'none'}"
     return f"[{section}] has no setting {key!r}; {hint}"
 
 

@@ -5,11 +5,21 @@ from operator import mul
 from typing import cast
 
 import tomlkit
-from tomlkit.items import Array
+from tomlkit.items import Array, InlineTable
 
 from ..errors import ConfigError
 from .config import LEVEL_MOUNTING, Matrix3, mounting_from, read_toml
-from .old_keys import FUSION_MOUNTING, MOUNTING, PARSER_MOUNTING, PRESENT_KEYS, in_section, old_keys, value_at
+from .old_keys import (
+    EMPTIED,
+    FUSION_MOUNTING,
+    MOUNTING,
+    PARSER_MOUNTING,
+    PRESENT_KEYS,
+    STATED_AGAIN,
+    in_section,
+    old_keys,
+    value_at,
+)
 
 DIGITS = 9  # of an element of a matrix that is a product
 
@@ -36,24 +46,41 @@ def migrated(text: str, path: str) -> tuple[str, list[str]]:
     """
     document = read_toml(text, path)
     found = list(old_keys(document))
-    if not found:
+    emptied = value_at(document, EMPTIED) is not None
+    if not found and not emptied:
         return text, []
-    for key in found:
-        if PRESENT_KEYS[key] != MOUNTING and value_at(document, PRESENT_KEYS[key]) is not None:
-            raise ConfigError(f"{path} holds both {in_section(key)} and {in_section(PRESENT_KEYS[key])}; remove one")
+    _refuse_rivals(document, found, path)
     mounting = _mounting(document, path) if {PARSER_MOUNTING, FUSION_MOUNTING} & set(found) else None
     file = cast("MutableMapping[str, object]", tomlkit.parse(text))
     changes = []
     for key in found:
-        value = _removed(file, key)
-        if PRESENT_KEYS[key] != MOUNTING:
-            _table(file, PRESENT_KEYS[key].split(".")[:-1])[PRESENT_KEYS[key].rpartition(".")[2]] = value
-            changes.append(f"{in_section(key)} -> {in_section(PRESENT_KEYS[key])}")
+        value, new = _removed(file, key), PRESENT_KEYS[key]
+        if key in STATED_AGAIN:
+            again = value_at(document, key)
+            changes.append(f"{in_section(key)} = {again} is left out; {in_section(new)} is that of all processes")
+        elif new != MOUNTING:
+            _table(file, new.split(".")[:-1])[new.rpartition(".")[2]] = value
+            changes.append(f"{in_section(key)} -> {in_section(new)}")
     if mounting is not None:
         _table(file, ["vehicle", "imu"])["body_from_sensor"] = _rows(mounting)
         olds = [in_section(key) for key in found if PRESENT_KEYS[key] == MOUNTING]
         changes.append(f"{' and '.join(olds)} -> {in_section(MOUNTING)}")
+    if emptied and not _table(file, EMPTIED.split(".")):
+        _removed(file, EMPTIED)
+        changes.append(f"[{EMPTIED}] is empty and removed")
     return tomlkit.dumps(cast(tomlkit.TOMLDocument, file)), changes
+
+
+def _refuse_rivals(document: Mapping[str, object], found: list[str], path: str) -> None:
+    """Raise `ConfigError` where a setting stands twice in a file, by keys of different versions."""
+    taken = {key: key for key in PRESENT_KEYS.values() if value_at(document, key) is not None}
+    for key in found:
+        new = PRESENT_KEYS[key]
+        if new == MOUNTING or key in STATED_AGAIN:
+            continue
+        if new in taken:
+            raise ConfigError(f"{path} holds both {in_section(key)} and {in_section(taken[new])}; remove one")
+        taken[new] = key
 
 
 def mounting_of_samples(text: str, path: str) -> Matrix3:
@@ -93,7 +120,8 @@ def _table(file: MutableMapping[str, object], sections: list[str]) -> MutableMap
     table = file
     for depth, section in enumerate(sections):
         if section not in table:
-            table[section] = tomlkit.table(is_super_table=depth < len(sections) - 1)
+            within = tomlkit.table(is_super_table=depth < len(sections) - 1)
+            table[section] = tomlkit.inline_table() if isinstance(table, InlineTable) else within
         table = cast("MutableMapping[str, object]", table[section])
     return table
 

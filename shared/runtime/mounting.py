@@ -15,7 +15,7 @@ class RecordedAxes:
     """
 
     def __init__(self, vehicle: VehicleFile) -> None:
-        now, then = vehicle.mounting, vehicle.samples_mounting
+        now, then = vehicle.facts.imu.body_from_sensor, vehicle.samples_mounting
         self._turn = None if then in (None, now) else np.array(now) @ np.array(then).T
 
     def apply(self, message: Message) -> Message:

@@ -6,6 +6,18 @@ MOUNTING = "vehicle.imu.body_from_sensor"
 PARSER_MOUNTING = "parsers.imu.body_from_sensor"  # from sensor axes to published axes
 FUSION_MOUNTING = "core.fusion.imu.body_from_imu"  # from published axes to those of the vehicle
 
+ARM, REAR_AXLE = "vehicle.gnss.lever_arm_body_m", "vehicle.rear_axle_body_m"
+# What [core.spoofing] stated once more. Its value is not taken over: the position was made without it.
+STATED_AGAIN = {"core.spoofing.gnss.lever_arm_body_m": ARM, "core.spoofing.long.rear_axle_distance_m": REAR_AXLE}
+# Facts of the vehicle that were settings of [core.fusion].
+_FACTS = {
+    "core.fusion.gnss.lever_arm_body_m": ARM,
+    "core.fusion.gnss.lever_arm_sd_m": "vehicle.gnss.lever_arm_sd_m",
+    "core.fusion.dual_antenna.baseline_yaw_body_rad": "vehicle.gnss.baseline_yaw_body_rad",
+    "core.fusion.non_holonomic.rear_axle_body_m": REAR_AXLE,
+    "core.fusion.integrity.alert_limit_horizontal_m": "vehicle.alert_limit_horizontal_m",
+    "core.fusion.integrity.alert_limit_vertical_m": "vehicle.alert_limit_vertical_m",
+}
 # Keys of [core.fusion] that moved into a section of it under their own name.
 _MOVED = {
     "gnss": ("lever_arm_body_m", "position_only"),
@@ -49,13 +61,19 @@ _RENAMED = {
     "healthy_max_s": "gating.readmission_max_s",
     "integrity_risk": "integrity.risk",
 }
-# Old and present dotted keys of the whole file.
-PRESENT_KEYS: Mapping[str, str] = {
+_WITHIN_FUSION = {
     **{f"core.fusion.{key}": f"core.fusion.{section}.{key}" for section, keys in _MOVED.items() for key in keys},
     **{f"core.fusion.{old}": f"core.fusion.{new}" for old, new in _RENAMED.items()},
+}
+# Old and present dotted keys of the whole file.
+PRESENT_KEYS: Mapping[str, str] = {
+    **_FACTS,
+    **{old: _FACTS.get(new, new) for old, new in _WITHIN_FUSION.items()},
+    **STATED_AGAIN,
     PARSER_MOUNTING: MOUNTING,
     FUSION_MOUNTING: MOUNTING,
 }
+EMPTIED = "core.fusion.dual_antenna"  # section whose only key has moved
 
 
 def value_at(document: Mapping[str, object], key: str) -> object | None:

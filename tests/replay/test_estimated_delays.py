@@ -60,6 +60,6 @@ def test_a_gnss_delay_of_a_second_is_estimated_and_velocity_is_delayed_more_than
 
 def test_a_velocity_that_is_the_mean_of_its_epoch_is_half_an_epoch_old(tmp_path: Path) -> None:
     drive = as_recorded("rtkexp_drive", recording("rtkexp_drive"), tmp_path)
-    found = last_state(drive, 150.0, **{"gnss.lever_arm_body_m": (0.0, -0.05, 0.0)})
+    found = last_state(drive, 150.0, **{"vehicle.gnss.lever_arm_body_m": (0.0, -0.05, 0.0)})
     assert found.gnss_velocity_delay_s == pytest.approx(0.125, abs=0.03)
     assert found.gnss_delay_s == pytest.approx(-0.09, abs=0.05), "the clock of the IMU drifts"

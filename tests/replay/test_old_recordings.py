@@ -10,6 +10,8 @@ import pytest
 from cli.recordings.common import open_recording, vehicle_of
 from cli.recordings.verify import verify
 from cli.solve.inputs import inputs_of
+from services.core.fusion.process import Config as Fusion
+from services.core.trust.process import Config as Trust
 from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.imu import ImuSamples
@@ -53,7 +55,7 @@ def test_another_mounting_in_the_file_that_is_given_turns_the_samples(tmp_path: 
         inputs = inputs_of(recording)
         right, level = vehicle_of(recording, None), vehicle_of(recording, file)
     turned, as_recorded = (forces(inputs.messages(vehicle)) for vehicle in (right, level))
-    correction = np.array(right.mounting) @ np.array(level.mounting).T
+    correction = np.array(right.facts.imu.body_from_sensor) @ np.array(level.facts.imu.body_from_sensor).T
     assert turned == pytest.approx(as_recorded @ correction.T, abs=1e-9)
     assert np.degrees(np.arctan2(correction[1, 0], correction[0, 0])) == pytest.approx(90.0, abs=0.1)
 
@@ -71,3 +73,18 @@ def test_a_given_file_replaces_a_recorded_one_that_cannot_be_read(tmp_path: Path
         assert vehicle_of(recording, given).name == "car"
         with pytest.raises(UserError, match="not valid TOML"):
             vehicle_of(recording, None)
+
+
+def test_facts_of_the_vehicle_in_a_recorded_file_are_those_of_the_sections_of_then(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    then = (
+        "[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\ndelay_s = 0.1\n"
+        "[core.fusion.integrity]\nalert_limit_horizontal_m = 5.0\n"
+    )
+    RecordingWriter(path, vehicle="car", vehicle_toml=then).close()
+    with open_recording(path) as recording:
+        vehicle = vehicle_of(recording, None)
+    fusion, trust = vehicle.section("core.fusion", Fusion), vehicle.section("core.trust", Trust)
+    assert fusion.vehicle == trust.vehicle == vehicle.facts
+    assert fusion.vehicle.gnss.lever_arm_body_m == (0.3, 0.0, -1.2) and fusion.gnss.delay_s == 0.1
+    assert trust.vehicle.alert_limits_m == (5.0, 20.0)

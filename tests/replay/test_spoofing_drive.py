@@ -33,7 +33,7 @@ RECORDINGS = REPOSITORY / "benchmarks" / "recordings"
 ATTACK_S = 300.0
 LOW_COST_IMU = {
     "grade": Grade.CONSUMER,
-    "gnss.lever_arm_body_m": (0.0, -0.05, 0.0),
+    "vehicle.gnss.lever_arm_body_m": (0.0, -0.05, 0.0),
     "gnss.velocity_delay_s": 0.125,
     "long.accelerometer_bias_sd_m_s2": 0.03,
     "long.gyroscope_bias_sd_rad_s": 5e-4,
@@ -142,7 +142,8 @@ def test_a_minute_of_another_car_raises_no_permanent_alarm(tmp_path: Path) -> No
     drive = real_drive("comma_segment", "comma_segment", tmp_path)
     delay_s = 0.1
     config = Config().with_values(
-        LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": delay_s, "warm_up_s": 0.0}
+        LOW_COST_IMU
+        | {"vehicle.gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": delay_s, "warm_up_s": 0.0}
     )
     result = monitored(drive, config, drive.messages, **{"gnss.delay_s": delay_s, "gnss.velocity_delay_s": delay_s})
     assert result.episodes("inertial_short") <= 1 and result.episodes("inertial_long") == 0
@@ -159,7 +160,7 @@ def test_a_receiver_with_a_configured_delay_of_half_a_second_raises_no_permanent
     """`navmatlab_car_0327`: positions 0.5 s and velocities 0.62 s old by the check of the set-up."""
     drive = real_drive("navmatlab_car_0327", "navmatlab_car", tmp_path)
     config = Config().with_values(
-        LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": 0.62}
+        LOW_COST_IMU | {"vehicle.gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": 0.62}
     )
     delays = {"gnss.delay_s": 0.5, "gnss.velocity_delay_s": 0.12}
     result = monitored(drive, config, drive.messages, **delays)

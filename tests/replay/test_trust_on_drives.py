@@ -82,8 +82,7 @@ def assert_harmless(
     vehicle: VehicleFile, messages: Messages, truth: Callable[[list[GnssFix]], Reference], *, independent: bool = True
 ) -> None:
     """Hold a healthy drive to the bounds, that of errors above the level where the truth is independent."""
-    fusion = vehicle.section("core.fusion", Config)
-    arm = fusion.gnss.lever_arm_body_m
+    arm = vehicle.facts.gnss.lever_arm_body_m
     run = solved(vehicle, messages)
     plain = solved(vehicle, messages, with_trust=False) if run.log.excluded else run
     reference = truth(plain.fixes)
@@ -91,7 +90,7 @@ def assert_harmless(
     longest_s = max(((end - begin) / SECOND_NS for begin, end in run.verdicts.exclusions()), default=0.0)
     harm = harm_of(reference, run.track, plain.track, lever_arm_b=arm)
     settled = errors_against(reference, run.track, lever_arm_b=arm).since(int(run.verdicts.edges_ns[0]) + SETTLED_NS)
-    limits = fusion.integrity.alert_limit_horizontal_m, fusion.integrity.alert_limit_vertical_m
+    limits = vehicle.facts.alert_limits_m
     above = [float((one.error_m > one.level_m).mean()) for one in protected(settled, limits)[:1]]
     assert isinstance(harm, Harm), "the truth covers the drive"
     broken = [
@@ -174,7 +173,7 @@ def true_path(drive: Drive) -> Reference:
 
 def test_a_healthy_receiver_beside_a_low_cost_imu_without_odometer_is_not_taken_away() -> None:
     drive = with_a_low_cost_imu(simulate("urban", seed=1, duration_s=DURATION_S))
-    vehicle = parse_vehicle(f"[core.fusion.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n", "low-cost.toml")
+    vehicle = parse_vehicle(f"[vehicle.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n", "low-cost.toml")
 
     def messages() -> Iterator[Message]:  # the unit makes ticks of its own
         return (made for made in typed_messages(drive, odometer=False) if not isinstance(made, Tick))

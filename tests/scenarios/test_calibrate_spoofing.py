@@ -21,7 +21,7 @@ from tests.support.bus.envelopes import sent
 
 pytestmark = pytest.mark.slow  # three drives of a minute or more through fusion
 
-VEHICLE = '[vehicle]\nname = "made"\n\n[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
+VEHICLE = '[vehicle]\nname = "made"\n\n[vehicle.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
 DURATIONS_S = {"monday": 110.0, "tuesday": 110.0, "later": 80.0}
 
 

@@ -145,7 +145,7 @@ def test_the_reason_of_readmission_states_the_distance_from_dead_reckoning(
 def test_fusion_publishes_the_same_from_its_recorded_inputs(
     drive: Drive, chain: Chain, published: list[Message]
 ) -> None:
-    fusion = Process(Config().with_values({"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}))
+    fusion = Process(Config().with_values({"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}))
     again = [output for one in chain.consumed for output in fusion.handle(one)]  # type: ignore[arg-type]
     kinds = tuple({type(output) for output in again})
     assert len(kinds) == 5 and again == [one for one in published if isinstance(one, kinds)]

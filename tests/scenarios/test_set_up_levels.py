@@ -10,7 +10,7 @@ from shared.messages.navigation import SetUpVerdict
 from tests.support.drives.set_up import matrix_of
 from tests.support.drives.set_up_runs import SetUpRun, run
 
-KNOWING: dict[str, object] = {"gnss.lever_arm_sd_m": 0.0, "gnss.delay_sd_s": 0.0}
+KNOWING: dict[str, object] = {"vehicle.gnss.lever_arm_sd_m": 0.0, "gnss.delay_sd_s": 0.0}
 
 
 @cache
@@ -48,7 +48,7 @@ def test_a_delay_that_is_found_is_corrected_and_the_levels_keep_what_is_left_of_
 
 def test_levels_of_metres_hardly_grow_where_the_vehicle_file_says_how_well_the_set_up_is_known() -> None:
     """As that of the simulated vehicle does; what an unknown delay makes at the speed of the town is no small thing."""
-    stated: dict[str, object] = {"gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.02}
+    stated: dict[str, object] = {"vehicle.gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.02}
     town = drive("urban")
     before, after = run(town, KNOWING, rtk=False), run(town, stated, rtk=False)
     assert np.median(after.level_h) < 1.05 * np.median(before.level_h)

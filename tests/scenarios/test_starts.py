@@ -12,9 +12,10 @@ import pytest
 from benchmarks.starts.report import moments
 from benchmarks.starts.start import Receiver, Start, drive
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
 from shared.maths.earth import Geodetic
+from shared.runtime.config import GnssAntenna, Vehicle
 from tests.support.drives.starts import Leg, manoeuvre
 
 LIMIT = radians(3.0)
@@ -70,7 +71,7 @@ def errors_of(start: Start, made: Navigator, duration_s: float) -> dict[float, f
 
 
 def plain(start: Start) -> Navigator:
-    return Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=start.drive.lever_arm_b)))
+    return Navigator(Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=start.drive.lever_arm_b))))
 
 
 @pytest.mark.parametrize("receiver", WITH_VELOCITY)

@@ -21,11 +21,11 @@ FILE = """
 [vehicle.imu]
 body_from_sensor = {mounting}
 
+[vehicle.gnss]
+lever_arm_body_m = [0.3, 0.0, -1.2]
+
 [core.spoofing]
 grade = "industrial"
-
-[core.fusion.gnss]
-lever_arm_body_m = [0.3, 0.0, -1.2]
 """
 
 

@@ -11,9 +11,10 @@ from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.aids.base import Counts
 from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
+from shared.runtime.config import GnssAntenna, Vehicle
 
 BEGIN_S, END_S, DURATION_S = 60, 90, 100.0
 Wrong = Callable[[Drive, int], None]  # falsifies a fix
@@ -33,7 +34,7 @@ def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
     drive = simulate(scenario, seed, DURATION_S)
     for k in np.flatnonzero((drive.fix_ns > BEGIN_S * 10**9) & (drive.fix_ns <= END_S * 10**9)).tolist():
         wrong(drive, k)
-    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
+    settings = Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b)))
     navigator = Navigator(settings)
     navigator.use_prior(saved_heading(drive, YAW_SD))
     readings, before, rows = np.hstack([drive.force_b, drive.rate_b]), Counts(), []

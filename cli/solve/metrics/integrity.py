@@ -22,7 +22,7 @@ REFERENCE_SDS = circle_factor(1.0, 1e-3), line_factor(1e-3)
 _MEANINGS = {
     "median_m": "{axis} protection level, median",
     "available_fraction": "fraction of times with a {axis} protection level within the alert limit "
-    "(`core.fusion.integrity.alert_limit_{axis}_m`): availability",
+    "(`vehicle.alert_limit_{axis}_m`): availability",
     "judged_count": "number of times at which the {axis} error is compared with its protection level",
     "misleading_count": "number of times with a {axis} error above its protection level: misleading information",
     "misleading_fraction": "the same as a fraction; it should not exceed the integrity risk",

@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
-from math import inf, radians
+from math import radians
 from typing import Literal
 
 import numpy as np
@@ -12,10 +12,9 @@ from pydantic import Field
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.base import Symmetric3, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
-from shared.messages.navigation import NavigationState
 from shared.messages.neighbours import Neighbour, NeighbourStates
 from shared.messages.trust import TrustMonitor
-from shared.runtime.config import Section
+from shared.runtime.config import VehicleSettings
 
 from .broadcast.store import EphemerisStore
 from .fault_free import fault_free_fix
@@ -27,7 +26,7 @@ from .v2x.bank import BankSettings
 from .v2x.monitor import CooperativeMonitor, CooperativeSettings
 from .v2x.neighbours import NeighbourReport
 
-In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | NavigationState | Tick
+In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | Tick
 Out = TrustMonitor | FaultFreeFix
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
 MOST_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
@@ -38,8 +37,8 @@ SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MH
 ORDINARY = {"no_ephemeris", "below_elevation_mask", "weak_signal", "alone_in_constellation", "neighbour_too_near"}
 
 
-class Config(Section):
-    """Design rates of the tests, the method, and limits of what is used."""
+class Config(VehicleSettings):
+    """Design rates of the tests, the method, and limits of what is used; the alert limit is that of `[vehicle]`."""
 
     method: Literal["bank", "paper", "plain"] = Field(
         default="bank",
@@ -69,6 +68,7 @@ class Process:
         self._silent_ns = round(config.silent_after_s * 1e9)
         model = replace(ErrorModel(), elevation_mask_rad=radians(config.elevation_mask_deg))
         self._plain = SatelliteMonitor(RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model))
+        self._alert_limit_m = config.vehicle.alert_limit_horizontal_m
         self._cooperative: CooperativeMonitor | None = None
         if config.method != "plain":
             self._cooperative = CooperativeMonitor(
@@ -79,12 +79,12 @@ class Process:
                     paper_construction=config.method == "paper",
                 )
             )
+            self._cooperative.alert_limit_m = self._alert_limit_m
         self._plainly_excluded: frozenset[SatelliteId] = frozenset()  # by plain RAIM, in the epoch before
         self._neighbours: deque[NeighbourStates] = deque()
         self._radio: str | None = None
         self._radio_ns = 0  # of its newest list
         self._now_ns: int | None = None
-        self._alert_limit_m: float | None = None
         self._store = EphemerisStore()
         self._rejected: Counter[str] = Counter()
         self._gps_minus_obu_ns: int | None = None
@@ -109,10 +109,6 @@ class Process:
                     self._gps_minus_obu_ns = message.gps_time_ns - message.sampled_ns
             case NeighbourStates():
                 self._use_neighbours(message)
-            case NavigationState():
-                self._alert_limit_m = message.alert_limit_horizontal_m
-                if self._cooperative is not None:
-                    self._cooperative.alert_limit_m = inf if self._alert_limit_m is None else self._alert_limit_m
             case Tick():
                 self._now(message.now_ns)
                 if self._is_silent(message.now_ns):

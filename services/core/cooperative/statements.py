@@ -55,7 +55,7 @@ def statement(
     epoch: RawEpoch,
     time_ns: int,
     since: Since,
-    alert_limit_m: float | None = None,
+    alert_limit_m: float,
 ) -> TrustMonitor:
     """Give the statement of an epoch.
 
@@ -71,8 +71,8 @@ def statement(
         [ns, OBU time line] Of the epoch.
     since : Since
         Of the statement before.
-    alert_limit_m : float or None
-        [m] Horizontal; None before it is known.
+    alert_limit_m : float
+        [m] Horizontal.
 
     Returns
     -------
@@ -194,11 +194,11 @@ def _cooperative_tests(verdict: SatelliteVerdict | None) -> Iterator[MonitorTest
 
 
 def _level_test(
-    plain: SatelliteVerdict, cooperative: SatelliteVerdict | None, alert_limit_m: float | None
+    plain: SatelliteVerdict, cooperative: SatelliteVerdict | None, alert_limit_m: float
 ) -> Iterator[MonitorTest]:
     """Horizontal protection level against the alert limit: beyond it, a fault inside the limit may not be excluded."""
     levels = [verdict.hpl_m for verdict in (plain, cooperative) if verdict and verdict.hpl_m is not None]
-    if alert_limit_m is None or not levels:
+    if not levels:
         return
     level = min(levels)
     enough = level <= alert_limit_m

@@ -95,7 +95,7 @@ def use_fix(navigator: Navigator, fix: GnssFix) -> bool:
                 fix.source,
                 fix.baseline_heading_rad,
                 max(fix.baseline_heading_sd_rad, LEAST_BASELINE_SD),
-                settings.dual_antenna.baseline_yaw_body_rad,
+                settings.vehicle.gnss.baseline_yaw_body_rad,
             )
         )
     for measurement in measurements:
@@ -379,8 +379,8 @@ def state_message(
         epochs_repeated=counts.epochs_repeated,
         measurements_late=navigator.measurements_late,
         lever_arm_error_body_m=navigator.lever_arm_error if delay_known else None,
-        alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
-        alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
+        alert_limit_horizontal_m=navigator.settings.vehicle.alert_limit_horizontal_m,
+        alert_limit_vertical_m=navigator.settings.vehicle.alert_limit_vertical_m,
         gnss_excluded_since_ns=exclusions.gnss_since_ns,
         fixes_excluded=exclusions.fixes,
         excluded_test_ratio=verdicts.excluded_test_ratio,

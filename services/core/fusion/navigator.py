@@ -1,6 +1,7 @@
 """The navigator: solutions from inertial samples and measurements, without bus and messages.
 
-navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=(0.3, 0.0, -1.2))))
+vehicle = Vehicle(gnss=GnssAntenna(lever_arm_body_m=(0.3, 0.0, -1.2)))
+navigator = Navigator(Settings(vehicle=vehicle))
 navigator.fix(t_ns, position=Geodetic(...), velocity=(...))
 navigator.imu(t_ns, force, rate)
 solution = navigator.solution()

@@ -2,10 +2,10 @@
 
 from math import pi, radians
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from shared.messages.base import Vector3
-from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, vehicle_in
+from shared.runtime.config import Section, VehicleSettings
 
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
@@ -59,18 +59,8 @@ class ImuSettings(Section):
 
 
 class GnssSettings(Section):
-    """Antenna, delays and error model of the GNSS receiver."""
+    """Delays and error model of the GNSS receiver; its antenna is `[vehicle.gnss]`."""
 
-    lever_arm_body_m: Vector3 = Field(
-        default=(0.0, 0.0, 0.0), description="lever arm from the IMU to the GNSS antenna: forward, right, down"
-    )
-    lever_arm_sd_m: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=10.0,
-        description="standard deviation of the lever arm on each axis, which the protection levels hold until the "
-        "check of the set-up agrees; if not given, 0.35 m, or 0.5 m where the lever arm is zero",
-    )
     delay_s: float = Field(
         default=0.0,
         ge=-2.0,
@@ -158,7 +148,7 @@ class OdometerSettings(Section):
 
 
 class NonHolonomicSettings(Section):
-    """Non-holonomic constraint (NHC): the rear axle moves neither sideways nor vertically."""
+    """Non-holonomic constraint (NHC): `[vehicle] rear_axle_body_m` moves neither sideways nor vertically."""
 
     enabled: bool = Field(default=True, description="aid the filter by the non-holonomic constraint")
     lateral_sd_m_s: float = Field(
@@ -174,11 +164,6 @@ class NonHolonomicSettings(Section):
         gt=0.0,
         description="standard deviation of the mounting angles (pitch and yaw of the IMU in the vehicle) at switch-on; "
         "they are estimated",
-    )
-    rear_axle_body_m: Vector3 | None = Field(
-        default=None,
-        description="lever arm from the IMU to the middle of the rear axle: forward, right, down; if not given, the "
-        "constraint and the wheel speed are weighted less in bends",
     )
 
 
@@ -210,17 +195,6 @@ class MagnetometerSettings(Section):
     )
     declination_rad: float = Field(
         default=0.0, ge=-pi, le=pi, description="declination of magnetic north from true north, positive to the east"
-    )
-
-
-class DualAntennaSettings(Section):
-    """Heading from the baseline between two GNSS antennas."""
-
-    baseline_yaw_body_rad: float = Field(
-        default=0.0,
-        ge=-pi,
-        le=pi,
-        description="direction from the first to the second antenna in body axes, clockwise from forward",
     )
 
 
@@ -276,24 +250,14 @@ class GatingSettings(Section):
 
 
 class IntegritySettings(Section):
-    """Protection levels, and the alert limits that verdict and reports compare them with."""
+    """Protection levels; the alert limits that they are compared with are those of `[vehicle]`."""
 
     risk: float = Field(
         default=1e-3, ge=1e-9, le=0.1, description="probability that the position error exceeds a protection level"
     )
-    alert_limit_horizontal_m: float = Field(
-        default=10.0,
-        gt=0.0,
-        description="horizontal alert limit: a larger protection level makes the verdict UNSAFE; reports use it too",
-    )
-    alert_limit_vertical_m: float = Field(
-        default=20.0,
-        gt=0.0,
-        description="vertical alert limit: a larger protection level makes the verdict UNSAFE; reports use it too",
-    )
 
 
-class Settings(Section):
+class Settings(VehicleSettings):
     """Settings of the filter as a whole, and one section for each sensor or function."""
 
     solution_period_s: float = Field(default=0.1, gt=0.0, le=10.0, description="time between two published solutions")
@@ -317,19 +281,6 @@ class Settings(Section):
     standstill: StandstillSettings = StandstillSettings()
     barometer: BarometerSettings = BarometerSettings()
     magnetometer: MagnetometerSettings = MagnetometerSettings()
-    dual_antenna: DualAntennaSettings = DualAntennaSettings()
     alignment: AlignmentSettings = AlignmentSettings()
     gating: GatingSettings = GatingSettings()
     integrity: IntegritySettings = IntegritySettings()
-
-    _mounting: Matrix3 = PrivateAttr(default=LEVEL_MOUNTING)
-
-    def model_post_init(self, context: object) -> None:
-        """Note the mounting of the IMU: the check of the set-up corrects it, and a saved state is of one mounting."""
-        if vehicle := vehicle_in(context):
-            self._mounting = vehicle.mounting
-
-    @property
-    def mounting(self) -> Matrix3:
-        """Mounting of the IMU, as `[vehicle.imu]` of the vehicle's file states it."""
-        return self._mounting

@@ -51,7 +51,7 @@ class InertialMonitor:
         self.rejected: Counter[str] = Counter() if rejected is None else rejected
         self._decimator, self._heights = Decimator(), Heights()
         self._decimator.rejected = self._heights.rejected = self.rejected
-        self._lever_arm = np.array(s.gnss.lever_arm_body_m)
+        self._lever_arm = np.array(s.vehicle.gnss.lever_arm_body_m)
         self._increments: deque[Increment] = deque(maxlen=KEPT_S * 12)
         self._new: deque[Increment] = deque(maxlen=KEPT_S * 12)  # not propagated yet
         self._solutions: deque[Anchor] = deque(maxlen=KEPT_S * 12)

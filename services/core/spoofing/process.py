@@ -50,8 +50,8 @@ log = logging.getLogger(__name__)
 class Config(Settings):
     """Settings of core.spoofing.
 
-    `profile` may be the name of a file that `obu calibrate spoofing` wrote, relative to the vehicle's file. Lever arm
-    and delay of GNSS, and the random walks of the IMU, are those of core.fusion where this section has none.
+    `profile` may be the name of a file that `obu calibrate spoofing` wrote, relative to the vehicle's file. The delay
+    of GNSS and the random walks of the IMU are those of core.fusion where this section has none.
     """
 
     @model_validator(mode="before")
@@ -81,14 +81,12 @@ def with_grade(values: Mapping[str, object], grade: Grade) -> dict[str, object]:
 
 
 def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
-    """Lever arm, and delay of velocity, from the section of core.fusion."""
+    """Delays of position and velocity, from the section of core.fusion."""
     gnss = vehicle.tables.get("core.fusion", {}).get("gnss", {})
     if not isinstance(gnss, dict):
         return {}
-    found: Table = {key: gnss[key] for key in ("lever_arm_body_m",) if key in gnss}
     delays = [gnss[key] for key in ("delay_s", "velocity_delay_s") if isinstance(gnss.get(key), int | float)]
-    if isinstance(gnss.get("delay_s"), int | float):
-        found["position_delay_s"] = gnss["delay_s"]
+    found: Table = {"position_delay_s": gnss["delay_s"]} if isinstance(gnss.get("delay_s"), int | float) else {}
     return found | ({"velocity_delay_s": sum(delays)} if delays else {})
 
 

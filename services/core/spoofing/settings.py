@@ -1,23 +1,21 @@
 """Settings of the inertial monitors."""
 
 from hashlib import sha256
-from math import radians
+from math import hypot, radians
 
 from pydantic import Field
 
-from shared.messages.base import Vector3
-from shared.runtime.config import Section
+from shared.runtime.config import Section, VehicleSettings
 
 from .grade import Grade
 from .profile import UNIT_IMU, Profile
 
+UNKNOWN_AXLE_M = 1.5  # between IMU and rear axle, where the vehicle's file does not state it
+
 
 class GnssSettings(Section):
-    """Antenna and velocity of the GNSS receiver."""
+    """Velocity of the GNSS receiver; its antenna is `[vehicle.gnss]`."""
 
-    lever_arm_body_m: Vector3 = Field(
-        default=(0.0, 0.0, 0.0), description="lever arm from the IMU to the GNSS antenna: forward, right, down"
-    )
     velocity_delay_s: float = Field(
         default=0.0, ge=-2.0, le=2.0, description="age of the velocity beyond what the stamp of its fix says"
     )
@@ -111,9 +109,6 @@ class LongSettings(Section):
     non_holonomic: bool = Field(default=True, description="the vehicle moves along its forward axis: no lateral slip")
     lateral_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the lateral velocity")
     vertical_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the velocity along body z")
-    rear_axle_distance_m: float = Field(
-        default=1.5, ge=0.0, description="between IMU and rear axle; times the yaw rate it is a lateral velocity"
-    )
     mounting_sd_rad: float = Field(
         default=radians(0.1),
         ge=0.0,
@@ -124,7 +119,7 @@ class LongSettings(Section):
     )
 
 
-class Settings(Section):
+class Settings(VehicleSettings):
     """Settings of both monitors."""
 
     grade: Grade | None = Field(
@@ -144,6 +139,14 @@ class Settings(Section):
     largest_force_m_s2: float = Field(default=80.0, gt=0.0, description="larger specific forces are rejected")
     largest_rate_rad_s: float = Field(default=20.0, gt=0.0, description="larger angular rates are rejected")
 
+    @property
+    def rear_axle_distance_m(self) -> float:
+        """Distance on the ground between IMU and rear axle; times the yaw rate it is a lateral velocity."""
+        axle = self.vehicle.rear_axle_body_m
+        return UNKNOWN_AXLE_M if axle is None else hypot(*axle[:2])
+
     def digest(self) -> str:
         """Identify the settings that the 5 s metrics depend on, those of GNSS."""
-        return sha256(self.gnss.model_dump_json().encode()).hexdigest()[:16]
+        arm, gnss = self.vehicle.gnss.model_dump_json(include={"lever_arm_body_m"}), self.gnss.model_dump_json()
+        text = f"{arm[:-1]},{gnss[1:]}"  # one object, as of profiles that were learned while one section held both
+        return sha256(text.encode()).hexdigest()[:16]

@@ -2,14 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 
 from pydantic import Field
 
 from shared.messages.base import Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
-from shared.runtime.config import Section
+from shared.runtime.config import VehicleSettings
 
 from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
 from .readmission import Admission, Readmission, is_lost, judge_gnss
@@ -23,8 +22,8 @@ REASON_LENGTH = 400  # of a message
 ODOMETER_SILENT_S = 3.0  # after which it decides nothing
 
 
-class Config(Section):
-    """Deadlines of the monitors and thresholds of the verdict; the alert limits are those of core.fusion."""
+class Config(VehicleSettings):
+    """Deadlines of the monitors and thresholds of the verdict; the alert limits are those of `[vehicle]`."""
 
     near_share: float = Field(
         default=0.8, gt=0.0, le=1.0, description="share of the alert limit above which a protection level means CAUTION"
@@ -178,17 +177,15 @@ class Process:
         )
 
     def _limits(self) -> Limits:
-        config, state = self._config, self._navigation
-        limits = Limits(
+        config = self._config
+        return Limits(
+            *config.vehicle.alert_limits_m,
             near_share=config.near_share,
             solution_silent_after_s=config.solution_silent_after_s,
             coasting_after_s=config.coasting_after_s,
             silent_after_s=dict.fromkeys(Monitor, config.monitor_silent_after_s),
             required=frozenset(config.required_monitors),
         )
-        if state is None or state.alert_limit_horizontal_m is None or state.alert_limit_vertical_m is None:
-            return limits
-        return replace(limits, horizontal_m=state.alert_limit_horizontal_m, vertical_m=state.alert_limit_vertical_m)
 
 
 def _solution(message: NavigationSolution | None) -> Solution | None:

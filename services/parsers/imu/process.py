@@ -3,12 +3,12 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from shared.errors import ConfigError
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw, ImuSamples
-from shared.runtime.config import LEVEL_MOUNTING, Matrix3, Section, vehicle_in
+from shared.runtime.config import VehicleSettings, vehicle_in
 from shared.runtime.old_keys import MOUNTING, in_section
 
 from .xsens import Tracker
@@ -16,32 +16,22 @@ from .xsens import Tracker
 MAX_TRACKERS = 8
 
 
-class Config(Section):
+class Config(VehicleSettings):
     """Settings of the IMU parser; the mounting is `[vehicle.imu] body_from_sensor`."""
 
     minimum_delay_s: float = Field(
         default=0.003, ge=0.0, description="minimum delay from an inertial sample to its arrival"
     )
 
-    _body_from_sensor: Matrix3 = PrivateAttr(default=LEVEL_MOUNTING)
-
     def model_post_init(self, context: object) -> None:
-        """Take the mounting of the vehicle's file; raises `ConfigError` for one that no mount makes."""
-        vehicle = vehicle_in(context)
-        if vehicle is None:
-            return
-        self._body_from_sensor = vehicle.mounting
-        (a, b, c), (d, e, f), (g, h, i) = vehicle.mounting
+        """Raise `ConfigError` for a mounting that no mount makes."""
+        (a, b, c), (d, e, f), (g, h, i) = self.vehicle.imu.body_from_sensor
         if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # determinant
+            file = vehicle_in(context)
             raise ConfigError(
-                f"{vehicle.path}: {in_section(MOUNTING)} mirrors the axes, which no mount does: "
+                f"{file.path if file else 'settings'}: {in_section(MOUNTING)} mirrors the axes, which no mount does: "
                 "the third row must be the cross product of the first and the second"
             )
-
-    @property
-    def body_from_sensor(self) -> Matrix3:
-        """Rotation from the axes of the sensor to those of the vehicle."""
-        return self._body_from_sensor
 
 
 class Process:
@@ -66,7 +56,7 @@ class Process:
                 return None
             self._trackers[source] = Tracker(
                 source,
-                body_from_sensor=self._config.body_from_sensor,
+                body_from_sensor=self._config.vehicle.imu.body_from_sensor,
                 minimum_delay_s=self._config.minimum_delay_s,
                 rejects=self.rejects,
             )

@@ -305,7 +305,7 @@ def test_a_mistyped_setting_is_an_error_of_one_sentence(tmp_path: Path) -> None:
     process = start_process("core.fusion", 1, tmp_path, "[core.fusion]\nlever_arm_body = [0, 0, 0]\n")
     output, _ = process.communicate(timeout=20.0)
     assert process.returncode == os.EX_CONFIG
-    assert output.startswith("obu: ") and "lever_arm_body_m" in output
+    assert output.startswith("obu: ") and "did you mean [vehicle.gnss] lever_arm_body_m?" in output
     assert len(output.strip().splitlines()) == 1
 
 

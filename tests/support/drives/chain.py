@@ -50,7 +50,7 @@ class Chain:
 
     def __init__(self, drive: Drive, *, follow: bool = True) -> None:
         self._drive, self._follow = drive, follow
-        lever = {"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
+        lever = {"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
         self._fusion_config = FusionConfig().with_values(lever)
         required = tuple(monitor for monitor in Monitor if monitor is not Monitor.EVIDENCE)
         self.processes: dict[str, Any] = {

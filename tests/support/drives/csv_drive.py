@@ -73,7 +73,7 @@ def write_drive(folder: Path, drive: Drive) -> Path:
          time_s[tenth], np.degrees(drive.position[tenth, :2]), drive.position[tenth, 2], drive.velocity_n[tenth],
          np.degrees(drive.attitude[tenth]), drive.ideal_rate_b[tenth])  # fmt: skip
     (folder / "made.toml").write_text(
-        f'[vehicle]\nname = "made"\n\n[core.fusion.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n'
+        f'[vehicle]\nname = "made"\n\n[vehicle.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n'
     )
     (folder / "mapping.toml").write_text(MAPPING)
     return folder / "mapping.toml"

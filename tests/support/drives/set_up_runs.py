@@ -6,12 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from services.core.fusion.process import Config, Process
-from services.core.fusion.settings import GnssSettings
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_track
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution, NavigationState, SetUpCheck, SetUpState, SetUpVerdict
+from shared.runtime.config import GnssAntenna, Vehicle
 
 FloatArray = npt.NDArray[np.float64]
 RTK_SD = 0.02  # [m]
@@ -88,7 +88,7 @@ def run(
         Factor on the heights.
     """
     x, y, z = np.add(drive.lever_arm_b, arm_error).tolist()
-    config = Config(gnss=GnssSettings(lever_arm_body_m=(x, y, z)))
+    config = Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=(x, y, z))))
     if settings:
         config = config.with_values(settings)
     process = Process(config)

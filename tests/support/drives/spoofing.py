@@ -127,8 +127,8 @@ def monitored(
     """Run a drive through both processes."""
     lever_arm = tuple(drive.lever_arm_b)
     config = config or GRADED
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": lever_arm}))
-    process = Process(config.with_values({"gnss.lever_arm_body_m": lever_arm}))
+    fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": lever_arm}))
+    process = Process(config.with_values({"vehicle.gnss.lever_arm_body_m": lever_arm}))
     return run(fusion, process, inputs(drive, odometer=odometer, resolution_m_s=resolution_m_s))
 
 

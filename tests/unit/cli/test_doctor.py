@@ -49,7 +49,7 @@ def test_an_invalid_setting_is_named(
     vehicle = tmp_path / "vehicle.toml"
     vehicle.write_text("[core.fusion]\nlever_arm_m = [0, 0, 0]\n")
     assert doctor.examine(vehicle) == 1
-    assert "gnss.lever_arm_" in capsys.readouterr().out
+    assert "did you mean [vehicle.gnss] lever_arm_" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def file(tmp_path: Path) -> Path:
 def test_a_file_is_rewritten_and_its_former_text_kept(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file.chmod(0o640)
     assert migrate(file) == 0
-    assert load_vehicle(file).mounting == ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    assert load_vehicle(file).facts.imu.body_from_sensor == ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0))
     assert file.with_name("car.toml.old").read_text() == OLD and "# mine" in file.read_text()
     assert file.stat().st_mode & 0o777 == 0o640
     assert "[core.fusion.imu] body_from_imu -> [vehicle.imu] body_from_sensor" in capsys.readouterr().out

@@ -78,7 +78,7 @@ class Aids:
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
-        gating, integrity = self._settings.gating, self._settings.integrity
+        gating = self._settings.gating
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
             observation = observe(navigation)
@@ -95,7 +95,7 @@ class Aids:
             )
             self.error_monitor = self.error_monitor.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated,
-                limits_m=(integrity.alert_limit_horizontal_m, integrity.alert_limit_vertical_m),
+                limits_m=self._settings.vehicle.alert_limits_m,
             )  # fmt: skip
             if isinstance(measurement, GnssPosition) and outcome.used:
                 self.error_monitor = replace(

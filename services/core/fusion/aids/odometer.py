@@ -81,7 +81,7 @@ class WheelSpeed(Kind):
 
         A zero in doubt is not used while the filter does not know better; where it does, the gate decides.
         """
-        arm_sd = UNKNOWN_ARM_SD if self.settings.non_holonomic.rear_axle_body_m is None else 0.0
+        arm_sd = UNKNOWN_ARM_SD if self.settings.vehicle.rear_axle_body_m is None else 0.0
         sway2 = SWAY_SD**2 + (arm_sd * navigation.rate[2]) ** 2
         rows = np.vstack([H, _axle(navigation, self.settings)[1][1:]])
         unsure = float(H[0] @ navigation.P @ H[0]) > DEAD_ZONE_SD**2
@@ -92,7 +92,7 @@ class WheelSpeed(Kind):
         noise = hypot(self.settings.odometer.speed_sd_m_s, self.resolution / 12.0**0.5)
         if self.speed == 0.0:
             noise = hypot(noise, DEAD_ZONE_SD)
-        exact = self.exact and self.settings.non_holonomic.rear_axle_body_m is not None
+        exact = self.exact and self.settings.vehicle.rear_axle_body_m is not None
         side = 0.0 if exact else HALF_TRACK_M * navigation.rate[2]
         old = STAMP_SD * hypot(*navigation.acceleration)
         return noise**2 + side**2 + old**2
@@ -126,14 +126,14 @@ class NonHolonomic(Kind):
         turn = abs(navigation.rate[2])
         sd, vertical_sd = self.settings.non_holonomic.lateral_sd_m_s, self.settings.non_holonomic.vertical_sd_m_s
         repeated = CORRELATION_S / PERIOD_S
-        arm_sd = UNKNOWN_ARM_SD if self.settings.non_holonomic.rear_axle_body_m is None else 0.0
+        arm_sd = UNKNOWN_ARM_SD if self.settings.vehicle.rear_axle_body_m is None else 0.0
         sideways = sd**2 + (SLIP * float(ahead[0]) ** 2 * turn) ** 2 + (arm_sd * turn) ** 2
         return Observation(AidingKind.NON_HOLONOMIC, -ahead[1:], H[1:], repeated * np.diag([sideways, vertical_sd**2]))
 
 
 def _axle(navigation: ErrorStateFilter, settings: Settings) -> tuple[FloatArray, FloatArray]:
     """Velocity of the rear axle [m/s, vehicle], and the matrix of its errors; the Earth's rate times l is left out."""
-    arm: Vector = settings.non_holonomic.rear_axle_body_m or (0.0, 0.0, 0.0)
+    arm: Vector = settings.vehicle.rear_axle_body_m or (0.0, 0.0, 0.0)
     C, M = navigation.ned_from_body, navigation.vehicle_from_body
     velocity, (x, y, z), (a, b, c) = navigation.velocity, navigation.rate, arm
     axle_b = C.T @ np.array(velocity) + np.array([y * c - z * b, z * a - x * c, x * b - y * a])

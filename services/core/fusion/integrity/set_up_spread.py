@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from math import hypot
 from typing import NamedTuple
 
+from shared.runtime.config import GnssAntenna
+
 from ..settings import GnssSettings, Settings
 
 ARM_SD_M = 0.35  # of a lever arm that was measured by hand: 3.3 of them hold one that is a metre off, and the filter
@@ -52,18 +54,18 @@ class SetUpSpread:
         delay : Measured, optional
             [s] Delay that is left, by the check.
         """
-        arm_m, delay_s = assumed_arm_sd_m(settings.gnss), assumed_delay_sd_s(settings.gnss)
+        arm_m, delay_s = assumed_arm_sd_m(settings.vehicle.gnss), assumed_delay_sd_s(settings.gnss)
         return cls(_replaced(arm_m, arm), arm_m, _replaced(delay_s, delay))
 
 
 NO_SPREAD = SetUpSpread()
 
 
-def assumed_arm_sd_m(gnss: GnssSettings) -> float:
+def assumed_arm_sd_m(antenna: GnssAntenna) -> float:
     """Standard deviation of the lever arm [m] on each axis before any check."""
-    if gnss.lever_arm_sd_m is not None:
-        return gnss.lever_arm_sd_m
-    return ARM_SD_M if any(gnss.lever_arm_body_m) else UNKNOWN_ARM_SD_M
+    if antenna.lever_arm_sd_m is not None:
+        return antenna.lever_arm_sd_m
+    return ARM_SD_M if any(antenna.lever_arm_body_m) else UNKNOWN_ARM_SD_M
 
 
 def assumed_delay_sd_s(gnss: GnssSettings) -> float:

@@ -161,7 +161,7 @@ def evaluate(
     late = delay.verdict is Verdict.CONTRADICTS
     lag_s = delay.statistic if late and delay.statistic is not None else 0.0
     intervals = intervals_of(motion, chosen, lag_s) if len(chosen.begin) >= FEWEST_VELOCITIES else None
-    fit = axes.fit_axes(motion, intervals, settings.mounting)
+    fit = axes.fit_axes(motion, intervals, settings.vehicle.imu.body_from_sensor)
     of_imu = (
         axes.check_accelerometer_scale(fit),
         axes.check_upright(fit),
@@ -204,7 +204,7 @@ def _delays(
 def check_arm(settings: Settings, arm: ArmError) -> Check:
     """Put the filter's own comparison of the antenna with its prediction in turns into a finding."""
     forward, right = arm.error
-    x, y, z = settings.gnss.lever_arm_body_m
+    x, y, z = settings.vehicle.gnss.lever_arm_body_m
     size = (forward**2 + right**2) ** 0.5
     along, across = "ahead of" if forward > 0.0 else "behind", "right" if right > 0.0 else "left"
     text = (
@@ -213,7 +213,7 @@ def check_arm(settings: Settings, arm: ArmError) -> Check:
     )
     values = size, size / max(arm.sds, 1e-9), 0.0, 0.5, "m"
     if arm.wrong:
-        setting = f"core.fusion.gnss.lever_arm_body_m = [{x + forward:.2f}, {y + right:.2f}, {z:.2f}]"
+        setting = f"vehicle.gnss.lever_arm_body_m = [{x + forward:.2f}, {y + right:.2f}, {z:.2f}]"
         return Check("lever_arm", Verdict.CONTRADICTS, text, *values, setting)
     if arm.sds > 0.0 and size / arm.sds < 0.2 and size < 0.5:
         return Check("lever_arm", Verdict.AGREES, "in turns the antenna is where the settings have it", *values)

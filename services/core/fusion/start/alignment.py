@@ -174,7 +174,7 @@ class Alignment:
     def _add_to_track(self, fix: GnssPosition) -> None:
         """Add a position to the track; without GNSS velocities, levelling uses the speed of the track."""
         level, now_ns = self.levelling, fix.time_ns
-        x, y, _ = rotate(level.quaternion, self._settings.gnss.lever_arm_body_m)
+        x, y, _ = rotate(level.quaternion, self._settings.vehicle.gnss.lever_arm_body_m)
         recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
         self._track = (*tuple(recent)[-99:], Point(fix, level.heading_integral, level.displacement, complex(x, y)))
         if self._has_velocity:
@@ -190,7 +190,7 @@ class Alignment:
 
     def _lever_arm_velocity(self) -> Vector:
         """Velocity of the antenna relative to the IMU [m/s, level frame]: C (w x l)."""
-        x, y, z = np.cross(self.levelling.rate, self._settings.gnss.lever_arm_body_m).tolist()
+        x, y, z = np.cross(self.levelling.rate, self._settings.vehicle.gnss.lever_arm_body_m).tolist()
         return rotate(self.levelling.quaternion, (x, y, z))
 
     def _set_motion_from_track(self, fix: GnssPosition) -> None:
@@ -203,7 +203,7 @@ class Alignment:
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
         """Filter at the instant of the fix."""
         self.method, self.comparison = heading.method, self.comparison.turned(heading.turn).interrupted()
-        settings, arm = self._settings, self._settings.gnss.lever_arm_body_m
+        settings, arm = self._settings, self._settings.vehicle.gnss.lever_arm_body_m
         north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
         quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
         arm_n = rotate(quaternion, arm)

@@ -64,7 +64,7 @@ class SavedState(NamedTuple):
 
 def fingerprint(settings: Settings) -> str:
     """Hash of the settings and the layout; a saved state is used only if both are the same."""
-    text = f"{LAYOUT} {em.SIZE} {settings.mounting} {settings.model_dump_json()}"
+    text = f"{LAYOUT} {em.SIZE} {settings.model_dump_json()}"
     return sha256(text.encode()).hexdigest()[:16]
 
 

@@ -239,7 +239,7 @@ class Verdicts:
         conflict = self.conflict
         if conflict is None or conflict.cursor is None or self._wanted is None:
             return
-        without, integrity = conflict.cursor.engine, self._settings.integrity
+        without = conflict.cursor.engine
         if without.filter is None:
             self._leave("the solution without GNSS is lost")
             return
@@ -249,7 +249,7 @@ class Verdicts:
             conflict.apart_n = apart
             far_h, far_v = conflict.farthest_m
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
-        limits = integrity.alert_limit_horizontal_m, integrity.alert_limit_vertical_m
+        limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
         if share > LAST_LIMITS:
             self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")

@@ -378,12 +378,12 @@ class Engine:
         moving_s = (started.time_ns - first.time_ns) * 1e-9
         if hypot(*started.velocity[:2]) > PARKED_M_S and moving_s < PARKED_S:
             return NOTHING
-        integrity, axes = self._settings.integrity, first.axes
+        vehicle, axes = self._settings.vehicle, first.axes
         north, east, down = ned_from_geodetic_difference(first.position, prior.position)
         sd = np.sqrt(first.cov.diagonal()[:axes])
         spread = hypot(sd[0], sd[1], *prior.position_sd[:2]), hypot(sd[2], prior.position_sd[2]) if axes == 3 else inf
-        far = hypot(north, east) > max(CLOSURE_SDS * spread[0], integrity.alert_limit_horizontal_m)
-        high = abs(down) > max(CLOSURE_SDS * spread[1], integrity.alert_limit_vertical_m)
+        far = hypot(north, east) > max(CLOSURE_SDS * spread[0], vehicle.alert_limit_horizontal_m)
+        high = abs(down) > max(CLOSURE_SDS * spread[1], vehicle.alert_limit_vertical_m)
         if not (far or high):
             return NOTHING
         vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)

@@ -14,7 +14,7 @@ from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import matrix_from_quaternion, quaternion_from_rotation_vector, skew
 
 from ..inertial.strapdown import SECOND_NS, FilterAnchor, Increment, Strapdown
-from ..settings import LongSettings
+from ..settings import UNKNOWN_AXLE_M, LongSettings
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,8 +35,9 @@ ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses
 class FreePropagation:
     """A propagation from one anchor: nominal in steps of 100 ms, covariance and aiding once a second."""
 
-    def __init__(self, anchor: FilterAnchor, settings: LongSettings) -> None:
+    def __init__(self, anchor: FilterAnchor, settings: LongSettings, axle_m: float = UNKNOWN_AXLE_M) -> None:
         self.anchor, self._settings = anchor, settings
+        self._axle_m = axle_m  # distance of the rear axle
         self.nominal = Strapdown(anchor)
         self.scale, self.yaw, self.pitch = anchor.scale, anchor.yaw, anchor.pitch
         self.moved_n = np.zeros(3)  # [m, NED] way of the antenna since the anchor
@@ -137,7 +138,7 @@ class FreePropagation:
             vertical, H_vertical = self.body_row(2)
             H_lateral[YAW], H_vertical[PITCH] = -forward, forward
             z = np.array([self.yaw * forward - lateral, -self.pitch * forward - vertical])
-            variances = [s.lateral_sd_m_s**2 + (s.rear_axle_distance_m * yaw_rate) ** 2, s.vertical_sd_m_s**2]
+            variances = [s.lateral_sd_m_s**2 + (self._axle_m * yaw_rate) ** 2, s.vertical_sd_m_s**2]
             R = np.diag(variances) * s.correlation_s
             self._apply(correct(self.P, z, np.stack([H_lateral, H_vertical]), R))
 

@@ -84,7 +84,7 @@ class FreeRun:
     """One free propagation with its velocities of the last seconds and what GNSS differs from them."""
 
     def __init__(self, anchor: FilterAnchor, settings: Settings) -> None:
-        self.free = FreePropagation(anchor, settings.long)
+        self.free = FreePropagation(anchor, settings.long, settings.rear_axle_distance_m)
         self._settings = settings
         self._nodes: list[_Node] = []
         self._compared: list[_Comparison] = []
@@ -258,7 +258,7 @@ class LongWindow:
 
     def advance(self, increment: Increment) -> None:
         """Propagate by one increment."""
-        lever_velocity_b = np.cross(increment.rate_b, self._settings.gnss.lever_arm_body_m)
+        lever_velocity_b = np.cross(increment.rate_b, self._settings.vehicle.gnss.lever_arm_body_m)
         for run in self._runs:
             if run.free.nominal.time_ns < increment.end_ns:
                 run.advance(increment, lever_velocity_b)

@@ -7,7 +7,7 @@ from shared.errors import UserError
 from shared.runtime.config import parse_vehicle
 
 VEHICLE = parse_vehicle(
-    "[core.fusion.gnss]\nlever_arm_body_m = [1.0, 2.0, 3.0]\n[core.fusion.odometer]\nenabled = false\n", "car.toml"
+    "[vehicle.gnss]\nlever_arm_body_m = [1.0, 2.0, 3.0]\n[core.fusion.odometer]\nenabled = false\n", "car.toml"
 )
 
 
@@ -16,10 +16,10 @@ def fusion(*settings: str) -> Config:
 
 
 def test_a_setting_overrides_that_of_the_vehicle_only() -> None:
-    changed = fusion("core.fusion.gnss.lever_arm_body_m=[0.0, 0.5, 0]", "core.fusion.gnss.delay_s = 0.1")
-    assert changed.gnss.lever_arm_body_m == (0.0, 0.5, 0.0) and changed.gnss.delay_s == 0.1
+    changed = fusion("vehicle.gnss.lever_arm_body_m=[0.0, 0.5, 0]", "core.fusion.gnss.delay_s = 0.1")
+    assert changed.vehicle.gnss.lever_arm_body_m == (0.0, 0.5, 0.0) and changed.gnss.delay_s == 0.1
     assert not changed.odometer.enabled
-    assert fusion().gnss.lever_arm_body_m == (1.0, 2.0, 3.0), "the file itself is as it was"
+    assert fusion().vehicle.gnss.lever_arm_body_m == (1.0, 2.0, 3.0), "the file itself is as it was"
 
 
 def test_a_setting_without_a_process_belongs_to_core_fusion() -> None:

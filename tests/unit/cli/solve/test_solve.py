@@ -186,7 +186,7 @@ def test_a_solution_file_is_accepted_as_truth(recording: Path, solution: Path, t
 
 @pytest.mark.usefixtures("without_figures")
 def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
-    toml = '[vehicle]\nname = "raw"\n\n[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
+    toml = '[vehicle]\nname = "raw"\n\n[vehicle.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
     writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
     for message in messages("parking_lot", seed=3, duration_s=DURATION_S):
         writer.write(sent(message, arrival_ns(message) or 0))
@@ -216,7 +216,7 @@ def test_an_unsolvable_recording_is_reported_in_one_sentence(recording: Path, tm
     with pytest.raises(UserError, match="--outage"):
         solve(recording, outage="10", out=tmp_path)
     (tmp_path / "vehicle.toml").write_text("[core.fusion]\nlever_arm_body = 1\n")
-    with pytest.raises(UserError, match=r"did you mean 'gnss\.lever_arm_body_m'"):
+    with pytest.raises(UserError, match=r"did you mean \[vehicle\.gnss\] lever_arm_body_m"):
         solve(recording, vehicle=tmp_path / "vehicle.toml", out=tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot create the folder"):

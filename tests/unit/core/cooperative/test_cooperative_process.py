@@ -11,9 +11,9 @@ from services.core.cooperative.process import MAX_LISTS, Config, Process, larges
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
 from shared.messages.base import Tick
-from shared.messages.navigation import NavigationPhase, NavigationState
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.runtime.config import Vehicle
 from tests.support.gnss.constellation import NOW_NS, raw_epoch
 from tests.unit.core.cooperative.satellites.test_satellite_process import HERE, NS, at, bits, informed, message, said
 
@@ -126,18 +126,15 @@ def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on
     assert later[-1].outcome is MonitorOutcome.PASS
 
 
-def test_the_protection_level_is_compared_with_the_alert_limit_of_fusion() -> None:
-    process = informed()
-    for limit_m, outcome in ((1000.0, MonitorOutcome.PASS), (0.5, MonitorOutcome.NOT_EVALUATED)):
-        said(process, NavigationState(
-            sampled_ns=0, phase=NavigationPhase.NAVIGATING, since_ns=0, reason="", fixes_used=0, fixes_rejected=0,
-            samples_used=0, samples_rejected=0, imu_gaps=0, resets=0, alert_limit_horizontal_m=limit_m,
-        ))  # fmt: skip
-        second = 1 if limit_m > 1.0 else 2
-        (statement,) = run(process, range(second, second + 1))
-        level = by_name(statement, "horizontal protection level")
-        assert (level.threshold, level.outcome, level.unit) == (limit_m, outcome, "m")
-        assert statement.outcome is MonitorOutcome.PASS, "a large level is no accusation"
+@pytest.mark.parametrize(("limit_m", "outcome"), [(1000.0, MonitorOutcome.PASS), (0.5, MonitorOutcome.NOT_EVALUATED)])
+def test_the_protection_level_is_compared_with_the_alert_limit_of_the_vehicle(
+    limit_m: float, outcome: MonitorOutcome
+) -> None:
+    process = informed(config=Config(vehicle=Vehicle(alert_limit_horizontal_m=limit_m)))
+    (statement,) = run(process, range(1, 2))
+    level = by_name(statement, "horizontal protection level")
+    assert (level.threshold, level.outcome, level.unit) == (limit_m, outcome, "m")
+    assert statement.outcome is MonitorOutcome.PASS, "a large level is no accusation"
 
 
 HUGE = (1e8, 0.0, 0.0, 1e8, 0.0, 1e8)

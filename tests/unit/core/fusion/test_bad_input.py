@@ -20,6 +20,7 @@ from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
+from shared.runtime.config import GnssAntenna, Vehicle
 
 SECOND_NS = 1_000_000_000
 FAULT_S, END_S = 30.0, 52.0
@@ -67,7 +68,9 @@ def unchanged(_: float, force: Vector, rate: Vector) -> tuple[Vector, Vector]:
 
 def new_run() -> Run:
     d = drive()
-    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0}))
+    made = Navigator(
+        Settings().with_values({"vehicle.gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0})
+    )
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     return Run(made)
 
@@ -343,7 +346,10 @@ def test_of_two_receivers_the_one_with_a_step_of_position_is_rejected(north_m: f
     """Both have five fixes a second; from 30 s on the second has a constant position error."""
     d = drive()
     made = Navigator(
-        Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=2.0))
+        Settings(
+            vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=d.lever_arm_b)),
+            alignment=AlignmentSettings(levelling_s=2.0),
+        )
     )
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found = Run(made)
@@ -391,7 +397,7 @@ def test_fixes_of_a_receiver_whose_clock_steps_by_a_second_are_rejected_in_motio
 def test_only_a_lever_arm_that_is_wrong_by_two_metres_is_reported(wrong: tuple[float, float], reported: bool) -> None:
     d = drive()
     x, y, z = d.lever_arm_b
-    made = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=(x + wrong[0], y + wrong[1], z))))
+    made = Navigator(Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=(x + wrong[0], y + wrong[1], z)))))
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     for i, time_ns in enumerate(d.t_ns.tolist()):
         if i % 20 == 19:

@@ -46,7 +46,7 @@ def drive() -> Drive:
 
 def settings(**changes: object) -> Settings:
     return Settings().with_values(
-        {"gnss.lever_arm_body_m": drive().lever_arm_b, "alignment.levelling_s": 2.0, **changes}
+        {"vehicle.gnss.lever_arm_body_m": drive().lever_arm_b, "alignment.levelling_s": 2.0, **changes}
     )
 
 

@@ -34,7 +34,9 @@ def navigator(**changes: object) -> Navigator:
     """Navigator with two seconds of levelling and a known heading."""
     d = drive()
     made = Navigator(
-        Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
+        Settings().with_values(
+            {"vehicle.gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes}
+        )
     )
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     return made

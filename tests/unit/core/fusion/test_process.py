@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
-from services.core.fusion.settings import GnssSettings, IntegritySettings, OdometerSettings
+from services.core.fusion.settings import OdometerSettings
 from services.sensors.simulator.drive import Drive, simulate
 from shared.bus.codec import decode, encode
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
@@ -29,6 +29,7 @@ from shared.messages.navigation import (
     NavigationState,
 )
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
+from shared.runtime.config import GnssAntenna, Vehicle
 
 EPOCH_NS = 1_790_000_000_000_000_000
 LATENCY_NS = 80_000_000
@@ -92,7 +93,7 @@ def nmea_fix(k: int) -> GnssFix:
 
 
 def run(messages: Sequence[Message], process: Process | None = None) -> list[Message]:
-    made = process or Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    made = process or Process(Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     out: list[Message] = []
     for message in sorted(messages, key=lambda m: getattr(m, "received_ns", 0)):
         assert isinstance(
@@ -141,8 +142,8 @@ def saved() -> LastPosition:
 
 
 def test_the_configured_alert_limits_are_part_of_the_state() -> None:
-    limits = IntegritySettings(alert_limit_horizontal_m=2.5, alert_limit_vertical_m=7.5)
-    out = run(samples()[:30], Process(Config(integrity=limits)))
+    limits = Vehicle(alert_limit_horizontal_m=2.5, alert_limit_vertical_m=7.5)
+    out = run(samples()[:30], Process(Config(vehicle=limits)))
     [state, *_] = [m for m in out if isinstance(m, NavigationState)]
     assert (state.alert_limit_horizontal_m, state.alert_limit_vertical_m) == (2.5, 7.5)
 
@@ -179,7 +180,9 @@ def test_solutions_are_published_every_0_1_s_and_states_every_second() -> None:
 
 
 def test_the_period_of_the_solutions_can_be_set() -> None:
-    process = Process(Config(solution_period_s=0.02, gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(
+        Config(solution_period_s=0.02, vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b)))
+    )
     solutions = [m for m in run([saved(), *samples()[:3000], *fixes()[:30]], process)
                  if isinstance(m, NavigationSolution)]  # fmt: skip
     assert np.diff([m.sampled_ns for m in solutions]).max() == 20_000_000
@@ -210,7 +213,7 @@ def wheels(k: int, **changes: float | None) -> WheelSpeeds:
 
 
 def odometer_updates(messages: Sequence[Message], config: Config | None = None) -> list[AidingUpdate]:
-    process = Process(config or Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(config or Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     out = run([saved(), *samples(), *fixes(), *messages], process)
     return [m for m in out if isinstance(m, AidingUpdate) and m.kind is AidingKind.ODOMETER]
 
@@ -250,7 +253,10 @@ def test_the_obd_speed_is_used_until_wheel_speeds_are_received_and_weighted_by_i
 
 
 def test_a_disabled_odometer_is_not_used() -> None:
-    config = Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b), odometer=OdometerSettings(enabled=False))
+    config = Config(
+        vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b)),
+        odometer=OdometerSettings(enabled=False),
+    )
     assert odometer_updates([wheels(k) for k in range(600)], config) == []
 
 
@@ -281,7 +287,7 @@ def test_with_swapped_samples_no_solution_is_published_twice() -> None:
         early, late = swapped[i], swapped[i + 1]
         swapped[i] = late.model_copy(update={"received_ns": early.received_ns})
         swapped[i + 1] = early.model_copy(update={"received_ns": late.received_ns})
-    process = Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     stamps = [m.sampled_ns for m in run([*swapped, *fixes()], process) if isinstance(m, NavigationSolution)]
     assert process.rejects["sample doubled or out of order"] == 4
     assert stamps == sorted(set(stamps)) and len(stamps) > 100
@@ -317,7 +323,7 @@ def test_samples_of_a_second_imu_are_rejected_while_the_first_one_sends() -> Non
 def test_a_saved_position_received_late_is_kept_in_the_roll_back_of_a_late_fix() -> None:
     """Received between two fixes that are both out of sequence."""
     early, rest = samples()[:120], samples()[120:]
-    process = Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     run([*early, fix(0)], process)
     list(process.handle(saved()))
     out = run([*rest[:1600], *fixes()[1:16]], process)
@@ -342,7 +348,7 @@ def test_the_process_file_does_no_mathematics() -> None:
 
 def test_solutions_continue_when_all_stamps_go_back_by_an_hour() -> None:
     """As when a recording is replayed a second time."""
-    process = Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     first = [m for m in run([*samples(), *fixes()], process) if isinstance(m, NavigationSolution)]
     hour_ns = 3600 * 10**9
     messages: list[ImuSamples | GnssFix] = [*samples(), *fixes()]
@@ -382,7 +388,7 @@ def after_the_crash() -> list[ImuSamples | GnssFix]:
 
 
 def restart(state: FilterState, config: Config | None = None) -> tuple[Process, list[Message]]:
-    process = Process(config or Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(config or Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     return process, [*process.handle(state), *run(after_the_crash(), process)]
 
 
@@ -437,14 +443,14 @@ def test_a_state_that_does_not_fit_is_rejected_and_counted(changes: dict[str, ob
 
 
 def test_a_state_saved_with_another_lever_arm_is_rejected() -> None:
-    config = Config(gnss=GnssSettings(lever_arm_body_m=(0.0, 0.0, 0.0)))
+    config = Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=(0.0, 0.0, 0.0))))
     assert restart(last_state(), config)[0].rejects["saved state of other settings"] == 1
 
 
 def test_a_running_process_ignores_saved_states() -> None:
     """It receives those that it publishes itself."""
     messages = [saved(), *samples(), *fixes()]
-    process = Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    process = Process(Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
     out: list[Message] = []
     for message in sorted(messages, key=lambda m: getattr(m, "received_ns", 0)):
         for published in run([message], process):

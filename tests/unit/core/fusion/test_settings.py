@@ -9,21 +9,55 @@ from cli.solve.overrides import with_settings
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.warm_start import fingerprint
 from shared.errors import ConfigError
-from shared.runtime.config import Section, VehicleSection, dotted_keys, load_vehicle, parse_vehicle, with_values
+from shared.runtime.config import (
+    GnssAntenna,
+    Section,
+    Vehicle,
+    dotted_keys,
+    load_vehicle,
+    own_fields,
+    parse_vehicle,
+    with_values,
+)
+from shared.runtime.live import load_process
 from shared.runtime.old_keys import PRESENT_KEYS
 
 
-def test_a_saved_state_is_of_one_mounting() -> None:
-    level = parse_vehicle("").section("core.fusion", Settings)
-    turned_file = "[vehicle.imu]\nbody_from_sensor = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]"
-    turned = parse_vehicle(turned_file).section("core.fusion", Settings)
-    assert fingerprint(level) == fingerprint(Settings()) != fingerprint(turned)
+@pytest.mark.parametrize(
+    "fact",
+    [
+        "imu.body_from_sensor = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]",
+        "gnss.lever_arm_body_m = [0.0, 0.0, -1.0]",
+        "gnss.lever_arm_sd_m = 0.1",
+        "gnss.baseline_yaw_body_rad = 1.5",
+        "rear_axle_body_m = [-1.0, 0.0, 0.5]",
+        "alert_limit_horizontal_m = 5.0",
+        "alert_limit_vertical_m = 5.0",
+    ],
+)
+def test_a_saved_state_is_of_the_vehicle_with_these_facts(fact: str) -> None:
+    plain = parse_vehicle("").section("core.fusion", Settings)
+    stated = parse_vehicle(f"[vehicle]\n{fact}").section("core.fusion", Settings)
+    assert fingerprint(plain) == fingerprint(Settings()) != fingerprint(stated)
+
+
+def test_facts_of_the_vehicle_are_read_from_their_section_and_stay_when_settings_are_replaced() -> None:
+    file = parse_vehicle("[vehicle.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n[core.fusion.gnss]\ndelay_s = 0.1")
+    settings = file.section("core.fusion", Settings)
+    assert settings.vehicle == file.facts == Vehicle(gnss=GnssAntenna(lever_arm_body_m=(0.3, 0.0, -1.2)))
+    changed = settings.with_values({"gnss.delay_s": 0.2, "vehicle.alert_limit_horizontal_m": 5.0})
+    assert changed.vehicle.gnss == settings.vehicle.gnss and changed.vehicle.alert_limits_m == (5.0, 20.0)
+
+
+@pytest.mark.parametrize("name", ["core.fusion", "core.spoofing", "core.trust", "parsers.imu"])
+def test_facts_of_the_vehicle_in_the_section_of_a_process_are_an_error(name: str) -> None:
+    file = parse_vehicle(f"[{name}.vehicle.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]", "car.toml")
+    with pytest.raises(ConfigError, match=rf"car\.toml: \[{name}\.vehicle\].*move it there"):
+        load_process(name, file)
 
 
 def test_new_names_of_old_keys_are_settings_and_old_names_are_not() -> None:
-    keys = {f"core.fusion.{key}" for key in dotted_keys(Settings)} | {
-        f"vehicle.{key}" for key in dotted_keys(VehicleSection)
-    }
+    keys = {f"core.fusion.{key}" for key in dotted_keys(Settings)} | {f"vehicle.{key}" for key in dotted_keys(Vehicle)}
     assert set(PRESENT_KEYS.values()) <= keys
     assert not set(PRESENT_KEYS) & keys
 
@@ -55,7 +89,7 @@ def test_dotted_values_change_what_they_name_and_nothing_else() -> None:
 
 def test_every_setting_has_a_description() -> None:
     bare = []
-    for name, info in Settings.model_fields.items():
+    for name, info in own_fields(Settings).items():
         section = info.annotation
         if isinstance(section, type) and issubclass(section, Section):
             bare += [f"{name}.{key}" for key, inner in section.model_fields.items() if not inner.description]

@@ -34,7 +34,7 @@ def drive() -> Drive:
 @pytest.fixture(scope="module")
 def fused(drive: Drive) -> list[NavigationSolution | FilterState]:
     """What core.fusion publishes of the drive for the monitors."""
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
     found = (s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m))
     return [s for s in found if isinstance(s, NavigationSolution | FilterState)]
 
@@ -157,8 +157,8 @@ def outcomes(statements: list[TrustMonitor], after_s: float) -> set[MonitorOutco
 
 def without(drive: Drive, kind: type, after_s: float, end_s: float) -> Result:
     """Both processes on a drive whose messages of a kind end before it does."""
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
-    process = Process(GRADED.with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(GRADED.with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
 
     def kept() -> Iterator[Input]:
         now_ns = 0
@@ -224,7 +224,7 @@ def test_bad_input_is_counted_and_changes_no_outcome(
                 yield message.model_copy(update={"specific_force_body_m_s2": ((1e9, 0.0, 0.0),) * 10})
                 yield message.model_copy(update={"saturated": True})
 
-    process = Process(GRADED.with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(GRADED.with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
     # Only the monitors get what is bad: fusion has its own tests of it.
     queue = iter(sorted(fused, key=lambda s: s.sampled_ns))
     following = next(queue, None)
@@ -253,9 +253,9 @@ def test_bad_input_is_counted_and_changes_no_outcome(
 
 def test_the_monitors_start_again_with_a_time_line_that_starts_again() -> None:
     short = simulate("parking_lot", 2, 60.0)
-    process = Process(GRADED.with_values({"gnss.lever_arm_body_m": short.lever_arm_b}))
+    process = Process(GRADED.with_values({"vehicle.gnss.lever_arm_body_m": short.lever_arm_b}))
     for _ in range(2):
-        fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": short.lever_arm_b}))
+        fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": short.lever_arm_b}))
         result = run(fusion, process, inputs(short))
         assert result.statements[SHORT][-1].outcome is MonitorOutcome.PASS
     assert process.rejects == {"time line started again": 1}
@@ -281,8 +281,8 @@ def test_both_monitors_work_with_speed_and_course_alone_and_accuse_a_drag_off(dr
             else:
                 yield message
 
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
-    process = Process(GRADED.with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(GRADED.with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
     result = run(fusion, process, horizontal())
     for monitor in (SHORT, LONG):
         assert result.share(monitor, MonitorOutcome.PASS) > 0.2

@@ -9,6 +9,7 @@ import pytest
 
 from services.core.spoofing.process import Config, Process
 from services.core.spoofing.profile import UNIT_IMU, LearnedDrive, Origin, Profile, learn
+from services.core.spoofing.settings import UNKNOWN_AXLE_M
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.short_window import Window
 from shared.errors import ConfigError
@@ -97,18 +98,34 @@ def test_a_profile_that_cannot_be_read_is_an_error_that_says_what_to_do(
         vehicle(tmp_path, '[core.spoofing]\nprofile = "p.json"\n')
 
 
-def test_lever_arm_delay_and_noise_are_those_of_fusion_where_the_section_has_none(tmp_path: Path) -> None:
+def test_delay_and_noise_are_those_of_fusion_where_the_section_has_none(tmp_path: Path) -> None:
     fusion = (
-        "[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.1, -1.2]\ndelay_s = 0.05\nvelocity_delay_s = 0.1\n"
+        "[core.fusion.gnss]\ndelay_s = 0.05\nvelocity_delay_s = 0.1\n"
         "[core.fusion.imu]\nvelocity_random_walk_m_s_sqrt_s = 0.03\nangle_random_walk_rad_sqrt_s = 1e-6\n"
     )
     config = vehicle(tmp_path, fusion)
-    assert config.gnss.lever_arm_body_m == (0.3, 0.1, -1.2)
     assert config.gnss.velocity_delay_s == pytest.approx(0.15)
     assert config.long.velocity_random_walk_m_s_sqrt_s == 0.03
     assert config.long.angle_random_walk_rad_sqrt_s == Config().long.angle_random_walk_rad_sqrt_s, "not below"
-    own = vehicle(tmp_path, fusion + "[core.spoofing.gnss]\nlever_arm_body_m = [0.0, 0.0, -1.0]\n")
-    assert own.gnss.lever_arm_body_m == (0.0, 0.0, -1.0) and own.gnss.velocity_delay_s == pytest.approx(0.15)
+    own = vehicle(tmp_path, fusion + "[core.spoofing.gnss]\nvelocity_delay_s = 0.2\n")
+    assert own.gnss.velocity_delay_s == 0.2 and own.gnss.position_delay_s == 0.05
+
+
+def test_lever_arm_and_rear_axle_are_those_of_the_vehicle(tmp_path: Path) -> None:
+    assert vehicle(tmp_path, "").rear_axle_distance_m == UNKNOWN_AXLE_M
+    facts = "[vehicle]\nrear_axle_body_m = [-0.9, 1.2, 0.4]\n[vehicle.gnss]\nlever_arm_body_m = [0.3, 0.1, -1.2]\n"
+    config = vehicle(tmp_path, facts)
+    assert config.vehicle.gnss.lever_arm_body_m == (0.3, 0.1, -1.2)
+    assert config.rear_axle_distance_m == pytest.approx(1.5), "on the ground"
+
+
+def test_a_profile_that_was_learned_with_the_lever_arm_in_another_section_stays_that_of_this_unit(
+    tmp_path: Path,
+) -> None:
+    delays = "[core.fusion.gnss]\ndelay_s = 0.05\nvelocity_delay_s = 0.1\n"
+    config = vehicle(tmp_path, f"[vehicle.gnss]\nlever_arm_body_m = [0.3, 0.1, -1.2]\n{delays}")
+    assert config.digest() == "8dbec4fab48c7b31", "of the release whose [core.spoofing.gnss] held the lever arm"
+    assert vehicle(tmp_path, delays).digest() != config.digest()
 
 
 def reason_after(config: Config, seconds: int = 15) -> str:

@@ -7,6 +7,7 @@ from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.runtime.config import Vehicle
 
 SECOND_NS = 1_000_000_000
 
@@ -118,9 +119,9 @@ def test_a_silent_monitor_gives_caution_within_its_deadline_and_is_listed_as_not
     assert listed["motion"] is MonitorOutcome.PASS
 
 
-def test_the_alert_limit_is_the_configured_one_that_fusion_publishes() -> None:
-    process = Process(Config())
-    list(process.handle(navigation_state(SECOND_NS, horizontal_m=2.0)))
+def test_the_alert_limit_is_that_of_the_vehicle() -> None:
+    process = Process(Config(vehicle=Vehicle(alert_limit_horizontal_m=2.0)))
+    list(process.handle(navigation_state(SECOND_NS, horizontal_m=10.0)))  # of fusion that runs with another file
     published = second(process, SECOND_NS, passing(SECOND_NS))
     state = [message for message in published if isinstance(message, TrustState)][-1]
     assert state.alert_limit_horizontal_m == 2.0

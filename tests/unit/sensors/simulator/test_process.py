@@ -95,5 +95,5 @@ def test_the_demo_vehicle_has_the_same_imu_mounting_for_simulator_and_parser() -
     vehicle = load_vehicle(Path(__file__).parents[4] / "deploy" / "vehicles" / "simulated.toml")
     simulator = vehicle.section("sensors.simulator", Config)
     tracker = Tracker(simulator.seed, 0, np.random.default_rng(1), simulator.mounting_rpy_deg)
-    expected = vehicle.section("parsers.imu", ImuConfig).body_from_sensor
+    expected = vehicle.section("parsers.imu", ImuConfig).vehicle.imu.body_from_sensor
     assert np.array(expected) == pytest.approx(tracker.body_from_sensor, abs=1e-6)

@@ -72,7 +72,7 @@ def test_the_delay_of_fixes_stamped_on_arrival_is_that_of_the_simulation() -> No
         )
         for k in np.flatnonzero(drive.fix_valid).tolist()
     ]  # fmt: skip
-    text = f"[vehicle]\nname = 'made'\n[core.fusion.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n"
+    text = f"[vehicle]\nname = 'made'\n[vehicle.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n"
     arrived: list[ImuSamples | GnssFix] = sorted([*imu, *fixes], key=attrgetter("received_ns"))
     found = delay_of_fixes(arrived, parse_vehicle(text))
     assert found.seconds == pytest.approx(LATE_S, abs=0.05)

@@ -82,7 +82,8 @@ def test_satellites_that_agree_pass_with_one_test_each() -> None:
     assert statement.statistic is not None and statement.threshold is not None
     assert statement.statistic < statement.threshold
     assert statement.false_alarm_rate == 1e-5
-    *satellites, cooperative = statement.tests
+    *satellites, cooperative, level = statement.tests
+    assert level.threshold == 10.0, "the alert limit of a vehicle that states none"
     assert 10 < len(satellites) <= MAX_TESTS
     assert all(test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in satellites)
     assert (cooperative.name, cooperative.outcome) == ("cooperative", MonitorOutcome.NOT_EVALUATED)

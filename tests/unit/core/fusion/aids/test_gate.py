@@ -16,17 +16,18 @@ from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.integrity.error_monitor import ErrorMonitor, block
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import AlignmentSettings, GatingSettings, GnssSettings, Settings
+from services.core.fusion.settings import AlignmentSettings, GatingSettings, Settings
 from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind
+from shared.runtime.config import GnssAntenna, Vehicle
 
 Shift = tuple[float, float, float]
 FAULT_S, END_S = 36.0, 60.0
 SECOND_NS = 1_000_000_000
 SETTINGS = Settings()
-EXACT = {"gnss.lever_arm_sd_m": 0.0, "gnss.delay_sd_s": 0.0}  # as the set-up of the drive is
+EXACT = {"vehicle.gnss.lever_arm_sd_m": 0.0, "gnss.delay_sd_s": 0.0}  # as the set-up of the drive is
 
 
 @cache
@@ -64,7 +65,7 @@ def fault_free(**changes: object) -> Run:
     d = drive()
     made = Navigator(
         Settings().with_values(
-            EXACT | {"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes}
+            EXACT | {"vehicle.gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes}
         )
     )
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
@@ -325,7 +326,7 @@ def sd_at_end(fault: Fault | None) -> float:
     d = drive()
     made = Navigator(
         Settings(
-            gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b),
+            vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=d.lever_arm_b)),
             alignment=AlignmentSettings(levelling_s=2.0),
             gating=GatingSettings(reset_after_s=60.0),
         )

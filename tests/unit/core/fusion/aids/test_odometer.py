@@ -48,7 +48,7 @@ def navigator(**changes: object) -> Navigator:
     d = drive()
     made = Navigator(
         Settings().with_values(
-            {"gnss.lever_arm_body_m": d.lever_arm_b, "non_holonomic.rear_axle_body_m": ARM_B, **changes}
+            {"vehicle.gnss.lever_arm_body_m": d.lever_arm_b, "vehicle.rear_axle_body_m": ARM_B, **changes}
         )
     )
     yaw = float(d.attitude[0, 2]) + MOUNTING[2]
@@ -140,7 +140,7 @@ def test_disabled_odometer_and_nhc_are_not_used_and_estimate_nothing() -> None:
 
 def test_the_lateral_nhc_variance_grows_in_bends_and_the_vertical_one_does_not() -> None:
     """On a straight the two configured deviations; in a bend at 10 m/s lateral slip is added."""
-    settings = Settings().with_values({"non_holonomic.rear_axle_body_m": ARM_B})
+    settings = Settings().with_values({"vehicle.rear_axle_body_m": ARM_B})
     twin = reversing(-10.0, 0.1)
     twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
     straight = NonHolonomic(0, settings).observe(twin).R
@@ -301,7 +301,7 @@ def test_a_stop_in_an_outage_is_a_standstill_within_two_seconds(period_s: float,
         (10.0, 0.0, 0.0),
     )
     car = Start(manoeuvre(legs, seed=4, yaw=1.0), Receiver(rate_hz=4), 0.0, 0.0, 5)
-    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": car.drive.lever_arm_b}))
+    made = Navigator(Settings().with_values({"vehicle.gnss.lever_arm_body_m": car.drive.lever_arm_b}))
     truth = np.hypot(car.drive.velocity_n[:, 0], car.drive.velocity_n[:, 1])
     every, stops = round(period_s * 100), 45.0
     speeds_at_stop = []

@@ -21,7 +21,6 @@ from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import (
     AlignmentSettings,
-    GnssSettings,
     MagnetometerSettings,
     NonHolonomicSettings,
     OdometerSettings,
@@ -32,6 +31,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
 from shared.messages.navigation import AidingKind, NavigationPhase
+from shared.runtime.config import GnssAntenna, Vehicle
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def processed(
     d = drive()
     made = Navigator(
         Settings(
-            gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b),
+            vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=d.lever_arm_b)),
             magnetometer=MagnetometerSettings(enabled=iron is not None, declination_rad=DECLINATION),
             odometer=OdometerSettings(enabled=False),
             non_holonomic=NonHolonomicSettings(enabled=False),
@@ -178,7 +178,10 @@ def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
 def test_two_antennas_give_the_heading_at_standstill() -> None:
     d, yaw_body, sd = drive(), radians(90.0), radians(0.3)
     made = Navigator(
-        Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=5.0))
+        Settings(
+            vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=d.lever_arm_b)),
+            alignment=AlignmentSettings(levelling_s=5.0),
+        )
     )
     started_ns = None
     for i, time_ns in enumerate(d.t_ns[:1600].tolist()):

@@ -15,7 +15,7 @@ from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial import strapdown
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.strapdown import InertialState
-from services.core.fusion.settings import NonHolonomicSettings, Settings
+from services.core.fusion.settings import Settings
 from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,
@@ -34,6 +34,7 @@ from shared.maths.rotation import (
     quaternion_from_matrix,
     skew,
 )
+from shared.runtime.config import Vehicle
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -252,12 +253,10 @@ AXLE = vector(
     ("measurement", "predicted"),
     [
         (
-            WheelSpeed(
-                0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))
-            ),
+            WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(vehicle=Vehicle(rear_axle_body_m=ARM))),
             [1.03 * AXLE[0], *AXLE[1:]],
         ),
-        (NonHolonomic(0, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))), AXLE[1:]),
+        (NonHolonomic(0, Settings(vehicle=Vehicle(rear_axle_body_m=ARM))), AXLE[1:]),
     ],
     ids=["odometer", "non-holonomic"],
 )
@@ -290,7 +289,7 @@ def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
     [
         GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0),
         GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM),
-        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))),
+        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(vehicle=Vehicle(rear_axle_body_m=ARM))),
     ],
     ids=["position", "velocity", "odometer"],
 )

@@ -24,7 +24,9 @@ def test_after_a_gap_in_a_bend_the_position_error_stays_below_3_m_without_a_rese
     seed: int, begin_s: float, gap_s: float
 ) -> None:
     d = drive(seed)
-    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0}))
+    made = Navigator(
+        Settings().with_values({"vehicle.gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0})
+    )
     k, worst_m, solutions = 0, 0.0, 0
     for i, time_ns in enumerate(d.t_ns.tolist()):
         while k < len(d.fix_ns) and d.fix_ns[k] <= time_ns:

@@ -19,7 +19,7 @@ def drive() -> Drive:
 
 def navigated(drive: Drive, **settings: float) -> Navigator:
     """Navigator after a drive with a gyroscope scale error and velocities of RTK accuracy."""
-    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
+    made = Navigator(Settings().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
     rate_b = drive.rate_b * (1.0 + SCALE)
     for i, time_ns in enumerate(drive.t_ns.tolist()):
         if i % 100 == 99:

@@ -10,13 +10,14 @@ from scipy.stats import chi2
 
 from cli.papers.navigation import navigate, position_errors, saved_heading
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
+from shared.runtime.config import GnssAntenna, Vehicle
 
 FloatArray = npt.NDArray[np.float64]
 RUNS = 5
@@ -26,7 +27,9 @@ CORRELATED = InjectedError(ErrorKind.GAUSS_MARKOV, (3.07, 1.99, 1.56), correlati
 
 def solutions_of(drive: Drive, instants_s: tuple[float, ...], covariance_period_s: float = 0.05) -> list[Solution]:
     """Solutions at given instants."""
-    settings = Settings(covariance_period_s=covariance_period_s, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
+    settings = Settings(
+        covariance_period_s=covariance_period_s, vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b))
+    )
     navigator = Navigator(settings)
     navigator.use_prior(saved_heading(drive, radians(1.5)))
     times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
@@ -149,7 +152,7 @@ def test_after_an_outage_of_ten_seconds_the_median_error_is_below_1_m_and_the_la
         drive = simulate("parking_lot", seed, duration_s=95.0)
         hidden = (drive.fix_ns > 80e9) & (drive.fix_ns <= 90e9)
         drive.fix_valid[hidden] = False
-        navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
+        navigator = Navigator(Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b))))
         navigator.use_prior(saved_heading(drive, radians(1.5)))
         track = navigate(drive, navigator)
         at_end = np.argmin(np.abs(drive.t_ns[track.index] - 90e9))

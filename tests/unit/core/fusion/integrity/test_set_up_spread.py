@@ -11,8 +11,9 @@ from services.core.fusion.integrity.set_up_spread import NO_SPREAD, Measured, Se
 from services.core.fusion.set_up.findings import Check, Verdict
 from services.core.fusion.set_up.monitor import SetUpMonitor
 from services.core.fusion.settings import GnssSettings, Settings
+from shared.runtime.config import GnssAntenna, Vehicle
 
-GIVEN = Settings(gnss=GnssSettings(lever_arm_body_m=(0.3, 0.0, -1.2)))
+GIVEN = Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=(0.3, 0.0, -1.2))))
 
 
 def levels(sd: float, velocity: tuple[float, float, float], spread: SetUpSpread) -> Levels:
@@ -26,7 +27,7 @@ def test_a_lever_arm_that_is_not_given_is_known_less_than_one_that_is_and_a_stat
     assert SetUpSpread.of(GIVEN) == SetUpSpread(0.35, 0.35, 0.12)
     assert SetUpSpread.of(Settings()) == SetUpSpread(0.5, 0.5, 0.12)
     assert SetUpSpread.of(Settings(gnss=GnssSettings(delay_s=0.4))).delay_s == 0.05
-    stated = GIVEN.with_values({"gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.0})
+    stated = GIVEN.with_values({"vehicle.gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.0})
     assert SetUpSpread.of(stated) == SetUpSpread(0.02, 0.02, 0.0)
 
 

@@ -10,14 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from cli.solve.overrides import with_settings
 from services.core.fusion.set_up.findings import Check, Verdict
-from services.core.fusion.set_up.monitor import ArmError, SetUpMonitor
+from services.core.fusion.set_up.monitor import ArmError, SetUpMonitor, check_arm
 from services.core.fusion.set_up.motion import MotionLog
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
 from shared.maths.rotation import ned_from_body
-from shared.runtime.config import LEVEL_MOUNTING, ImuMounting
+from shared.runtime.config import LEVEL_MOUNTING, GnssAntenna, ImuMounting, Vehicle, parse_vehicle
 from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
 
 SECONDS = 180.0
@@ -83,6 +84,21 @@ def test_the_setting_that_a_check_proposes_corrects_the_fault() -> None:
     skewed = tomllib.loads(Faults(yaw_rad=radians(20.0)).checks(town())["imu_mounting"].setting or "")
     turned = correction_of(skewed)
     assert np.degrees(np.arctan2(-turned[0, 1], turned[0, 0])) == pytest.approx(20.0, abs=2.0)
+
+
+@pytest.mark.parametrize("what", FAULTS)
+def test_a_proposed_setting_can_be_given_to_obu_solve_as_it_is_printed(what: str) -> None:
+    faults, _ = FAULTS[what]
+    proposed = [check.setting for check in faults.checks(town()).values() if check.setting]
+    for setting in proposed:
+        parse_vehicle(setting)
+        assert with_settings(parse_vehicle(""), [setting]).section("core.fusion", Settings) != Settings()
+
+
+def test_the_proposed_lever_arm_is_that_of_the_vehicle_plus_what_was_found() -> None:
+    settings = Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=(0.3, 0.0, -1.2))))
+    check = check_arm(settings, ArmError((2.0, 0.1), 12.0, wrong=True))
+    assert parse_vehicle(check.setting or "").facts.gnss.lever_arm_body_m == (2.3, 0.1, -1.2)
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.kalman import correct, predict
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix
+from shared.runtime.config import GnssAntenna, Vehicle
 from tests.support.drives.histories import Records
 
 FloatArray = npt.NDArray[np.float64]
@@ -171,7 +172,9 @@ def history_of(
     """History of a drive, with late fixes, a GNSS outage or a gap of the IMU."""
     records = Records()
     settings = Settings(
-        merge_delay_s=0.0, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=correlated)
+        merge_delay_s=0.0,
+        vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b)),
+        gnss=GnssSettings(time_correlated_errors=correlated),
     )
     navigator = Navigator(settings)
     navigator.record_history(HistoryRecorder(records, PERIOD_NS))
@@ -260,7 +263,7 @@ def test_filtering_is_the_same_with_and_without_a_history() -> None:
     drive = drive_of(1, 60.0)
     states = []
     for store in (Records(), None):
-        navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
+        navigator = Navigator(Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b))))
         if store is not None:
             navigator.record_history(HistoryRecorder(store, PERIOD_NS))
         navigator.use_prior(saved_heading(drive, radians(1.5)))
@@ -299,7 +302,9 @@ def test_a_history_with_late_fixes_has_increasing_stamps_and_no_step_twice() -> 
 def recorded_until(end: int) -> tuple[Navigator, Records]:
     """A navigator with true fixes at 1 Hz until a sample, and its history."""
     drive, records = drive_of(2, 60.0), Records()
-    navigator = Navigator(Settings(merge_delay_s=0.0, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
+    navigator = Navigator(
+        Settings(merge_delay_s=0.0, vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b)))
+    )
     navigator.record_history(HistoryRecorder(records, PERIOD_NS))
     navigator.use_prior(saved_heading(drive, radians(1.5)))
     for i in range(end):

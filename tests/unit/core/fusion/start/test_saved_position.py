@@ -8,10 +8,11 @@ import pytest
 from benchmarks.given import fixes_of
 from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.runtime.config import GnssAntenna, Vehicle
 
 END_S = 60.0
 
@@ -23,7 +24,7 @@ def drive() -> Drive:
 
 def started(drive: Drive, aside_m: float) -> Navigator:
     """A navigator that was switched off where the drive begins, or aside of it."""
-    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
+    settings = Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b)))
     navigator = Navigator(settings)
     saved = geodetic_from_ned_difference((0.0, -aside_m, 0.0), Geodetic(*drive.position[0].tolist()))
     navigator.use_prior(Prior(saved, (1.0, 1.0, 2.0), float(drive.attitude[0, 2]), radians(1.0)))

@@ -44,7 +44,7 @@ def drive() -> Drive:
 
 
 def settings() -> Settings:
-    return Settings().with_values({"gnss.lever_arm_body_m": drive().lever_arm_b, "alignment.levelling_s": 2.0})
+    return Settings().with_values({"vehicle.gnss.lever_arm_body_m": drive().lever_arm_b, "alignment.levelling_s": 2.0})
 
 
 def sample(i: int) -> Sample:

@@ -37,7 +37,7 @@ def drive() -> Drive:
 
 
 def navigator() -> Navigator:
-    return Navigator(Settings().with_values({"gnss.lever_arm_body_m": tuple(drive().lever_arm_b)}))
+    return Navigator(Settings().with_values({"vehicle.gnss.lever_arm_body_m": tuple(drive().lever_arm_b)}))
 
 
 def run(
@@ -283,8 +283,8 @@ def test_a_filter_that_had_not_converged_before_the_suspect_time_declines_to_exc
 def without_aiding(alert_limit_m: float) -> Navigator:
     """A navigator on GNSS and inertial sensors alone."""
     return Navigator(Settings().with_values({
-        "gnss.lever_arm_body_m": tuple(drive().lever_arm_b), "odometer.enabled": False, "non_holonomic.enabled": False,
-        "integrity.alert_limit_horizontal_m": alert_limit_m,
+        "vehicle.gnss.lever_arm_body_m": tuple(drive().lever_arm_b), "odometer.enabled": False,
+        "non_holonomic.enabled": False, "vehicle.alert_limit_horizontal_m": alert_limit_m,
     }))  # fmt: skip
 
 

@@ -76,7 +76,9 @@ def results(seed: int, polling: Polling, **changes: object) -> Iterator[Any]:
     Without protection levels: these are computed when the covariance is first read, up to one period late.
     """
     d = drive()
-    made = Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
+    made = Settings().with_values(
+        {"vehicle.gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes}
+    )
     navigator = Navigator(made)
     navigator.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), d.attitude[0, 2], radians(1.0)))
     outcomes: list[Outcome] = []

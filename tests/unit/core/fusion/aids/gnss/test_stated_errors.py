@@ -56,7 +56,7 @@ def drive_of(kind: ErrorKind, seed: int) -> Drive:
 def navigated(kind: ErrorKind, seed: int, **settings: float | bool) -> Navigator:
     """Navigator at the end of a drive."""
     drive = drive_of(kind, seed)
-    navigator = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
+    navigator = Navigator(Settings().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
     navigator.use_prior(saved_heading(drive, radians(1.5)))
     navigate(drive, navigator)
     return navigator
