@@ -1,6 +1,7 @@
 """`obu solve`: processes a whole recording with layers 2 to 4, and evaluates the solution."""
 
 import csv
+import gc
 import json
 import time
 from collections.abc import Iterator
@@ -47,6 +48,8 @@ from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
 from .verdicts import VerdictLog
+
+PARSERS = ("parsers.gnss", "parsers.imu")
 
 
 def solve(  # noqa: PLR0913  # one argument an option
@@ -153,7 +156,7 @@ def solve(  # noqa: PLR0913  # one argument an option
         gnss_alone=_gnss_alone(drive, solved, reference) if reference is given else None,
     )
     metrics = metrics_of(run)
-    clocks = solved.clocks() if is_hardly_used(metrics) else []
+    clocks = _clocks(drive) if is_hardly_used(metrics) else []
     again = None
     if smoothed is not None:
         again = smoothed_run(run, smoothed, reference, drive.vehicle.facts.gnss.lever_arm_body_m)
@@ -209,17 +212,12 @@ class Solved:
     verdicts: VerdictLog
     fixes: list[GnssFix]  # inputs of the filter
     seconds: float
-    motions: dict[str, MotionLog]  # what each kind of sensor says of the motion
-
-    def clocks(self) -> list[str]:
-        """What the comparison of the sensors' clocks says."""
-        found = {name: log.motion() for name, log in self.motions.items()}
-        return told({name: motion for name, motion in found.items() if motion is not None})
 
 
 def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
     with open_recording(path) as recording:
         inputs = inputs_of(recording)
+    gc.freeze()  # the inputs stay, and are not searched for garbage again and again
     print_problems(recording, console)
     _check(path, inputs)
     provenance = recording.metadata.get("provenance", {})
@@ -287,7 +285,6 @@ def _run(
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
         fusion.record_history(HistoryRecorder(history, period_ns))
     fixes: list[GnssFix] = []
-    motions = {"the IMU": MotionLog(), "GNSS": MotionLog()}
     started = time.perf_counter()
     for message in chain(unit.run(_fed(drive, outages, counters, progress)), fusion.finish()):
         match message:
@@ -304,10 +301,17 @@ def _run(
                 counters.set_up = message
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
-                motions["GNSS"].add(message)
-            case ImuSamples():
-                motions["the IMU"].add(message)
-    return Solved(builder, counters, outages, verdicts, fixes, time.perf_counter() - started, motions)
+    return Solved(builder, counters, outages, verdicts, fixes, time.perf_counter() - started)
+
+
+def _clocks(drive: Drive) -> list[str]:
+    """What the comparison of the sensors' clocks says, by the motion that each of them measured."""
+    logs: dict[type[Message], MotionLog] = {GnssFix: MotionLog(), ImuSamples: MotionLog()}
+    for message in OfflineUnit(drive.vehicle, PARSERS).run(drive.inputs.messages(drive.vehicle)):
+        if (log := logs.get(type(message))) is not None:
+            log.add(message)
+    found = {"the IMU": logs[ImuSamples].motion(), "GNSS": logs[GnssFix].motion()}
+    return told({name: motion for name, motion in found.items() if motion is not None})
 
 
 def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progress) -> Track:
@@ -378,7 +382,7 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         reason = f"last state: {state.phase.value}, {state.reason}" if state else "no inertial samples received"
         raise UserError(
             f"the filter was never aligned ({reason}); "
-            + (" ".join(solved.clocks()) or "check lever arm, axes and stamps, or use a longer drive")
+            + (" ".join(_clocks(drive)) or "check lever arm, axes and stamps, or use a longer drive")
         )
     lever_arm = drive.vehicle.facts.gnss.lever_arm_body_m
     outages, aligned_ns = solved.outages, solved.counters.aligned_ns

@@ -25,6 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last log time, raw size, checksum, length of the next word
 FOOTER = struct.Struct("<BQQQI")  # opcode, length, begin of the summary and of its offsets, checksum of all that
+MESSAGE = int(Opcode.MESSAGE)  # with which every record is compared
 MESSAGE_FIELDS = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 OPCODES = frozenset(int(opcode) for opcode in Opcode)
 CHUNK_START = re.compile(rb"\x06(?=[\s\S]{4}\0{4})")  # opcode, and a length below 4 GiB
@@ -294,14 +295,15 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
     """Yield the messages of a chunk; None for one that cannot be decoded."""
     for opcode, content in records(data):
         try:
-            if opcode == Opcode.CHANNEL:
+            if opcode == MESSAGE:
+                id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(content)
+                channel = channels[id_]
+                if channel.topic.startswith(PREFIX):
+                    continue  # derived from another message, for other tools
+                yield envelope_of(channel, content[MESSAGE_FIELDS.size :], log_time, sequence, publish_time)
+            elif opcode == Opcode.CHANNEL:
                 channel = channel_of(content)
                 channels[channel.id] = channel
-            elif opcode == Opcode.MESSAGE:
-                id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(content)
-                if channels[id_].topic.startswith(PREFIX):
-                    continue  # derived from another message, for other tools
-                yield envelope_of(channels[id_], content[MESSAGE_FIELDS.size :], log_time, sequence, publish_time)
         except (*MALFORMED, BadPayload, KeyError):
             yield None
 

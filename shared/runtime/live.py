@@ -47,13 +47,12 @@ def arrival_ns(message: Message) -> int | None:
     return message.received_ns if isinstance(message, (RawBytes, Stamped, ImuSamples)) else None
 
 
-def portions(message: Message) -> Iterator[Message]:
+def portions(message: Message) -> Iterable[Message]:
     """Cut what is too long to be handled between two heartbeats, where it may be cut; its stamp stays."""
     if not isinstance(message, RawBytes) or not message.is_stream or len(message.data) <= PORTION_BYTES:
-        yield message
-        return
-    for start in range(0, len(message.data), PORTION_BYTES):
-        yield message.model_copy(update={"data": message.data[start : start + PORTION_BYTES]})
+        return (message,)
+    parts = (message.data[start : start + PORTION_BYTES] for start in range(0, len(message.data), PORTION_BYTES))
+    return (message.model_copy(update={"data": part}) for part in parts)
 
 
 def handled(

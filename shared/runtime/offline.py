@@ -18,6 +18,10 @@ class OfflineUnit:
     def __init__(self, vehicle: VehicleFile, processes: Sequence[str] | None = None) -> None:
         names = [name for name in processes or vehicle.processes if 2 <= BY_NAME[name].layer <= 4]
         self._processes = {name: cast(Reactor, load_process(name, vehicle)) for name in names}
+        self._consumers = {
+            kind: [name for name in row.consumers if name in names and name not in row.producers]  # not its own message
+            for kind, row in BY_MESSAGE.items()
+        }
         self._next_tick_ns: int | None = None
         self._faults = {name: Faults(Counter()) for name in names}
 
@@ -57,10 +61,8 @@ class OfflineUnit:
         while waiting:
             message = waiting.popleft()
             yield message
-            row = BY_MESSAGE[type(message)]
-            for name in row.consumers:
-                if name in self._processes and name not in row.producers:  # not its own message
-                    waiting.extend(self._handled(name, message))
+            for name in self._consumers[type(message)]:
+                waiting.extend(self._handled(name, message))
 
     def _handled(self, name: str, message: Message) -> Iterator[Message]:
         return handled(self._processes[name], message, self._faults[name], self._next_tick_ns or 0)

@@ -1,6 +1,8 @@
 """Who may import whom: a process knows `shared` and itself, and its mathematics knows no I/O."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,8 @@ from shared.processes import PROCESSES
 ROOT = Path(__file__).parents[2]
 # What a file that is not process.py may import besides its own folder: no bus, no clock, no files, no logging.
 PURE = {
-    "bisect", "cantools", "collections", "cmath", "copy", "dataclasses", "datetime", "difflib", "enum", "fractions",
-    "functools", "hashlib", "heapq",
+    "abc", "array", "bisect", "cantools", "collections", "cmath", "copy", "dataclasses", "datetime", "difflib", "enum",
+    "fractions", "functools", "hashlib", "heapq",
     "html", "ipaddress", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "struct",
     "types", "typing", "collections.abc", "numpy", "numpy.typing", "scipy.linalg", "scipy.special",
     "pydantic", "pyubx2", "pynmea2", "prometheus_client",
@@ -100,3 +102,11 @@ def test_what_runs_live_loads_of_scipy_only_its_special_functions_and_linear_alg
         heavy = {n for n in imports_of(path) if n.split(".")[0] == "scipy"} - {"scipy.special", "scipy.linalg"}
         heavy -= {"scipy.optimize"} if path == assignment else set()
         assert not heavy, f"{path.relative_to(ROOT)} imports {heavy}: tens of MB in a process; see docs/decisions/0012"
+
+
+def test_a_command_imports_what_takes_long_only_where_it_is_used() -> None:
+    """SciPy's signal processing and rotations take half a second, as does Matplotlib."""
+    late = ("scipy.signal", "scipy.spatial", "scipy.stats", "matplotlib")
+    program = f"import sys, cli.solve.solve; print(*(name for name in {late!r} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not done.stdout.strip()

@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from math import cos, nan, sin
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.messages.base import Message
@@ -177,6 +176,8 @@ def agreement_of(first: Motion, second: Motion) -> Agreement | None:
 
     with sums over the time in which both are known after the shift: at least half of the shorter file.
     """
+    from scipy.signal import fftconvolve  # which takes 0.4 s to import
+
     common = [name for name in ("speed", "acceleration", "rate") if name in first.channels and name in second.channels]
     pairs = []
     for name in common:

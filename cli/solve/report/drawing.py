@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import StringIO
+from math import log10
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,9 @@ from ..outages import Gap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 POINTS = 1500  # maximum points per line
 BLUE, ORANGE, GREEN, RED, GREY = "#0a5fb4", "#c75b00", "#2b7a3f", "#c01c28", "#8a8f98"
 COLOURS = (BLUE, ORANGE, GREEN)
@@ -28,6 +31,8 @@ VARIABLES = {
 STYLE = {
     "svg.hashsalt": "obu",  # reproducible identifiers
     "svg.fonttype": "none",
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
     "font.family": "sans-serif",
     "font.size": 10.0,
     "axes.grid": True,
@@ -56,16 +61,25 @@ def stacked_axes(
     rows: int, height: float, store: Callable[[str], None], width: float = WIDTH_IN
 ) -> Iterator[list["Axes"]]:
     """Create stacked axes; on exit pass the figure to `store` as SVG."""
-    from matplotlib import style
-    from matplotlib.figure import Figure as Canvas
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure as Drawn
 
-    with style.context(STYLE):
-        canvas = Canvas(figsize=(width, height), layout="constrained")
-        axes = np.atleast_1d(canvas.subplots(rows, 1, sharex=True)).tolist()
+    with rc_context(STYLE):  # type: ignore[arg-type]  # which names every key
+        figure = Drawn(figsize=(width, height), layout="constrained")
+        axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True)).tolist()
         yield axes
         text = StringIO()
-        canvas.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+        # As `savefig`, which draws everything twice.
+        FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     store(text.getvalue())
+
+
+def label_decades(*axes: "Axis") -> None:
+    """Label logarithmic axes with 10⁻² as plain text: as formulae the labels take a seventh of the time of a report."""
+    for one in axes:
+        if one.get_scale() == "log":
+            one.set_major_formatter(lambda value, _: "10" + str(round(log10(value))).translate(SUPERSCRIPTS))
 
 
 def inline_svg(svg: str, title: str, variables: Mapping[str, str] = VARIABLES) -> str:

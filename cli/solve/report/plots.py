@@ -26,6 +26,7 @@ from .drawing import (
     Figure,
     dots,
     inline_svg,
+    label_decades,
     seconds_since,
     shade_gaps,
     stacked_axes,
@@ -179,6 +180,7 @@ def _innovations(run: Run) -> Figure:
         ratio.axhline(1.0, color=GREY, linewidth=1.0, linestyle="--")
         size.set(ylabel="horizontal [m]", yscale=_scale(np.hypot(*updates.innovation[:, :2].T)))
         ratio.set(xlabel="time [s]", ylabel="test ratio", yscale="log" if len(updates) else "linear")
+        label_decades(size.yaxis, ratio.yaxis)
         if len(updates):
             size.legend(loc="upper right")
             ratio.set_ylim(bottom=1e-4)

@@ -7,7 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from ..metrics.metrics import Run
-from .drawing import BLUE, GREEN, Figure, inline_svg, seconds_since, shade_gaps, stacked_axes, thinned
+from .drawing import BLUE, GREEN, Figure, inline_svg, label_decades, seconds_since, shade_gaps, stacked_axes, thinned
 
 BANDS = 3.0  # standard deviations
 
@@ -57,6 +57,7 @@ def _deviations(filtered: Run, smoothed: Run, what: str, column: tuple[str, str,
         for axes, axis in zip(rows, ("north", "east", "down"), strict=True):
             shade_gaps(axes, filtered.gaps, filtered.first_ns)
             axes.set(ylabel=f"{axis} [{unit}]", yscale="log")
+            label_decades(axes.yaxis)
         rows[0].legend(loc="upper right", ncols=2)
         rows[-1].set_xlabel("time [s]")
     title = f"Standard deviation of the {what}, filtered and smoothed"

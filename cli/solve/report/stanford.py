@@ -7,7 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from ..metrics.integrity import Protected, Region
-from .drawing import GREY, VARIABLES, Figure, inline_svg, stacked_axes
+from .drawing import GREY, VARIABLES, Figure, inline_svg, label_decades, stacked_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +54,7 @@ def draw(axes: "Axes", one: Protected) -> None:
     axes.axvline(one.alert_limit_m, color=GREY, linestyle="--", linewidth=1.0)
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal",
              xlabel=f"{one.axis} error [m]", ylabel=f"{one.axis} protection level [m]")  # fmt: skip
+    label_decades(axes.xaxis, axes.yaxis)
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), borderaxespad=0.0, frameon=False, fontsize=9,
                 labelspacing=0.7, handlelength=2.2, handleheight=1.4)  # fmt: skip
 

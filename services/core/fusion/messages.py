@@ -71,22 +71,25 @@ def samples_of(batch: ImuSamples) -> Iterator[InertialSample]:
     return zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
 
 
-def use(navigator: Navigator, message: Aiding) -> bool:
-    """Use an aiding message in the navigator; False for a fix without position."""
+def use(navigator: Navigator, message: Aiding, set_up: SetUpMonitor | None = None) -> bool:
+    """Use an aiding message in the navigator, and in the checks of the set-up; False for a fix without position."""
     match message:
         case GnssFix():
-            return use_fix(navigator, message)
+            return use_fix(navigator, message, set_up)
         case LastPosition():
             navigator.use_prior(prior_from_last_position(message))
         case _:
-            use_speed(navigator, message)
+            use_speed(navigator, message, set_up)
     return True
 
 
-def use_fix(navigator: Navigator, fix: GnssFix) -> bool:
-    """Use a fix in the navigator; False if it has no position."""
+def use_fix(navigator: Navigator, fix: GnssFix, set_up: SetUpMonitor | None = None) -> bool:
+    """Use a fix in the navigator, and in the checks of the set-up even if it is rejected; False without a position."""
     settings = navigator.settings
     measurements = measurements_from_fix(fix, settings)
+    if set_up is not None:
+        for measurement in measurements:
+            set_up.see(measurement)
     if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
         measurements.append(
             BaselineHeading(
@@ -132,9 +135,11 @@ def use_environment(navigator: Navigator, batch: ImuSamples) -> None:
         navigator.magnetic_field(sampled_ns, batch.magnetic_field_body, received_ns=received_ns, source=source)
 
 
-def use_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds) -> None:
+def use_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds, set_up: SetUpMonitor | None = None) -> None:
     """Use a speed in the navigator."""
     if (measured := speed_of(message, navigator.settings)) is not None:
+        if set_up is not None and navigator.settings.odometer.enabled:
+            set_up.see(measured)
         navigator.speed(
             measured.time_ns,
             measured.speed,
@@ -158,15 +163,6 @@ def speed_of(message: VehicleSpeed | WheelSpeeds, settings: Settings) -> WheelSp
         value, resolution, of_wheels, exact = sum(wheels) / len(wheels), 0.0, True, len(rear) == 2
     scale, stamp = settings.odometer.scale, (message.sampled_ns, message.received_ns, message.source)
     return WheelSpeed(*stamp, scale * value, scale * resolution, of_wheels, exact, settings)
-
-
-def check_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpeeds, settings: Settings) -> None:
-    """Use a fix or a speed in the checks of the set-up, whether or not the filter uses it."""
-    if isinstance(message, GnssFix):
-        for measurement in measurements_from_fix(message, settings):
-            set_up.see(measurement)
-    elif settings.odometer.enabled and (speed := speed_of(message, settings)) is not None:
-        set_up.see(speed)
 
 
 def arm_error(navigator: Navigator) -> ArmError:

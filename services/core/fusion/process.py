@@ -58,10 +58,8 @@ class Process:
             case VehicleSpeed() if not self._speed.takes(message.source, message.received_ns):
                 self.rejects["speed of a second source"] += 1
             case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
-                if not messages.use(self._navigator, message):
+                if not messages.use(self._navigator, message, self._set_up):
                     self.rejects["fix without position"] += 1
-                if not isinstance(message, LastPosition):
-                    messages.check_set_up(self._set_up, message, self._navigator.settings)
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
             case FaultFreeFix():
@@ -90,7 +88,7 @@ class Process:
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._filter_state(batch.source)
             self._sampled_ns = sampled_ns
-            self._set_up.sample(sampled_ns, force, rate)
+        self._set_up.samples(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s)
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
             self._navigator.correct_delay(*self._set_up.delays)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 
 from pydantic import Field
 
@@ -16,6 +17,7 @@ from .verdict import odometer_accused, verdict
 
 In = TrustMonitor | NavigationSolution | NavigationState | TrustState | Tick
 Out = TrustState | TrustEvent
+MONITORS = frozenset(Monitor)
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
 REASON_LENGTH = 400  # of a message
@@ -49,9 +51,11 @@ class Process:
         self._config = config
         self.rejects: Counter[str] = Counter()
         self._time_ns = 0
-        self._solution: NavigationSolution | None = None
+        self._solution: Solution | None = None
         self._navigation: NavigationState | None = None
+        self._limits = _limits(config)
         self._monitors: dict[Monitor, TrustMonitor] = {}
+        self._statements: dict[Monitor, Statement] = {}  # of these messages
         self._gnss = Readmission()
         self._odometer_since_ns: int | None = None  # while it is excluded
         self._published: TrustState | None = None
@@ -61,13 +65,14 @@ class Process:
         """Use a message, and publish what follows from it."""
         match message:
             case TrustMonitor():
-                if message.monitor not in list(Monitor):
+                if message.monitor not in MONITORS:
                     self.rejects["unknown monitor"] += 1
                     return
-                self._monitors[Monitor(message.monitor)] = message
+                monitor = Monitor(message.monitor)
+                self._monitors[monitor], self._statements[monitor] = message, _statement(monitor, message)
                 self._time_ns = max(self._time_ns, message.sampled_ns)
             case NavigationSolution():
-                self._solution = message
+                self._solution = _solution(message)
                 self._time_ns = max(self._time_ns, message.sampled_ns)
             case NavigationState():
                 self._navigation = message
@@ -101,7 +106,10 @@ class Process:
             declined=facts.exclusion_declined is not None, suspect_since_ns=judged.suspect_since_ns,
             lost=is_lost(facts),
         )  # fmt: skip
-        facts = self._facts(admission)
+        facts = replace(
+            facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
+            exclusion_confirmed=self._confirmed(admission),
+        )  # fmt: skip
         found, excluded = verdict(facts), odometer_accused(facts)
         self._odometer_since_ns = None if not excluded else self._odometer_since_ns or facts.time_ns
         before = self._published
@@ -150,18 +158,15 @@ class Process:
         )  # fmt: skip
 
     def _facts(self, admission: Admission) -> Facts:
-        """Facts of now; fusion confirms an exclusion by its solution, which has no GNSS since the suspect time."""
-        suspect_since_ns = admission.suspect_since_ns
-        solution, state = _solution(self._solution), self._navigation
-        excluded_ns = None if solution is None else solution.gnss_excluded_since_ns
-        confirmed = excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
+        """Facts of now."""
+        state = self._navigation
         return Facts(
             self._time_ns,
-            solution,
-            {monitor: _statement(monitor, message) for monitor, message in self._monitors.items()},
+            self._solution,
+            self._statements,
             conflict_open=admission.open,
             gnss_excluded=admission.excluded,
-            exclusion_confirmed=confirmed,
+            exclusion_confirmed=self._confirmed(admission),
             excluded_test_ratio=None if state is None else state.excluded_test_ratio,
             other_distance_m=None if state is None else state.other_distance_m,
             other_level_m=None if state is None else state.other_level_m,
@@ -173,24 +178,28 @@ class Process:
             and state.odometer_age_s <= ODOMETER_SILENT_S,
             odometer_excluded_since_ns=self._odometer_since_ns,
             satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
-            limits=self._limits(),
+            limits=self._limits,
         )
 
-    def _limits(self) -> Limits:
-        config = self._config
-        return Limits(
-            *config.vehicle.alert_limits_m,
-            near_share=config.near_share,
-            solution_silent_after_s=config.solution_silent_after_s,
-            coasting_after_s=config.coasting_after_s,
-            silent_after_s=dict.fromkeys(Monitor, config.monitor_silent_after_s),
-            required=frozenset(config.required_monitors),
-        )
+    def _confirmed(self, admission: Admission) -> bool:
+        """Whether fusion confirms an exclusion by its solution, which has no GNSS since the suspect time."""
+        suspect_since_ns = admission.suspect_since_ns
+        excluded_ns = None if self._solution is None else self._solution.gnss_excluded_since_ns
+        return excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
 
 
-def _solution(message: NavigationSolution | None) -> Solution | None:
-    if message is None:
-        return None
+def _limits(config: Config) -> Limits:
+    return Limits(
+        *config.vehicle.alert_limits_m,
+        near_share=config.near_share,
+        solution_silent_after_s=config.solution_silent_after_s,
+        coasting_after_s=config.coasting_after_s,
+        silent_after_s=dict.fromkeys(Monitor, config.monitor_silent_after_s),
+        required=frozenset(config.required_monitors),
+    )
+
+
+def _solution(message: NavigationSolution) -> Solution:
     return Solution(
         message.sampled_ns,
         message.phase in WITH_POSITION,

@@ -71,7 +71,7 @@ class Faults:
         events.sort(key=lambda event: event[0])
         place = 0
         for time_ns, f, w in zip(drive.stamps_ns.tolist(), force.tolist(), rate.tolist(), strict=True):
-            log.sample(time_ns, f, w)
+            log.samples((time_ns,), (f,), (w,))
             while place < len(events) and events[place][0] <= time_ns:
                 self._show(log, settings, *events[place])
                 place += 1

@@ -60,10 +60,10 @@ class AxesFit:
 
 def fit_axes(motion: Motion, intervals: Intervals | None, present: Matrix3) -> AxesFit | None:
     """Estimate M; None while gravity is not known. `present` is the mounting that the vehicle's file states."""
-    span = motion.nodes[-1] - motion.nodes[0] - (motion.integrals[-1, 6] - motion.integrals[0, 6])
+    span = motion.nodes[-1] - motion.nodes[0] - (motion.gaps[-1] - motion.gaps[0])
     if span < LEVELLED_S:
         return None
-    force = (motion.integrals[-1, :3] - motion.integrals[0, :3]) / (motion.nodes[-1] - motion.nodes[0])
+    force = (motion.integrals[:3, -1] - motion.integrals[:3, 0]) / (motion.nodes[-1] - motion.nodes[0])
     gravity = float(np.linalg.norm(force))
     if gravity < 1e-3:
         return None

@@ -4,8 +4,6 @@ The likelihood of a lag is that of the residuals of two regressions, change of s
 on mean rate; mounting and biases are in the coefficients, as in `timing.delay_search`, which works on line.
 """
 
-from math import log
-
 import numpy as np
 import numpy.typing as npt
 
@@ -15,11 +13,12 @@ from .motion import Changes, Motion, Velocities
 FloatArray = npt.NDArray[np.float64]
 
 LARGEST_S = 1.6
-COARSE_S = np.arange(-8, 9) * 0.2
-FINE_S = np.arange(-5, 6) * 0.05  # about the best of them
+COARSE_S: FloatArray = np.arange(-8, 9, dtype=np.float64) * 0.2
+FINE_S: FloatArray = np.arange(-5, 6, dtype=np.float64) * 0.05  # about the best of them
 NEAR_S = 0.25
 LEAST_SD_S, LARGEST_SD_S = 0.02, 0.08
 FEWEST = 30
+INDEPENDENT = 1e-12  # eigenvalue of xᵀ x over the largest, below which a regressor follows from the others
 EXPLAINED = 0.5  # share of the variance of the course rate that the best lag explains
 CLEAR = 12.0  # logarithm of the likelihood over that of no lag
 REPEATED = 3.0  # residuals in a row that count as one
@@ -79,37 +78,55 @@ def _lag_of(motion: Motion, series: list[Changes], repeated: float) -> tuple[flo
     if any(np.isfinite(changes.course_rate).sum() < FEWEST for changes in series):
         return None
 
-    def log_likelihood(lag_s: float) -> tuple[float, float]:
-        parts = [_log_likelihood(motion, changes, lag_s) for changes in series]
-        return sum(part for part, _ in parts) / repeated, min(explained for _, explained in parts)
+    def log_likelihoods(lags_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = [_log_likelihoods(motion, changes, lags_s) for changes in series]
+        return np.sum([part for part, _ in parts], axis=0) / repeated, np.min([share for _, share in parts], axis=0)
 
-    coarse = [log_likelihood(lag) for lag in COARSE_S]
-    best = float(COARSE_S[max(range(len(coarse)), key=lambda place: coarse[place][0])])
-    lags = best + FINE_S
-    fine = [log_likelihood(lag) for lag in lags.tolist()]
-    total = np.array([likelihood for likelihood, _ in fine])
-    if max(explained for _, explained in fine) < EXPLAINED:
+    coarse, _ = log_likelihoods(COARSE_S)
+    lags = COARSE_S[int(coarse.argmax())] + FINE_S
+    total, explained = log_likelihoods(lags)
+    if explained.max() < EXPLAINED:
         return None
     weight = np.exp(total - total.max())
     weight /= weight.sum()
     lag = float(weight @ lags)
     sd = float(np.hypot(np.sqrt(weight @ (lags - lag) ** 2), LEAST_SD_S))
-    return (lag, sd, float(total.max()) - log_likelihood(0.0)[0]) if sd < LARGEST_SD_S else None
+    unmoved = float(coarse[len(COARSE_S) // 2])
+    return (lag, sd, float(total.max()) - unmoved) if sd < LARGEST_SD_S else None
 
 
-def _log_likelihood(motion: Motion, changes: Changes, lag_s: float) -> tuple[float, float]:
-    """Logarithm of the likelihood of one series at a lag, and the share of the course rate that it explains."""
-    turning, inertial = np.isfinite(changes.course_rate), changes.inertial(motion, lag_s)
-    by_force, _ = _fit(inertial[:, :3], changes.acceleration)
-    by_rate, explained = _fit(inertial[turning, 3:], changes.course_rate[turning])
+def _log_likelihoods(motion: Motion, changes: Changes, lags_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of the likelihood of one series at lags, and the shares of the course rate that they explain."""
+    turning, inertial = np.isfinite(changes.course_rate), changes.inertial(motion, lags_s)
+    by_force, _ = _fit(inertial[:3], changes.acceleration)
+    by_rate, explained = _fit(inertial[3:, :, turning], changes.course_rate[turning])
     return by_force + by_rate, explained
 
 
-def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Logarithm of the likelihood of y = x b + b0, large residuals counted less, and the share of y's variance."""
-    design = np.column_stack([x, np.ones(len(y))])
-    size = np.abs(y - design @ np.linalg.lstsq(design, y, rcond=None)[0])
-    left = np.minimum(size, 4.0 * np.median(size))
-    variance = float(((y - y.mean()) ** 2).sum()) + 1e-12
-    residual = max(float(left @ left), 1e-9 * variance)
-    return -0.5 * len(y) * log(residual / variance), 1.0 - residual / variance
+def _fit(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithm of the likelihood of y = x b + b0, large residuals counted less, and the share of y's variance.
+
+    Parameters
+    ----------
+    x : ndarray, shape (3, l, n)
+        Regressors at each lag.
+    y : ndarray, shape (n,)
+        Observations.
+
+    Returns
+    -------
+    tuple of ndarray, shape (l,)
+        Logarithms, and shares.
+
+    Notes
+    -----
+    Without their means, which b0 takes up, b = (xᵀ x)⁺ xᵀ y.
+    """
+    y = y - y.mean()
+    x = (x - x.mean(axis=2, keepdims=True)).transpose(1, 0, 2)  # each lag's regressors as rows
+    b = np.linalg.pinv(x @ x.transpose(0, 2, 1), rcond=INDEPENDENT, hermitian=True) @ (x @ y)[..., np.newaxis]
+    size = np.abs(y - (b.transpose(0, 2, 1) @ x)[:, 0])
+    left = np.minimum(size, 4.0 * np.median(size, axis=1, keepdims=True))
+    variance = float(y @ y) + 1e-12
+    residual = np.maximum((left * left).sum(axis=1), 1e-9 * variance)
+    return -0.5 * len(y) * np.log(residual / variance), 1.0 - residual / variance

@@ -1,6 +1,6 @@
 """All checks of the set-up, once in ten seconds; a finding holds until a later evaluation contradicts it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import hypot
 from typing import NamedTuple
@@ -46,9 +46,9 @@ class SetUpMonitor:
         self._suspects: dict[str, Verdict] = {}  # verdict of the last evaluation
         self.checks: dict[str, tuple[Check, int]] = {}  # newest known result of each, and since when its verdict holds
 
-    def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
-        """Take the next inertial sample [m/s², rad/s; body]."""
-        self._log.sample(time_ns, force, rate)
+    def samples(self, stamps_ns: Sequence[int], forces: Sequence[Vector], rates: Sequence[Vector]) -> None:
+        """Take the next inertial samples [m/s², rad/s; body]."""
+        self._log.samples(stamps_ns, forces, rates)
 
     def see(self, measurement: Measurement) -> None:
         """Take a position, velocity or speed."""

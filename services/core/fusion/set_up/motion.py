@@ -1,8 +1,11 @@
 """Motion of the last five minutes by inertial sensors, GNSS and wheels, separately and without a filter."""
 
-from collections import deque
+from array import array
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf
+from itertools import chain
+from math import inf, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +20,8 @@ from ..aids.odometer import WheelSpeed
 from ..inertial.propagation import GAP_S
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Samples = tuple[Sequence[int], Sequence[Vector], Sequence[Vector]]  # stamps [ns], forces and rates of a batch
 
 WINDOW_S = 300.0
 NODE_S = 0.05  # between two stored values of the integrals of force and rate
@@ -28,6 +33,7 @@ LARGEST_M_S2 = 8.0  # no tyre accelerates a car so much: GNSS has jumped
 SPEED_S = 0.09  # least time between two speeds
 SILENT_NS = 10_000_000_000  # after which another device is followed
 MOST_EPOCHS = 6000  # 300 s at 20 Hz
+MOST_WAITING = 4000  # batches of samples, more than those between two evaluations
 
 
 class Velocities(NamedTuple):
@@ -46,8 +52,10 @@ class Motion:
     ----------
     nodes : ndarray, shape (n,)
         Times of the integrals.
-    integrals : ndarray, shape (n, 7)
-        Of specific force [m/s, body] and angular rate [rad, body], and the time [s] in gaps of samples.
+    integrals : ndarray, shape (6, n)
+        Of specific force [m/s, body] and angular rate [rad, body].
+    gaps : ndarray, shape (n,)
+        Time [s] in gaps of samples.
     positions : ndarray, shape (m, 4)
         Time, and position against the first [m, NED].
     velocities : ndarray, shape (k, 4)
@@ -58,6 +66,7 @@ class Motion:
 
     nodes: FloatArray
     integrals: FloatArray
+    gaps: FloatArray
     positions: FloatArray
     velocities: FloatArray
     speeds: FloatArray
@@ -78,11 +87,12 @@ class Motion:
         return Velocities(time[:-1][fit], time[1:][fit], mean)
 
     def integrals_at(self, time: FloatArray) -> FloatArray:
-        """Integrals of force, rate and gaps at times, shape (*time.shape, 7)."""
+        """Integrals of force and rate at times, shape (6, *time.shape)."""
         place = np.searchsorted(self.nodes, time).clip(1, len(self.nodes) - 1)
         before, after = self.nodes[place - 1], self.nodes[place]
-        share = ((time - before) / (after - before))[..., np.newaxis]
-        found: FloatArray = (1.0 - share) * self.integrals[place - 1] + share * self.integrals[place]
+        share = (time - before) / (after - before)
+        found: FloatArray = self.integrals.take(place - 1, axis=1) * (1.0 - share)
+        found += self.integrals.take(place, axis=1) * share
         return found
 
 
@@ -110,8 +120,8 @@ class Intervals(NamedTuple):
 class Changes:
     """Changes between successive velocities of GNSS, one row each; `inertial` pairs them with the inertial sensors."""
 
-    begin: FloatArray  # [s] shape (n, 2), times [begin, end] of the first velocity
-    end: FloatArray  # [s] shape (n, 2), of the second
+    times: FloatArray  # [s] shape (m, 2), [begin, end] of each velocity
+    rows: IntArray  # shape (n,), the first velocity of each change; the second one follows it
     speed: FloatArray  # [m/s] shape (n,)
     acceleration: FloatArray  # [m/s²] shape (n,)
     course_rate: FloatArray  # [rad/s] shape (n,)
@@ -129,59 +139,105 @@ class Changes:
         speed, acceleration = 0.5 * (horizontal[1:] + horizontal[:-1]), np.diff(horizontal) / span
         sound = (span <= shortest_s + SLACK_S) & (np.abs(acceleration) < LARGEST_M_S2)
         sound &= ~(np.abs(speed * course_rate) > LARGEST_M_S2)
-        return cls(times[:-1][sound], times[1:][sound], speed[sound], acceleration[sound], course_rate[sound])
+        return cls(times, np.flatnonzero(sound), speed[sound], acceleration[sound], course_rate[sound])
+
+    @property
+    def begin(self) -> FloatArray:
+        """Times [begin, end] of the first velocity of each [s], shape (n, 2)."""
+        return self.times[self.rows]
+
+    @property
+    def end(self) -> FloatArray:
+        """Times [begin, end] of the second velocity of each [s], shape (n, 2)."""
+        return self.times[self.rows + 1]
 
     def within(self, motion: Motion, margin_s: float) -> "Changes":
         """Those that the inertial samples cover without a gap, moved by up to a margin."""
         first, last = motion.nodes[0] + margin_s, motion.nodes[-1] - margin_s
-        covered = (self.begin[:, 0] - margin_s, self.end[:, 1] + margin_s)
-        gaps = [np.interp(time, motion.nodes, motion.integrals[:, 6]) for time in covered]
-        fit = (self.begin[:, 0] >= first) & (self.end[:, 1] <= last) & (gaps[0] == gaps[1])
-        return Changes(self.begin[fit], self.end[fit], self.speed[fit], self.acceleration[fit], self.course_rate[fit])
+        begin, end = self.begin[:, 0], self.end[:, 1]
+        gaps = [np.interp(time, motion.nodes, motion.gaps) for time in (begin - margin_s, end + margin_s)]
+        fit = (begin >= first) & (end <= last) & (gaps[0] == gaps[1])
+        return Changes(self.times, self.rows[fit], self.speed[fit], self.acceleration[fit], self.course_rate[fit])
 
-    def inertial(self, motion: Motion, lag_s: float) -> FloatArray:
-        """Mean force and rate over the same times, shape (n, 6), GNSS taken to be older by a lag.
+    def inertial(self, motion: Motion, lags_s: FloatArray) -> FloatArray:
+        """Mean force and rate over the same times, GNSS taken to be older by each of some lags.
 
         A mean velocity over [a, b] pairs with the mean over [a, b] of the inertial integral.
+
+        Parameters
+        ----------
+        motion : Motion
+            Of the window.
+        lags_s : ndarray, shape (l,)
+            [s] Lags.
+
+        Returns
+        -------
+        ndarray, shape (6, l, n)
+            [m/s², rad/s, body]
         """
-        span = (self.end.mean(axis=1) - self.begin.mean(axis=1))[:, np.newaxis]
-        gained: FloatArray = _mean_integrals(motion, self.end - lag_s) - _mean_integrals(motion, self.begin - lag_s)
-        mean: FloatArray = gained[:, :6] / span
-        return mean
+        used, places = np.unique(np.stack([self.rows, self.rows + 1]), return_inverse=True)
+        means = _mean_integrals(motion, self.times[used], lags_s)
+        first, second = places
+        middle = self.times[used].mean(axis=1)
+        gained: FloatArray = means.take(second, axis=2) - means.take(first, axis=2)
+        gained /= middle[second] - middle[first]
+        return gained
 
 
 def intervals_of(motion: Motion, velocities: Velocities, lag_s: float = 0.0) -> Intervals:
     """Pair changes of velocity with mean force and rate over the same times, with GNSS delayed by a lag."""
     changes = Changes.of(velocities).within(motion, abs(lag_s))
-    inertial = changes.inertial(motion, lag_s)
+    inertial = changes.inertial(motion, np.array([lag_s]))[:, 0].T
     begin, end = changes.begin.mean(axis=1), changes.end.mean(axis=1)
     return Intervals(
         begin, end - begin, changes.speed, changes.acceleration, changes.course_rate, inertial[:, :3], inertial[:, 3:]
     )
 
 
-def _mean_integrals(motion: Motion, times: FloatArray) -> FloatArray:
-    """Means over times [begin, end] of the integrals, shape (n, 7), by Simpson's rule where they differ."""
-    begin, end = times.T
+def _mean_integrals(motion: Motion, times: FloatArray, lags_s: FloatArray) -> FloatArray:
+    """Means of the integrals over times [begin, end] less lags, shape (6, l, n), by Simpson's rule if they differ."""
+    begin, end = (time - lags_s[:, np.newaxis] for time in times.T)
     if np.array_equal(begin, end):
         return motion.integrals_at(begin)
     steps = 2 * max(1, round(0.5 * float((end - begin).max(initial=0.0)) / SIMPSON_S))
     weights = np.array([1.0, *([4.0, 2.0] * (steps // 2))[:-1], 1.0])
-    mean = np.zeros((len(begin), 7))
+    mean = np.zeros((6, *begin.shape))
     for share, weight in zip(np.linspace(0.0, 1.0, steps + 1).tolist(), weights.tolist(), strict=True):
         mean += weight / (3.0 * steps) * motion.integrals_at((1.0 - share) * begin + share * end)
     return mean
 
 
-def _spaced(time: FloatArray, shortest_s: float) -> list[int]:
-    """Indices of times that are at least a time apart [s]."""
-    chosen: list[int] = []
-    last = -inf
-    for place, now in enumerate(time.tolist()):
-        if now - last >= shortest_s - 1e-6:
-            chosen.append(place)
-            last = now
+def _spaced(time: FloatArray, shortest_s: float, last: float = -inf) -> list[int]:
+    """Indices of sorted times that are at least a time apart [s], also from a last one before."""
+    chosen, times = list[int](), time.tolist()
+    place = bisect_left(times, last + shortest_s - 1e-6)
+    while place < len(times):
+        chosen.append(place)
+        place = bisect_left(times, times[place] + shortest_s - 1e-6, place + 1)
     return chosen
+
+
+class _Rows:
+    """The newest rows of numbers, each with its time [s] first."""
+
+    def __init__(self, width: int, most: int) -> None:
+        self._numbers, self._width, self._most = array("d"), width, width * most
+
+    def extend(self, rows: FloatArray) -> None:
+        """Append rows, shape (n, width)."""
+        self._numbers.frombytes(rows.tobytes())
+        if len(self._numbers) > 2 * self._most:
+            del self._numbers[: -self._most]
+
+    def append(self, *row: float) -> None:
+        """Append one row."""
+        self.extend(np.array(row))
+
+    def table(self, begin_s: float = -inf) -> FloatArray:
+        """The rows from a time on, shape (n, width)."""
+        rows = np.frombuffer(self._numbers).reshape(-1, self._width)[-self._most // self._width :]
+        return rows[np.searchsorted(rows[:, 0], begin_s) :].copy()
 
 
 class MotionLog:
@@ -189,33 +245,23 @@ class MotionLog:
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
-        self._last_ns = 0
-        self._sums = [0.0] * 7
-        self._nodes: deque[tuple[float, ...]] = deque(maxlen=round(WINDOW_S / NODE_S))
-        self._positions: deque[tuple[float, ...]] = deque(maxlen=MOST_EPOCHS)
-        self._velocities: deque[tuple[float, ...]] = deque(maxlen=MOST_EPOCHS)
-        self._speeds: deque[tuple[float, ...]] = deque(maxlen=MOST_EPOCHS)
+        self._waiting: list[Samples] = []  # not yet integrated
+        self._last_ns, self._sums = 0, np.zeros(7)  # stamp of the newest sample, and the integrals until then
+        self._nodes, self._node_s = _Rows(8, round(WINDOW_S / NODE_S)), 0.0  # and time of the newest
+        self._positions, self._velocities = _Rows(4, MOST_EPOCHS), _Rows(4, MOST_EPOCHS)
+        self._speeds = _Rows(2, MOST_EPOCHS)
         self._place: tuple[Geodetic, Vector] | None = None  # newest position, and it against the first [m, NED]
+        self._speed_s = -inf  # time of the newest speed
         self._followed: dict[type, tuple[str, int]] = {}  # device of each kind, and its newest stamp
 
-    def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
-        """Take the next inertial sample [m/s², rad/s; body], the mean over the step that ends at its stamp."""
+    def samples(self, stamps_ns: Sequence[int], forces: Sequence[Vector], rates: Sequence[Vector]) -> None:
+        """Take inertial samples [m/s², rad/s; body], each the mean over the step that ends at its stamp."""
         if self._start_ns is None:
-            self._start_ns = self._last_ns = time_ns
-            self._nodes.append((0.0,) * 8)
-            return
-        step = (time_ns - self._last_ns) * 1e-9
-        if step <= 0.0:
-            return
-        sums = self._sums
-        for place, value in enumerate((*force, *rate)):
-            sums[place] += value * step
-        if step > GAP_S:
-            sums[6] += step
-        self._last_ns = time_ns
-        now_s = (time_ns - self._start_ns) * 1e-9
-        if now_s - self._nodes[-1][0] >= NODE_S - 1e-6:
-            self._nodes.append((now_s, *sums))
+            self._start_ns = self._last_ns = stamps_ns[0]
+            self._nodes.append(0.0, *self._sums)
+        self._waiting.append((stamps_ns, forces, rates))
+        if len(self._waiting) >= MOST_WAITING:
+            self._integrate()
 
     def see(self, seen: Measurement) -> None:
         """Take a position, a velocity or a speed at its stamp; out-of-sequence ones are left out."""
@@ -227,12 +273,13 @@ class MotionLog:
                 before, (north, east, down) = self._place or (seen.position, (0.0, 0.0, 0.0))
                 n, e, d = ned_from_geodetic_difference(seen.position, before)
                 self._place = seen.position, (north + n, east + e, down + d)
-                self._positions.append((time_s, *self._place[1]))
+                self._positions.append(time_s, *self._place[1])
             case GnssVelocity():
                 north, east, down = seen.velocity
-                self._velocities.append((time_s, north, east, down if seen.axes == 3 else float("nan")))
-            case WheelSpeed() if not self._speeds or time_s - self._speeds[-1][0] >= SPEED_S:
-                self._speeds.append((time_s, seen.speed))
+                self._velocities.append(time_s, north, east, down if seen.axes == 3 else nan)
+            case WheelSpeed() if time_s - self._speed_s >= SPEED_S:
+                self._speed_s = time_s
+                self._speeds.append(time_s, seen.speed)
 
     def _follows(self, seen: Measurement) -> bool:
         source, last_ns = self._followed.get(type(seen), (seen.source, seen.time_ns - 1))
@@ -243,16 +290,33 @@ class MotionLog:
 
     def motion(self) -> Motion | None:
         """Arrays of the window, or None without samples."""
-        if len(self._nodes) < 2:
+        self._integrate()
+        nodes = self._nodes.table()
+        if len(nodes) < 2:
             return None
-        nodes = np.array(self._nodes)
-        begin = nodes[0, 0]
+        begin_s = float(nodes[0, 0])
+        measured = (rows.table(begin_s) for rows in (self._positions, self._velocities, self._speeds))
+        times, *integrals, gaps = nodes.T
+        return Motion(times, np.array(integrals), gaps, *measured)
 
-        def recent(rows: deque[tuple[float, ...]], width: int) -> FloatArray:
-            table = np.array(rows).reshape(-1, width)
-            kept: FloatArray = table[table[:, 0] >= begin]
-            return kept
-
-        return Motion(
-            nodes[:, 0], nodes[:, 1:], recent(self._positions, 4), recent(self._velocities, 4), recent(self._speeds, 2)
-        )
+    def _integrate(self) -> None:
+        """Add the waiting samples to the integrals; those out of order are left out."""
+        if self._start_ns is None or not self._waiting:
+            return
+        batches, *vectors = (chain.from_iterable(part) for part in zip(*self._waiting, strict=True))
+        stamps = np.fromiter(batches, np.int64)
+        force, rate = (np.fromiter(chain.from_iterable(part), np.float64).reshape(-1, 3) for part in vectors)
+        self._waiting.clear()
+        newer = stamps > np.maximum.accumulate(np.concatenate([[self._last_ns], stamps]))[:-1]
+        if not newer.any():
+            return
+        ends = stamps[newer]
+        step = np.diff(ends, prepend=self._last_ns) * 1e-9
+        gained = np.hstack([force, rate])[newer] * step[:, np.newaxis]
+        in_gaps = np.where(step > GAP_S, step, 0.0)
+        sums = np.cumsum(np.vstack([self._sums, np.column_stack([gained, in_gaps])]), axis=0)[1:]
+        self._last_ns, self._sums = int(ends[-1]), sums[-1]
+        times = np.asarray((ends - self._start_ns) * 1e-9, dtype=np.float64)
+        if chosen := _spaced(times, NODE_S, self._node_s):
+            self._node_s = float(times[chosen[-1]])
+            self._nodes.extend(np.column_stack([times[chosen], sums[chosen]]))

@@ -7,6 +7,8 @@ On a road the specific force along the vehicle is f = a + g sin(slope), so that 
 with c1 the pitch of the mount and the bias, and c2 the acceleration and the pitch that goes with it.
 """
 
+from bisect import bisect_left
+
 import numpy as np
 import numpy.typing as npt
 
@@ -106,28 +108,36 @@ def _gain(
     """Factor of a climb [m] on that of pitch and speed, with its standard deviation."""
     if len(time) < FEWEST or not np.isfinite(climb).any():
         return None
-    starts, n = intervals.begin, len(intervals.begin)
-    rows, climbs = [], []
-    first = 0
-    while first < n:
-        last = int(np.searchsorted(starts, starts[first] + WINDOW_S))
-        inside = slice(first, last)
-        span = intervals.span[inside]
-        end = starts[last - 1] + span[-1]
-        if last - first >= 4 and abs(span.sum() - (end - starts[first])) < 0.3 and _covered(time, starts[first], end):
-            v = intervals.speed[inside]
-            work = float((v * (intervals.force[inside] @ ahead) * span).sum()) / STANDARD_GRAVITY
-            rows.append((work, float((v * span).sum()), float((v * intervals.acceleration[inside] * span).sum())))
-            climbs.append(float(np.interp(end, time, climb) - np.interp(starts[first], time, climb)))
-        first = last
-    if len(rows) < FEWEST:
+    first = _windows(intervals.begin)
+    last = np.append(first[1:], len(intervals.begin)) - 1
+    begin, end = intervals.begin[first], intervals.begin[last] + intervals.span[last]
+    v, span = intervals.speed, intervals.span
+    work = v * (intervals.force @ ahead) / STANDARD_GRAVITY
+    rates = np.column_stack([work, v, v * intervals.acceleration, np.ones_like(v)])
+    *rows, spans = np.add.reduceat(rates * span[:, np.newaxis], first).T
+    whole = (last - first >= 3) & (np.abs(spans - (end - begin)) < 0.3) & _covered(time, begin, end)
+    if whole.sum() < FEWEST:
         return None
-    return _known(least_squares(np.array(rows), np.array(climbs)[:, np.newaxis]))
+    climbs = np.interp(end[whole], time, climb) - np.interp(begin[whole], time, climb)
+    return _known(least_squares(np.column_stack(rows)[whole], climbs[:, np.newaxis]))
 
 
-def _covered(time: FloatArray, begin: float, end: float) -> bool:
+def _windows(starts: FloatArray) -> npt.NDArray[np.intp]:
+    """Place of the first interval of each window of `WINDOW_S`."""
+    found, times, place = [], starts.tolist(), 0
+    while place < len(times):
+        found.append(place)
+        place = bisect_left(times, times[place] + WINDOW_S)
+    return np.array(found, dtype=np.intp)
+
+
+def _covered(time: FloatArray, begin: FloatArray, end: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether times of measurements surround and fill each time from begin to end, without a gap of 3 s."""
     first, last = np.searchsorted(time, begin), np.searchsorted(time, end)
-    return bool(first > 0 and last < len(time) and np.diff(time[first - 1 : last + 1]).max() < 3.0)
+    gaps = np.concatenate([[0], np.cumsum(np.diff(time) >= 3.0)])  # until each time
+    inside = (first > 0) & (last < len(time))
+    found: npt.NDArray[np.bool_] = inside & (gaps[np.minimum(last, len(time) - 1)] == gaps[np.maximum(first - 1, 0)])
+    return found
 
 
 def _heights_against_velocity(motion: Motion) -> tuple[float, float] | None:

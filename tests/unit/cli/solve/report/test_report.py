@@ -3,13 +3,17 @@
 import re
 from functools import cache
 from html.parser import HTMLParser
+from io import StringIO
 
 import pytest
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawn
 
 from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.metrics import METRICS, Run, Value, metrics_of
-from cli.solve.report.drawing import Figure
+from cli.solve.report.drawing import STYLE, WIDTH_IN, Figure, label_decades, stacked_axes
 from cli.solve.report.plots import figures_of
 from cli.solve.report.report import Heading, document, page, summary, verdict
 from shared.messages.navigation import AidingKind, AidingUpdate
@@ -157,3 +161,33 @@ def test_a_sound_drive_may_be_reset_rarely() -> None:
     assert "no sound" not in verdict(judged(filter_resets=12, duration_s=7200.0))
     said = summary(Heading("drive", "none", None, []), judged(filter_resets=1))
     assert "590 of 600 fixes since the alignment were used (98.3 %), and the filter was reset once." in said
+
+
+def test_a_figure_that_is_drawn_once_is_the_one_that_matplotlib_saves() -> None:
+    """`savefig` draws everything twice: its first drawing only finds the layout."""
+
+    def fill(upper: Axes, lower: Axes) -> None:
+        upper.plot([0.0, 1.0, 2.0], [3.0, 1.0, 2.0], label="a line")
+        upper.legend()
+        lower.set(yscale="log", ylim=(0.01, 10.0), xlabel="time [s]")
+
+    drawn: list[str] = []
+    with stacked_axes(2, 3.0, drawn.append) as rows:
+        fill(*rows)
+    with rc_context(STYLE):  # type: ignore[arg-type]  # which names every key
+        figure, saved = Drawn(figsize=(WIDTH_IN, 3.0), layout="constrained"), StringIO()
+        fill(*figure.subplots(2, 1, sharex=True))
+        figure.savefig(saved, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    assert drawn == [saved.getvalue()]
+    assert "a line" in drawn[0]
+
+
+def test_decades_of_logarithmic_axes_are_labelled_as_plain_text() -> None:
+    drawn: list[str] = []
+    with stacked_axes(2, 3.0, drawn.append) as (upper, lower):
+        upper.set(yscale="log", ylim=(0.008, 20.0))
+        lower.set(ylim=(0.0, 7.0))
+        label_decades(upper.yaxis, lower.yaxis)
+    labels = re.findall(r"<text[^>]*>([^<]*)</text>", drawn[0])
+    assert [label for label in labels if label.startswith("10")] == ["10⁻²", "10⁻¹", "10⁰", "10¹"]
+    assert {"0", "2", "4", "6"} <= set(labels), "a linear axis keeps its numbers"

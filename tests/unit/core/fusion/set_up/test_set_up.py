@@ -11,13 +11,15 @@ import numpy.typing as npt
 import pytest
 
 from cli.solve.overrides import with_settings
+from services.core.fusion.set_up.delay import _fit, lag_of
 from services.core.fusion.set_up.findings import Check, Verdict
 from services.core.fusion.set_up.monitor import ArmError, SetUpMonitor, check_arm
-from services.core.fusion.set_up.motion import MotionLog
+from services.core.fusion.set_up.motion import MOST_WAITING, Changes, Motion, MotionLog, Velocities
+from services.core.fusion.set_up.receiver import _covered
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
-from shared.maths.rotation import ned_from_body
+from shared.maths.rotation import Vector, ned_from_body
 from shared.runtime.config import LEVEL_MOUNTING, GnssAntenna, ImuMounting, Vehicle, parse_vehicle
 from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
 
@@ -210,7 +212,115 @@ def test_the_nearest_permutation_of_a_disturbed_permutation_is_that_permutation(
 def test_the_log_holds_300_s_of_one_device() -> None:
     log = MotionLog()
     for k in range(40_000):
-        log.sample(k * 10_000_000, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
+        log.samples((k * 10_000_000,), ((0.0, 0.0, -9.81),), ((0.0, 0.0, 0.0),))
     motion = log.motion()
     assert motion is not None
     assert motion.nodes[-1] - motion.nodes[0] == pytest.approx(300.0, abs=0.2)
+
+
+def wobbling(seconds: float, seed: int = 4) -> tuple[list[int], list[Vector], list[Vector]]:
+    """Stamps at 100 Hz with one gap, forces and rates of a car that wobbles."""
+    rng = np.random.default_rng(seed)
+    count = round(100 * seconds)
+    stamps = np.cumsum(np.full(count, 10_000_000)) + np.where(np.arange(count) > count // 2, 3_000_000_000, 0)
+    gravity = np.array([0.0, 0.0, -9.81])
+    forces, rates = gravity + rng.standard_normal((count, 3)), 0.1 * rng.standard_normal((count, 3))
+    return stamps.tolist(), [(x, y, z) for x, y, z in forces.tolist()], [(x, y, z) for x, y, z in rates.tolist()]
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+def test_integrals_are_the_sums_of_the_samples_however_they_are_batched(size: int) -> None:
+    stamps, forces, rates = wobbling(60.0)
+    log = MotionLog()
+    for first in range(0, len(stamps), size):
+        batch = slice(first, first + size)
+        log.samples(stamps[batch], forces[batch], rates[batch])
+    motion = log.motion()
+    assert motion is not None
+    steps_s = np.diff(stamps) * 1e-9
+    sums = np.cumsum(np.hstack([forces, rates])[1:] * steps_s[:, np.newaxis], axis=0).T
+    ends_s = (np.array(stamps[1:]) - stamps[0]) * 1e-9
+    places = np.searchsorted(ends_s, motion.nodes[1:] - 1e-6)
+    assert motion.nodes[1:] == pytest.approx(ends_s[places])
+    assert motion.integrals[:, 1:] == pytest.approx(sums[:, places], rel=1e-12, abs=1e-12)
+    assert motion.gaps[-1] == pytest.approx(3.01) and motion.gaps[0] == 0.0
+    assert np.diff(motion.nodes).min() > 0.0499
+
+
+def test_samples_out_of_order_are_left_out_of_the_integrals() -> None:
+    stamps, forces, rates = wobbling(20.0)
+    straight, disturbed = MotionLog(), MotionLog()
+    straight.samples(stamps, forces, rates)
+    for k, stamp in enumerate(stamps):
+        disturbed.samples((stamp, stamp, stamp - 50_000_000), [forces[k]] + [(99.0, 0.0, 0.0)] * 2, [rates[k]] * 3)
+    one, other = straight.motion(), disturbed.motion()
+    assert one is not None and other is not None
+    assert np.array_equal(one.nodes, other.nodes) and np.array_equal(one.integrals, other.integrals)
+
+
+def test_a_clock_that_stands_still_does_not_let_the_log_grow() -> None:
+    log = MotionLog()
+    for _ in range(2 * MOST_WAITING + 10):
+        log.samples((1_000_000_000,), ((0.0, 0.0, -9.81),), ((0.0, 0.0, 0.0),))
+    assert len(log._waiting) < MOST_WAITING
+    assert log.motion() is None
+
+
+def turning(lag_s: float) -> tuple[Motion, Velocities]:
+    """Two minutes of a car whose velocities are older than their stamps by a lag."""
+    stamps, forces, rates = wobbling(120.0)
+    time = (np.array(stamps) - stamps[0]) * 1e-9
+    pull, turn = 2.0 * np.sin(0.7 * time), 0.2 * np.sin(0.45 * time + 1.0)
+    log = MotionLog()
+    log.samples(
+        stamps,
+        [(a + f[0] * 0.01, f[1], f[2]) for a, f in zip(pull.tolist(), forces, strict=True)],
+        [(w[0], w[1], r + w[2] * 0.01) for r, w in zip(turn.tolist(), rates, strict=True)],
+    )
+    motion = log.motion()
+    assert motion is not None
+    at = np.arange(3.0, time[-1] - 3.0)
+    past = at - lag_s
+    speed = 12.0 - 2.0 / 0.7 * np.cos(0.7 * past)
+    course = -0.2 / 0.45 * np.cos(0.45 * past + 1.0)
+    ned = np.column_stack([speed * np.cos(course), speed * np.sin(course), np.zeros_like(at)])
+    return motion, Velocities(at, at, ned)
+
+
+@pytest.mark.parametrize("lag_s", [-0.4, 0.0, 0.55])
+def test_the_lag_is_found(lag_s: float) -> None:
+    motion, velocities = turning(lag_s)
+    found = lag_of(motion, velocities)
+    assert found is not None and found[0] == pytest.approx(lag_s, abs=0.05)
+    assert lag_of(motion, velocities._replace(ned=np.zeros_like(velocities.ned))) is None, "at rest nothing tells it"
+
+
+def test_means_at_several_lags_are_those_at_each_lag() -> None:
+    motion, velocities = turning(0.2)
+    changes = Changes.of(velocities).within(motion, 1.0)
+    lags = np.array([-0.8, 0.0, 0.35])
+    together = changes.inertial(motion, lags)
+    assert together.shape == (6, 3, len(changes.rows))
+    for place, lag in enumerate(lags):
+        assert np.array_equal(together[:, place], changes.inertial(motion, np.array([lag]))[:, 0])
+        begin, end = (motion.integrals_at(times[:, 0] - lag) for times in (changes.begin, changes.end))
+        assert together[:, place] == pytest.approx((end - begin) / (changes.end - changes.begin)[:, 0], abs=1e-12)
+
+
+def test_a_regressor_that_follows_from_another_one_changes_no_likelihood() -> None:
+    rng = np.random.default_rng(5)
+    x, y = rng.standard_normal((2, 4, 200)), rng.standard_normal(200)
+    y = y + 3.0 * x[0, 1]
+    alone, share = _fit(x, y)
+    doubled, same = _fit(np.concatenate([x, 2.0 * x[:1]]), y)
+    assert doubled == pytest.approx(alone) and same == pytest.approx(share)
+    solved = np.linalg.lstsq(np.column_stack([x[0, 1], x[1, 1], np.ones(200)]), y, rcond=None)[0]
+    size = np.abs(y - np.column_stack([x[0, 1], x[1, 1], np.ones(200)]) @ solved)
+    left = np.minimum(size, 4.0 * np.median(size))
+    assert share[1] == pytest.approx(1.0 - left @ left / ((y - y.mean()) ** 2).sum())
+
+
+def test_a_window_is_covered_where_measurements_surround_it_without_a_gap() -> None:
+    time = np.array([0.0, 1.0, 2.0, 6.0, 7.0, 8.0])
+    begin, end = np.array([-0.5, 0.5, 0.5, 6.5, 6.5]), np.array([1.5, 1.5, 3.0, 7.5, 8.5])
+    assert _covered(time, begin, end).tolist() == [False, True, False, True, False]
