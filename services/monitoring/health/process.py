@@ -31,6 +31,7 @@ class Process:
         faults = Faults(bus.rejects)
         report_ns = step_ns = 0
         while not bus.stopping:
+            bus.follow(watch.untold())
             until_step_s = (step_ns - bus.now_ns()) * 1e-9
             for envelope in bus.receive(min(max(until_step_s, 0.01), 0.04)):
                 with faults.handling(bus.now_ns()):
