@@ -104,11 +104,12 @@ class TopicFlow:
         """Note whether its messages come here; without them, the newest one that came is none."""
         if self.followed and not followed:
             self.newest = self.message = None
+            self._arrivals_ns.clear()
         self.followed = followed
 
     def is_coming(self, now_ns: int) -> bool:
         """Whether its first message since somebody looks is still to come."""
-        return self.newest is None and self.tally.count > 0 and self.freshness(now_ns) is not Freshness.STALE
+        return self.newest is None and self.tally.rate_hz(now_ns) >= 1.0
 
     @property
     def count(self) -> int:

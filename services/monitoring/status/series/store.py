@@ -108,7 +108,8 @@ class Series:
 
     def looked_at(self, now_ns: int) -> set[str]:
         """Name the topics of the fields that somebody asked for lately."""
-        return {kept.field.topic for kept in self._kept.values() if now_ns - kept.asked_ns < LOOKED_AT_NS}
+        since_ns = max(now_ns - LOOKED_AT_NS, 0)
+        return {kept.field.topic for kept in self._kept.values() if kept.asked_ns > since_ns}
 
     def take_latency(self, topic: str, latency_s: float, received_ns: int) -> None:
         """Note the latency of a topic that is not followed."""

@@ -252,11 +252,13 @@ def test_a_look_brings_messages_and_its_end_leaves_what_is_told(unlooked: Told) 
     assert not flow.is_coming(unlooked.world.now_ns)
     assert flow.decoded() == samples(unlooked.world.now_ns)
     assert flow.count == pytest.approx(count + 300, abs=51), "counted once"
+    assert flow.jitter_s == pytest.approx(0.0)
     unlooked.run(4)
     assert "imu/sample" not in state.followed
     assert flow.newest is None
     assert flow.freshness(unlooked.world.now_ns) == "fresh"
-    assert reports.topic(flow, unlooked.world.now_ns)["message"] is None
+    shown = reports.topic(flow, unlooked.world.now_ns)
+    assert (shown["message"], shown["jitter_s"], shown["producer"]) == (None, None, "parsers.imu")
 
 
 def test_samples_of_before_a_restart_of_their_producer_are_not_live(unlooked: Told) -> None:
