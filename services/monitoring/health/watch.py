@@ -74,6 +74,7 @@ class Watch:
         self._started_ns = self._judged_from_ns = self._now_ns = self._received_ns = now_ns
         self._configured = frozenset(configured)
         self._topics = {topic.name: TopicWatch(topic) for topic in TOPICS}
+        self.untold = frozenset(topic.name for topic in TOPICS if topic.fast)  # of these the messages are needed here
         self._processes = {name: ProcessWatch(name) for name in PROCESS_ROWS if name in self._configured}
         self._expected = expected_topics(self._configured)
         self._recording: RecordingState | None = None
@@ -109,7 +110,10 @@ class Watch:
         name = health.process
         over = health.state.is_over
         for carried, published in () if retained else told(health):
-            self._topics[carried.topic].take_told(health, carried, published=published)
+            watch = self._topics[carried.topic]
+            watch.take_told(health, carried, published=published)
+            if watch.tally.count:
+                self.untold -= {carried.topic}
         if name == SELF and health.state is ProcessState.LOST and not retained:
             self._judged_from_ns = received_ns + RETURN_NS
             return
@@ -123,10 +127,6 @@ class Watch:
         self._processes[name].take(health, received_ns, retained=retained)
         if before is not self._processes[name].state:
             self._expected = expected_topics(self._present())
-
-    def untold(self) -> frozenset[str]:
-        """Name the fast topics of which no heartbeat tells, so that their messages are needed here."""
-        return frozenset(name for name, w in self._topics.items() if w.topic.fast and not w.tally.count)
 
     def take_recording(self, state: RecordingState) -> None:
         """Note whether the recorder records, and on how full a disk."""
