@@ -52,8 +52,9 @@ class Tally:
         self._said_ns = 0  # when the leader spoke last
         self._marks: deque[tuple[int, int]] = deque()
 
-    def take(self, health: ProcessHealth, carried: Carried, *, published: bool) -> None:
-        """Note what a heartbeat tells of the topic."""
+    def take(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> None:
+        """Note what a heartbeat tells of the topic; nothing is newer than its arrival here."""
+        said_ns = min(health.sent_ns, now_ns)
         teller = health.process, published
         before = self._words.get(teller)
         if before is not None and health.incarnation < before.incarnation:
@@ -63,16 +64,16 @@ class Tally:
         if before and same_life and not new:
             before.heartbeats += 1
         else:
-            self._words[teller] = _Word(health.incarnation, carried.count, health.sent_ns, self.count)
+            self._words[teller] = _Word(health.incarnation, carried.count, said_ns, self.count)
         self.latency_s = self._latency_s(teller, carried) if new else None
         if carried.newest_ns is None or not self._leads(teller, carried.newest_ns):
             return
         self.count += new if before else min(new, 1)  # what was sent before anybody listened is not counted
-        self.newest_ns = max(self.newest_ns or 0, min(carried.newest_ns, health.sent_ns))
+        self.newest_ns = max(self.newest_ns or 0, min(carried.newest_ns, said_ns))
         self.lag_ns = max(self.newest_ns - carried.stamp_ns, 0) if carried.stamp_ns is not None else 0
-        self.producer, self._said_ns = carried.producer or health.process, health.sent_ns
-        self._marks.append((health.sent_ns, self.count))
-        while len(self._marks) > 2 and self._marks[1][0] <= health.sent_ns - RATE_WINDOW_NS:
+        self.producer, self._said_ns = carried.producer or health.process, said_ns
+        self._marks.append((said_ns, self.count))
+        while len(self._marks) > 2 and self._marks[1][0] <= said_ns - RATE_WINDOW_NS:
             self._marks.popleft()
 
     def updated_ns(self, now_ns: int) -> int | None:

@@ -40,9 +40,9 @@ class TopicWatch:
         self.producer = producer
         self.newest_ns = max(self.newest_ns or 0, received_ns)
 
-    def take_told(self, health: ProcessHealth, carried: Carried, *, published: bool) -> None:
+    def take_told(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> None:
         """Note what a heartbeat tells."""
-        self.tally.take(health, carried, published=published)
+        self.tally.take(health, carried, published=published, now_ns=now_ns)
         if self.tally.latency_s is not None:
             self._latencies_s.append(self.tally.latency_s)
         if self.tally.newest_ns is not None:

@@ -111,7 +111,7 @@ class Watch:
         over = health.state.is_over
         for carried, published in () if retained else told(health):
             watch = self._topics[carried.topic]
-            watch.take_told(health, carried, published=published)
+            watch.take_told(health, carried, published=published, now_ns=received_ns)
             if watch.tally.count:
                 self.untold -= {carried.topic}
         if name == SELF and health.state is ProcessState.LOST and not retained:

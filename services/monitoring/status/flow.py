@@ -82,9 +82,9 @@ class TopicFlow:
             self._note_latency(said_ns, envelope.received_ns)
         return message
 
-    def note_told(self, health: ProcessHealth, carried: Carried, *, published: bool) -> float | None:
+    def note_told(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> float | None:
         """Note what a heartbeat tells; gives the latency that it tells of, None while the topic is followed."""
-        self.tally.take(health, carried, published=published)
+        self.tally.take(health, carried, published=published, now_ns=now_ns)
         if self.followed or self.tally.newest_ns is None:
             return None
         self.producer, self.heard_ns = self.tally.producer or "", self.tally.newest_ns

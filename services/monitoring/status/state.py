@@ -351,9 +351,10 @@ class State:
             self._delays_s.append(flow.latencies_s[-1])
         process.note(health, flow.updated_ns or envelope.received_ns)
         for carried, published in () if envelope.retained else told(health):
-            latency_s = self.topics[carried.topic].note_told(health, carried, published=published)
+            told_of, now_ns = self.topics[carried.topic], envelope.received_ns
+            latency_s = told_of.note_told(health, carried, published=published, now_ns=now_ns)
             if latency_s is not None:
-                self.series.take_latency(carried.topic, latency_s, envelope.received_ns)
+                self.series.take_latency(carried.topic, latency_s, now_ns)
 
     def _broker_lost(self, now_ns: int) -> bool:
         """Whether nothing is delivered any more, not even our own heartbeat."""

@@ -1,5 +1,6 @@
 import pytest
 
+from shared.bus import codec
 from shared.messages.operation import Carried, ProcessHealth, ProcessState
 from shared.runtime.tally import HEARTBEAT_NS, Tally, told
 from shared.topics import BY_NAME
@@ -24,7 +25,7 @@ class Bus:
         health = ProcessHealth(
             process=process, state=ProcessState.READY, incarnation=self.life, sent_ns=self.now_ns
         )  # fmt: skip
-        self.tally.take(health, carried, published=producer is None)
+        self.tally.take(health, carried, published=producer is None, now_ns=self.now_ns)
 
     def run(self, seconds: float, *tellers: str) -> None:
         for _ in range(round(seconds * 2)):
@@ -133,6 +134,16 @@ def test_a_stamp_ahead_of_its_heartbeat_makes_no_age_negative(bus: Bus) -> None:
     assert bus.tally.lag_ns == 0
 
 
+def test_a_heartbeat_of_a_clock_that_is_ahead_makes_nothing_newer_than_its_arrival(bus: Bus) -> None:
+    carried = Carried(topic="imu/sample", count=1, newest_ns=START_NS + 3600 * SECOND)
+    health = ProcessHealth(
+        process="parsers.imu", state=ProcessState.READY, incarnation=1, sent_ns=START_NS + 3600 * SECOND
+    )
+    bus.tally.take(health, carried, published=True, now_ns=START_NS)
+    assert bus.tally.newest_ns == START_NS
+    assert bus.tally.updated_ns(START_NS + SECOND) == START_NS + HEARTBEAT_NS
+
+
 def test_only_fast_topics_of_the_contract_are_told() -> None:
     names = ("imu/sample", "gnss/fix", "no/topic")
     carried = tuple(Carried(topic=name, count=1) for name in names)
@@ -140,3 +151,10 @@ def test_only_fast_topics_of_the_contract_are_told() -> None:
         process="x", state=ProcessState.READY, incarnation=1, sent_ns=1, published=carried, received=carried
     )  # fmt: skip
     assert [(one.topic, published) for one, published in told(health)] == [("imu/sample", True), ("imu/sample", False)]
+
+
+def test_a_heartbeat_of_a_program_that_does_not_count_is_read_and_tells_nothing() -> None:
+    body = b'{"process":"x","state":"ready","incarnation":1,"sent_ns":1}'
+    health = codec.decode("health/x", body)
+    assert isinstance(health, ProcessHealth)
+    assert list(told(health)) == []
