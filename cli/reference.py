@@ -19,6 +19,10 @@ from .solve.smoothing import SMOOTHED_METRICS
 from .solve.track import COLUMNS
 
 BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
+FAST = (
+    "Each topic is `obu/<vehicle>/` and the name below. Of a *fast* one the heartbeats tell how much was sent and "
+    "received (`published`, `received` of `health/+`)."
+)
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
 
@@ -152,7 +156,7 @@ def _answers(route: dict[str, Json]) -> str:
 def pages() -> dict[str, str]:
     """Make every page of docs/reference that is printed from code: file name and text."""
     return {
-        "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
+        "topics.md": f"{HEAD}# Topics\n\n{FAST}\n\n{topics_table()}\n",
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
         "`[vehicle]` holds what several of them need. `obu migrate FILE` rewrites a file of an earlier version."

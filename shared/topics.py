@@ -77,7 +77,8 @@ class Topic:
 
     `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
     the newest message is stale, `persist` says that the newest message outlives a power-off, and `personal` that
-    it describes other road users: a road-side unit does not record it.
+    it describes other road users: a road-side unit does not record it. A `fast` one may come more than ten times a
+    second: heartbeats tell how much of it was sent and received, so that observers need not wake for each message.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Topic:
     retain: bool = False
     persist: bool = False
     personal: bool = False
+    fast: bool = False
 
     @cached_property
     def per_process(self) -> bool:
@@ -112,9 +114,9 @@ class Topic:
 
 
 TOPICS = (
-    Topic("gnss/raw", GnssRaw, "bytes from the GNSS receiver", rate_hz=1.0, silent_after_s=5.0),
-    Topic("imu/raw", ImuRaw, "bytes from the inertial measurement unit", rate_hz=100.0, silent_after_s=1.0),
-    Topic("can/raw", CanRaw, "frames from the vehicle's CAN bus", rate_hz=10.0, silent_after_s=5.0),
+    Topic("gnss/raw", GnssRaw, "bytes from the GNSS receiver", rate_hz=1.0, silent_after_s=5.0, fast=True),
+    Topic("imu/raw", ImuRaw, "bytes from the inertial measurement unit", rate_hz=100.0, silent_after_s=1.0, fast=True),
+    Topic("can/raw", CanRaw, "frames from the vehicle's CAN bus", rate_hz=10.0, silent_after_s=5.0, fast=True),
     Topic("gnss/write", GnssWrite, "bytes to the GNSS receiver", qos=1),
     Topic("gnss/fix", GnssFix, "position and velocity of the antenna, one message an epoch",
           rate_hz=1.0, silent_after_s=5.0),
@@ -127,13 +129,16 @@ TOPICS = (
     Topic("host/clock", HostClock, "the host's clock beside the OBU time line, and whether NTP holds it"),
     Topic("gnss/receiver", GnssReceiver, "kinds of messages that the receiver sends, by its bytes", qos=1, retain=True),
     Topic("gnss/configuration", GnssConfiguration, "configuration of the receiver, as read back", qos=1, retain=True),
-    Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
+    Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes",
+          rate_hz=100.0, silent_after_s=1.0, fast=True),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
-    Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0, fast=True),
     Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
           rate_hz=1.0, silent_after_s=5.0),
-    Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms", personal=True),
-    Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units", personal=True),
+    Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms",
+          personal=True, fast=True),
+    Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units",
+          personal=True, fast=True),
     Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
     Topic("v2x/send", V2xSend, "frames to be sent by the V2X radio"),
     Topic("gnss/configure", GnssConfigure, "configuration wanted of the receiver", qos=1),
@@ -142,14 +147,14 @@ TOPICS = (
     Topic("navigation/last_position", LastPosition, "last known position of the vehicle",
           qos=1, retain=True, persist=True),
     Topic("navigation/solution", NavigationSolution, "position, velocity and attitude, with covariance",
-          rate_hz=10.0, silent_after_s=2.0),
+          rate_hz=10.0, silent_after_s=2.0, fast=True),
     Topic("navigation/state", NavigationState, "phase of the navigation filter, and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("navigation/set_up", SetUpState, "checks of axes, mounting, signs, delays, scales and lever arm",
           qos=1, retain=True),
     Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
           qos=1, retain=True),
-    Topic("navigation/aiding", AidingUpdate, "innovation of each measurement, and whether it was used"),
+    Topic("navigation/aiding", AidingUpdate, "innovation of each measurement, and whether it was used", fast=True),
     Topic("trust/monitor", TrustMonitor, "result of one integrity monitor", rate_hz=1.0, silent_after_s=5.0),
     Topic("trust/state", TrustState, "whether the position can be used, and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
@@ -167,7 +172,7 @@ TOPICS = (
     Topic("toll/open_passages", OpenPassages, "passages in progress and settled, as the ledger holds them",
           rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
     Topic("toll/used_cam", UsedCams, "CAM that were used, which the ledger keeps for a minute in memory", qos=1,
-          personal=True),
+          personal=True, fast=True),
     Topic("toll/restored_cam", RestoredCams, "CAM that were used before a restart of `core.toll`", qos=1,
           personal=True),
     Topic("toll/transaction", TollTransaction, "charges and reversals for the operator", qos=1, personal=True),
@@ -193,7 +198,8 @@ TOPICS = (
     Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
           qos=1, retain=True),
     Topic("simulation/roads", RoadNetwork, "the roads of the simulated world, for a map", qos=1, retain=True),
-    Topic("truth/state", TruthState, "true position of the simulated vehicle", rate_hz=10.0, silent_after_s=5.0),
+    Topic("truth/state", TruthState, "true position of the simulated vehicle",
+          rate_hz=10.0, silent_after_s=5.0, fast=True),
     Topic("health/+", ProcessHealth, "start, heartbeat, disconnect and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("consumed/+", Consumed, "the order in which a process consumed its messages",

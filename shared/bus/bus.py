@@ -22,12 +22,12 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from ..errors import BadPayload
 from ..messages.base import Message, Sender
-from ..messages.operation import ProcessHealth, ProcessState
+from ..messages.operation import Carried, ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.last_end import LastEnd
 from ..runtime.usage import ProportionalSize, resident_bytes
-from ..topics import BY_MESSAGE, TOPICS, Topic, topic_of
+from ..topics import BY_MESSAGE, BY_NAME, TOPICS, Topic, topic_of
 from . import codec
 from .envelope import Envelope
 
@@ -88,10 +88,14 @@ class Bus:
         self._connected_s = 0.0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer, self._guarded = observer, False
-        self._filters = [(self._prefix + topic.name, topic.qos) for topic in subscriptions]
+        self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
+        self._followed: frozenset[str] | None = None  # None: as constructed
+        self._published: dict[str, tuple[int, int, bytes]] = {}  # of a fast topic: count, time and bytes of the newest
+        self._received: dict[str, tuple[int, Envelope | None]] = {t.name: (0, None) for t in subscriptions if t.fast}
         if len(subscriptions) == len(TOPICS):
             # Mosquitto serves subscribers of single topics before those of all: processes before observers.
-            self._filters = [(self._prefix + "#", 1)]
+            self._filters = {self._prefix + "#": 1}
+            self._received = {}
         self._client = self._make_client()
 
     def _make_client(self) -> mqtt.Client:
@@ -123,8 +127,25 @@ class Bus:
         name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
         if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
             self.dropped += 1
-        else:
-            self._send_in_order(name, payload, topic)
+            return
+        if topic.fast:
+            count, _, _ = self._published.get(topic.name, (0, 0, b""))
+            self._published[topic.name] = count + 1, self.now_ns(), payload
+        self._send_in_order(name, payload, topic)
+
+    def follow(self, fast: frozenset[str]) -> None:
+        """Observe every topic that is not fast, and these of the fast ones; to be called whenever they may change."""
+        if fast == self._followed:
+            return
+        # A filter that ends in # finds the topic itself as well, and Mosquitto serves it after those of processes.
+        followed = {f"{self._prefix}{t.name}/#": t.qos for t in TOPICS if not t.fast or t.name in fast}
+        before, self._filters, self._followed = self._filters, followed, fast
+        if not self.connected:
+            return
+        if new := [(name, qos) for name, qos in followed.items() if name not in before]:
+            self._client.subscribe(new)
+        if old := [name for name in before if name not in followed]:
+            self._client.unsubscribe(old)
 
     def forward(self, envelope: Envelope) -> None:
         """Publish a recorded message unchanged, with the time of its arrival at the recorder.
@@ -179,6 +200,11 @@ class Bus:
             rss_bytes=resident_bytes(),
             pss_bytes=self._memory.read(),
             last_error=self.last_error or self._end.reason,
+            published=tuple(
+                Carried(topic=name, count=count, newest_ns=sent_ns, stamp_ns=codec.stamp_ns(BY_NAME[name], payload))
+                for name, (count, sent_ns, payload) in self._published.items()
+            ),
+            received=tuple(_received(name, count, newest) for name, (count, newest) in self._received.items()),
         )
 
     def guard(self) -> None:
@@ -263,7 +289,7 @@ class Bus:
         self._connected_s, self._next_heartbeat = time.monotonic(), 0.0
         log.info("connected to %s:%d", self.address.host, self.address.port)
         if self._filters:
-            client.subscribe(self._filters)  # after each connection: sessions are clean
+            client.subscribe(list(self._filters.items()))  # after each connection: sessions are clean
 
     def _on_subscribe(
         self, _c: mqtt.Client, _u: object, _mid: int, granted: list[ReasonCode], _p: Properties | None
@@ -325,10 +351,14 @@ class Bus:
             message, received_ns = self._inbox.popleft()
             try:
                 name = message.topic.removeprefix(self._prefix)
-                envelopes.append(Envelope.of(name, bytes(message.payload), received_ns, retained=message.retain))
+                envelope = Envelope.of(name, bytes(message.payload), received_ns, retained=message.retain)
             except (BadPayload, UnicodeDecodeError) as error:
                 self.rejects["envelope"] += 1
                 self.last_error = str(error)[:400]
+                continue
+            envelopes.append(envelope)
+            if name in self._received:
+                self._received[name] = self._received[name][0] + 1, envelope
         return envelopes
 
 
@@ -340,6 +370,15 @@ def decoded(bus: Bus, envelope: Envelope) -> Message | None:
         bus.rejects["payload"] += 1
         bus.last_error = str(error)[:400]
         return None
+
+
+def _received(name: str, count: int, newest: Envelope | None) -> Carried:
+    if newest is None:
+        return Carried(topic=name, count=count)
+    stamp_ns = codec.stamp_ns(BY_NAME[name], newest.payload)
+    return Carried(
+        topic=name, count=count, newest_ns=newest.received_ns, stamp_ns=stamp_ns, producer=newest.producer
+    )  # fmt: skip
 
 
 def _send_at_once(_client: mqtt.Client, _userdata: object, sock: object) -> None:

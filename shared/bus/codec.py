@@ -1,13 +1,19 @@
 """Encodes and decodes messages: short topic name, and JSON that begins with the sender."""
 
+import re
+from functools import cache
+
 from pydantic import ValidationError
 
 from ..errors import BadPayload
+from ..maths.dates import BEYOND_NS
 from ..messages.base import Message, Sender
 from ..topics import BY_MESSAGE, Topic, topic_of
 
 MAXIMUM_PAYLOAD = 1 << 20  # bytes
 SENDER = b'{"sender":'
+HEAD_BYTES = 300  # the stamps stand at the front of a payload
+STAMPS = ("received_ns", "sampled_ns", "now_ns", "sent_ns")
 
 
 def topic_name(message: Message, topic: Topic | None = None) -> str:
@@ -60,3 +66,20 @@ def decode(name: str, payload: bytes) -> Message:
     if topic.per_process and name != topic_name(message):
         raise BadPayload(f"{name} carries a message of {topic_name(message)}")
     return message
+
+
+def stamp_ns(topic: Topic, payload: bytes) -> int | None:
+    """Find the stamp of a message without decoding it: arrival at the driver, else when it was true; None without."""
+    pattern = _stamp_pattern(topic.message)
+    match = pattern.search(payload, 0, HEAD_BYTES) if pattern else None
+    stamp = int(match[1]) if match else BEYOND_NS
+    return stamp if stamp < BEYOND_NS else None
+
+
+@cache
+def _stamp_pattern(message: type[Message]) -> re.Pattern[bytes] | None:
+    for name in STAMPS:
+        field = message.model_fields.get(name)
+        if field is not None and field.annotation is int:
+            return re.compile(rb'"%s":(\d{1,19})\b' % name.encode())
+    return None

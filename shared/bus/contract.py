@@ -45,7 +45,7 @@ def topics_table() -> str:
             f"`{t.name}`",
             t.message.__name__,
             t.purpose,
-            f"{t.rate_hz:g}" if t.rate_hz else "on change",
+            (f"{t.rate_hz:g}" if t.rate_hz else "on change") + (", fast" if t.fast else ""),
             f"{t.silent_after_s:g}" if t.silent_after_s else "-",
             str(t.qos) + (", retained" if t.retain else ""),
             "every process" if t.per_process else ", ".join(t.producers),

@@ -49,6 +49,19 @@ class ProcessState(StrEnum):
         return self in (ProcessState.DISCONNECTED, ProcessState.LOST)
 
 
+class Carried(Message):
+    """What one fast topic has carried from or to a process since its start."""
+
+    topic: Name
+    count: Count
+    newest_ns: Nanoseconds | None = None  # when the newest was sent, or arrived here
+    stamp_ns: Nanoseconds | None = None  # of the newest: when its bytes arrived at the driver, else when it was true
+    producer: Name | None = None  # of the newest; None: this process
+
+
+CarriedTopics = Annotated[tuple[Carried, ...], Field(max_length=64)]
+
+
 class ProcessHealth(Message):
     """Start, heartbeat, disconnect or last will of one process."""
 
@@ -65,6 +78,8 @@ class ProcessHealth(Message):
     rss_bytes: Bytes = 0
     pss_bytes: Bytes = 0  # proportional set size: shared pages are divided by the number of processes that share them
     last_error: Reason | None = None
+    published: CarriedTopics = ()  # fast topics that it has published; empty from programs that do not count
+    received: CarriedTopics = ()  # fast topics to which it subscribes, also those of which nothing came
 
 
 class Freshness(StrEnum):

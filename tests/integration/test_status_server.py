@@ -104,6 +104,23 @@ def test_a_topic_is_shown_with_its_rate_and_size(server: Running) -> None:
     assert topic["bytes"] > 100
 
 
+def test_a_fast_topic_comes_here_only_while_somebody_asks_and_its_first_answer_holds_its_message(
+    tmp_path: Path,
+) -> None:
+    with status_server(tmp_path) as server:
+        eventually(lambda: "imu/raw" not in server.bus.followed)
+        assert {"navigation/solution", "vehicle/wheel_speed"} <= server.bus.followed
+        shown = get(server, "/api/topics/imu/raw")
+        assert shown["message"]["source"] == "imu0"
+        assert shown["freshness"] == "fresh"
+        assert "imu/raw" in server.bus.followed
+        assert get(server, "/api/state")["topics"]["can/raw"]["message"] is not None
+        assert get(server, "/api/fields/imu/sample")["fields"]
+        eventually(lambda: not {"imu/raw", "can/raw", "imu/sample"} & server.bus.followed, within_s=8.0)
+        health = get(server, "/api/health")["topics"]["imu/raw"]
+        assert (health["freshness"], health["cause"]) == ("fresh", None)
+
+
 def test_an_unknown_topic_is_404_with_a_remedy(server: Running) -> None:
     answer = ask(server, "/api/topics/gnss/colour")
     assert answer.status_code == 404
@@ -230,7 +247,7 @@ def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: Runni
 def test_an_invalid_message_is_counted_and_the_server_continues(server: Running) -> None:
     before = server.bus.rejects["payload"]
     server.bus.feed_bytes("mode/state", b'{"mode": "flying"}', "controller.mode")
-    server.bus.feed_bytes("gnss/raw", b'{"received_ns":1,"source":"y","data":"!"}', "sensors.gnss")
+    server.bus.feed_bytes("vehicle/wheel_speed", b'{"received_ns":1,"source":"y"}', "parsers.can")
     eventually(lambda: server.bus.rejects["payload"] == before + 2)
     assert server.bus.last_error
     assert get(server, "/api/state")["mode"]["mode"] == "measuring"

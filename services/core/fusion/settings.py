@@ -265,7 +265,7 @@ class Settings(VehicleSettings):
         default=0.05, gt=0.0, le=1.0, description="longest time between two propagations of the covariance"
     )
     merge_delay_s: float = Field(
-        default=0.1,
+        default=0.05,
         ge=0.0,
         le=1.0,
         description="time after its arrival within which a measurement reaches the filter: the filter runs so far "

@@ -10,7 +10,7 @@ from shared.runtime.config import Section, parse_vehicle
 from .watch import Watch
 
 REPORT_NS = 500_000_000
-STEP_NS = 40_000_000
+STEP_NS = 100_000_000
 WILL_NS = 10_000_000  # a broker that shuts down sends everybody's last will before it closes the connections
 DECODED = ("health/", "recording/state", "deadline/report")
 
@@ -31,8 +31,9 @@ class Process:
         faults = Faults(bus.rejects)
         report_ns = step_ns = 0
         while not bus.stopping:
+            bus.follow(watch.untold)
             until_step_s = (step_ns - bus.now_ns()) * 1e-9
-            for envelope in bus.receive(min(max(until_step_s, 0.01), 0.04)):
+            for envelope in bus.receive(min(max(until_step_s, 0.01), 0.1)):
                 with faults.handling(bus.now_ns()):
                     _take(watch, envelope, bus)
                 if envelope.topic.startswith("health/"):

@@ -6,6 +6,7 @@ they pass their deadlines. It ends when the cause is over and every affected top
 was killed remains the cause while it starts again.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from shared.messages.operation import (
@@ -22,6 +23,7 @@ from shared.messages.operation import (
 )
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, percentile
+from shared.runtime.tally import told
 from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
 
 from .causes import expected_topics, producers_of, upstream_of
@@ -72,6 +74,7 @@ class Watch:
         self._started_ns = self._judged_from_ns = self._now_ns = self._received_ns = now_ns
         self._configured = frozenset(configured)
         self._topics = {topic.name: TopicWatch(topic) for topic in TOPICS}
+        self.untold = frozenset(topic.name for topic in TOPICS if topic.fast)  # of these the messages are needed here
         self._processes = {name: ProcessWatch(name) for name in PROCESS_ROWS if name in self._configured}
         self._expected = expected_topics(self._configured)
         self._recording: RecordingState | None = None
@@ -106,6 +109,11 @@ class Watch:
         """
         name = health.process
         over = health.state.is_over
+        for carried, published in () if retained else told(health):
+            watch = self._topics[carried.topic]
+            watch.take_told(health, carried, published=published, now_ns=received_ns)
+            if watch.tally.count:
+                self.untold -= {carried.topic}
         if name == SELF and health.state is ProcessState.LOST and not retained:
             self._judged_from_ns = received_ns + RETURN_NS
             return
@@ -425,7 +433,17 @@ class Watch:
     def _other_problems(self) -> list[Problem]:
         """List what is wrong although nothing is silent because of it."""
         overload = self._overload.problem
-        return [*([overload] if overload else []), *self._recording_problems()]
+        return [*([overload] if overload else []), *self._deaf(), *self._recording_problems()]
+
+    def _deaf(self) -> Iterator[Problem]:
+        """List the processes that do not receive what is published, as when the broker refuses a subscription."""
+        if self._now_ns < self._judged_from_ns:
+            return
+        for name, watch in self._topics.items():
+            for process, since_ns in watch.tally.deaf():
+                if process in self._processes and not self._status(process).down:
+                    text = f"{process} receives nothing of {name}, which {watch.producer} publishes"
+                    yield Problem(what=process, text=text, since_ns=since_ns)
 
     def _recording_problems(self) -> list[Problem]:
         state, fresh = self._recording, self._topics["recording/state"].freshness(self._now_ns) is not Freshness.STALE

@@ -6,8 +6,9 @@ from itertools import pairwise
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
-from shared.messages.operation import Consumed, Freshness, ProcessHealth
+from shared.messages.operation import Carried, Consumed, Freshness, ProcessHealth
 from shared.runtime.freshness import freshness_of, limits_of, percentile
+from shared.runtime.tally import Tally
 from shared.topics import Topic
 
 RATE_WINDOW_S = 10
@@ -15,6 +16,8 @@ SAMPLES = 256
 HEARTBEATS = 11  # five seconds: the host counts CPU time in steps of 10 ms
 EAGER_UP_TO_HZ = 20.0
 SPARSE = 16  # of a faster topic one message in so many is decoded, unless somebody looks
+# Of these the track, the histories and the counters take every message; other fast topics only for those who look.
+DRAWN = ("navigation/solution", "navigation/aiding", "vehicle/wheel_speed", "truth/state")
 LATENCY_MAXIMUM_S = 60.0  # beyond, the stamp is of another time line
 
 
@@ -27,13 +30,20 @@ def stamp_ns(message: Message) -> int | None:
     return None
 
 
+def on_demand(topic: Topic) -> bool:
+    """Whether the messages of a topic come here only while somebody looks at them."""
+    return topic.fast and topic.name not in DRAWN
+
+
 class TopicFlow:
-    """The traffic of one topic as seen here."""
+    """The traffic of one topic: as seen here, or by the heartbeats that tell of it while nobody follows it."""
 
     def __init__(self, name: str, topic: Topic) -> None:
         self.name, self.topic = name, topic
         self.limits = limits_of(topic)
-        self.count = 0
+        self.tally = Tally(topic)
+        self.followed = True
+        self.producer, self.incarnation = "", 0  # of the newest; not before `incarnation`
         self.newest: Envelope | None = None
         self.message: Message | None = None  # the newest that was decoded
         self.heard_ns: int | None = None  # when the newest one came, or was said if the broker had kept it
@@ -44,21 +54,22 @@ class TopicFlow:
         self.latencies_s: deque[float] = deque(maxlen=SAMPLES)
         self._arrivals_ns: deque[int] = deque(maxlen=64)
         self._seconds: deque[int] = deque(maxlen=RATE_WINDOW_S)
-        self._counted = 0
+        self._taken = self._counted = 0  # messages, now and at the end of the last second
         self._lag_ns = 0  # from the stamp of the newest message that was decoded to its arrival
         fast = (topic.rate_hz or 0.0) > EAGER_UP_TO_HZ and not topic.is_raw
         self._decode_every = 0 if topic.message is Consumed else SPARSE if fast else 1
 
     def note(self, envelope: Envelope) -> Message | None:
         """Take one message; returns it if it was decoded, None if it can wait, or raises `BadPayload`."""
-        due = envelope.retained or (self._decode_every and self.count % self._decode_every == 0)
+        due = envelope.retained or (self._decode_every and self._taken % self._decode_every == 0)
         message = envelope.decode() if due else None
-        self.count += 1
+        self._taken += 1
         said_ns = stamp_ns(message) if message else None
         known_ns = self.heard_ns if envelope.retained and not self.topic.per_process else None
         if said_ns is not None and known_ns is not None and said_ns <= known_ns:
             return None  # the broker was away, and has kept less than is known here
         self.newest, self.message, self.heard_ns = envelope, message, envelope.received_ns
+        self.producer, self.incarnation = envelope.producer, envelope.incarnation
         if said_ns is not None:
             self._lag_ns = max(envelope.received_ns - said_ns, 0)
         elif message is not None:
@@ -70,6 +81,40 @@ class TopicFlow:
             self._arrivals_ns.append(envelope.received_ns)
             self._note_latency(said_ns, envelope.received_ns)
         return message
+
+    def note_told(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> float | None:
+        """Note what a heartbeat tells; gives the latency that it tells of, None while the topic is followed."""
+        self.tally.take(health, carried, published=published, now_ns=now_ns)
+        if self.followed or self.tally.newest_ns is None:
+            return None
+        self.producer, self.heard_ns = self.tally.producer or "", self.tally.newest_ns
+        self.incarnation = self.tally.newest_ns
+        latency_s = self.tally.latency_s
+        if latency_s is None or not 0 <= latency_s < LATENCY_MAXIMUM_S:
+            return None
+        self.latencies_s.append(latency_s)
+        return latency_s
+
+    def pass_to(self, now_ns: int) -> None:
+        """Let time pass: what heartbeats tell of flows on until the next one is due."""
+        if not self.followed and (newest_ns := self.tally.updated_ns(now_ns)) is not None:
+            self.updated_ns = newest_ns - self.tally.lag_ns
+
+    def follow(self, *, followed: bool) -> None:
+        """Note whether its messages come here; without them, the newest one that came is none."""
+        if self.followed and not followed:
+            self.newest = self.message = None
+            self._arrivals_ns.clear()
+        self.followed = followed
+
+    def is_coming(self, now_ns: int) -> bool:
+        """Whether its first message since somebody looks is still to come."""
+        return self.newest is None and self.tally.rate_hz(now_ns) >= 1.0
+
+    @property
+    def count(self) -> int:
+        """Messages since this process started."""
+        return self.tally.count or self._taken
 
     def _note_latency(self, said_ns: int | None, received_ns: int) -> None:
         latency_s = -1.0 if said_ns is None else (received_ns - said_ns) * 1e-9
@@ -84,11 +129,12 @@ class TopicFlow:
             self.message = self.newest.decode()
         return self.message
 
-    def roll(self) -> None:
+    def roll(self, now_ns: int) -> None:
         """Close a second: renew the rate and the latencies."""
-        self._seconds.append(self.count - self._counted)
-        self._counted = self.count
-        self.rate_hz = sum(self._seconds) / len(self._seconds)
+        self._seconds.append(self._taken - self._counted)
+        self._counted = self._taken
+        told = self.tally.count > 0
+        self.rate_hz = self.tally.rate_hz(now_ns) if told else sum(self._seconds) / len(self._seconds)
         ordered = sorted(self.latencies_s)
         self.latency_p50_s, self.latency_p99_s = percentile(ordered, 0.5), percentile(ordered, 0.99)
 

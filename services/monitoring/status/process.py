@@ -109,6 +109,7 @@ class Process:
         thread.start()
         faults, look_ns = Faults(bus.rejects), 0
         while not bus.stopping:
+            bus.follow(state.followed)
             if bus.now_ns() >= look_ns:
                 look_ns = bus.now_ns() + LOOK_NS
                 library.look(open_name(state))

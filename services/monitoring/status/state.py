@@ -27,9 +27,10 @@ from shared.messages.trust import TrustEvent, TrustLevel, TrustMonitor, TrustSta
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
+from shared.runtime.tally import told
 from shared.topics import TOPICS, topic_of
 
-from .flow import ProcessFlow, TopicFlow
+from .flow import ProcessFlow, TopicFlow, on_demand
 from .history.columns import History, TrustHistory
 from .history.gnss_history import GnssHistory, KeptFix, KeptSky
 from .history.track import Track
@@ -57,6 +58,7 @@ UNSAVED = 1000  # records
 SAMPLE_NS = 200_000_000
 SECOND_NS = STALL_NS = 1_000_000_000
 WITH_POSITION = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
+LOOK_NS = 5_000_000_000  # after a question about a topic, for which its messages are followed
 TRUST_EVENTS = 50  # newest, kept
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
@@ -102,6 +104,8 @@ class State:
         self.vehicle, self.expected, self.started_ns = vehicle, frozenset(expected), started_ns
         self.history_s, self.replay = history_s, replay  # of a replay, silence is part of the recording
         self.topics = {t.name: TopicFlow(t.name, t) for t in TOPICS if not t.per_process}
+        self.followed = frozenset(topic.name for topic in TOPICS if topic.fast)  # fast topics whose messages come here
+        self._looked_ns: dict[str, int] = {}  # time of the last question about a topic that is followed on demand
         self.processes = {name: ProcessFlow(name) for name in PROCESS_ROWS}
         self.judgement: Judgement = unavailable(self.expected, None)
         self.origins: dict[str, tuple[Origin, int]] = {}
@@ -236,10 +240,13 @@ class State:
         if now_ns >= self._next_second_ns:
             self._next_second_ns = now_ns + SECOND_NS
             for flow in self.topics.values():
-                flow.roll()
+                flow.roll(now_ns)
             self.bus_delay_p95_s = percentile(self._delays_s, 0.95)
         if now_ns >= self._next_sample_ns:
             self._next_sample_ns = now_ns + SAMPLE_NS - SAMPLE_NS // 20  # late calls must not lower the rate
+            self._follow(now_ns)
+            for flow in self.topics.values():
+                flow.pass_to(now_ns)
             self._judge(now_ns, connected=broker)
             self.history.add(now_ns, self._sample(now_ns))
             self.track.add(track_row(self, now_ns))
@@ -249,6 +256,20 @@ class State:
                 self.newest(TruthState, "truth/state", now_ns, live=True),
                 self.newest(TrustState, "trust/state", now_ns, live=True),
             )
+
+    def look(self, names: Iterable[str], now_ns: int) -> None:
+        """Note that somebody asks for the messages of these topics."""
+        self._looked_ns |= dict.fromkeys((name for name in names if name in self.topics), now_ns)
+        self._follow(now_ns)
+
+    def _follow(self, now_ns: int) -> None:
+        """Decide which fast topics are followed: looked at, drawn, or of which no heartbeat tells; in a replay all."""
+        looked = self.series.looked_at(now_ns)
+        looked |= {name for name, asked_ns in self._looked_ns.items() if now_ns - asked_ns < LOOK_NS}
+        for name, flow in self.topics.items():
+            if on_demand(flow.topic) and not self.replay:
+                flow.follow(followed=name in looked or not flow.tally.count)
+        self.followed = frozenset(name for name, flow in self.topics.items() if flow.topic.fast and flow.followed)
 
     def newest(self, kind: type[M], name: str, now_ns: int, *, live: bool = False) -> M | None:
         """Give the newest message of a topic; with `live`, only while it is not stale."""
@@ -263,17 +284,16 @@ class State:
         Or from before the last start of this process or of the broker: then the broker has kept it.
         """
         flow = self.topics[name]
-        if flow.limits is None or flow.newest is None or flow.heard_ns is None:
+        if flow.limits is None or flow.heard_ns is None:
             return False
-        return flow.heard_ns < self._counts_from_ns or flow.newest.incarnation < self._life(flow.newest.producer)
+        return flow.heard_ns < self._counts_from_ns or flow.incarnation < self._life(flow.producer)
 
     def is_awaited(self, name: str, now_ns: int) -> bool:
         """Whether a topic is still to come after a start, and nothing is known that keeps it away."""
         flow = self.topics[name]
-        if flow.newest is not None and not self.is_earlier(name):
+        if flow.producer and not self.is_earlier(name):
             return False
-        life_ns = self._life(flow.newest.producer) if flow.newest else 0
-        started_ns = max(self._counts_from_ns, life_ns)
+        started_ns = max(self._counts_from_ns, self._life(flow.producer))
         down = any(self._is_down(producer) for producer in flow.topic.producers)
         silent = any(problem.what == name for problem in self.judgement.problems)
         return (now_ns - started_ns) * 1e-9 < STARTUP_GRACE_S and not down and not silent
@@ -330,6 +350,11 @@ class State:
         if not envelope.retained and flow.latencies_s and health.sent_ns > health.incarnation:
             self._delays_s.append(flow.latencies_s[-1])
         process.note(health, flow.updated_ns or envelope.received_ns)
+        for carried, published in () if envelope.retained else told(health):
+            told_of, now_ns = self.topics[carried.topic], envelope.received_ns
+            latency_s = told_of.note_told(health, carried, published=published, now_ns=now_ns)
+            if latency_s is not None:
+                self.series.take_latency(carried.topic, latency_s, now_ns)
 
     def _broker_lost(self, now_ns: int) -> bool:
         """Whether nothing is delivered any more, not even our own heartbeat."""

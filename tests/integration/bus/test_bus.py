@@ -380,3 +380,60 @@ def test_invalid_bytes_from_the_broker_end_neither_the_loop_nor_the_reconnection
                     bus.receive(0.02)
             wait_for(lambda: not bus.connected, bus)
         bus.close()
+
+
+def counts(bus: Bus) -> dict[str, tuple[dict[str, int], dict[str, int]]]:
+    health = bus.health(ProcessState.READY)
+    return {health.process: ({c.topic: c.count for c in health.published}, {c.topic: c.count for c in health.received})}
+
+
+def test_heartbeats_tell_what_was_sent_and_received_of_fast_topics(make_bus: Callable[[str], Bus]) -> None:
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    assert counts(parser) == {"parsers.gnss": ({}, {"gnss/raw": 0})}, "also of which nothing came"
+    sent = [raw(sensor, bytes([n])) for n in range(20)]
+    for message in sent:
+        sensor.publish(message)
+    wait_for(lambda: counts(parser)["parsers.gnss"][1] == {"gnss/raw": 20}, sensor, parser)
+    assert counts(sensor) == {"sensors.gnss": ({"gnss/raw": 20}, {})}
+    [published], [received] = sensor.health(ProcessState.READY).published, parser.health(ProcessState.READY).received
+    assert published.stamp_ns == received.stamp_ns == sent[-1].received_ns
+    assert (published.producer, received.producer) == (None, "sensors.gnss")
+    assert published.newest_ns and received.newest_ns and published.newest_ns <= received.newest_ns
+
+
+def test_a_stamp_of_no_time_is_not_told(make_bus: Callable[[str], Bus], broker: brokers.RunningBroker) -> None:
+    parser = make_bus("parsers.gnss")
+    body = b'{"sender":{"process":"x","incarnation":1,"sequence":1},"received_ns":9999999999999999999}'
+    with mqtt.Client(broker.port, user="sensors.gnss") as client:
+        client.connect()
+        client.publish("obu/car/gnss/raw", body)
+        wait_for(lambda: counts(parser)["parsers.gnss"][1] == {"gnss/raw": 1}, parser)
+    [received] = parser.health(ProcessState.READY).received
+    assert received.stamp_ns is None
+
+
+def test_an_observer_receives_fast_topics_only_while_it_follows_them(
+    make_bus: Callable[[str], Bus], broker: brokers.RunningBroker, tmp_path: Path
+) -> None:
+    sensor = make_bus("sensors.gnss")
+    health = Bus("monitoring.health", "car", BrokerAddress("127.0.0.1", broker.port), TOPICS, tmp_path)
+    health.follow(frozenset())
+    wait_for(lambda: health.connected, health)
+    pump(0.1, sensor, health)
+
+    def arrived(names: frozenset[str]) -> set[str]:
+        health.follow(names)
+        pump(0.2, sensor, health)
+        sensor.publish(raw(sensor, b"x"))
+        return {envelope.topic for envelope in pump(0.7, sensor, health)}
+
+    assert arrived(frozenset()) == {"health/sensors.gnss", "health/monitoring.health"}
+    assert "gnss/raw" in arrived(frozenset({"gnss/raw"}))
+    assert health.health(ProcessState.READY).received == (), "an observer tells nothing"
+    broker.stop()
+    wait_for(lambda: not health.connected, health, sensor)
+    health.follow(frozenset())
+    broker.restart()
+    wait_for(lambda: health.connected and sensor.connected, health, sensor)
+    assert "gnss/raw" not in arrived(frozenset())
+    health.close()

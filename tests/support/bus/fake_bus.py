@@ -28,6 +28,7 @@ class FakeBus:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
         self.published: list[Message] = []
+        self.followed: frozenset[str] | None = None
         self._script, self._step_ns = script, step_ns
         self._now_ns = start_ns
         self._calls = 0
@@ -37,6 +38,9 @@ class FakeBus:
 
     def publish(self, message: Message) -> None:
         self.published.append(message)
+
+    def follow(self, fast: frozenset[str]) -> None:
+        self.followed = fast
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         if self.stopping:

@@ -51,11 +51,21 @@ from shared.messages.navigation import (
     SetUpVerdict,
     TruthState,
 )
-from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
+from shared.messages.operation import (
+    Carried,
+    Mode,
+    ModeState,
+    Origin,
+    OriginKind,
+    ProcessHealth,
+    ProcessState,
+    RecordingState,
+)
 from shared.messages.simulation import AttackCommand, AttackRun, SimulationAttack, SimulationState
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
+from shared.topics import TOPICS, topic_of
 from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
@@ -93,6 +103,8 @@ class FakeBus:
         self.unit: FakeUnit | FakePlaza | None = None
         self.published: list[Message] = []
         self.lives: Counter[str] = Counter()  # restarts of each process
+        self.followed = frozenset(topic.name for topic in TOPICS if topic.fast)
+        self._carried: dict[tuple[str, str], Carried] = {}  # of each producer and fast topic
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
@@ -107,6 +119,16 @@ class FakeBus:
         envelope = self.feed_bytes(codec.topic_name(message), codec.encode(message), producer, delay_s=delay_s)
         if self.unit is not None:
             self.unit.watchdog.take(envelope, message)
+        if (topic := topic_of(envelope.topic)) is not None and topic.fast:
+            before, now_ns = self._carried.get((producer, topic.name)), self.now_ns()
+            self._carried[producer, topic.name] = Carried(
+                topic=topic.name, count=before.count + 1 if before else 1,
+                newest_ns=now_ns, stamp_ns=codec.stamp_ns(topic, envelope.payload),
+            )  # fmt: skip
+
+    def carried(self, producer: str) -> tuple[Carried, ...]:
+        """What a process has published of fast topics, as its heartbeat tells it."""
+        return tuple(one for (name, _), one in self._carried.items() if name == producer)
 
     def feed_bytes(self, topic: str, body: bytes, producer: str, *, delay_s: float = 0) -> Envelope:
         """Put any payload onto the bus, also an invalid one."""
@@ -123,6 +145,10 @@ class FakeBus:
         if isinstance(self.unit, FakeUnit) and isinstance(message, SimulationAttack):
             self.unit.command(message)
 
+    def follow(self, fast: frozenset[str]) -> None:
+        """Deliver of the fast topics only these."""
+        self.followed = fast
+
     def receive(self, timeout_s: float) -> list[Envelope]:
         """Return the messages that are due."""
         time.sleep(min(timeout_s, 0.01))
@@ -132,9 +158,13 @@ class FakeBus:
             self._next_heartbeat_ns = self.now_ns() + 500_000_000
             self.feed(heartbeat("monitoring.status", self.now_ns()), "monitoring.status")
         with self._lock:
-            due = list(self._fed)
+            due = [envelope for envelope in self._fed if self._is_followed(envelope.topic)]
             self._fed.clear()
         return due if self.connected else []
+
+    def _is_followed(self, name: str) -> bool:
+        topic = topic_of(name)
+        return topic is None or not topic.fast or topic.name in self.followed
 
 
 def heartbeat(process: str, now_ns: int) -> ProcessHealth:
@@ -520,6 +550,7 @@ class FakeUnit:
                     cpu_s=elapsed_s * (0.02 + 0.013 * index),
                     rss_bytes=(31 + 3 * index) * 1_000_000,
                     rejects={"checksum": 3} if name == "parsers.gnss" else {},
+                    published=self.bus.carried(name),
                 ),
             )
 

@@ -25,6 +25,7 @@ from .log import Log
 
 MEMORY_NS = 120_000_000_000  # for which snapshots are kept: a monitor accuses GNSS 6 to 120 s after the error began
 LONGEST_STEP_NS = 100_000_000  # of the horizon
+AHEAD = 5  # the horizon moves by this part of a step before a solution is due, which then has little left to carry
 FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000  # for which the receiver's own fix waits for it, and the horizon with it
 MOST_PENDING, MOST_SAMPLES = 20_000, 300_000  # samples behind the horizon, and in the log: two minutes at 2.5 kHz
@@ -65,9 +66,14 @@ class Timeline:
 
     @property
     def now(self) -> Engine:
-        """Alignment or filter at the newest sample: that of the horizon, carried on by the inertial sensors alone."""
+        """Filter at the newest sample: that of the horizon, carried on by the inertial sensors alone.
+
+        An alignment is that of the horizon.
+        """
         if self._now is not None:
             return self._now
+        if self.engine.filter is None and self.engine.last is not None:
+            return self.engine
         now = (self._ahead or self.engine).unrecorded()
         if self._ahead is None:
             now.coasting_ns += self.horizon.lag_ns
@@ -140,7 +146,7 @@ class Timeline:
 
     def advance(self, received_ns: int) -> list[Outcome]:
         """Move the horizon with the first sample of each step; returns the outcomes of what it has passed."""
-        step = self.newest_ns // self._step_ns
+        step = (self.newest_ns + self._step_ns // AHEAD) // self._step_ns
         if self.log.newest is None or (step == self._step and not self._is_crowded):
             return []
         self._step = step

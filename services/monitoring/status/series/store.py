@@ -3,8 +3,9 @@
 from collections.abc import Iterable, Sequence
 
 from shared.messages.base import Message
+from shared.topics import BY_NAME
 
-from ..flow import LATENCY_MAXIMUM_S, stamp_ns
+from ..flow import LATENCY_MAXIMUM_S, on_demand, stamp_ns
 from . import computed, fields
 from .fields import COMPUTED, LATENCY, Field
 from .rings import BYTES_PER_FIELD, COARSE_CELLS, COARSE_NS, FINE_CELLS, FINE_NS, SECOND_NS, Ring
@@ -13,6 +14,7 @@ Json = dict[str, object]
 FIELDS_MAXIMUM = 160  # with 31 kB each at most 5 MB
 BYTES_MAXIMUM = FIELDS_MAXIMUM * BYTES_PER_FIELD
 KEEP_ASKED_NS = 3600 * SECOND_NS  # after the last question, a field gives way to another one
+LOOKED_AT_NS = 60 * SECOND_NS  # after the last question, a field is taken from messages that come on demand
 HOUR_NS = COARSE_NS * COARSE_CELLS
 _AIDING = (
     "gnss_position", "gnss_velocity", "odometer", "non_holonomic", "zero_velocity", "zero_angular_rate",
@@ -56,6 +58,12 @@ class Kept:
         self.asked_ns = 0
         self.rings = (Ring(FINE_NS, FINE_CELLS), Ring(COARSE_NS, COARSE_CELLS))
 
+    @property
+    def has_gaps(self) -> bool:
+        """Whether nothing was taken while nobody asked."""
+        topic = BY_NAME.get(self.field.topic)
+        return topic is not None and on_demand(topic) and self.field.path != (LATENCY,)
+
     def put(self, time_ns: int, value: float, *, fill: bool = False) -> None:
         """Note a value."""
         for ring in self.rings:
@@ -93,7 +101,21 @@ class Series:
             if field.name not in self._kept:
                 self._make_room(now_ns)
                 self._add(field)
-            self._kept[field.name].asked_ns = now_ns
+            kept = self._kept[field.name]
+            if kept.asked_ns and now_ns - kept.asked_ns >= LOOKED_AT_NS and kept.has_gaps:
+                self.wanted.append(field.name)
+            kept.asked_ns = now_ns
+
+    def looked_at(self, now_ns: int) -> set[str]:
+        """Name the topics of the fields that somebody asked for lately."""
+        since_ns = max(now_ns - LOOKED_AT_NS, 0)
+        return {kept.field.topic for kept in self._kept.values() if kept.asked_ns > since_ns}
+
+    def take_latency(self, topic: str, latency_s: float, received_ns: int) -> None:
+        """Note the latency of a topic that is not followed."""
+        for kept in self._by_topic.get(topic, ()):
+            if kept.field.path == (LATENCY,):
+                kept.put(received_ns, latency_s)
 
     def take(self, topic: str, message: Message, received_ns: int, *, fill: bool = False) -> None:
         """Note the values of one message; `fill` puts them only where none is."""

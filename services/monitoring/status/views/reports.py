@@ -63,7 +63,7 @@ def topic(flow: TopicFlow, now_ns: int) -> Json:
         "topic": flow.name,
         "type": flow.topic.message.__name__,
         "purpose": flow.topic.purpose,
-        "producer": flow.newest.producer if flow.newest else None,
+        "producer": flow.producer or None,
         "freshness": flow.freshness(now_ns),
         "age_s": rounded(flow.age_s(now_ns), 3),
         **traffic(flow),

@@ -169,7 +169,7 @@ def processes(state: State, now_ns: int) -> Json:
     """
     rows: Json = {}
     for name, flow in state.processes.items():
-        said = [t for t in state.topics.values() if t.newest and t.newest.producer == name and not t.topic.per_process]
+        said = [t for t in state.topics.values() if t.producer == name and not t.topic.per_process]
         main = max(said, key=lambda t: (t.limits is not None, t.rate_hz), default=None)
         health = flow.health
         rows[name] = {

@@ -18,6 +18,7 @@ from shared.bus.contract import asyncapi
 from shared.library.library import Library
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
+from shared.topics import BY_NAME
 
 from ..history.columns import FIELDS
 from ..state import State
@@ -38,6 +39,7 @@ from .answers import (
     reference_to,
     schemas,
 )
+from .looking import look_at
 from .map.map import MapApi
 from .pages import Pages
 from .recordings import Command, Job, RecordingsApi
@@ -127,6 +129,7 @@ class Api:
 
     def state(self) -> Response:
         """Everything at once: banner, solution, processes, and the newest message of every topic."""
+        look_at(self._state, self._lock, self._now_ns, tuple(BY_NAME))
         return self._answer(lambda now_ns: reports.snapshot(self._state, now_ns))
 
     def health(self) -> Response:
@@ -136,10 +139,11 @@ class Api:
         return _json(report, 503 if report["state"] == "failed" else 200)
 
     def topic(self, name: Annotated[str, Path(max_length=80)]) -> Response:
-        """Newest message of one topic with its rate, jitter, size and age."""
+        """Newest message of one topic with its rate, jitter, size and age; a fast one is followed for 5 s from now."""
         flow = self._state.topics.get(name)
         if flow is None:
             raise HTTPException(404, f"there is no topic {name}; /api/state lists them")
+        look_at(self._state, self._lock, self._now_ns, (name,))
         return self._answer(lambda now_ns: reports.topic(flow, now_ns))
 
     def history(

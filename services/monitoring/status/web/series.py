@@ -18,6 +18,7 @@ from ..state import State
 from ..views import gnss as views
 from . import hosts
 from .answers import Fields, Receivers, Refusal, Series, described
+from .looking import look_at
 from .stream.clients import Client, Clients, Frame
 from .stream.websocket import read_until_closed, run_first_of, write_frames
 
@@ -74,6 +75,7 @@ class SeriesApi:
 
     def fields(self, name: Annotated[str, Path(max_length=80)]) -> Response:
         """Numeric fields of the newest message of a topic, with value and unit."""
+        look_at(self._state, self._lock, self._now_ns, (name,))
         with self._lock:
             flow = self._state.topics.get(name)
             if flow is None:

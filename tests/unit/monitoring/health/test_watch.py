@@ -7,6 +7,7 @@ from services.monitoring.health.watch import Watch
 from shared.bus import codec
 from shared.messages.imu import ImuSamples
 from shared.messages.operation import (
+    Carried,
     Freshness,
     Outage,
     ProcessHealth,
@@ -15,6 +16,7 @@ from shared.messages.operation import (
     RecordingState,
     TopicAge,
 )
+from shared.topics import BY_NAME
 
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND
@@ -28,16 +30,20 @@ FLOW = {  # topic: (producer, rate, the topic that it needs)
     "vehicle/speed": ("parsers.can", 1.0, "can/raw"),
     "navigation/solution": ("core.fusion", 10.0, "imu/sample"),
     "navigation/state": ("core.fusion", 1.0, None),
+    "trust/state": ("core.trust", 1.0, None),
     "mode/state": ("controller.mode", 1.0, None),
     "recording/state": ("monitoring.recorder", 1.0, None),
     "deadline/report": ("monitoring.health", 2.0, None),
 }
 STANDING = (*dict.fromkeys(name for name, _, _ in FLOW.values() if name not in SENSORS), "monitoring.status")
 STEP_NS = SECOND // 25
+HEARTBEAT_S = 0.5  # by which the end of an outage is noticed later, where heartbeats tell of its topics
 
 
 class Unit:
     """A unit in which messages follow from one another, and parts of which can be broken."""
+
+    told = False  # heartbeats tell of fast topics, of which no message comes here
 
     def __init__(self, processes: tuple[str, ...] = STANDING + SENSORS) -> None:
         self.now_ns = START_NS
@@ -48,6 +54,10 @@ class Unit:
         self.connected = self.delivering = True
         self.lives = dict.fromkeys(processes, 1)
         self.events: list[tuple[float, Outage]] = []
+        self.deaf: set[str] = set()  # processes that receive nothing
+        self.silent_about: set[str] = set()  # processes whose heartbeats do not tell what they published
+        self.published: dict[tuple[str, str, int], Carried] = {}  # by process, topic and life
+        self._received: dict[tuple[str, str, int], Carried] = {}
         self._due: dict[str, int] = {}
 
     def run(self, duration_s: float) -> list[tuple[float, Outage]]:
@@ -73,7 +83,14 @@ class Unit:
 
     def say_health(self, process: str, state: ProcessState = ProcessState.READY, *, retained: bool = False) -> None:
         life = self.lives.get(process, 1)
-        health = ProcessHealth(process=process, state=state, incarnation=life, sent_ns=self.now_ns)
+        over = state is ProcessState.LOST
+        published, received = (
+            () if over else tuple(one for (name, _, of), one in found.items() if (name, of) == (process, life))
+            for found in ({} if process in self.silent_about else self.published, self._received)
+        )
+        health = ProcessHealth(
+            process=process, state=state, incarnation=life, sent_ns=self.now_ns, published=published, received=received
+        )
         self.watch.take_health(health, self.now_ns, retained=retained)
 
     def topic(self, name: str) -> TopicAge:
@@ -101,13 +118,36 @@ class Unit:
             alive.add(name)
             if self._is_due(name, rate_hz):
                 payload = b'{"received_ns":%d,"sampled_ns":%d}' % (self.now_ns - 1_000_000, self.now_ns - 3_000_000)
+                if self.told and BY_NAME[name].fast:
+                    self._count(name, producer, codec.stamp_ns(BY_NAME[name], payload))
+                    continue
                 self.watch.take(name, payload, producer=producer, received_ns=self.now_ns)
+
+    def _count(self, topic: str, producer: str, stamp_ns: int | None) -> None:
+        receivers = [name for name in self.running if name in BY_NAME[topic].consumers]
+        for counts, processes in ((self.published, [producer]), (self._received, receivers)):
+            for name in processes:
+                heard = counts is self.published or name not in self.deaf | self.hanging
+                key = (name, topic, self.lives.get(name, 1))
+                before = counts.get(key, Carried(topic=topic, count=0))
+                counts[key] = Carried(
+                    topic=topic, count=before.count + 1, newest_ns=self.now_ns, stamp_ns=stamp_ns,
+                    producer=None if counts is self.published else producer,
+                ) if heard else before  # fmt: skip
 
     def _is_due(self, what: str, rate_hz: float) -> bool:
         if self.now_ns < self._due.get(what, 0):
             return False
         self._due[what] = self.now_ns + round(SECOND / rate_hz)
         return True
+
+
+@pytest.fixture(autouse=True, params=["messages", "heartbeats"])
+def told(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Both ways in which the watchdog learns of fast topics: every judgement must be the same."""
+    by_heartbeats: bool = request.param == "heartbeats"
+    monkeypatch.setattr(Unit, "told", by_heartbeats)
+    return by_heartbeats
 
 
 @pytest.fixture
@@ -166,7 +206,7 @@ def test_an_outage_ends_when_all_that_it_affected_is_published_again(unit: Unit)
     [(_, end)] = unit.run(3)
 
     assert end.affected == ("imu/raw", "imu/sample", "navigation/solution")
-    assert duration_s(end) == pytest.approx(11, abs=0.2)
+    assert duration_s(end) == pytest.approx(11, abs=0.2 + HEARTBEAT_S)
     assert unit.status("sensors.imu") is ProcessStatus.READY
     restarts = {age.process: age.restarts for age in unit.watch.report(unit.now_ns).processes}
     assert restarts.pop("sensors.imu") == 1
@@ -343,7 +383,7 @@ def test_a_filter_that_aligns_anew_after_a_loss_of_the_broker_belongs_to_that_ou
 
     [outage] = outages(unit.events).values()
     assert outage.what == "broker"
-    assert duration_s(outage) == pytest.approx(24, abs=0.3)
+    assert duration_s(outage) == pytest.approx(24, abs=0.3 + HEARTBEAT_S)
 
 
 def test_what_is_silent_long_after_a_loss_of_the_broker_has_a_cause_of_its_own(unit: Unit) -> None:
@@ -546,7 +586,7 @@ def test_what_the_broker_kept_counts_when_nothing_follows() -> None:
     assert "core.fusion" in causes(unit.run(15))
 
 
-def test_rates_ages_and_latencies_are_measured_without_decoding(unit: Unit) -> None:
+def test_rates_ages_and_latencies_are_measured_without_decoding(unit: Unit, told: bool) -> None:
     raw, solution = unit.topic("imu/raw"), unit.topic("navigation/solution")
 
     assert raw.rate_hz == pytest.approx(25.0, rel=0.02)  # as often as this test steps
@@ -555,9 +595,9 @@ def test_rates_ages_and_latencies_are_measured_without_decoding(unit: Unit) -> N
     assert unit.topic("gnss/fix").rate_hz == pytest.approx(1.0, rel=0.11)
     unit.mute.add("imu/raw")
     unit.run(0.8)
-    assert unit.topic("imu/raw").age_s == pytest.approx(0.8)
-    assert unit.topic("imu/raw").freshness is Freshness.LATE
-    unit.run(0.4)
+    assert unit.topic("imu/raw").age_s == pytest.approx(0.8 - 0.48 * told), "as the last heartbeat said"
+    assert unit.topic("imu/raw").freshness is (Freshness.FRESH if told else Freshness.LATE)
+    unit.run(0.4 + HEARTBEAT_S * told)
     assert unit.topic("imu/raw").freshness is Freshness.STALE
     unit.run(15)
     assert unit.topic("imu/raw").rate_hz == 0.0
@@ -604,3 +644,39 @@ def test_strange_messages_do_no_harm(unit: Unit, feed: Callable[[Watch], None]) 
     feed(unit.watch)
 
     assert unit.run(1) == []
+
+
+def test_a_process_that_receives_nothing_of_what_is_sent_is_named(unit: Unit, told: bool) -> None:
+    unit.deaf.add("parsers.imu")
+    unit.mute.add("imu/sample")
+    unit.run(4)
+    text = "parsers.imu receives nothing of imu/raw, which sensors.imu publishes"
+    assert text not in unit.problems(), "not within five seconds"
+    unit.run(3)
+    assert (text in unit.problems()) is told
+    unit.deaf.clear()
+    unit.mute.clear()
+    unit.run(2)
+    assert unit.problems() == []
+
+
+def test_a_process_that_starts_again_or_has_ended_is_not_deaf(unit: Unit) -> None:
+    unit.deaf.add("parsers.imu")
+    unit.kill("parsers.imu")
+    unit.run(20)
+    assert not [text for text in unit.problems() if "receives nothing" in text]
+
+
+def test_messages_of_a_program_that_does_not_count_are_told_by_its_consumers() -> None:
+    unit = Unit()
+    unit.silent_about.add("sensors.imu")
+    assert unit.run(20) == []
+    assert unit.topic("imu/raw").rate_hz == pytest.approx(25.0, rel=0.05)
+    unit.kill("sensors.imu")
+    assert causes(unit.run(5)).keys() == {"sensors.imu"}
+
+
+def test_fast_topics_of_which_no_heartbeat_tells_are_named(unit: Unit, told: bool) -> None:
+    assert "v2x/cam" in unit.watch.untold
+    assert ("imu/sample" in unit.watch.untold) is not told
+    assert "gnss/fix" not in unit.watch.untold

@@ -1,12 +1,16 @@
 import pytest
 
-from services.monitoring.status.flow import TopicFlow
-from services.monitoring.status.views import reports
+from services.monitoring.status.flow import DRAWN, TopicFlow
+from services.monitoring.status.series import fields
+from services.monitoring.status.series.store import STANDARD
+from services.monitoring.status.state import State
+from services.monitoring.status.views import reports, snapshot
 from shared.errors import BadPayload
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
-from shared.messages.operation import Mode, ModeState, Origin, OriginKind
+from shared.messages.operation import Carried, Mode, ModeState, Origin, OriginKind
+from shared.topics import TOPICS
 from tests.support.dashboard.status_world import ALL, SECOND_NS, World, aiding, fix, solution
 
 
@@ -161,3 +165,128 @@ def test_the_delay_of_the_bus_is_measured_by_heartbeats() -> None:
         world.hear(Origin(now_ns=world.now_ns, kind=OriginKind.SIMULATED, name="x"), "sensors.simulator")
         world.pass_time(0.5)
     assert world.state.bus_delay_p95_s == pytest.approx(0.002)
+
+
+class Told:
+    """A world in which heartbeats tell of inertial samples, which come here only while they are followed."""
+
+    def __init__(self) -> None:
+        self.world, self.count = World(), 0
+
+    def run(self, seconds: float) -> None:
+        for step in range(round(seconds * 10)):
+            self.world.pass_time(0.1)
+            self.count += 10
+            now_ns = self.world.now_ns
+            if "imu/sample" in self.world.state.followed:
+                self.world.hear(samples(now_ns), "parsers.imu")
+            if step % 5 == 0:
+                self.beat(now_ns)
+
+    def beat(self, newest_ns: int) -> None:
+        carried = Carried(topic="imu/sample", count=self.count, newest_ns=newest_ns, stamp_ns=newest_ns - 3_000_000)
+        received = carried.model_copy(update={"newest_ns": newest_ns + 1_000_000, "producer": "parsers.imu"})
+        self.world.beat("parsers.imu", published=(carried,))
+        self.world.beat("core.fusion", received=(received,), sent_ns=newest_ns + 1_000_000)
+
+    @property
+    def flow(self) -> TopicFlow:
+        return self.world.state.topics["imu/sample"]
+
+
+@pytest.fixture
+def unlooked() -> Told:
+    made = Told()
+    made.run(20)
+    return made
+
+
+def test_a_fast_topic_is_followed_until_heartbeats_tell_of_it() -> None:
+    world = Told()
+    assert {"imu/sample", "navigation/solution"} <= world.world.state.followed
+    world.run(2)
+    assert "imu/sample" not in world.world.state.followed
+    assert "imu/raw" in world.world.state.followed, "of which nobody tells"
+    assert set(DRAWN) <= world.world.state.followed
+
+
+def test_rate_age_and_latency_of_a_topic_that_nobody_looks_at_are_told(unlooked: Told) -> None:
+    flow, state, now_ns = unlooked.flow, unlooked.world.state, unlooked.world.now_ns
+    assert flow.newest is None
+    assert flow.rate_hz == pytest.approx(100.0, rel=0.01)
+    assert flow.latency_p50_s == pytest.approx(0.004)
+    assert 0.003 <= (state.age_s("imu/sample", now_ns) or 0.0) < 0.204, "of the data, renewed five times a second"
+    assert not state.is_earlier("imu/sample")
+    assert fields.parse("imu/sample:@latency_s").name in STANDARD
+    latencies = state.series.columns(["imu/sample:@latency_s"], now_ns - 10 * SECOND_NS, now_ns, fine=False)
+    assert_all_latencies(latencies["values"])
+    shown = snapshot.dashboard(state, now_ns)
+    assert isinstance(shown["processes"], dict)
+    assert shown["processes"]["parsers.imu"]["latency_of"] == "imu/sample"
+
+
+def assert_all_latencies(values: object) -> None:
+    assert isinstance(values, dict)
+    assert all(value == pytest.approx(0.004) for value in values["imu/sample:@latency_s"][:-1])
+
+
+def test_a_topic_that_falls_silent_is_stale_at_most_a_heartbeat_later(unlooked: Told) -> None:
+    end_ns = unlooked.world.now_ns
+    unlooked.world.pass_time(0.3)
+    assert unlooked.flow.freshness(unlooked.world.now_ns) == "fresh"
+    for _ in range(3):
+        unlooked.world.pass_time(0.5)
+        unlooked.beat(end_ns)
+    unlooked.world.pass_time(0.2)
+    assert unlooked.flow.freshness(unlooked.world.now_ns) == "stale"
+    assert unlooked.world.state.topics["imu/sample"].heard_ns == end_ns
+
+
+def test_a_look_brings_messages_and_its_end_leaves_what_is_told(unlooked: Told) -> None:
+    state, flow = unlooked.world.state, unlooked.flow
+    assert flow.is_coming(unlooked.world.now_ns)
+    count = flow.count
+    state.look(["imu/sample", "no/topic"], unlooked.world.now_ns)
+    assert "imu/sample" in state.followed, "at once"
+    unlooked.run(3)
+    assert not flow.is_coming(unlooked.world.now_ns)
+    assert flow.decoded() == samples(unlooked.world.now_ns)
+    assert flow.count == pytest.approx(count + 300, abs=51), "counted once"
+    assert flow.jitter_s == pytest.approx(0.0)
+    unlooked.run(4)
+    assert "imu/sample" not in state.followed
+    assert flow.newest is None
+    assert flow.freshness(unlooked.world.now_ns) == "fresh"
+    shown = reports.topic(flow, unlooked.world.now_ns)
+    assert (shown["message"], shown["jitter_s"], shown["producer"]) == (None, None, "parsers.imu")
+
+
+def test_samples_of_before_a_restart_of_their_producer_are_not_live(unlooked: Told) -> None:
+    unlooked.world.pass_time(0.5)
+    unlooked.world.lives["parsers.imu"] = unlooked.world.now_ns
+    unlooked.world.beat("parsers.imu")
+    assert unlooked.world.state.is_earlier("imu/sample")
+    unlooked.count = 0
+    unlooked.run(1)
+    assert not unlooked.world.state.is_earlier("imu/sample")
+
+
+def test_a_chart_of_a_fast_topic_follows_it_for_a_minute_and_its_gap_is_read_from_the_recording(unlooked: Told) -> None:
+    state, name = unlooked.world.state, "imu/sample:specific_force_body_m_s2.0.2"
+    state.series.take_wanted()
+    state.series.want([name], unlooked.world.now_ns)
+    assert state.series.take_wanted() == [name], "its past"
+    unlooked.run(30)
+    assert "imu/sample" in state.followed
+    state.series.want([name], unlooked.world.now_ns)
+    assert state.series.take_wanted() == [], "there is no gap"
+    unlooked.run(62)
+    assert "imu/sample" not in state.followed
+    state.series.want([name, "gnss/fix:hdop"], unlooked.world.now_ns)
+    assert state.series.take_wanted() == [name]
+
+
+def test_a_replay_follows_everything_and_counts_what_it_plays() -> None:
+    state = State("truck-07", ALL, 0, 900.0, replay=True)
+    state.tick(10 * SECOND_NS, broker=True)
+    assert state.followed == {topic.name for topic in TOPICS if topic.fast}
