@@ -180,7 +180,7 @@ def test_the_state_is_replaced_once_the_roll_back_in_parts_has_reached_the_newes
         if since_ns == 60 * SECOND_NS:
             confirmed = n + 1
             break
-    assert confirmed is not None and 15 * 100 / PART <= confirmed <= 19 * 100 / PART
+    assert confirmed is not None and 15 * 100 / PART <= confirmed <= 20 * 100 / PART
 
 
 def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -> None:
