@@ -12,13 +12,12 @@ from itertools import islice
 from math import inf
 from pathlib import Path
 
-from services.core.fusion import messages
+from services.core.fusion.aids.kinds import measurements_of
+from services.core.fusion.messages import samples_of
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from shared.messages.base import Message
-from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.recording import Recording
 from shared.runtime.config import parse_vehicle
 
@@ -55,14 +54,14 @@ def timed(navigator: Navigator, chunk: list[Message]) -> float:
     began, last_ns = time.process_time(), 0
     for message in chunk:
         if isinstance(message, ImuSamples):
-            for stamp, force, rate in messages.samples_of(message):
+            for stamp, force, rate in samples_of(message):
                 navigator.advance(stamp, force, rate, message.received_ns)
                 if stamp // period_ns != last_ns // period_ns:
                     navigator.solution()
                 last_ns = stamp
                 navigator.release(message.received_ns)
-        elif isinstance(message, GnssFix | VehicleSpeed | WheelSpeeds):
-            messages.use(navigator, message)
+        for measurement in measurements_of(message, navigator.settings):
+            navigator.measure(measurement)
     return time.process_time() - began
 
 

@@ -8,16 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.messages.navigation import AidingKind
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.propagation import FASTEST_M_S
 from ..settings import Settings
-from .base import Kind, Observation, Sensor
+from .base import Kind, MotionSink, Observation, Sensor
 from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
 
 FloatArray = npt.NDArray[np.float64]
 
+PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 HALF_TRACK_M = 0.8  # by which a speed may be that of one side
 STAMP_SD = 0.02  # [s] of the speed's stamp, because the age of a control unit's value is unknown
 DEAD_ZONE_SD = 0.3  # [m/s] of a speed of zero: sensors are silent at a walking pace
@@ -28,7 +30,7 @@ SWAY_SD = 0.1  # [m/s] of a body on its springs, sideways and vertically, while 
 class WheelSpeed(Kind):
     """Speed [m/s] with its step: of the wheels or some other speed of the vehicle, `exact` if of both rear wheels."""
 
-    sensor = Sensor.ODOMETER
+    sensor, quantity, period_ns = Sensor.ODOMETER, "speed", PERIOD_NS
 
     time_ns: int
     received_ns: int
@@ -44,6 +46,10 @@ class WheelSpeed(Kind):
         """Limit of speeds."""
         fast = not (abs(self.speed) < FASTEST_M_S and abs(self.resolution) < FASTEST_M_S)
         return "implausible speed" if fast else None
+
+    def show(self, sink: MotionSink) -> None:
+        """Speed."""
+        sink.see_speed(self.speed)
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Speed alone."""
@@ -91,3 +97,21 @@ class WheelSpeed(Kind):
         side = 0.0 if exact else HALF_TRACK_M * navigation.rate[2]
         old = STAMP_SD * hypot(*navigation.acceleration)
         return noise**2 + side**2 + old**2
+
+
+def of_speed(message: VehicleSpeed, settings: Settings) -> Iterator[WheelSpeed]:
+    """Speed of the vehicle, of which nobody says where it is measured."""
+    if settings.odometer.enabled:
+        scale, stamp = settings.odometer.scale, (message.sampled_ns, message.received_ns, message.source)
+        resolution = scale * (message.resolution_m_s or 0.0)
+        yield WheelSpeed(*stamp, scale * message.speed_m_s, resolution, of_wheels=False, exact=False, settings=settings)
+
+
+def of_wheels(message: WheelSpeeds, settings: Settings) -> Iterator[WheelSpeed]:
+    """Mean speed of the rear wheels, or of the front wheels if there is no rear wheel."""
+    rear = [wheel for wheel in (message.rear_left_m_s, message.rear_right_m_s) if wheel is not None]
+    wheels = rear or [wheel for wheel in (message.front_left_m_s, message.front_right_m_s) if wheel is not None]
+    if wheels and settings.odometer.enabled:
+        speed, stamp = sum(wheels) / len(wheels), (message.sampled_ns, message.received_ns, message.source)
+        exact = len(rear) == 2
+        yield WheelSpeed(*stamp, settings.odometer.scale * speed, 0.0, of_wheels=True, exact=exact, settings=settings)

@@ -19,7 +19,7 @@ from ...inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
 from ...inertial.standstill import is_standstill
 from ...inertial.strapdown import rotate
 from ...settings import Settings
-from ..base import Kind, Measurement, Observation, Sensor, Start
+from ..base import Kind, Measurement, MotionSink, Observation, Sensor, Start
 from .antenna import antenna_position_matrix, antenna_velocity, antenna_velocity_matrix
 from .position_errors import KnownGnssErrors
 
@@ -86,6 +86,10 @@ class GnssPosition(Kind):
     def align(self, start: Start) -> ErrorStateFilter | None:
         """Place of the start."""
         return start.start_at(self)
+
+    def show(self, sink: MotionSink) -> None:
+        """Position."""
+        sink.see_position(self.position)
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
@@ -156,6 +160,10 @@ class GnssVelocity(Kind):
     def align(self, start: Start) -> None:
         """Heading and initial velocity."""
         start.use_velocity(self)
+
+    def show(self, sink: MotionSink) -> None:
+        """Velocity."""
+        sink.see_velocity(self.velocity, self.axes)
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Velocity alone."""
