@@ -62,14 +62,14 @@ class Process:
                 if not self._aid(message):
                     self.rejects["fix without position"] += 1
                 yield from self._silence(message.received_ns)
-            case VehicleSpeed() | WheelSpeeds() | FaultFreeFix():
-                self._aid(message)
             case LastPosition():
                 self._navigator.use_prior(messages.prior_from_last_position(message))
             case TrustState():
                 messages.use_trust_state(self._navigator, message)
             case FilterState() if self._imu is None:  # later states are of this process
                 self._saved = message
+            case _:
+                self._aid(message)
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if batch.source != self._imu and not self._is_silent(batch.received_ns):

@@ -2,13 +2,13 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from math import degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
+from shared.copies import shallow
 from shared.errors import FilterDiverged
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
@@ -88,8 +88,8 @@ class Engine:
 
     def copy(self) -> "Engine":
         """Independent copy."""
-        made = copy(self)
-        made.filter, made.aids = copy(self.filter), self.aids.copy()
+        made = shallow(self)
+        made.filter, made.aids = self.filter and shallow(self.filter), self.aids.copy()
         made._alignment = self._alignment.copy() if self._alignment else None
         return made
 

@@ -53,8 +53,7 @@ class Timeline:
         self._delays = 0.0, 0.0  # [s] of positions and velocities, found and corrected
         self._pending = 0  # samples that the horizon has not passed
         self._step = BEFORE_ALL_NS  # of the horizon, by the newest sample
-        self._ahead: Engine | None = None  # carried from the horizon to the newest sample of the last step
-        self._now: Engine | None = None  # the same, carried to the newest sample of all and complete
+        self._now: Engine | None = None  # carried from the horizon to the newest sample
         self.measurements_late = 0  # that came behind the horizon
 
     @property
@@ -77,11 +76,7 @@ class Timeline:
             return self._now
         if self.engine.filter is None and self.engine.last is not None:
             return self.engine
-        now = (self._ahead or self.engine).unrecorded()
-        if self._ahead is None:
-            now.coasting_ns += self.horizon.lag_ns
-        predictor.carry(now, self.log, self.verdicts.published)
-        predictor.complete(now)
+        now = predictor.predicted(self.verdicts.published, self.log, self.horizon.lag_ns)
         self._now = now if self.log.newest is not None else None  # an engine without a log is not this timeline's
         return now
 
@@ -102,7 +97,7 @@ class Timeline:
         """Take a saved position and heading."""
         for cursor in self.verdicts.cursors:
             cursor.use_prior(prior)
-        self._changed()
+        self._now = None
 
     def restore(self, saved: SavedState) -> None:
         """Go on from a saved state with the first sample, which must be the next."""
@@ -168,15 +163,8 @@ class Timeline:
         self._pending -= samples
         self.verdicts.advance(until_ns, samples)
         self._forget()
-        self._changed()
+        self._now = None
         return self.verdicts.outcomes()
-
-    def _changed(self) -> None:
-        """Predict anew from the horizon."""
-        self._now = self._ahead = None
-        if self.engine.filter is not None:
-            self._ahead = predictor.begin(self.engine, self.horizon.lag_ns)
-            predictor.carry(self._ahead, self.log, self.verdicts.published)
 
     @property
     def _oldest_ns(self) -> int:
