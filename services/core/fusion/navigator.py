@@ -32,7 +32,7 @@ from .start.heading import Prior
 from .start.warm_start import SavedState, fault, saved_state
 from .timeline.conflict import Verdicts
 from .timeline.engine import Engine
-from .timeline.events import FoundDelay, LostTime, WrongHeights
+from .timeline.events import FoundDelay, LostTime
 from .timeline.timeline import Timeline
 
 FloatArray = npt.NDArray[np.float64]
@@ -57,7 +57,6 @@ class Navigator:
         self._clock: Clock | None = None  # while samples are rejected for their stamps
         self._repeats: Repeats | None = None
         self._found = 0.0, 0.0  # [s] delays of GNSS positions and velocities
-        self._heights_wrong = False  # of GNSS: they are left out
         self._devices = Devices(self.rejects, self._now_ns)
 
     def imu(
@@ -124,7 +123,7 @@ class Navigator:
         if violation := measurement.implausible():
             self.rejects[violation] += 1
         elif self._is_due(measurement):
-            self._timeline.measure(measurement.without_height() if self._heights_wrong else measurement)
+            self._timeline.measure(measurement)
 
     def _is_due(self, measurement: Measurement) -> bool:
         """Whether a measurement is of an accepted device, and the first of its period."""
@@ -219,9 +218,7 @@ class Navigator:
 
     def leave_out_heights(self, *, wrong: bool) -> None:
         """Use positions of GNSS without their heights from now on, because these have the wrong sign, or with them."""
-        if wrong and not self._heights_wrong:
-            self._timeline.happen(WrongHeights(self._timeline.next_ns))
-        self._heights_wrong = wrong
+        self._timeline.leave_out_heights(wrong=wrong)
 
     @property
     def corrected_delay_s(self) -> float | None:

@@ -1,6 +1,7 @@
 """The log of the timeline: inertial samples as arrays, and measurements and events, in the order of their stamps."""
 
 from bisect import bisect_right, insort
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -94,10 +95,10 @@ class Log:
         first = bisect_right(self._entries, after_ns, key=lambda m: m.time_ns)
         return self._entries[first : bisect_right(self._entries, until_ns, first, key=lambda m: m.time_ns)]
 
-    def correct(self, after_ns: int, position_s: float, velocity_s: float) -> None:
-        """Correct the stamps of entries after a time by delays of GNSS [s], and drop those that were true before it."""
+    def change(self, after_ns: int, change: Callable[[Measurement], Measurement]) -> None:
+        """Change the entries after a time, and drop those that are before it then."""
         first = bisect_right(self._entries, after_ns, key=lambda m: m.time_ns)
-        moved = [one.corrected(position_s, velocity_s) for one in self._entries[first:]]
+        moved = [change(one) for one in self._entries[first:]]
         self._entries[first:] = sorted((one for one in moved if one.time_ns > after_ns), key=order)
 
     def drop(self, until_ns: int) -> None:

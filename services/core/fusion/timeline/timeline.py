@@ -19,7 +19,7 @@ from . import predictor
 from .conflict import Verdicts
 from .cursor import Cursor
 from .engine import BEFORE_ALL_NS, Engine
-from .events import Event, FoundDelay
+from .events import Event, FoundDelay, WrongHeights
 from .horizon import Horizon
 from .log import Log
 
@@ -50,6 +50,7 @@ class Timeline:
         self.verdicts = Verdicts(self._settings, self.log, Cursor(engine))
         self._waiting: list[tuple[int, int, str, Measurement]] = []  # (enters by, stamp, source, measurement)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
+        self._heights_wrong = False  # of GNSS: they are left out
         self._delays = 0.0, 0.0  # [s] of positions and velocities, found and corrected
         self._pending = 0  # samples that the horizon has not passed
         self._step = BEFORE_ALL_NS  # of the horizon, by the newest sample
@@ -140,8 +141,20 @@ class Timeline:
     def correct_delay(self, found: FoundDelay) -> None:
         """Correct stamps behind the horizon by other delays; fixes that were true before it are left out."""
         self._delays = found.of_stamps
-        self.log.correct(self.verdicts.main.engine.time_ns, *self._delays)
+        self.log.change(self.verdicts.main.engine.time_ns, self._as_found)
         self.happen(found)
+
+    def leave_out_heights(self, *, wrong: bool) -> None:
+        """Use positions behind the horizon without their heights, because these have the wrong sign, or with them."""
+        begins, self._heights_wrong = wrong and not self._heights_wrong, wrong
+        if begins:
+            self.log.change(self.verdicts.main.engine.time_ns, self._as_found)
+            self.happen(WrongHeights(self.next_ns))
+
+    def _as_found(self, measurement: Measurement) -> Measurement:
+        """Measurement as the checks of the set-up have found it: at its true time, without a wrong height."""
+        measurement = measurement.corrected(*self._delays)
+        return measurement.without_height() if self._heights_wrong else measurement
 
     def advance(self, received_ns: int) -> list[Outcome]:
         """Move the horizon with the first sample of each step; returns the outcomes of what it has passed."""
@@ -187,7 +200,7 @@ class Timeline:
             if measurement.time_ns > self.newest_ns + FUTURE_LIMIT_NS:
                 self._rejects["measurement from the future"] += 1  # on the clock of the inertial samples
                 continue
-            measurement = measurement.corrected(*self._delays)
+            measurement = self._as_found(measurement)
             if measurement.time_ns <= self._oldest_ns:
                 self._rejects["measurement older than the memory"] += 1
                 continue
