@@ -19,11 +19,11 @@ from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.propagation import Intervals, samples_of
 from services.core.fusion.inertial.standstill import CERTAIN
-from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.settings import GnssSettings, ImuSettings, Settings
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, quaternion_from_rotation_vector
 from shared.maths.rotation import quaternion_product as product

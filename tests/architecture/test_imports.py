@@ -20,6 +20,7 @@ PURE = {
 }  # fmt: skip
 PURE_SHARED = {
     "shared.maths",
+    "shared.inertial",
     "shared.messages",
     "shared.devices.xbus",
     "shared.devices.framing",

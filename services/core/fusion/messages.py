@@ -9,6 +9,7 @@ from math import degrees, hypot, radians
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, roll_pitch_yaw_of_quaternion
 from shared.messages.base import Vector3
@@ -26,7 +27,6 @@ from shared.messages.navigation import (
 from shared.messages.trust import TrustState
 
 from .aids.base import Outcome
-from .inertial.strapdown import InertialState
 from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor

@@ -8,11 +8,11 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.trust import MonitorOutcome
 
-from .inertial.strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
 from .verdicts import EITHER, GNSS, Verdict, dated

@@ -13,6 +13,7 @@ from pydantic import ValidationError, ValidationInfo, model_validator
 
 from shared.chosen import ChosenSource
 from shared.errors import ConfigError
+from shared.inertial.strapdown import Anchor, FilterAnchor
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import matrix_from_quaternion, ned_from_body
 from shared.messages.base import Symmetric3, Tick, Vector3
@@ -24,7 +25,6 @@ from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Table, VehicleFile, vehicle_in
 
 from .grade import LONG, UNKNOWN, Grade, profile_of
-from .inertial.strapdown import Anchor, FilterAnchor
 from .inertial.tracks import UNKNOWN_VERTICAL_SD
 from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor

@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from shared.inertial.strapdown import rotate
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Quaternion, Vector
 from shared.messages.gnss import GnssFix
@@ -14,7 +15,6 @@ from shared.messages.navigation import AidingKind
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from ..inertial.strapdown import rotate
 from ..settings import Settings
 from .base import Kind, Observation, Sensor, Start
 from .gnss.fix import true_time_ns

@@ -6,6 +6,7 @@ from math import atan2, degrees, hypot, radians
 
 import numpy as np
 
+from shared.inertial.strapdown import rotate
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector
 from shared.messages.imu import ImuSamples
@@ -13,7 +14,6 @@ from shared.messages.navigation import AidingKind
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from ..inertial.strapdown import rotate
 from ..settings import Settings
 from .base import Kind, Observation
 

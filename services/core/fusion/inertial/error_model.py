@@ -17,11 +17,10 @@ from math import exp, inf, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import POLAR_FACTOR, LocalEarth
 from shared.maths.compiled import compilable, compiled
 from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Quaternion, Vector
-
-from .strapdown import POLAR_FACTOR, LocalEarth
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import FilterDiverged
+from shared.inertial.strapdown import InertialState, corrected, local_earth
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
@@ -30,7 +31,6 @@ from .propagation import (
     propagate_arrays,
 )
 from .standstill import Limits
-from .strapdown import InertialState, corrected, local_earth
 
 FloatArray = npt.NDArray[np.float64]
 

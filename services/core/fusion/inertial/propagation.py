@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import InertialState, LocalEarth, local_earth, mechanise
 from shared.maths.compiled import COMPILED, compilable, compiled
 from shared.maths.rotation import Quaternion, Vector
 
 from .standstill import UNSETTLED, Limits, Quiet, detect, is_standstill, norm
-from .strapdown import InertialState, LocalEarth, local_earth, mechanise
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -6,6 +6,7 @@ from math import cos, hypot, radians, sin
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import InertialState, rotate
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
 from shared.messages.navigation import NavigationPhase
@@ -18,7 +19,6 @@ from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.propagation import ImuErrors
 from ..inertial.standstill import STANDSTILL_RATE_SD
-from ..inertial.strapdown import InertialState, rotate
 from ..settings import Settings
 from .heading import (
     Heading,

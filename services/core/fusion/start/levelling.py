@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import normalised, rotate
 from shared.maths.earth import STANDARD_GRAVITY
 from shared.maths.rotation import (
     Quaternion,
@@ -16,7 +17,6 @@ from shared.maths.rotation import (
     quaternion_product,
 )
 
-from ..inertial.strapdown import normalised, rotate
 from ..settings import Settings
 
 FloatArray = npt.NDArray[np.float64]

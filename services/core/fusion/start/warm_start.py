@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import FilterDiverged
+from shared.inertial.strapdown import InertialState
 from shared.maths.rotation import Vector
 
 from ..inertial import error_model as em
@@ -24,7 +25,6 @@ from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.imu_faults import Sample, credible, mean
 from ..inertial.propagation import ZERO, ImuErrors, Intervals, implausible, initial_state, samples_of
 from ..inertial.standstill import CERTAIN, UNSETTLED
-from ..inertial.strapdown import InertialState
 from ..integrity.disagreement import NOTHING, Disagreement
 from ..settings import Settings
 from .alignment import gnss_error_model

@@ -9,11 +9,11 @@ the attitude C_true = (I + sk(psi)) C.
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import SECOND_NS, FilterAnchor, Increment, Strapdown
 from shared.maths.kalman import Correction, correct, predict
 from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import matrix_from_quaternion, quaternion_from_rotation_vector, skew
 
-from ..inertial.strapdown import SECOND_NS, FilterAnchor, Increment, Strapdown
 from ..settings import UNKNOWN_AXLE_M, LongSettings
 
 FloatArray = npt.NDArray[np.float64]

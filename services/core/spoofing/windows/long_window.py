@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import SECOND_NS, FilterAnchor, Increment
 from shared.maths.correlated_noise import mean_variance
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 
-from ..inertial.strapdown import SECOND_NS, FilterAnchor, Increment
 from ..inertial.tracks import OdometerSpeed, VelocityFix
 from ..settings import Settings
 from .free_propagation import MOVED, FreePropagation

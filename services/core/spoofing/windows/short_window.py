@@ -8,10 +8,10 @@ from math import hypot, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import SECOND_NS, Anchor, Increment, Strapdown
 from shared.maths.earth import STANDARD_GRAVITY, wrap_angle
 from shared.maths.rotation import skew
 
-from ..inertial.strapdown import SECOND_NS, Anchor, Increment, Strapdown
 from ..inertial.tracks import VelocityFix
 from .metrics import WINDOW_S, Metric, acceleration_differences
 

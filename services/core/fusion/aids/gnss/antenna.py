@@ -5,12 +5,12 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import rotate
 from shared.maths.earth import earth_rate_n
 from shared.maths.rotation import Quaternion, Vector, cross, skew
 
 from ...inertial import error_model as em
 from ...inertial.filter import ErrorStateFilter
-from ...inertial.strapdown import rotate
 
 FloatArray = npt.NDArray[np.float64]
 

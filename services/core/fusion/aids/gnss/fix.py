@@ -8,6 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.strapdown import rotate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.kalman import root_of
 from shared.maths.rotation import Vector
@@ -17,7 +18,6 @@ from ...inertial import error_model as em
 from ...inertial.filter import ErrorStateFilter
 from ...inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
 from ...inertial.standstill import is_standstill
-from ...inertial.strapdown import rotate
 from ...settings import Settings
 from ..base import Kind, Measurement, MotionSink, Observation, Sensor, Start
 from .antenna import antenna_position_matrix, antenna_velocity, antenna_velocity_matrix

@@ -17,7 +17,6 @@ from services.core.fusion.aids.dual_antenna import BaselineHeading
 from services.core.fusion.aids.magnetometer import SECTORS, WORST, CompassCheck, MagneticHeading
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
-from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import (
     AlignmentSettings,
@@ -28,6 +27,7 @@ from services.core.fusion.settings import (
     StandstillSettings,
 )
 from services.sensors.simulator.drive import Drive, simulate
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
 from shared.messages.navigation import AidingKind, NavigationPhase

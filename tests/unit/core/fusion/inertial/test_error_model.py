@@ -14,10 +14,10 @@ from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
 from services.core.fusion.aids.non_holonomic import NonHolonomic
 from services.core.fusion.aids.odometer import WheelSpeed
 from services.core.fusion.inertial import error_model as em
-from services.core.fusion.inertial import strapdown
 from services.core.fusion.inertial.filter import ErrorStateFilter
-from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.settings import Settings
+from shared.inertial import strapdown
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,

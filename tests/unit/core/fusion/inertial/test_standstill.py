@@ -15,8 +15,8 @@ from services.core.fusion.inertial.standstill import (
     is_standstill,
     limits_of,
 )
-from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.settings import Settings
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 

@@ -17,7 +17,6 @@ from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter, rescaled
 from services.core.fusion.inertial.propagation import Intervals, samples_of
 from services.core.fusion.inertial.standstill import CERTAIN
-from services.core.fusion.inertial.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.smoothing.history import CorrectionRecord, HistoryRecorder, Knot, Start, Step
@@ -25,6 +24,7 @@ from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.kalman import correct, predict
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix

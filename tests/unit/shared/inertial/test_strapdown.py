@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.core.fusion.inertial import strapdown
-from services.core.fusion.inertial.strapdown import InertialState
 from services.sensors.simulator.drive import Drive, simulate
+from shared.inertial import strapdown
+from shared.inertial.strapdown import InertialState
 from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,

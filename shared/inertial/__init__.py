@@ -1,0 +1,1 @@
+"""Inertial navigation shared by several processes, without aids, bus, clock and files."""
