@@ -88,7 +88,7 @@ def fast_statistic(
     """
     time_s = np.array([(pair.time_ns - pairs[0].time_ns) / SECOND_NS for pair in pairs])
     difference = float(np.mean([pair.gnss - scale * pair.odometer for pair in pairs]))
-    noise = mean_variance(time_s, np.array([pair.gnss_sd for pair in pairs]), correlation_s)
+    noise = float(mean_variance(time_s, np.array([pair.gnss_sd for pair in pairs]), correlation_s))
     speeds, step = [pair.odometer for pair in pairs], max(pair.resolution for pair in pairs)
     variance, half_width = noise + calibration_variance, 0.5 * scale * step
     if min(speeds) <= 0.0:
