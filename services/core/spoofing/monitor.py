@@ -1,18 +1,20 @@
 """The inertial monitors: keeps the last minute of every sensor, and gives the verdicts of both windows."""
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.inertial.strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
+from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import MonitorOutcome
 
+from .inertial.anchors import anchor_of, filter_anchor_of
+from .inertial.increments import SECOND_NS, Decimator, Increment
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
 from .verdicts import EITHER, GNSS, Verdict, dated
@@ -32,7 +34,7 @@ class Limits(NamedTuple):
     accuse: float
 
 
-AnchorKind = TypeVar("AnchorKind", bound=Anchor)
+Published = TypeVar("Published", NavigationSolution, FilterState)
 
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
 ODOMETER_GAP_S = 2.5
@@ -41,6 +43,7 @@ RELEASE = 10  # evaluations below the release threshold that end an accusation o
 SHORT_WARM_UP_S = 20.0
 BREAK_NS = 2_000_000_000  # without a solution, after which the filter has started again
 KEPT_S = 10  # of increments, fixes and solutions
+MOST_WAITING = 2000  # batches of samples, where nothing asks for verdicts
 
 
 class InertialMonitor:
@@ -49,13 +52,14 @@ class InertialMonitor:
     def __init__(self, settings: Settings | None = None, rejected: Counter[str] | None = None) -> None:
         self.settings = s = settings or Settings()
         self.rejected: Counter[str] = Counter() if rejected is None else rejected
-        self._decimator, self._heights = Decimator(), Heights()
-        self._decimator.rejected = self._heights.rejected = self.rejected
+        self._decimator = Decimator(s.largest_force_m_s2, s.largest_rate_rad_s, self.rejected)
+        self._heights = Heights()
+        self._heights.rejected = self.rejected
         self._lever_arm = np.array(s.vehicle.gnss.lever_arm_body_m)
         self._increments: deque[Increment] = deque(maxlen=KEPT_S * 12)
         self._new: deque[Increment] = deque(maxlen=KEPT_S * 12)  # not propagated yet
-        self._solutions: deque[Anchor] = deque(maxlen=KEPT_S * 12)
-        self._states: deque[FilterAnchor] = deque(maxlen=KEPT_S)
+        self._solutions: deque[NavigationSolution] = deque(maxlen=KEPT_S * 12)
+        self._states: deque[FilterState] = deque(maxlen=KEPT_S)
         self._fixes: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)
         self._pending: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)  # not reached by the increments yet
         self._odometer = Series(KEPT_S * 25, ODOMETER_GAP_S)
@@ -77,21 +81,20 @@ class InertialMonitor:
         self.learning = ""  # why nothing is evaluated, although everything could be compared
         self.long_statistics: dict[str, float] = {}  # newest of each test of the long windows, over its threshold
 
-    def inertial(self, time_ns: int, force_b: Vector, rate_b: Vector) -> None:
-        """Use an inertial sample [m/s², rad/s; body]."""
-        s = self.settings
-        if max(map(abs, force_b)) > s.largest_force_m_s2 or max(map(abs, rate_b)) > s.largest_rate_rad_s:
-            self.rejected["imu: value is beyond every sensor's range"] += 1
-            return
-        increment = self._decimator.add(time_ns, force_b, rate_b)
-        if increment is None:
-            return
-        if increment.after_gap:
-            self._increments.clear()
-            self._new.clear()
-            self.long.clear()
-        self._increments.append(increment)
-        self._new.append(increment)
+    def inertial(self, times_ns: Sequence[int], forces_b: Sequence[Vector], rates_b: Sequence[Vector]) -> None:
+        """Use inertial samples [m/s², rad/s; body]."""
+        if self._decimator.add(times_ns, forces_b, rates_b) > MOST_WAITING:
+            self._integrate()
+
+    def _integrate(self) -> None:
+        """Make increments of the samples that wait."""
+        for increment in self._decimator.take():
+            if increment.after_gap:
+                self._increments.clear()
+                self._new.clear()
+                self.long.clear()
+            self._increments.append(increment)
+            self._new.append(increment)
 
     def pressure(self, time_ns: int, pressure_pa: float) -> None:
         """Use the pressure of the barometer."""
@@ -143,25 +146,26 @@ class InertialMonitor:
             self._odometer.add(true_ns, speed)
             self._resolution = min(max(resolution or 0.0, 0.0), 3.0)
 
-    def solution(self, anchor: Anchor) -> None:
+    def solution(self, solution: NavigationSolution) -> None:
         """Use a solution of fusion that has attitude and heading."""
-        if self._solutions and anchor.time_ns <= self._solutions[-1].time_ns:
+        newest_ns = self._solutions[-1].sampled_ns if self._solutions else None
+        if newest_ns is not None and solution.sampled_ns <= newest_ns:
             self.rejected["solution: stamp is not after the one before"] += 1
             return
-        if not self._solutions or anchor.time_ns - self._solutions[-1].time_ns > BREAK_NS:
-            self._aligned_ns = anchor.time_ns
-        self._solutions.append(anchor)
+        if newest_ns is None or solution.sampled_ns - newest_ns > BREAK_NS:
+            self._aligned_ns = solution.sampled_ns
+        self._solutions.append(solution)
 
     def _warm_for_s(self, time_ns: int) -> float:
         """Time since the alignment [s]."""
         return 0.0 if self._aligned_ns is None else (time_ns - self._aligned_ns) / SECOND_NS
 
-    def filter_state(self, anchor: FilterAnchor) -> None:
+    def filter_state(self, state: FilterState) -> None:
         """Use a state of fusion's filter that has converged, from which a free propagation may start."""
-        if self._warm_for_s(anchor.time_ns) < self.settings.warm_up_s:
+        if self._warm_for_s(state.sampled_ns) < self.settings.warm_up_s:
             return
-        if not self._states or anchor.time_ns > self._states[-1].time_ns:
-            self._states.append(anchor)
+        if not self._states or state.sampled_ns > self._states[-1].sampled_ns:
+            self._states.append(state)
 
     def verdicts(self, time_ns: int) -> Mapping[str, Verdict]:
         """Evaluate everything received; give the six metrics by name, `position_step`, `long_30` and `long_60`.
@@ -169,6 +173,7 @@ class InertialMonitor:
         A fix counts when the increments have passed it. While a window accuses, propagations start only from solutions
         that have not used GNSS since the suspect time.
         """
+        self._integrate()
         self._propagate()
         found: dict[str, Verdict] = {**self._short(time_ns)}
         found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
@@ -194,32 +199,59 @@ class InertialMonitor:
 
     def _propagate(self) -> None:
         """Propagate every free run over the new increments, and compare each fix as it is passed."""
+        part: list[Increment] = []
         while self._new:
             increment = self._new.popleft()
-            anchor = _at(self._states, increment.start_ns)
-            if anchor is not None:
-                self.long.anchor(anchor)
-            self.long.advance(increment)
-            second_ends = increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS
-            if second_ends:
-                self.long.predict()
-            fresh = []
-            while self._pending and self._pending[0].time_ns <= increment.end_ns:
-                fresh.append(self._pending.popleft())
-            for fix in fresh:
-                self._fixes.append(fix)
-                self.long.compare(fix)
-            if second_ends:
-                self._aid(increment)
-            if fresh:
-                self._evaluate()
+            state = _at(self._states, increment.start_ns)
+            if state is not None and state.sampled_ns < increment.end_ns:
+                self._start(state, part)
+            part.append(increment)
+            if _ends_second(increment) or self._is_due(increment.end_ns):
+                self._advance(part)
+        self._advance(part)
+
+    def _start(self, state: FilterState, part: list[Increment]) -> None:
+        """Start a free run at a state, after the increments before it."""
+        if self.long.wants(state.sampled_ns, state.position_used_ns):
+            self._advance(part)
+            self.long.start(filter_anchor_of(state))
+
+    def _is_due(self, time_ns: int) -> bool:
+        """Whether a fix before a time is to be evaluated."""
+        passed = (fix.time_ns for fix in self._pending if fix.time_ns <= time_ns)
+        return any(self.window is None or ns // SECOND_NS != self.window.end_ns // SECOND_NS for ns in passed)
+
+    def _advance(self, part: list[Increment]) -> None:
+        """Take increments of one second: fixes before its end are compared before the covariances are propagated."""
+        if not part:
+            return
+        self.long.advance(part)
+        compared = sum(self._compare(increment.end_ns) for increment in part[:-1])
+        if ends := _ends_second(part[-1]):
+            self.long.predict()
+        compared += self._compare(part[-1].end_ns)
+        if ends:
+            self._aid(part[-1])
+        part.clear()
+        if compared:
+            self._evaluate()
+
+    def _compare(self, time_ns: int) -> int:
+        """Compare the fixes until a time; give their number."""
+        number = 0
+        while self._pending and self._pending[0].time_ns <= time_ns:
+            fix = self._pending.popleft()
+            self._fixes.append(fix)
+            self.long.compare(fix, time_ns)
+            number += 1
+        return number
 
     def _aid(self, increment: Increment) -> None:
         speed = self._odometer.at(increment.end_ns)
         odometer = None if speed is None else OdometerSpeed(increment.end_ns, speed, self._resolution)
         solution = _at(self._solutions, increment.end_ns)
         stationary = solution is not None and solution.stationary
-        self.long.aid(odometer, float(increment.rate_b[2]), stationary=stationary)
+        self.long.aid(odometer, increment.row[5], stationary=stationary)
 
     def _evaluate(self) -> None:
         """Compare the 5 s before the newest fix, at most once a second, and count successive exceedances."""
@@ -230,13 +262,13 @@ class InertialMonitor:
         if isinstance(chosen, str):
             self._no_window(chosen)
             return
-        known = [s for s in self._solutions if s.time_ns <= chosen[0].time_ns]
-        run = [] if not known else [i for i in self._increments if i.start_ns >= known[-1].time_ns - MATCH_NS]
-        if not run or abs(run[0].start_ns - known[-1].time_ns) > MATCH_NS or run[-1].end_ns < newest_ns:
+        known = [s for s in self._solutions if s.sampled_ns <= chosen[0].time_ns]
+        run = [] if not known else [i for i in self._increments if i.start_ns >= known[-1].sampled_ns - MATCH_NS]
+        if not run or abs(run[0].start_ns - known[-1].sampled_ns) > MATCH_NS or run[-1].end_ns < newest_ns:
             self._no_window("no attitude, or a gap in the inertial samples, at the start of the window")
             return
         window = compare(
-            chosen, run, known[-1], lever_arm_b=self._lever_arm, height_rate=self._heights.rate
+            chosen, run, anchor_of(known[-1]), lever_arm_b=self._lever_arm, height_rate=self._heights.rate
         )  # fmt: skip
         self.window = window
         of_positions = any(fix.of_positions for fix in chosen)  # would be compared with themselves
@@ -309,7 +341,7 @@ class InertialMonitor:
         stale_s = self.settings.stale_after_s
         newest = {
             "inertial samples": self._increments[-1].end_ns if self._increments else None,
-            "solution with attitude and heading": self._solutions[-1].time_ns if self._solutions else None,
+            "solution with attitude and heading": self._solutions[-1].sampled_ns if self._solutions else None,
             "GNSS velocity": self._fixes[-1].time_ns if self._fixes else None,
         }
         for name, newest_ns in newest.items():
@@ -336,7 +368,7 @@ class InertialMonitor:
             return base
         reason = f"GNSS position {step.size:.1f} m from the integral of its velocity over 5 s, limit {step.limit:.1f} m"
         accuses = self._exceeded[NAME] >= CONSECUTIVE
-        base = replace(base, reason=reason, accused=GNSS)
+        base = base._replace(reason=reason, accused=GNSS)
         return judged(base, step.size, step.limit, accuses=accuses, suspect_since_ns=step.suspect_ns)
 
     def _metric(self, metric: Metric, missing: str | None) -> Verdict:
@@ -350,12 +382,12 @@ class InertialMonitor:
         sigma, difference = profile.sigma_of(metric, window), window.difference.get(metric)
         if difference is None or sigma is None:
             reason = window.missing.get(metric, "the profile has no standard deviation of this metric")
-            return replace(base, reason=reason)
+            return base._replace(reason=reason)
         limit = profile.threshold * sigma
         reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
         suspect_ns = window.start_ns - (CONSECUTIVE - 1) * SECOND_NS
         return judged(
-            replace(base, reason=reason, accused=GNSS if self._decided else EITHER),
+            base._replace(reason=reason, accused=GNSS if self._decided else EITHER),
             abs(difference),
             limit,
             accuses=self._exceeded[metric] >= CONSECUTIVE,
@@ -370,7 +402,7 @@ class InertialMonitor:
         result = self.long.result(length)
         if result is None:
             reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
-            return replace(base, reason=reason)
+            return base._replace(reason=reason)
         north, east, down = result.difference_n.tolist()
         reason = (
             f"GNSS minus free propagation of {length} s: {north:+.2f} north, {east:+.2f} east, {down:+.2f} down m/s; "
@@ -379,7 +411,7 @@ class InertialMonitor:
         )
         if self.long.odometer_rejected:
             reason += "; the odometer contradicts the inertial sensors and is not used"
-        base = replace(base, reason=reason, accused=GNSS if result.decided else EITHER)
+        base = base._replace(reason=reason, accused=GNSS if result.decided else EITHER)
         return judged(
             base,
             result.statistic,
@@ -396,13 +428,13 @@ class InertialMonitor:
         way, key = self._ways.get(length), f"way_{length}"
         if way is None:
             reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
-            return replace(base, reason=reason)
+            return base._replace(reason=reason)
         north, east = way.difference_n.tolist()
         reason = (
             f"GNSS went {north:+.1f} m north and {east:+.1f} m east of the free propagation of {length} s; chi-square "
             f"{way.statistic:.1f}, limit {self.long.way_threshold:.1f}, in doubt from {self.long.way_doubt:.1f} on"
         )
-        base = replace(base, reason=reason, doubtful=self._doubts[length] >= CONSECUTIVE)
+        base = base._replace(reason=reason, doubtful=self._doubts[length] >= CONSECUTIVE)
         return judged(
             base, way.statistic, self.long.way_threshold, accuses=self._accusing.get(key, False),
             suspect_since_ns=self._suspect_since_ns(key, way.anchor_ns),
@@ -413,8 +445,7 @@ def _withheld(verdict: Verdict, why: str) -> Verdict:
     """Verdict of a test whose threshold is not known yet; one that needs none of the inertial sensors stands."""
     if verdict.outcome is MonitorOutcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT:
         return verdict
-    return replace(
-        verdict, outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,
+    return verdict._replace(outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,
         suspect_since_ns=None, doubtful=False,
     )  # fmt: skip
 
@@ -424,20 +455,24 @@ def _least_drag(result: LongResult, threshold: float, length_s: int) -> float:
     return float(np.sqrt(threshold) * max(result.sd_n[0], result.sd_n[1])) / length_s
 
 
-def _at(anchors: deque[AnchorKind], time_ns: int) -> AnchorKind | None:
+def _at(published: deque[Published], time_ns: int) -> Published | None:
     """The one of a time, None without one."""
-    for anchor in reversed(anchors):
-        if anchor.time_ns < time_ns - MATCH_NS:
+    for one in reversed(published):
+        if one.sampled_ns < time_ns - MATCH_NS:
             return None
-        if anchor.time_ns <= time_ns + MATCH_NS:
-            return anchor
+        if one.sampled_ns <= time_ns + MATCH_NS:
+            return one
     return None
+
+
+def _ends_second(increment: Increment) -> bool:
+    return increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS
 
 
 def judged(base: Verdict, statistic: float, threshold: float, *, accuses: bool, suspect_since_ns: int) -> Verdict:
     """Complete a verdict that has been evaluated."""
     if accuses:
-        base = replace(base, outcome=MonitorOutcome.ACCUSES, suspect_since_ns=suspect_since_ns)
+        base = base._replace(outcome=MonitorOutcome.ACCUSES, suspect_since_ns=suspect_since_ns)
     else:
-        base = replace(base, outcome=MonitorOutcome.PASS)
-    return replace(base, statistic=statistic, threshold=threshold)
+        base = base._replace(outcome=MonitorOutcome.PASS)
+    return base._replace(statistic=statistic, threshold=threshold)

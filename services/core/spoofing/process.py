@@ -7,16 +7,12 @@ from math import cos, radians, sin
 from pathlib import Path
 from typing import cast
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError, ValidationInfo, model_validator
 
 from shared.chosen import ChosenSource
 from shared.errors import ConfigError
-from shared.inertial.strapdown import Anchor, FilterAnchor
 from shared.maths.earth import Geodetic
-from shared.maths.rotation import matrix_from_quaternion, ned_from_body
-from shared.messages.base import Symmetric3, Tick, Vector3
+from shared.messages.base import Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
@@ -25,6 +21,7 @@ from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Table, VehicleFile, vehicle_in
 
 from .grade import LONG, UNKNOWN, Grade, profile_of
+from .inertial.anchors import is_readable
 from .inertial.tracks import UNKNOWN_VERTICAL_SD
 from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
@@ -39,9 +36,6 @@ WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
 SILENT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
-# Elements of FilterState: velocity, attitude, both biases, scale of the odometer, yaw and pitch of the mounting.
-ODOMETER_SCALE, MOUNTING_PITCH, MOUNTING_YAW = 21, 22, 23
-ELEMENTS = (3, 4, 5, 0, 1, 2, 9, 10, 11, 12, 13, 14, ODOMETER_SCALE, MOUNTING_YAW, MOUNTING_PITCH)
 RATED_S = 10.0  # of a source, after which its rate is known
 
 log = logging.getLogger(__name__)
@@ -174,13 +168,12 @@ class Process:
             case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case NavigationSolution() if message.phase in WITH_HEADING:
-                self.monitor.solution(anchor_of(message))
+                self.monitor.solution(message)
             case FilterState():
-                anchor = filter_anchor_of(message)
-                if anchor is None:
-                    self.rejects["filter state of another layout"] += 1
+                if is_readable(message):
+                    self.monitor.filter_state(message)
                 else:
-                    self.monitor.filter_state(anchor)
+                    self.rejects["filter state of another layout"] += 1
             case LearnedGrade() if not self._newest_ns:  # later ones are its own
                 self._adopt(message)
             case TrustState():
@@ -210,7 +203,8 @@ class Process:
 
     def _compare_profile(self) -> str | None:
         """Warn once where the profile was learned for another device or configuration."""
-        learned, present = self._settings.profile.origin, self.origin
+        learned = self._settings.profile.origin
+        present = None if learned is None else self.origin
         if learned is None or present is None:
             return None
         different = learned.differences(present)
@@ -262,10 +256,8 @@ class Process:
             return
         if self._newest_ns - batch.sampled_ns[-1] > RESTART_NS:
             self._restart(batch.sampled_ns[-1])
-        samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         self._imu.count(batch.source, batch.sampled_ns[-1], len(batch.sampled_ns))
-        for time_ns, force, rate in samples:
-            self.monitor.inertial(time_ns, force, rate)
+        self.monitor.inertial(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s)
         self._newest_ns = max(self._newest_ns, batch.sampled_ns[-1])
         if batch.pressure_pa is not None:
             self.monitor.pressure(batch.sampled_ns[-1], batch.pressure_pa)
@@ -293,63 +285,3 @@ def position_of(fix: GnssFix) -> tuple[Geodetic | None, float]:
         return None, 0.0
     sd_m = UNKNOWN_SD_M if fix.position_sd_ned_m is None else max(fix.position_sd_ned_m[:2])
     return Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), 0.0), sd_m
-
-
-def anchor_of(solution: NavigationSolution) -> Anchor:
-    """Read a solution as the start of a propagation."""
-    return Anchor(
-        time_ns=solution.sampled_ns,
-        ned_from_body=ned_from_body(solution.roll_rad, solution.pitch_rad, solution.yaw_rad)
-        @ ned_from_body(0.0, 0.0, -(solution.heading_turn_rad or 0.0)),
-        velocity_n=np.array(solution.velocity_ned_m_s),
-        accelerometer_bias=np.array(solution.accelerometer_bias_m_s2),
-        gyroscope_bias=np.array(solution.gyroscope_bias_rad_s),
-        latitude=radians(solution.latitude_deg),
-        height=solution.height_ellipsoid_m,
-        stationary=solution.stationary,
-        gnss_age_s=solution.gnss_age_s,
-        attitude_cov=_matrix(solution.attitude_cov_ned_rad2),
-        gyroscope_bias_sd=np.array(solution.gyroscope_bias_sd_rad_s or (0.0, 0.0, 0.0)),
-    )
-
-
-def _matrix(cov: Symmetric3) -> npt.NDArray[np.float64]:
-    nn, ne, nd, ee, ed, dd = cov
-    return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
-
-
-def filter_anchor_of(state: FilterState) -> FilterAnchor | None:
-    """Read a filter state as the start of a free propagation; None if it has another number of elements.
-
-    Notes
-    -----
-    With k the error of the odometer's scale in fusion (odometer = (1 + k) speed), and the errors of fusion estimated
-    minus true, those of the propagation true minus estimated: scale = 1 / (1 + k), d(scale) = -dk / (1 + k)², and the
-    mounting angles have the opposite sign.
-    """
-    size = round((np.sqrt(8.0 * len(state.covariance) + 1.0) - 1.0) / 2.0)
-    if len(state.parameters) < 3 or size < MOUNTING_YAW + 1 or size * (size + 1) // 2 != len(state.covariance):
-        return None
-    P = np.zeros((size, size))
-    P[np.triu_indices(size)] = state.covariance
-    P = P + np.triu(P, 1).T
-    k, pitch, yaw = state.parameters[:3]
-    J = np.diag([1.0] * 12 + [-1.0 / (1.0 + k) ** 2, -1.0, -1.0])
-    used_ns = state.position_used_ns
-    return FilterAnchor(
-        time_ns=state.sampled_ns,
-        ned_from_body=matrix_from_quaternion(state.quaternion_ned_from_body),
-        velocity_n=np.array(state.velocity_ned_m_s),
-        accelerometer_bias=np.array(state.accelerometer_bias_m_s2),
-        gyroscope_bias=np.array(state.gyroscope_bias_rad_s),
-        latitude=radians(state.latitude_deg),
-        height=state.height_ellipsoid_m,
-        stationary=False,
-        gnss_age_s=None if used_ns is None else (state.sampled_ns - used_ns) * 1e-9,
-        attitude_cov=P[:3, :3],
-        gyroscope_bias_sd=np.sqrt(np.diag(P)[12:15]),
-        scale=1.0 / (1.0 + k),
-        yaw=-yaw,
-        pitch=-pitch,
-        covariance=J @ P[np.ix_(ELEMENTS, ELEMENTS)] @ J.T,
-    )

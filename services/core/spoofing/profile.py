@@ -1,8 +1,9 @@
 """Standard deviations of the metrics of an IMU in a vehicle, by dynamics, and how they are learned."""
 
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, pairwise
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -91,7 +92,7 @@ class Profile(Section):
         if values is None:
             return None
         first, last = classes_of(metric, window)
-        return float(np.hypot(max(values[first : last + 1]), window.noise.get(metric, 0.0)))
+        return hypot(max(values[first : last + 1]), window.noise.get(metric, 0.0))
 
 
 def classes_of(metric: Metric, window: Window) -> tuple[int, int]:
@@ -100,8 +101,8 @@ def classes_of(metric: Metric, window: Window) -> tuple[int, int]:
         edges, extremes = SPEED_EDGES_M_S, window.speed_m_s
     else:
         edges, extremes = FORCE_EDGES_M_S2, (window.force_m_s2, window.force_m_s2)
-    lowest, highest = np.searchsorted(edges, extremes).tolist()
-    return lowest, highest
+    lowest, highest = extremes
+    return bisect_left(edges, lowest), bisect_left(edges, highest)
 
 
 def learn(

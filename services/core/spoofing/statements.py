@@ -1,7 +1,6 @@
 """Two statements of the verdicts: `inertial_short` of the tests over 5 s, `inertial_long` of 30 and 60 s."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
@@ -56,6 +55,8 @@ def _weight(verdict: Verdict) -> tuple[int, float]:
 
 
 def _test(name: str, verdict: Verdict) -> MonitorTest:
-    fields = asdict(verdict)
-    del fields["suspect_since_ns"], fields["accused"], fields["doubtful"]
-    return MonitorTest(name=name, **fields)
+    return MonitorTest(
+        name=name, outcome=verdict.outcome, reason=verdict.reason, unit=verdict.unit, statistic=verdict.statistic,
+        threshold=verdict.threshold, false_alarm_rate=verdict.false_alarm_rate, window_s=verdict.window_s,
+        since_ns=verdict.since_ns,
+    )  # fmt: skip

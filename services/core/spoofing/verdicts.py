@@ -1,6 +1,6 @@
 """Outcome of one test at one time."""
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from shared.messages.trust import MonitorOutcome
 
@@ -8,8 +8,7 @@ EITHER = ("gnss", "imu")  # one difference of the two says the same of both
 GNSS = ("gnss",)
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """Outcome of one test; it accuses when the statistic is strictly greater than the threshold."""
 
     outcome: MonitorOutcome
@@ -28,8 +27,8 @@ class Verdict:
 def dated(new: Verdict, old: Verdict | None, time_ns: int) -> Verdict:
     """Carry over since when an outcome lasts and, while a test accuses, the earliest suspect time."""
     if old is None or new.outcome is not old.outcome or old.since_ns is None:
-        return replace(new, since_ns=time_ns)
+        return new._replace(since_ns=time_ns)
     suspect = [t for t in (old.suspect_since_ns, new.suspect_since_ns) if t is not None]
     if new.outcome is MonitorOutcome.ACCUSES and suspect:
-        new = replace(new, suspect_since_ns=min(suspect))
-    return replace(new, since_ns=old.since_ns)
+        return new._replace(suspect_since_ns=min(suspect), since_ns=old.since_ns)
+    return new._replace(since_ns=old.since_ns)

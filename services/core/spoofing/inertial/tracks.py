@@ -3,7 +3,7 @@
 from bisect import bisect_left
 from collections import Counter, deque
 from dataclasses import dataclass
-from math import isfinite
+from math import hypot, isfinite
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 
 from .compass import barometric_height
-from .strapdown import SECOND_NS
+from .increments import SECOND_NS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class VelocityFix:
     @property
     def speed(self) -> float:
         """Horizontal speed [m/s]."""
-        return float(np.hypot(self.velocity_n[0], self.velocity_n[1]))
+        return hypot(*self.velocity_n[:2].tolist())
 
 
 class PositionDifferences:

@@ -5,19 +5,21 @@ fusion's solution every 5 s and never uses GNSS; 30 and 60 s later its velocity 
 velocity: the way since the start of a propagation adds it up.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.inertial.strapdown import SECOND_NS, FilterAnchor, Increment
 from shared.maths.correlated_noise import mean_variance
-from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.earth import ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 
+from ..inertial.anchors import FilterAnchor
+from ..inertial.increments import SECOND_NS, Increment
 from ..inertial.tracks import OdometerSpeed, VelocityFix
 from ..settings import Settings
-from .free_propagation import MOVED, FreePropagation
+from .free_propagation import MOVED, FreePropagations
 from .metrics import WINDOW_S
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,6 +32,7 @@ FROZEN_S = 180  # age up to which a propagation is kept, if none younger takes i
 RELEASE_RATE = 0.01  # of fault-free evaluations above the threshold of release
 LEAST_FIXES = 4  # of a mean over 5 s
 DIMENSIONS = 3
+LATEST_NS = 1_900_000_000  # age at which a fix is still compared
 LEAST_POSITION_SD = 0.8  # [m] reflections differ between two places, whatever the receiver states
 LEAST_SPEED = 2.0  # [m/s] of a comparison of speeds
 
@@ -56,85 +59,140 @@ class WayResult:
 
 
 @dataclass(frozen=True)
-class _Node:
-    time_ns: int
-    velocity_n: FloatArray  # of the antenna
-    moved_n: FloatArray  # of the antenna since the anchor
+class _Passed:
+    """A fix, and what each propagation says of the time of its velocity, or of its position."""
 
-
-@dataclass(frozen=True)
-class _Place:
-    """A position by GNSS, and the way of the propagation at the same time."""
-
-    position: Geodetic
-    sd: float  # [m]
-    moved_n: FloatArray
-    velocity_n: FloatArray
-    time_ns: int
-
-
-@dataclass(frozen=True)
-class _Comparison:
     fix: VelocityFix
-    free_n: FloatArray  # shape (3,) [m/s, NED] free velocity of the antenna at the fix
-    P: FloatArray  # shape (3, 3) [m²/s²] its covariance, at most 1 s older
+    time_ns: int
+    rows: dict[int, int]  # of each anchor whose propagation knows that time
+    nodes: FloatArray  # shape (n, 6) [m/s, m; NED] velocity of the antenna, and its way since the anchor
+    P: FloatArray  # shape (n, 3, 3) [m²/s²] covariances of velocity, at most 1 s older
 
 
-class FreeRun:
-    """One free propagation with its velocities of the last seconds and what GNSS differs from them."""
+class LongWindow:
+    """The free propagations of the last minutes, and what GNSS differs from them in the last seconds."""
 
-    def __init__(self, anchor: FilterAnchor, settings: Settings) -> None:
-        self.free = FreePropagation(anchor, settings.long, settings.rear_axle_distance_m)
+    def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._nodes: list[_Node] = []
-        self._compared: list[_Comparison] = []
-        self._first: _Place | None = None  # soon after the anchor
-        self._places: list[_Place] = []  # of the last 5 s
+        self.free = FreePropagations(settings)
+        self._anchors_ns: list[int] = []  # of its runs
+        self._compared: list[_Passed] = []
+        self._first: dict[int, _Passed] = {}  # soon after each anchor
+        self._places: list[_Passed] = []  # of the last 5 s
+        self._results: dict[int, LongResult] = {}  # of the newest comparison, by anchor
+        self.threshold = chi_square_limit(DIMENSIONS, settings.long.false_alarm_rate)
+        self.release_threshold = chi_square_limit(DIMENSIONS, RELEASE_RATE)
+        self.median = chi_square_limit(DIMENSIONS, 0.5)
+        self.way_threshold = chi_square_limit(2, settings.long.false_alarm_rate)
+        self.way_doubt = chi_square_limit(2, settings.long.doubt_rate)
+        self.way_median = chi_square_limit(2, 0.5)
         self._speed_limit = chi_square_limit(1, settings.long.false_alarm_rate)
+        self.suspect_since_ns: int | None = None  # while GNSS is accused
 
     @property
-    def anchor_ns(self) -> int:
-        """Start of the propagation."""
-        return self.free.anchor.time_ns
+    def oldest_s(self) -> float:
+        """Age of the oldest propagation [s], 0 without one."""
+        return self._ages_s()[0] if self._anchors_ns else 0.0
 
-    def advance(self, increment: Increment, lever_velocity_b: FloatArray) -> None:
-        """Propagate by one increment; the antenna moves against the IMU by a velocity [m/s, body]."""
-        self.free.advance(increment)
-        nominal = self.free.nominal
-        velocity = nominal.velocity + nominal.ned_from_body @ lever_velocity_b
-        before = self._nodes[-1].velocity_n if self._nodes else velocity
-        self.free.moved_n = self.free.moved_n + 0.5 * increment.duration * (before + velocity)
-        self._nodes.append(_Node(increment.end_ns, velocity, self.free.moved_n))
-        del self._nodes[:-20]
+    @property
+    def odometer_rejected(self) -> bool:
+        """Whether the odometer contradicts the inertial sensors in the oldest propagation."""
+        return bool(self._anchors_ns) and bool(self.free.runs["odometer_rejections"][0] > 0)
 
-    def compare(self, fix: VelocityFix) -> None:
-        """Take the differences of a fix that the increments have just passed."""
-        self._place(fix)
-        if len(self._nodes) < 2 or not self._nodes[0].time_ns <= fix.time_ns <= self._nodes[-1].time_ns:
+    def _ages_s(self) -> list[float]:
+        return [(self.free.end_ns - anchor_ns) / SECOND_NS for anchor_ns in self._anchors_ns]
+
+    def clear(self) -> None:
+        """Drop all propagations, because the inertial samples have a gap."""
+        self._keep([])
+
+    def _keep(self, rows: list[int]) -> None:
+        """Keep some propagations."""
+        if len(rows) < len(self._anchors_ns):
+            self.free.runs = self.free.runs[rows]
+            self._anchors_ns = [self._anchors_ns[row] for row in rows]
+            self._first = {ns: place for ns, place in self._first.items() if ns in self._anchors_ns}
+
+    def accuse(self, suspect_since_ns: int) -> None:
+        """Keep only propagations from before a suspect time, until `acquit`."""
+        if self.suspect_since_ns is None or suspect_since_ns < self.suspect_since_ns:
+            self.suspect_since_ns = suspect_since_ns
+        limit_ns = self.suspect_since_ns
+        self._keep([row for row, anchor_ns in enumerate(self._anchors_ns) if anchor_ns <= limit_ns])
+
+    def acquit(self) -> None:
+        """Anchor in every solution again."""
+        self.suspect_since_ns = None
+
+    def wants(self, time_ns: int, gnss_used_ns: int | None) -> bool:
+        """Whether to start at a state: if the last one is 5 s old, and no accused GNSS has a part in this one."""
+        if self._anchors_ns and time_ns - self._anchors_ns[-1] < SPACING_S * SECOND_NS:
+            return False
+        return self.suspect_since_ns is None or (gnss_used_ns is not None and gnss_used_ns <= self.suspect_since_ns)
+
+    def start(self, anchor: FilterAnchor) -> None:
+        """Start a propagation."""
+        self.free.start(anchor)
+        self._anchors_ns.append(anchor.time_ns)
+
+    def advance(self, increments: Sequence[Increment]) -> None:
+        """Propagate by some increments."""
+        if self._anchors_ns:
+            self.free.advance(increments)
+
+    def predict(self) -> None:
+        """Propagate the covariances over the second that has ended, and drop what is too old."""
+        if not self._anchors_ns:
             return
-        times = [node.time_ns - fix.time_ns for node in self._nodes]
-        velocities = np.array([node.velocity_n for node in self._nodes])
-        free = np.array([np.interp(0.0, times, velocities[:, axis]) for axis in range(DIMENSIONS)])
-        self._compared.append(_Comparison(fix, free, self.free.P[:3, :3].copy()))
-        limit_ns = fix.time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
-        self._compared = [compared for compared in self._compared if compared.fix.time_ns > limit_ns]
-
-    def _place(self, fix: VelocityFix) -> None:
-        """Keep the position of a fix beside the way of the propagation at its time."""
-        time_ns, nodes = fix.position_ns or fix.time_ns, self._nodes
-        if fix.position is None or len(nodes) < 2 or not nodes[0].time_ns <= time_ns <= nodes[-1].time_ns:
+        self.free.predict()
+        ages = self._ages_s()
+        if self.suspect_since_ns is not None:
+            self._keep([row for row, age in enumerate(ages) if age <= FROZEN_S])
             return
-        later = next(k for k in range(1, len(nodes)) if nodes[k].time_ns >= time_ns)
-        begin, end = nodes[later - 1], nodes[later]
-        share = (time_ns - begin.time_ns) / (end.time_ns - begin.time_ns)
-        moved = begin.moved_n + share * (end.moved_n - begin.moved_n)
-        velocity = begin.velocity_n + share * (end.velocity_n - begin.velocity_n)
-        place = _Place(fix.position, fix.position_sd, moved, velocity, time_ns)
-        self._first = self._first or place
-        self._places = [one for one in self._places if time_ns - one.time_ns < WINDOW_S * SECOND_NS] + [place]
+        newest_whole = max((row for row, age in enumerate(ages) if age >= WAYS_S[-1]), default=0)
+        kept: list[int] = []
+        for row, age in enumerate(ages):
+            apart_s = ages[kept[-1]] - age if kept else WIDE_SPACING_S
+            if row >= newest_whole and (age <= LENGTHS_S[-1] + SPACING_S or apart_s >= WIDE_SPACING_S):
+                kept.append(row)
+        self._keep(kept)
 
-    def way(self) -> WayResult | None:
-        """Test the way since the anchor, as the mean of the last 5 s; None without positions.
+    def aid(self, odometer: OdometerSpeed | None, yaw_rate: float, *, stationary: bool) -> None:
+        """Aid by odometer, non-holonomic constraint and standstill."""
+        if self._anchors_ns and stationary:
+            self.free.stand()
+        elif self._anchors_ns:
+            self.free.aid(odometer if self._settings.long.odometer else None, yaw_rate)
+
+    def compare(self, fix: VelocityFix, passed_ns: int) -> None:
+        """Take the differences of every propagation from a fix that the increment which ends at a time has passed."""
+        place = None if fix.position is None else self._passed(fix, fix.position_ns or fix.time_ns, passed_ns)
+        if place is not None:
+            limit_ns = place.time_ns - round(WINDOW_S * SECOND_NS)
+            self._first = dict.fromkeys(place.rows, place) | self._first
+            self._places = [one for one in self._places if one.time_ns > limit_ns] + [place]
+        passed = self._passed(fix, fix.time_ns, passed_ns)
+        if passed is not None:
+            limit_ns = fix.time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
+            self._compared = [one for one in self._compared if one.time_ns > limit_ns] + [passed]
+            self._results.clear()
+
+    def _passed(self, fix: VelocityFix, time_ns: int, passed_ns: int) -> _Passed | None:
+        """What the propagations say of a time, None if no one knows it."""
+        if passed_ns - time_ns > LATEST_NS:
+            return None
+        nodes = self.free.nodes_at(time_ns, passed_ns)
+        known = (~np.isnan(nodes[:, 0])).tolist()
+        rows = {anchor_ns: row for row, anchor_ns in enumerate(self._anchors_ns) if known[row]}
+        P = self.free.runs["P"][:, :DIMENSIONS, :DIMENSIONS].copy()
+        return _Passed(fix, time_ns, rows, nodes, P) if rows else None
+
+    def _youngest(self, length_s: int) -> int | None:
+        """Row of the youngest propagation of at least a length."""
+        return max((row for row, age in enumerate(self._ages_s()) if age >= length_s), default=None)
+
+    def way(self, length_s: int) -> WayResult | None:
+        """Test the way with the youngest propagation of at least a length, as the mean of the last 5 s; None without.
 
         Notes
         -----
@@ -143,26 +201,44 @@ class FreeRun:
 
             d = mean(p_k - r_k) - (p_0 - r_0),    T = d' S^-1 d,    S = f² (P + (s_0² + s_k²) I + s_t² dv dv')
         """
-        first, places = self._first, self._places
+        row = self._youngest(length_s)
+        if row is None:
+            return None
+        anchor_ns = self._anchors_ns[row]
+        first, places = self._first.get(anchor_ns), [one for one in self._places if anchor_ns in one.rows]
         if first is None or len(places) < LEAST_FIXES:
             return None
-        apart = [
-            np.array(ned_from_geodetic_difference(one.position, first.position)[:2]) - (one.moved_n - first.moved_n)[:2]
-            for one in places
-        ]
-        d = np.mean(apart, axis=0)
-        change = (places[-1].velocity_n - first.velocity_n)[:2]
-        variance = sum(max(one.sd, LEAST_POSITION_SD) ** 2 for one in (first, places[-1]))
+        origin = first.nodes[first.rows[anchor_ns]]
+        nodes = np.array([one.nodes[one.rows[anchor_ns]] for one in places]) - origin
+        start, *ends = [one.fix.position for one in (first, *places) if one.fix.position is not None]
+        apart = [ned_from_geodetic_difference(end, start)[:2] for end in ends]
+        d = (np.array(apart) - nodes[:, 3:5]).sum(axis=0) / len(places)
+        change = nodes[-1, :2]
+        variance = sum(max(one.fix.position_sd, LEAST_POSITION_SD) ** 2 for one in (first, places[-1]))
         S = (
-            self.free.P[MOVED, MOVED][:2, :2]
+            self.free.runs["P"][row, MOVED, MOVED][:2, :2]
             + np.eye(2) * variance
             + self._settings.long.position_time_sd_s**2 * np.outer(change, change)
         )
         S = self._settings.profile.long_factor**2 * S
-        return WayResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), self.anchor_ns)
+        return WayResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), anchor_ns)
 
-    def result(self) -> LongResult | None:
-        """Test the mean difference over the last 5 s; None with too few fixes.
+    def result(self, length_s: int) -> LongResult | None:
+        """Test with the youngest propagation of at least a length; None without one, or with too few fixes."""
+        row = self._youngest(length_s)
+        if row is None:
+            return None
+        anchor_ns = self._anchors_ns[row]
+        compared = [one for one in self._compared if anchor_ns in one.rows]
+        if len(compared) < LEAST_FIXES:
+            return None
+        if anchor_ns not in self._results:
+            self._results[anchor_ns] = self._result(anchor_ns, compared)
+        found = self._results[anchor_ns]
+        return replace(found, decided=found.decided and self.free.odometer_agrees(row))
+
+    def _result(self, anchor_ns: int, compared: list[_Passed]) -> LongResult:
+        """Test the mean difference over the last 5 s.
 
         Notes
         -----
@@ -179,25 +255,23 @@ class FreeRun:
 
         The covariance of a mean is at most the mean of the covariances, whatever the correlation of the errors.
         """
-        if len(self._compared) < LEAST_FIXES:
-            return None
         gnss = self._settings.gnss
-        fixes = [compared.fix for compared in self._compared]
+        fixes = [one.fix for one in compared]
         times = np.array([(fix.time_ns - fixes[0].time_ns) / SECOND_NS for fix in fixes])
-        free = np.array([compared.free_n for compared in self._compared])
+        free = np.array([one.nodes[one.rows[anchor_ns], :DIMENSIONS] for one in compared])
         sd = np.array([fix.sd for fix in fixes])
-        d = np.mean(np.array([fix.velocity_n for fix in fixes]) - free, axis=0)
-        R = np.diag([mean_variance(times, sd[:, axis], gnss.velocity_correlation_s) for axis in range(DIMENSIONS)])
+        d, mean = np.array([fix.velocity_n for fix in fixes]).mean(axis=0), free.mean(axis=0)
+        d -= mean
+        R = np.diag(mean_variance(times, sd.T, gnss.velocity_correlation_s))
         if any(fix.of_positions for fix in fixes):
             ends = fixes[0].position_sd, fixes[-1].position_sd
             R[0, 0] = R[1, 1] = (ends[0] ** 2 + ends[1] ** 2) / max(times[-1], 1.0) ** 2
         acceleration = (free[-1] - free[0]) / times[-1]
-        P = np.mean([compared.P for compared in self._compared], axis=0)
+        P = np.array([one.P[one.rows[anchor_ns]] for one in compared]).mean(axis=0)
         S = P + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
         S = self._settings.profile.long_factor**2 * S
-        mean = np.mean(free, axis=0)
-        decided = self.free.odometer_agrees and self._speeds_differ(mean, mean + d, S)
-        return LongResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), self.anchor_ns, decided)
+        differ = self._speeds_differ(mean, mean + d, S)
+        return LongResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), anchor_ns, differ)
 
     def _speeds_differ(self, free_n: FloatArray, gnss_n: FloatArray, S: FloatArray) -> bool:
         speed = float(np.hypot(free_n[0], free_n[1]))
@@ -206,110 +280,3 @@ class FreeRun:
         along = free_n[:2] / speed
         difference = float(np.hypot(gnss_n[0], gnss_n[1])) - speed
         return difference**2 > self._speed_limit * float(along @ S[:2, :2] @ along)
-
-
-class LongWindow:
-    """The free propagations of the last minute."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self._runs: list[FreeRun] = []  # oldest anchor first
-        self.threshold = chi_square_limit(DIMENSIONS, settings.long.false_alarm_rate)
-        self.release_threshold = chi_square_limit(DIMENSIONS, RELEASE_RATE)
-        self.median = chi_square_limit(DIMENSIONS, 0.5)
-        self.way_threshold = chi_square_limit(2, settings.long.false_alarm_rate)
-        self.way_doubt = chi_square_limit(2, settings.long.doubt_rate)
-        self.way_median = chi_square_limit(2, 0.5)
-        self.suspect_since_ns: int | None = None  # while GNSS is accused
-
-    @property
-    def oldest_s(self) -> float:
-        """Age of the oldest propagation [s], 0 without one."""
-        return self._runs[0].free.age_s(self._runs[0].free.nominal.time_ns) if self._runs else 0.0
-
-    @property
-    def odometer_rejected(self) -> bool:
-        """Whether the odometer contradicts the inertial sensors in the oldest propagation."""
-        return bool(self._runs) and self._runs[0].free.odometer_rejections > 0
-
-    def clear(self) -> None:
-        """Drop all propagations, because the inertial samples have a gap."""
-        self._runs = []
-
-    def accuse(self, suspect_since_ns: int) -> None:
-        """Keep only propagations from before a suspect time, until `acquit`."""
-        if self.suspect_since_ns is None or suspect_since_ns < self.suspect_since_ns:
-            self.suspect_since_ns = suspect_since_ns
-        self._runs = [run for run in self._runs if run.anchor_ns <= self.suspect_since_ns]
-
-    def acquit(self) -> None:
-        """Anchor in every solution again."""
-        self.suspect_since_ns = None
-
-    def anchor(self, anchor: FilterAnchor) -> None:
-        """Start a propagation if the last one is 5 s old and no accused GNSS has a part in the solution."""
-        if self._runs and anchor.time_ns - self._runs[-1].anchor_ns < SPACING_S * SECOND_NS:
-            return
-        if self.suspect_since_ns is not None:
-            since_s = (anchor.time_ns - self.suspect_since_ns) / SECOND_NS
-            if anchor.gnss_age_s is None or anchor.gnss_age_s < since_s:
-                return
-        self._runs.append(FreeRun(anchor, self._settings))
-
-    def advance(self, increment: Increment) -> None:
-        """Propagate by one increment."""
-        lever_velocity_b = np.cross(increment.rate_b, self._settings.vehicle.gnss.lever_arm_body_m)
-        for run in self._runs:
-            if run.free.nominal.time_ns < increment.end_ns:
-                run.advance(increment, lever_velocity_b)
-
-    def predict(self) -> None:
-        """Propagate the covariances over the second that has ended, and drop what is too old."""
-        for run in self._runs:
-            run.free.predict()
-        ages = [run.free.age_s(run.free.nominal.time_ns) for run in self._runs]
-        if self.suspect_since_ns is not None:
-            self._runs = [run for run, age in zip(self._runs, ages, strict=True) if age <= FROZEN_S]
-            return
-        newest_whole = max((i for i, age in enumerate(ages) if age >= WAYS_S[-1]), default=0)
-        kept: list[FreeRun] = []
-        for i, (run, age) in enumerate(zip(self._runs, ages, strict=True)):
-            apart_s = (run.anchor_ns - kept[-1].anchor_ns) / SECOND_NS if kept else WIDE_SPACING_S
-            if i >= newest_whole and (age <= LENGTHS_S[-1] + SPACING_S or apart_s >= WIDE_SPACING_S):
-                kept.append(run)
-        self._runs = kept
-
-    def aid(self, odometer: OdometerSpeed | None, yaw_rate: float, *, stationary: bool) -> None:
-        """Aid by odometer, non-holonomic constraint and standstill."""
-        for run in self._runs:
-            if stationary:
-                run.free.stand()
-            else:
-                self._aid(run.free, odometer if self._settings.long.odometer else None, yaw_rate)
-
-    def _aid(self, free: FreePropagation, odometer: OdometerSpeed | None, yaw_rate: float) -> None:
-        s = self._settings.long
-        if odometer is None:
-            free.aid(None, s.odometer_sd_m_s, yaw_rate)
-            return
-        change = abs(free.nominal.ned_from_body[:, 0] @ free.acceleration)
-        sd = np.hypot(s.odometer_sd_m_s, s.odometer_time_sd_s * change)
-        sd = np.hypot(sd, odometer.resolution / np.sqrt(12.0))
-        if odometer.speed == 0.0 and odometer.resolution > 0.0:
-            sd = np.hypot(sd, s.odometer_dead_zone_m_s)
-        free.aid(odometer.speed, float(sd), yaw_rate)
-
-    def compare(self, fix: VelocityFix) -> None:
-        """Compare a fix with every propagation."""
-        for run in self._runs:
-            run.compare(fix)
-
-    def way(self, length_s: int) -> WayResult | None:
-        """Test the way with the youngest propagation of at least a length; None without one."""
-        old = [run for run in self._runs if run.free.age_s(run.free.nominal.time_ns) >= length_s]
-        return old[-1].way() if old else None
-
-    def result(self, length_s: int) -> LongResult | None:
-        """Test with the youngest propagation of at least a length; None without one, or with too few fixes."""
-        old = [run for run in self._runs if run.free.age_s(run.free.nominal.time_ns) >= length_s]
-        return old[-1].result() if old else None

@@ -8,10 +8,12 @@ from math import hypot, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from shared.inertial.strapdown import SECOND_NS, Anchor, Increment, Strapdown
 from shared.maths.earth import STANDARD_GRAVITY, wrap_angle
 from shared.maths.rotation import skew
 
+from ..inertial.anchors import Anchor
+from ..inertial.increments import SECOND_NS, Increment
+from ..inertial.propagation import MOTION, QUATERNION, RATE, VELOCITY, carried, matrices, table_of
 from ..inertial.tracks import VelocityFix
 from .metrics import WINDOW_S, Metric, acceleration_differences
 
@@ -106,7 +108,8 @@ def compare(
     }
     missing: dict[Metric, str] = {}
     slowest = min(fix.speed for fix in fixes)
-    inertial_speed = float(np.hypot(free[:, 0], free[:, 1]).min())
+    inertial_speeds = np.hypot(free[:, 0], free[:, 1]).tolist()
+    inertial_speed = min(inertial_speeds)
     if slowest > LEAST_SPEED or inertial_speed > MOVING_SPEED:
         turned = float(np.interp(ends[1], times, yaw) - np.interp(ends[0], times, yaw))
         difference[Metric.HEADING_RATE] = (_course_change(fixes) - turned) / duration
@@ -122,9 +125,10 @@ def compare(
     inside = [increment for increment in increments if increment.end_ns > start_ns]
     force = max(abs(increment.excess_force) for increment in inside)
     speeds = (min(slowest, inertial_speed), max(fix.speed for fix in fixes))
-    tilted = _attitude_part(anchor, (free[1] - free[0]) / duration, float(ends.mean()))
+    C = matrices(anchor.state[QUATERNION])
+    tilted = _attitude_part(anchor, C, (free[1] - free[0]) / duration, float(ends.mean()))
     north, east, up = tilted.tolist()
-    turn_sd = float(np.sqrt(anchor.ned_from_body[2] ** 2 @ anchor.gyroscope_bias_sd**2))
+    turn_sd = float(np.sqrt(C[2] ** 2 @ anchor.gyroscope_bias_sd**2))
     of_anchor = {
         Metric.ACCELERATION_NORTH: north,
         Metric.ACCELERATION_EAST: east,
@@ -133,12 +137,11 @@ def compare(
         Metric.HEADING_RATE: turn_sd,
     }
     noise = {metric: hypot(sd, of_anchor.get(metric, 0.0)) for metric, sd in noise.items()}
-    inertial_speeds = np.hypot(free[:, 0], free[:, 1]).tolist()
     change = fixes[-1].speed - fixes[0].speed, inertial_speeds[1] - inertial_speeds[0]
     return Window(start_ns, end_ns, difference, noise, speeds, force, missing, change)
 
 
-def _attitude_part(anchor: Anchor, acceleration_n: FloatArray, middle_s: float) -> FloatArray:
+def _attitude_part(anchor: Anchor, C: FloatArray, acceleration_n: FloatArray, middle_s: float) -> FloatArray:
     """Standard deviation [m/s², NED] of the inertial acceleration from the anchor's attitude and gyroscope biases.
 
     Notes
@@ -149,7 +152,6 @@ def _attitude_part(anchor: Anchor, acceleration_n: FloatArray, middle_s: float) 
         da = -sk(f) (psi + C b t),    f = a - g
     """
     force = skew(acceleration_n - [0.0, 0.0, STANDARD_GRAVITY])
-    C = anchor.ned_from_body
     P = anchor.attitude_cov + middle_s**2 * (C * anchor.gyroscope_bias_sd**2) @ C.T
     sd: FloatArray = np.sqrt((force @ P @ force.T).diagonal())
     return sd
@@ -159,19 +161,13 @@ def _propagated(
     increments: Sequence[Increment], anchor: Anchor, lever_arm_b: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times since the anchor [s], velocity of the antenna [m/s, NED] and continuous yaw [rad] after each increment."""
-    free = Strapdown(anchor)
-    lever_velocity_b = np.cross([increment.rate_b for increment in increments], lever_arm_b)
-    velocity, yaw = [free.velocity + free.ned_from_body @ lever_velocity_b[0]], [_yaw(free)]
-    for increment, lever_velocity in zip(increments, lever_velocity_b, strict=True):
-        free.advance(increment)
-        velocity.append(free.velocity + free.ned_from_body @ lever_velocity)
-        yaw.append(_yaw(free))
-    times = [0.0] + [(increment.end_ns - anchor.time_ns) / SECOND_NS for increment in increments]
-    return np.array(times), np.array(velocity), np.unwrap(yaw)
-
-
-def _yaw(free: Strapdown) -> float:
-    return float(np.arctan2(free.ned_from_body[1, 0], free.ned_from_body[0, 0]))
+    table = table_of(increments)
+    lever_velocity_b = table[:, RATE] @ skew(lever_arm_b)  # w x l
+    motion = np.concatenate([anchor.state[None, MOTION], carried(anchor.state[None], table)[0, :, MOTION]])
+    C = matrices(motion[:, QUATERNION])
+    velocity = motion[:, VELOCITY] + np.matvec(C, np.concatenate([lever_velocity_b[:1], lever_velocity_b]))
+    times_ns = np.array([anchor.time_ns] + [increment.end_ns for increment in increments])
+    return (times_ns - anchor.time_ns) / SECOND_NS, velocity, np.unwrap(np.arctan2(C[:, 1, 0], C[:, 0, 0]))
 
 
 def _course_change(fixes: Sequence[VelocityFix]) -> float:

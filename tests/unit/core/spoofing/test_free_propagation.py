@@ -1,18 +1,24 @@
 """Strapdown and free propagation: closed forms, the simulator's exact inversion, and consistency of the covariance."""
 
+from collections import Counter
 from dataclasses import replace
-from math import radians
+from math import inf, nan, radians
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.core.spoofing.inertial.strapdown import SECOND_NS, Decimator, FilterAnchor, Increment, Strapdown
-from services.core.spoofing.settings import LongSettings
-from services.core.spoofing.windows.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagation
+from services.core.spoofing.inertial import propagation
+from services.core.spoofing.inertial.anchors import FilterAnchor
+from services.core.spoofing.inertial.increments import SECOND_NS, Decimator, Increment
+from services.core.spoofing.inertial.tracks import OdometerSpeed, VelocityFix
+from services.core.spoofing.settings import LongSettings, Settings
+from services.core.spoofing.windows.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagations
+from services.core.spoofing.windows.long_window import LongWindow
 from services.sensors.simulator.drive import Drive, simulate
-from shared.maths.rotation import ned_from_body
+from shared.maths.earth import Geodetic
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 
 FloatArray = npt.NDArray[np.float64]
 START_S, LENGTH_S = 30, 60
@@ -24,75 +30,175 @@ def drive() -> Drive:
     return simulate("urban", 4, 100.0)
 
 
-def increments_of(drive: Drive, *, ideal: bool) -> list[Increment]:
-    decimator, found = Decimator(), []
+def increments_of(
+    drive: Drive, *, ideal: bool, start_s: float = START_S, length_s: float = LENGTH_S, batch: int = 100
+) -> list[Increment]:
+    decimator, found = Decimator(80.0, 20.0, Counter()), []
     force, rate = (drive.ideal_force_b, drive.ideal_rate_b) if ideal else (drive.force_b, drive.rate_b)
-    for time_ns, f, w in zip(drive.t_ns.tolist(), force.tolist(), rate.tolist(), strict=True):
-        increment = decimator.add(time_ns, tuple(f), tuple(w))
-        if increment is not None:
-            found.append(increment)
-    return found
+    times, forces, rates = drive.t_ns.tolist(), list(map(tuple, force.tolist())), list(map(tuple, rate.tolist()))
+    for k in range(0, len(times), batch):
+        decimator.add(times[k : k + batch], forces[k : k + batch], rates[k : k + batch])
+        found += decimator.take()
+    return [one for one in found if start_s * SECOND_NS <= one.start_ns < (start_s + length_s) * SECOND_NS]
 
 
 def anchor_at(drive: Drive, time_s: float) -> FilterAnchor:
     k = int(np.searchsorted(drive.t_ns, round(time_s * SECOND_NS)))
-    latitude, _, height = drive.position[k].tolist()
+    state = np.zeros(propagation.STATE)
+    state[propagation.QUATERNION] = quaternion_from_matrix(ned_from_body(*drive.attitude[k].tolist()))
+    state[propagation.VELOCITY], state[propagation.POSITION] = drive.velocity_n[k], drive.position[k]
     return FilterAnchor(
-        time_ns=int(drive.t_ns[k]),
-        ned_from_body=ned_from_body(*drive.attitude[k].tolist()),
-        velocity_n=drive.velocity_n[k],
-        accelerometer_bias=np.zeros(3),
-        gyroscope_bias=np.zeros(3),
-        latitude=latitude,
-        height=height,
-        stationary=False,
-        gnss_age_s=None,
-        attitude_cov=np.zeros((3, 3)),
-        gyroscope_bias_sd=np.zeros(3),
-        scale=1.0,
-        yaw=0.0,
-        pitch=0.0,
-        covariance=np.zeros((ANCHOR_SIZE, ANCHOR_SIZE)),
-    )
+        int(drive.t_ns[k]), state, np.array([1.0, 0.0, 0.0]), np.zeros((ANCHOR_SIZE, ANCHOR_SIZE))
+    )  # fmt: skip
+
+
+def started(settings: LongSettings, *anchors: FilterAnchor) -> FreePropagations:
+    free = FreePropagations(Settings(long=settings))
+    for anchor in anchors:
+        free.start(anchor)
+    return free
+
+
+def velocities(free: FreePropagations) -> FloatArray:
+    """Velocities [m/s, NED], shape (n, 3), a view."""
+    found: FloatArray = free.runs["state"][:, propagation.VELOCITY]
+    return found
 
 
 def test_ideal_increments_lead_to_the_true_velocity_and_attitude_after_a_minute(drive: Drive) -> None:
-    free = Strapdown(anchor_at(drive, START_S))
-    for increment in increments_of(drive, ideal=True):
-        if START_S * SECOND_NS <= increment.start_ns < (START_S + LENGTH_S) * SECOND_NS:
-            free.advance(increment)
-    k = int(np.searchsorted(drive.t_ns, free.time_ns))
-    assert free.time_ns == (START_S + LENGTH_S) * SECOND_NS
-    np.testing.assert_allclose(free.velocity, drive.velocity_n[k], atol=0.02)
-    attitude = ned_from_body(*drive.attitude[k].tolist())
-    assert Rotation.from_matrix(free.ned_from_body @ attitude.T).magnitude() < radians(0.01)
+    increments = increments_of(drive, ideal=True)
+    steps = propagation.carried(anchor_at(drive, START_S).state[None], propagation.table_of(increments))
+    k = int(np.searchsorted(drive.t_ns, increments[-1].end_ns))
+    assert increments[-1].end_ns == (START_S + LENGTH_S) * SECOND_NS
+    np.testing.assert_allclose(steps[0, -1, propagation.VELOCITY], drive.velocity_n[k], atol=0.01)
+    attitude = propagation.matrices(steps[0, -1, propagation.QUATERNION])
+    turn = attitude @ ned_from_body(*drive.attitude[k].tolist()).T
+    assert Rotation.from_matrix(turn).magnitude() < radians(0.01)
+
+
+def test_a_bias_and_a_scale_of_the_sensors_are_removed_from_each_increment(drive: Drive) -> None:
+    table = propagation.table_of(increments_of(drive, ideal=True, length_s=10.0))
+    state = anchor_at(drive, START_S).state
+    bias_f, bias_w, scale = np.array([0.3, -0.2, 0.1]), np.array([0.02, -0.01, 0.03]), np.array([0.01, -0.02, 0.015])
+    wrong = table.copy()
+    wrong[:, :3] += bias_f
+    wrong[:, propagation.RATE] = (table[:, propagation.RATE] + bias_w) / (1.0 - scale)
+    told = state.copy()
+    told[propagation.ACCELEROMETER_BIAS], told[propagation.GYROSCOPE_BIAS] = bias_f, bias_w
+    told[propagation.GYROSCOPE_SCALE] = scale
+    np.testing.assert_allclose(
+        propagation.carried(told[None], wrong), propagation.carried(state[None], table), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_a_stack_of_propagations_is_each_of_them_alone_in_parts_of_any_length(drive: Drive) -> None:
+    """Second by second with aiding, three that start at different times against each alone, increment by increment."""
+    anchors, increments = [anchor_at(drive, START_S + k) for k in (0.0, 1.0, 3.0)], increments_of(drive, ideal=True)
+    anchors[1].mounting[0] = 1.3  # its odometer is rejected
+    anchors[2].state[propagation.VELOCITY] += 3.0
+
+    def run(*anchors: FilterAnchor, parts: int) -> FreePropagations:
+        free, waiting = started(LongSettings()), list(anchors)
+        for k in range(0, 200, 10):
+            if waiting and increments[k].start_ns >= waiting[0].time_ns:
+                free.start(waiting.pop(0))
+            if not len(free.runs):
+                continue
+            for part in range(k, k + 10, parts):
+                free.advance(increments[part : part + parts])
+            free.predict()
+            end_ns = increments[k + 9].end_ns
+            true = drive.velocity_n[int(np.searchsorted(drive.t_ns, end_ns))]
+            speed = OdometerSpeed(end_ns, float(np.linalg.norm(true)), 0.0)
+            if k == 190:
+                free.stand()
+            else:
+                free.aid(speed, increments[k + 9].row[5])
+        return free
+
+    together = run(*anchors, parts=10)
+    assert together.runs["odometer_rejections"].tolist()[:2] == [0, 3]
+    for row, anchor in enumerate(anchors):
+        alone = run(anchor, parts=1).runs[0]
+        for name in together.runs.dtype.names or ():
+            np.testing.assert_allclose(together.runs[name][row], alone[name], rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_velocity_and_way_are_known_between_the_first_and_the_newest_increment_of_a_run(drive: Drive) -> None:
+    free, increments = started(LongSettings(), anchor_at(drive, START_S)), increments_of(drive, ideal=True)
+    free.advance(increments[:1])
+    assert np.isnan(free.nodes_at(increments[0].end_ns, free.end_ns)).all(), "one increment"
+    free.advance(increments[1:10])
+    free.start(anchor_at(drive, START_S + 1))
+    free.advance(increments[10:20])
+    first, second = increments[0].end_ns, increments[10].end_ns
+    k = int(np.searchsorted(drive.t_ns, second))
+    np.testing.assert_allclose(free.nodes_at(second, free.end_ns)[:, :3], [drive.velocity_n[k]] * 2, atol=0.01)
+    between = free.nodes_at(second + 30_000_000, free.end_ns)
+    low, high = free.nodes_at(second, free.end_ns), free.nodes_at(second + 100_000_000, free.end_ns)
+    np.testing.assert_allclose(between, 0.7 * low + 0.3 * high, rtol=1e-9)
+    assert np.isnan(free.nodes_at(second - 1, free.end_ns)[:, 0]).tolist() == [False, True]
+    assert (
+        np.isnan(free.nodes_at(first - 1, free.end_ns)).all()
+        and np.isnan(free.nodes_at(increments[19].end_ns + 1, free.end_ns)).all()
+    )
 
 
 def test_increments_end_at_multiples_of_100_ms_and_a_gap_starts_a_new_run(drive: Drive) -> None:
     assert {increment.end_ns % 100_000_000 for increment in increments_of(drive, ideal=True)} == {0}
-    decimator = Decimator()
+    rejected: Counter[str] = Counter()
+    decimator = Decimator(80.0, 20.0, rejected)
     times = [*range(10_000_000, 320_000_000, 10_000_000), *range(900_000_000, 1_120_000_000, 10_000_000)]
-    found = [decimator.add(time_ns, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)) for time_ns in times]
-    kept = [increment for increment in found if increment is not None]
+    kept = []
+    for time_ns in times:
+        decimator.add([time_ns], [(0.0, 0.0, -9.8)], [(0.0, 0.0, 0.0)])
+        kept += decimator.take()
     assert [increment.after_gap for increment in kept] == [True, False, False, True, False]
-    assert all(increment.duration <= 0.1 for increment in kept)
-    assert decimator.add(times[-1], (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)) is None
-    assert decimator.rejected == {"imu: stamp is not after the one before": 1}
+    assert all(increment.row[propagation.DURATION] <= 0.1 for increment in kept)
+    assert not decimator.take()
+    decimator.add([times[-1]], [(0.0, 0.0, -9.8)], [(0.0, 0.0, 0.0)])
+    assert not decimator.take()
+    assert rejected == {"imu: stamp is not after the one before": 1}
+
+
+def test_increments_are_the_means_of_their_samples_however_these_are_batched(drive: Drive) -> None:
+    one, many = (increments_of(drive, ideal=False, batch=batch) for batch in (7, 5000))
+    assert one == many and len(one) == 10 * LENGTH_S
+    first, last = np.searchsorted(drive.t_ns, [one[20].start_ns, one[20].end_ns])
+    means = [values[first + 1 : last + 1].mean(axis=0) for values in (drive.force_b, drive.rate_b)]
+    np.testing.assert_allclose(one[20].row, [*means[0], *means[1], 0.1], rtol=1e-12)
+
+
+def test_a_sample_that_cannot_be_is_counted_and_costs_nothing_but_itself() -> None:
+    rejected: Counter[str] = Counter()
+    decimator = Decimator(80.0, 20.0, rejected)
+    times = list(range(0, 410_000_000, 10_000_000))
+    forces, rates = [(0.0, 0.0, -9.8)] * len(times), [(0.0, 0.1, 0.0)] * len(times)
+    forces[5], forces[6], rates[7] = (0.0, nan, -9.8), (81.0, 0.0, 0.0), (0.0, inf, 0.0)
+    times[8] = times[3]
+    decimator.add(times, forces, rates)
+    found = decimator.take()
+    assert [(one.start_ns, one.end_ns) for one in found] == [(k * 10**8, (k + 1) * 10**8) for k in range(4)]
+    np.testing.assert_allclose([one.row[3:6] for one in found], [(0.0, 0.1, 0.0)] * 4, rtol=1e-12)
+    assert rejected == {
+        "imu: value is not a number": 1,
+        "imu: value is beyond every sensor's range": 2,
+        "imu: stamp is not after the one before": 1,
+    }
 
 
 def test_derivatives_of_the_body_velocity_agree_with_finite_differences(drive: Drive) -> None:
-    free = FreePropagation(anchor_at(drive, 50.0), LongSettings())
+    free = started(LongSettings(), anchor_at(drive, 50.0), anchor_at(drive, 60.0))
+    values, H, attitudes = free.body_velocities()
     step = 1e-6
-    for axis in range(3):
-        value, H = free.body_row(axis)
-        assert value == pytest.approx(float(free.nominal.ned_from_body[:, axis] @ free.nominal.velocity))
+    for row, (C, v) in enumerate(zip(attitudes, velocities(free), strict=True)):
+        np.testing.assert_allclose(values[row], C.T @ v, atol=1e-12)
         for element in range(6):
             psi, dv = np.zeros(3), np.zeros(3)
             (dv if element < 3 else psi)[element % 3] = step
-            C = Rotation.from_rotvec(psi).as_matrix() @ free.nominal.ned_from_body
-            changed = float(C[:, axis] @ (free.nominal.velocity + dv))
-            assert (changed - value) / step == pytest.approx(H[element], abs=1e-4)
-    assert len(H) == SIZE and not H[6:].any()
+            changed = (Rotation.from_rotvec(psi).as_matrix() @ C).T @ (v + dv)
+            np.testing.assert_allclose((changed - values[row]) / step, H[row, :, element], atol=1e-4)
+    assert H.shape == (2, 3, SIZE) and not H[..., 6:].any()
 
 
 def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
@@ -100,16 +206,15 @@ def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
     P = np.zeros((ANCHOR_SIZE, ANCHOR_SIZE))
     P[0, 0], P[4, 4], P[6, 6], P[4, 6] = 0.05**2, 1e-3**2, 0.01**2, -0.8 * 1e-3 * 0.01
     P[6, 4] = P[4, 6]
-    level = FilterAnchor(
-        0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.8, 300.0, False, None,
-        np.zeros((3, 3)), np.zeros(3), 1.0, 0.0, 0.0, P
-    )  # fmt: skip
-    free = FreePropagation(level, settings)
-    still = Increment(0, 100_000_000, np.array([0.0, 0.0, -0.98]), np.eye(3), np.zeros(3), 0.0, False)
-    for k in range(300):
-        free.advance(replace(still, start_ns=k * 100_000_000, end_ns=(k + 1) * 100_000_000))
-        if k % 10 == 9:
-            free.predict()
+    state = np.zeros(propagation.STATE)
+    state[0], state[propagation.POSITION] = 1.0, (0.8, 0.0, 300.0)
+    free = started(settings, FilterAnchor(0, state, np.array([1.0, 0.0, 0.0]), P))
+    for k in range(30):
+        free.advance([
+            Increment(n * 10**8, (n + 1) * 10**8, (0.0, 0.0, -9.8, 0.0, 0.0, 0.0, 0.1), 0.0, False)
+            for n in range(10 * k, 10 * k + 10)
+        ])  # fmt: skip
+        free.predict()
     T, g, s = 30.0, 9.8, settings
     expected = (
         (g * s.attitude_sd_rad * T) ** 2
@@ -120,7 +225,7 @@ def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
         + s.velocity_random_walk_m_s_sqrt_s**2 * T
         + (g * s.angle_random_walk_rad_sqrt_s) ** 2 * T**3 / 3.0
     )
-    assert free.P[0, 0] == pytest.approx(expected, rel=0.02)
+    assert free.runs["P"][0, 0, 0] == pytest.approx(expected, rel=0.02)
 
 
 def test_errors_of_aided_runs_are_within_their_covariance() -> None:
@@ -130,40 +235,40 @@ def test_errors_of_aided_runs_are_within_their_covariance() -> None:
         truth = anchor_at(drive, START_S)
         rng, s = np.random.default_rng(seed), LongSettings()
         tilt = rng.normal(0.0, s.attitude_sd_rad, 3)
-        anchor = replace(
-            truth,
-            ned_from_body=Rotation.from_rotvec(tilt).as_matrix() @ truth.ned_from_body,
-            velocity_n=truth.velocity_n + rng.normal(0.0, s.velocity_sd_m_s, 3),
-            accelerometer_bias=np.mean(drive.force_b - drive.ideal_force_b, axis=0),
-            gyroscope_bias=np.mean(drive.rate_b - drive.ideal_rate_b, axis=0),
-        )
-        free = FreePropagation(anchor, s)
-        for increment in increments_of(drive, ideal=False):
-            if not START_S * SECOND_NS <= increment.start_ns < (START_S + LENGTH_S) * SECOND_NS:
-                continue
-            free.advance(increment)
-            if increment.end_ns % SECOND_NS == 0:
-                free.predict()
-                speed = float(np.interp(increment.end_ns, drive.odometer_ns, drive.odometer))
-                free.aid(speed, s.odometer_sd_m_s, float(increment.rate_b[2]))
-        k = int(np.searchsorted(drive.t_ns, free.nominal.time_ns))
-        error = drive.velocity_n[k] - free.nominal.velocity
-        squares.append(float(error @ np.linalg.solve(free.P[VELOCITY, VELOCITY], error)))
-        np.testing.assert_allclose(free.P, free.P.T, atol=1e-9)
-        assert np.linalg.eigvalsh(free.P[ATTITUDE, ATTITUDE]).min() > 0.0
+        state = truth.state.copy()
+        matrix = Rotation.from_rotvec(tilt).as_matrix() @ propagation.matrices(state[propagation.QUATERNION])
+        state[propagation.QUATERNION] = quaternion_from_matrix(matrix)
+        state[propagation.VELOCITY] += rng.normal(0.0, s.velocity_sd_m_s, 3)
+        state[propagation.ACCELEROMETER_BIAS] = np.mean(drive.force_b - drive.ideal_force_b, axis=0)
+        state[propagation.GYROSCOPE_BIAS] = np.mean(drive.rate_b - drive.ideal_rate_b, axis=0)
+        free = started(s, replace(truth, state=state))
+        increments = increments_of(drive, ideal=False)
+        for k in range(0, len(increments), 10):
+            free.advance(increments[k : k + 10])
+            free.predict()
+            speed = float(np.interp(free.end_ns, drive.odometer_ns, drive.odometer))
+            free.aid(OdometerSpeed(free.end_ns, speed, 0.0), increments[k + 9].row[5])
+        assert free.end_ns == (START_S + LENGTH_S) * SECOND_NS
+        P = free.runs["P"][0]
+        error = drive.velocity_n[int(np.searchsorted(drive.t_ns, free.end_ns))] - velocities(free)[0]
+        squares.append(float(error @ np.linalg.solve(P[VELOCITY, VELOCITY], error)))
+        np.testing.assert_allclose(P, P.T, atol=1e-9)
+        assert np.linalg.eigvalsh(P[ATTITUDE, ATTITUDE]).min() > 0.0
     assert max(squares) < 16.3, "chi-square with 3 degrees of freedom: exceeded once in 1000"
     assert np.mean(squares) > 0.05, "not absurdly wide"
 
 
 def test_an_odometer_that_freezes_is_rejected_and_then_left_out(drive: Drive) -> None:
-    free = FreePropagation(anchor_at(drive, START_S), LongSettings())
-    free.nominal.velocity = free.nominal.velocity + 5.0 * free.nominal.ned_from_body[:, 0]
-    before = free.nominal.velocity.copy()
+    free = started(LongSettings(), anchor_at(drive, START_S))
+    forward = free.body_velocities()[2][0, :, 0]
+    velocities(free)[0] += 5.0 * forward
+    before = float(velocities(free)[0] @ forward)
     for _ in range(3):
-        free.aid(0.0, 0.1, 0.0)
-    assert free.odometer_rejections == 3
-    free.aid(float(before @ free.nominal.ned_from_body[:, 0]), 0.1, 0.0)
-    assert free.odometer_rejections == 3, "no longer used"
+        free.aid(OdometerSpeed(0, 0.0, 0.0), 0.0)
+    assert free.runs["odometer_rejections"].tolist() == [3]
+    free.aid(OdometerSpeed(0, before, 0.0), 0.0)
+    assert free.runs["odometer_rejections"].tolist() == [3], "no longer used"
+    assert not free.odometer_agrees(0)
 
 
 @pytest.mark.parametrize(("speed_sd", "left"), [(1.9, 0.5 * 0.03 / (1.9**2 + 0.03)), (2.1, 0.5)])
@@ -173,8 +278,36 @@ def test_the_non_holonomic_constraint_is_used_while_the_forward_speed_is_known(
     anchor = anchor_at(drive, START_S)
     covariance = np.zeros((ANCHOR_SIZE, ANCHOR_SIZE))
     covariance[VELOCITY, VELOCITY] = np.eye(3) * speed_sd**2
-    sideways = anchor.velocity_n + 0.5 * anchor.ned_from_body[:, 1]
-    free = FreePropagation(replace(anchor, velocity_n=sideways, covariance=covariance), LongSettings())
-    free.aid(None, 0.1, 0.0)
-    lateral = free.nominal.ned_from_body[:, 1] @ free.nominal.velocity
+    C = propagation.matrices(anchor.state[propagation.QUATERNION])
+    anchor.state[propagation.VELOCITY] += 0.5 * C[:, 1]
+    free = started(LongSettings(), replace(anchor, covariance=covariance))
+    free.aid(None, 0.0)
+    lateral = free.body_velocities()[0][0, 1]
     assert lateral == pytest.approx(left, abs=1e-3), "lateral noise of 0.1 m/s that lasts 3 s"
+
+
+@pytest.mark.parametrize(("ahead_ns", "known"), [(0, True), (90_000_000, True), (150_000_000, False)])
+def test_a_fix_is_compared_with_the_increments_until_the_one_that_passes_it(
+    drive: Drive, ahead_ns: int, known: bool
+) -> None:
+    """Whatever is propagated at once; a position that is true later than these is not compared."""
+    increments, found = increments_of(drive, ideal=True), []
+    for parts in (1, 10):
+        long = LongWindow(Settings())
+        long.start(anchor_at(drive, START_S))
+        for k in range(0, len(increments), parts):
+            part = increments[k : k + parts]
+            long.advance(part)
+            for one in part:
+                at = int(np.searchsorted(drive.t_ns, one.end_ns - 90_000_000))
+                place = Geodetic(*drive.position[at + ahead_ns // 10_000_000].tolist())
+                velocity, sd, at_ns = drive.velocity_n[at], np.full(3, 0.05), int(drive.t_ns[at])
+                fix = VelocityFix(at_ns, velocity, sd, place, 1.0, position_ns=at_ns + ahead_ns)
+                long.compare(fix, one.end_ns)
+            if part[-1].end_ns % SECOND_NS == 0:
+                long.predict()
+        way, velocities_60 = long.way(60), long.result(60)
+        assert velocities_60 is not None and (way is not None) == known
+        found.append([*velocities_60.difference_n, *([] if way is None else way.difference_n)])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+    np.testing.assert_allclose(found[0], 0.0, atol=0.5)

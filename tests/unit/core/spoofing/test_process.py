@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
-from services.core.spoofing.process import Config, Process, filter_anchor_of, velocity_of
+from services.core.spoofing.inertial import propagation
+from services.core.spoofing.inertial.anchors import filter_anchor_of
+from services.core.spoofing.process import Config, Process, velocity_of
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.position_step import FALSE_ALARM_RATE, NAME
 from services.sensors.simulator.drive import Drive, simulate
@@ -51,12 +53,13 @@ def test_the_covariance_of_an_anchor_is_that_of_its_errors(
     squares = []
     for state in states:
         anchor = filter_anchor_of(state)
-        assert anchor is not None and abs(anchor.scale - 1.0) < 0.01 and np.hypot(anchor.yaw, anchor.pitch) < 0.02
+        assert anchor.mounting == pytest.approx([1.0, 0.0, 0.0], abs=0.01)
+        motion = anchor.state
         k = int(np.searchsorted(drive.t_ns, anchor.time_ns))
-        turn = ned_from_body(*drive.attitude[k].tolist()) @ anchor.ned_from_body.T
+        turn = ned_from_body(*drive.attitude[k].tolist()) @ propagation.matrices(motion[propagation.QUATERNION]).T
         error = np.r_[
-            drive.velocity_n[k] - anchor.velocity_n, Rotation.from_matrix(turn).as_rotvec(),
-            bias_f - anchor.accelerometer_bias, bias_w - anchor.gyroscope_bias,
+            drive.velocity_n[k] - motion[propagation.VELOCITY], Rotation.from_matrix(turn).as_rotvec(),
+            bias_f - motion[propagation.ACCELEROMETER_BIAS], bias_w - motion[propagation.GYROSCOPE_BIAS],
         ]  # fmt: skip
         squares.append(error @ np.linalg.solve(anchor.covariance[:12, :12], error))
     assert len(squares) > 70 and 4.0 < np.mean(squares) < 30.0, "12 expected, of errors that last for the whole drive"
