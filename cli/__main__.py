@@ -17,6 +17,8 @@ def main() -> None:
         if sys.argv[1:2] == ["run"] and len(sys.argv) == 3 and sys.argv[2] in BY_NAME:
             run(sys.argv[2])  # the processes of a vehicle start without the weight of the command line
         else:
+            if sys.argv[1:2] == ["verify"]:
+                os.environ["NUMBA_DISABLE_JIT"] = "1"  # to the bit as processes of a vehicle, which lack it
             command = imported(sys.argv[1:])
             command(prog_name="obu")
     except ConfigError as error:

@@ -8,7 +8,7 @@ from math import atan2, degrees, hypot, inf
 import numpy as np
 import numpy.typing as npt
 
-from services.core.fusion.messages import use_fix
+from services.core.fusion.aids.kinds import measurements_of
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
@@ -96,7 +96,8 @@ class Start:
             message = message.model_copy(update={"velocity_ned_m_s": (vn, ve, vd), "velocity_sd_ned_m_s": sds})
         elif receiver.course:
             message = message.model_copy(update={"ground_speed_m_s": hypot(vn, ve), "course_rad": atan2(ve, vn)})
-        use_fix(made, message)
+        for measurement in measurements_of(message, made.settings):
+            made.measure(measurement)
 
     def yaw_error(self, i: int, solution: Solution) -> float:
         """Error of the heading at a sample [rad]."""

@@ -27,4 +27,12 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
     else:
         COMPILED = True
         compiled = numba.njit(cache=True)
-        compilable = import_module("numba.extending").register_jitable
+        extending: Any = import_module("numba.extending")
+        compilable = extending.register_jitable
+
+        @extending.overload_attribute(numba.types.Array, "mT", inline="always")  # type: ignore[untyped-decorator]
+        def _matrix_transpose(matrix: Any) -> Callable[[Any], Any]:  # named as that of the function in it
+            def transposed(matrix: Any) -> Any:  # of a matrix; Numba lacks .mT
+                return matrix.T
+
+            return transposed

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FilterDiverged
+from .compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -88,17 +89,39 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     ----------
     R. Bucy, P. Joseph, Filtering for Stochastic Processes with Applications to Guidance, 1968, ch. 16.
     """
-    PHt = P @ H.mT
-    S = H @ PHt + R
-    root_of(S, "an innovation")
-    S_inverse: FloatArray = np.asarray(np.linalg.inv(S), dtype=np.float64)
-    K = PHt @ S_inverse
-    x = np.matvec(K, z)
-    distance2 = np.vecdot(z, np.matvec(S_inverse, z))
+    try:
+        if P.ndim == 2:  # of one filter; compiled products want whole arrays, no views
+            parts = _joseph_one(P, np.ascontiguousarray(z), np.ascontiguousarray(H), np.ascontiguousarray(R))
+        else:
+            parts = _joseph(P, z, H, R)
+    except np.linalg.LinAlgError:
+        raise FilterDiverged("the covariance of an innovation is not positive definite") from None
+    x, after, distance2, K, S, S_inverse = parts
+    if not np.isfinite(S).all():
+        raise FilterDiverged("the covariance of an innovation is not positive definite")
     if not np.isfinite(distance2).all():
         raise FilterDiverged("an innovation is not finite")
+    return Correction(x, after, distance2, z, H, K, S, S_inverse)
+
+
+def _joseph(
+    P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Estimate x, covariance after, normalised innovation squared, K, S and its inverse: see `correct`."""
+    PHt = P @ H.mT
+    S = H @ PHt + R
+    np.linalg.cholesky(S)  # fails for one that is not positive definite
+    S_inverse = np.linalg.inv(S)
+    K = PHt @ S_inverse
+    column = np.expand_dims(z, -1)
+    x = (K @ column)[..., 0]
+    distance2 = (column.mT @ (S_inverse @ column))[..., 0, 0]
     A = P - K @ PHt.mT
-    return Correction(x, _symmetric(A - (A @ H.mT - K @ R) @ K.mT), distance2, z, H, K, S, S_inverse)
+    half = 0.5 * (A - (A @ H.mT - K @ R) @ K.mT)
+    return x, half + half.mT, distance2, K, S, S_inverse  # type: ignore[return-value]  # stubs do not know the dtype
+
+
+_joseph_one = compiled(_joseph)
 
 
 def root_of(cov: FloatArray, what: str) -> FloatArray:

@@ -5,10 +5,13 @@ unit norm with w >= 0, and represent the same rotation as their matrix. These fu
 offline tools use `scipy.spatial.transform.Rotation`.
 """
 
+from collections.abc import Sequence
 from math import asin, atan2, cos, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
+
+from .compiled import compilable
 
 FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -17,17 +20,20 @@ Quaternion = tuple[float, float, float, float]
 _SMALL_ANGLE = 1e-4  # [rad] below it, three terms of the series are exact to rounding
 
 
-def skew(vector: npt.ArrayLike) -> FloatArray:
+@compilable
+def skew(vector: Sequence[float] | FloatArray) -> FloatArray:
     """Skew-symmetric matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
-    x, y, z = vector if isinstance(vector, tuple) else np.asarray(vector, dtype=np.float64).tolist()
+    x, y, z = vector[0], vector[1], vector[2]
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+@compilable
 def cross(a: Vector, b: Vector) -> Vector:
     """Vector product a x b, in plain floats."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
+@compilable
 def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Rotation matrix from body axes (forward, right, down) to north, east and down.
 
@@ -63,6 +69,7 @@ def roll_pitch_yaw_of_quaternion(quaternion: Quaternion) -> Vector:
     return roll, pitch, atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
 
+@compilable
 def matrix_from_quaternion(quaternion: Quaternion) -> FloatArray:
     """Rotation matrix, shape (3, 3), of a unit quaternion."""
     w, x, y, z = quaternion

@@ -20,8 +20,6 @@ BESIDE = {
 # The filter has the models of GNSS errors as states, until an aid with a state brings its own row.
 UPWARD = {"inertial/filter.py": {"aids.gnss.velocity_errors", "aids.gnss.position_errors"}}
 CONSUMERS = ("integrity", "smoothing", "set_up")  # stand beside the rooms
-# Where a kind is asked for outside aids: the installation check collects positions, velocities and speeds.
-ASKS_FOR_KINDS = {"set_up/motion.py": {"GnssPosition", "GnssVelocity", "WheelSpeed"}}
 
 
 def names_of(path: Path) -> dict[str, str]:
@@ -97,7 +95,7 @@ def test_consumers_of_outcomes_know_nothing_of_start_and_timeline(consumer: str)
 def test_every_folder_is_a_room_or_a_consumer() -> None:
     folders = {path.name for path in FUSION.iterdir() if path.is_dir() and any(path.glob("*.py"))}
     assert folders == {*ROOMS, *CONSUMERS}
-    assert all((FUSION / place).exists() for place in (*UPWARD, *ASKS_FOR_KINDS))
+    assert all((FUSION / place).exists() for place in UPWARD)
 
 
 def test_no_file_outside_aids_asks_for_the_kind_of_a_measurement() -> None:
@@ -107,7 +105,7 @@ def test_no_file_outside_aids_asks_for_the_kind_of_a_measurement() -> None:
         for path in FUSION.rglob("*.py")
         if path.relative_to(FUSION).parts[0] != "aids" and (kinds := set(kinds_asked_for(path)))
     }
-    assert asking == ASKS_FOR_KINDS
+    assert not asking
 
 
 @pytest.mark.parametrize(

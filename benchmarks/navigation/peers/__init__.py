@@ -4,7 +4,7 @@ from .common import Peer, PeerResult
 from .kf_gins import KfGins
 from .ob_gins import ObGins
 from .px4 import Px4
-from .pyins import Pyins
+from .pyins_peer import Pyins
 
 PEERS: tuple[Peer, ...] = (KfGins(), ObGins(), Pyins(), Px4())
 

@@ -13,7 +13,7 @@ from typing import TypedDict
 import numpy as np
 
 from benchmarks.navigation.cases import DRIVES, PHASES
-from benchmarks.navigation.runs import data_folder
+from benchmarks.navigation.runs import REPOSITORY, data_folder
 from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.drift import drifts
 from cli.solve.metrics.errors import Stamps, errors_against
@@ -25,6 +25,7 @@ from shared.maths.earth import FloatArray
 from shared.messages.navigation import NavigationPhase
 
 BEGIN_S, START_S, SETTLED_S = 456250.0, 456300.0, 456600.0  # of the files, of the protocol, of the judgement
+BUILT = REPOSITORY / ".obu" / "peers"
 LEVER_M = (0.136, -0.301, -0.184)
 NO_ARM = (0.0, 0.0, 0.0)  # truth and solutions are of the IMU
 OUTAGES_EACH = 15
@@ -105,6 +106,7 @@ class Peer(ABC):
     name: str
     variable: str  # of the environment, that names the program
     how: str  # to come by it
+    built: str = ""  # program that `build` has made, below `BUILT`
     sets: tuple[str, ...] = ("rtk", "spp")
     outages: bool = True
 
@@ -118,7 +120,8 @@ class Peer(ABC):
 
     def measure(self, folder: Path) -> PeerResult:
         """Run the peer, if it is there."""
-        program = os.environ.get(self.variable)
+        built = BUILT / self.built
+        program = os.environ.get(self.variable) or (str(built) if self.built and built.is_file() else None)
         if not program:
             return PeerResult(absent=f"{self.variable} names no program. {self.how}", sets={})
         present = [name for name in self.sets if (data_folder() / DRIVES[name].folder).is_dir()]

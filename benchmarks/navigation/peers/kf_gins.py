@@ -8,16 +8,13 @@ from shared.maths.earth import FloatArray
 
 from .common import ACCEL_BIAS, ARW, CORRELATION_H, GYRO_BIAS, LEVER_M, SCALE, START_S, VRW, Given, Peer, thinned
 
-HOW = (
-    "Clone github.com/i2Nav-WHU/KF-GINS (known here: 079e59ce), then `mkdir build && cd build && "
-    "cmake .. -DCMAKE_BUILD_TYPE=Release && make`, and set OBU_KF_GINS to its bin/KF-GINS."
-)
+HOW = "`python -m benchmarks.navigation.peers.build` builds it, or set OBU_KF_GINS to its bin/KF-GINS."
 
 
 class KfGins(Peer):
     """It takes increments and GNSS positions, no velocity, and begins with a state that is given."""
 
-    name, variable, how = "KF-GINS", "OBU_KF_GINS", HOW
+    name, variable, how, built = "KF-GINS", "OBU_KF_GINS", HOW, "KF-GINS/bin/KF-GINS"
 
     def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
         """Write its text files and its YAML."""

@@ -7,8 +7,9 @@ from statistics import fmean
 
 import numpy as np
 
-from services.core.fusion import messages as conversion
 from services.core.fusion.aids.base import Outcome
+from services.core.fusion.aids.kinds import measurements_of
+from services.core.fusion.messages import samples_of
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config
 from services.core.fusion.set_up.delay import LARGEST_S as LARGEST_LAG_S
@@ -114,9 +115,8 @@ def _lag_s(inputs: Sequence[Input], settings: Settings) -> float:
     for message in inputs:
         if isinstance(message, ImuSamples):
             log.samples(message.sampled_ns, message.specific_force_body_m_s2, message.angular_rate_body_rad_s)
-        elif isinstance(message, GnssFix):
-            for measurement in conversion.measurements_from_fix(message, settings):
-                log.see(measurement)
+        for measurement in measurements_of(message, settings):
+            log.see(measurement)
     motion = log.motion()
     if motion is None:
         raise UserError(UNKNOWN)
@@ -146,11 +146,11 @@ def _squares(inputs: Sequence[Input], settings: Settings, delay_s: float) -> lis
 
 def _outcomes(navigator: Navigator, inputs: Sequence[Input]) -> Iterator[Outcome]:
     for message in inputs:
-        if not isinstance(message, ImuSamples):
-            conversion.use(navigator, message)
-            continue
-        for sampled_ns, force, rate in conversion.samples_of(message):
-            yield from navigator.imu(sampled_ns, force, rate, message.received_ns)
+        if isinstance(message, ImuSamples):
+            for sampled_ns, force, rate in samples_of(message):
+                yield from navigator.imu(sampled_ns, force, rate, message.received_ns)
+        for measurement in measurements_of(message, navigator.settings):
+            navigator.measure(measurement)
     yield from navigator.finish()
 
 

@@ -1,15 +1,17 @@
-"""Conversion of messages to measurements of the navigator, and of its results to messages."""
+"""Conversion of the navigator's results to messages, and of messages that are no measurements.
+
+Measurements are made by the aids: `aids.kinds`.
+"""
 
 from collections.abc import Iterator
-from math import cos, degrees, hypot, radians, sin
+from math import degrees, hypot, radians
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, roll_pitch_yaw_of_quaternion
-from shared.messages.base import Symmetric3, Vector3
-from shared.messages.gnss import CarrierSolution, FaultFreeFix, FixType, GnssFix
+from shared.messages.base import Vector3
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
@@ -22,12 +24,8 @@ from shared.messages.navigation import (
     SetUpState,
 )
 from shared.messages.trust import TrustState
-from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-from .aids.base import Measurement, Outcome
-from .aids.dual_antenna import BaselineHeading
-from .aids.gnss.fix import Reading, Stamp, gnss_measurements, true_time_ns
-from .aids.odometer import WheelSpeed
+from .aids.base import Outcome
 from .inertial.strapdown import InertialState
 from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
@@ -39,30 +37,10 @@ from .start.warm_start import SavedState, fingerprint
 
 FloatArray = npt.NDArray[np.float64]
 
-USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
-COURSE_SPEED_M_S = 0.5  # lowest speed at which the course of a receiver is used
-GROUND_SPEED_SD = 0.3  # [m/s] of speed over ground and course, which receivers smooth
-LEAST_BASELINE_SD = 1e-3  # [rad]
 HELD_NUMBERS = 7  # of a disagreement in a saved state
 REASON_LENGTH = 400  # of a message
-WORST_DOP = 1000.0  # upper limit of a stated dilution of precision
-UERE_M = 2.5  # [m] user-equivalent range error of a receiver that states no covariance
 
 
-def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]:
-    """Measurements of a fix; none if it has no position from GNSS."""
-    if fix.fix_type not in USABLE or fix.latitude_deg is None or fix.longitude_deg is None:
-        return []
-    height = fix.height_ellipsoid_m
-    has_height = height is not None and fix.fix_type is not FixType.TWO_D
-    position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), height or 0.0)
-    reading = Reading((0.0, 0.0, 0.0), _position_cov(fix), 3 if has_height else 2)
-    fixed = fix.carrier_solution is CarrierSolution.FIXED
-    stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
-    return gnss_measurements(settings, stamp, position, reading, _velocity(fix), fixed=fixed)
-
-
-Aiding = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
 InertialSample = tuple[int, Vector3, Vector3]
 
 
@@ -71,98 +49,12 @@ def samples_of(batch: ImuSamples) -> Iterator[InertialSample]:
     return zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
 
 
-def use(navigator: Navigator, message: Aiding, set_up: SetUpMonitor | None = None) -> bool:
-    """Use an aiding message in the navigator, and in the checks of the set-up; False for a fix without position."""
-    match message:
-        case GnssFix():
-            return use_fix(navigator, message, set_up)
-        case LastPosition():
-            navigator.use_prior(prior_from_last_position(message))
-        case _:
-            use_speed(navigator, message, set_up)
-    return True
-
-
-def use_fix(navigator: Navigator, fix: GnssFix, set_up: SetUpMonitor | None = None) -> bool:
-    """Use a fix in the navigator, and in the checks of the set-up even if it is rejected; False without a position."""
-    settings = navigator.settings
-    measurements = measurements_from_fix(fix, settings)
-    if set_up is not None:
-        for measurement in measurements:
-            set_up.see(measurement)
-    if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
-        measurements.append(
-            BaselineHeading(
-                true_time_ns(settings, fix.sampled_ns),
-                fix.received_ns,
-                fix.source,
-                fix.baseline_heading_rad,
-                max(fix.baseline_heading_sd_rad, LEAST_BASELINE_SD),
-                settings.vehicle.gnss.baseline_yaw_body_rad,
-            )
-        )
-    for measurement in measurements:
-        navigator.measure(measurement)
-    return bool(measurements)
-
-
-def use_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
-    """Use a fix without the excluded satellites in place of the receiver's own."""
-    stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
-    position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), fix.height_ellipsoid_m)
-    velocity = fix.velocity_ned_m_s
-    moving = None if velocity is None else Reading(velocity, _cov(fix.velocity_cov_ned_m2_s2, None))
-    reading = Reading((0.0, 0.0, 0.0), _cov(fix.position_cov_ned_m2, None))
-    left_out = fix.satellites_left_out
-    for measurement in gnss_measurements(navigator.settings, stamp, position, reading, moving, left_out=left_out):
-        navigator.measure(measurement)
-
-
 def use_trust_state(navigator: Navigator, state: TrustState) -> None:
     """Apply conflict and exclusions of core.trust in the navigator."""
     since_ns = state.suspect_since_ns
     if since_ns is None and state.gnss_excluded:
         since_ns = state.sampled_ns
     navigator.apply_exclusions(since_ns, exclude=state.gnss_excluded, odometer_excluded=state.odometer_excluded)
-
-
-def use_environment(navigator: Navigator, batch: ImuSamples) -> None:
-    """Use pressure and magnetic field of a batch of samples in the navigator."""
-    sampled_ns, received_ns, source = batch.sampled_ns[-1], batch.received_ns, batch.source
-    if batch.pressure_pa is not None:
-        navigator.pressure(sampled_ns, batch.pressure_pa, received_ns=received_ns, source=source)
-    if batch.magnetic_field_body is not None:
-        navigator.magnetic_field(sampled_ns, batch.magnetic_field_body, received_ns=received_ns, source=source)
-
-
-def use_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds, set_up: SetUpMonitor | None = None) -> None:
-    """Use a speed in the navigator."""
-    if (measured := speed_of(message, navigator.settings)) is not None:
-        if set_up is not None and navigator.settings.odometer.enabled:
-            set_up.see(measured)
-        navigator.speed(
-            measured.time_ns,
-            measured.speed,
-            resolution=measured.resolution,
-            of_wheels=measured.of_wheels,
-            exact=measured.exact,
-            received_ns=measured.received_ns,
-            source=measured.source,
-        )
-
-
-def speed_of(message: VehicleSpeed | WheelSpeeds, settings: Settings) -> WheelSpeed | None:
-    """Measurement of a speed: the mean of the rear wheels, or of the front wheels if there is no rear wheel."""
-    if isinstance(message, VehicleSpeed):
-        value, resolution, of_wheels, exact = message.speed_m_s, message.resolution_m_s or 0.0, False, False
-    else:
-        rear = [wheel for wheel in (message.rear_left_m_s, message.rear_right_m_s) if wheel is not None]
-        wheels = rear or [wheel for wheel in (message.front_left_m_s, message.front_right_m_s) if wheel is not None]
-        if not wheels:
-            return None
-        value, resolution, of_wheels, exact = sum(wheels) / len(wheels), 0.0, True, len(rear) == 2
-    scale, stamp = settings.odometer.scale, (message.sampled_ns, message.received_ns, message.source)
-    return WheelSpeed(*stamp, scale * value, scale * resolution, of_wheels, exact, settings)
 
 
 def arm_error(navigator: Navigator) -> ArmError:
@@ -189,32 +81,6 @@ def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
         for check, since_ns in set_up.checks.values()
     )
     return SetUpState(sampled_ns=sampled_ns, checks=tuple(checks))
-
-
-def _position_cov(fix: GnssFix) -> FloatArray | None:
-    cov = _cov(fix.position_cov_ned_m2, fix.position_sd_ned_m)
-    if cov is None and fix.hdop is not None:
-        horizontal = UERE_M * min(abs(fix.hdop), WORST_DOP)
-        vertical = UERE_M * min(abs(fix.vdop or 2.0 * fix.hdop), WORST_DOP)
-        return np.diag(np.square([horizontal, horizontal, vertical]))
-    return cov
-
-
-def _velocity(fix: GnssFix) -> Reading | None:
-    if fix.velocity_ned_m_s is not None:
-        return Reading(fix.velocity_ned_m_s, _cov(fix.velocity_cov_ned_m2_s2, fix.velocity_sd_ned_m_s))
-    speed, course = fix.ground_speed_m_s, fix.course_rad
-    if speed is None or course is None or speed < COURSE_SPEED_M_S:
-        return None
-    cov = np.eye(3) * GROUND_SPEED_SD**2
-    return Reading((speed * cos(course), speed * sin(course), 0.0), cov, axes=2)
-
-
-def _cov(cov: Symmetric3 | None, sd: Vector3 | None) -> FloatArray | None:
-    if cov is not None:
-        nn, ne, nd, ee, ed, dd = cov
-        return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
-    return None if sd is None else np.diag(np.square(sd))
 
 
 def prior_from_last_position(last: LastPosition) -> Prior:

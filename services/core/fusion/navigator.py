@@ -18,7 +18,6 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
 
-from .aids import barometer, magnetometer
 from .aids.base import Counts, Measurement, Outcome
 from .aids.devices import Devices
 from .aids.gnss.fix import Reading, Stamp, gnss_measurements
@@ -38,7 +37,6 @@ from .timeline.timeline import Timeline
 
 FloatArray = npt.NDArray[np.float64]
 
-SPEED_PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 NEW_DELAY_S = 0.05  # change of a suspected delay that matters
 
 
@@ -125,8 +123,15 @@ class Navigator:
             return
         if violation := measurement.implausible():
             self.rejects[violation] += 1
-        elif self._devices.is_known(measurement.source):
+        elif self._is_due(measurement):
             self._timeline.measure(measurement.without_height() if self._heights_wrong else measurement)
+
+    def _is_due(self, measurement: Measurement) -> bool:
+        """Whether a measurement is of an accepted device, and the first of its period."""
+        source, time_ns, period_ns = measurement.source, measurement.time_ns, measurement.period_ns
+        if not period_ns:
+            return self._devices.is_known(source)
+        return self._devices.is_due(source, measurement.quantity, time_ns, period_ns)
 
     def fix(
         self,
@@ -161,37 +166,9 @@ class Navigator:
 
         It is `exact` if it is the mean of both rear wheels.
         """
-        if not self.settings.odometer.enabled or not self._devices.is_due(source, "speed", time_ns, SPEED_PERIOD_NS):
-            return
-        arrival_ns = time_ns if received_ns is None else received_ns
-        self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
-
-    def pressure(
-        self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
-    ) -> None:
-        """Add a static pressure [Pa]; one per second is used."""
-        if not self.settings.barometer.enabled or not self._devices.is_due(
-            source, "pressure", time_ns, barometer.PERIOD_NS
-        ):
-            return
-        if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
-            self.rejects["implausible pressure"] += 1
-            return
-        height = barometer.pressure_height(pressure_pa)
-        arrival_ns = time_ns if received_ns is None else received_ns
-        self.measure(barometer.BarometricHeight(time_ns, arrival_ns, source, height, self.settings))
-
-    def magnetic_field(
-        self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
-    ) -> None:
-        """Add a magnetic field [body, 1: that of the calibration]; one per second is used."""
-        if not self.settings.magnetometer.enabled or not self._devices.is_due(
-            source, "field", time_ns, magnetometer.PERIOD_NS
-        ):
-            return
-        arrival_ns = time_ns if received_ns is None else received_ns
-        declination = self.settings.magnetometer.declination_rad
-        self.measure(magnetometer.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
+        if self.settings.odometer.enabled:
+            arrival_ns = time_ns if received_ns is None else received_ns
+            self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
 
     def record_history(self, recorder: HistoryRecorder) -> None:
         """Record a history for the smoother, from the first sample on."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from shared.chosen import ChosenSource
-from shared.messages.base import Tick
+from shared.messages.base import Message, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
@@ -19,6 +19,7 @@ from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
+from .aids.kinds import measurements_of
 from .navigator import Navigator
 from .set_up.monitor import SetUpMonitor
 from .settings import Settings
@@ -57,17 +58,18 @@ class Process:
                 yield from self._inertial(message)
             case VehicleSpeed() if not self._speed.takes(message.source, message.received_ns):
                 self.rejects["speed of a second source"] += 1
-            case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
-                if not messages.use(self._navigator, message, self._set_up):
+            case GnssFix():
+                if not self._aid(message):
                     self.rejects["fix without position"] += 1
-                if isinstance(message, GnssFix):
-                    yield from self._silence(message.received_ns)
-            case FaultFreeFix():
-                messages.use_fault_free_fix(self._navigator, message)
+                yield from self._silence(message.received_ns)
+            case LastPosition():
+                self._navigator.use_prior(messages.prior_from_last_position(message))
             case TrustState():
                 messages.use_trust_state(self._navigator, message)
             case FilterState() if self._imu is None:  # later states are of this process
                 self._saved = message
+            case _:
+                self._aid(message)
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if batch.source != self._imu and not self._is_silent(batch.received_ns):
@@ -95,7 +97,15 @@ class Process:
             self._navigator.leave_out_heights(wrong=self._set_up.heights_wrong)
             self._navigator.use_spread(self._set_up.spread(self._navigator.corrected_delay_s))
             yield messages.set_up_message(self._set_up, self._sampled_ns)
-        messages.use_environment(self._navigator, batch)
+        self._aid(batch)
+
+    def _aid(self, message: Message) -> bool:
+        """Use what a message measures, in the navigator and in the checks of the set-up; False if it is nothing."""
+        measurements = measurements_of(message, self._navigator.settings)
+        for measurement in measurements:
+            self._set_up.see(measurement)
+            self._navigator.measure(measurement)
+        return bool(measurements)
 
     def finish(self) -> Iterator[AidingUpdate]:
         """Use everything up to the newest sample, at the end of a recording; yields the last outcomes."""

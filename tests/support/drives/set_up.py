@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from services.core.fusion.aids.gnss.epoch import of_fix
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
+from services.core.fusion.aids.kinds import measurements_of
 from services.core.fusion.aids.odometer import WheelSpeed
-from services.core.fusion.messages import measurements_from_fix, speed_of
 from services.core.fusion.set_up.findings import Check
 from services.core.fusion.set_up.monitor import ArmError, evaluate
 from services.core.fusion.set_up.motion import MotionLog
@@ -122,11 +123,12 @@ def recorded(messages: Sequence[Message], settings: Settings) -> Recorded:
     fixes, speeds = [], []
     for message in messages:
         if isinstance(message, GnssFix):
-            seen = {type(one).__name__: one for one in measurements_from_fix(message, settings)}
+            seen = {type(one).__name__: one for one in of_fix(message, settings)}
             if (position := seen.get("GnssPosition")) is not None:
                 fixes.append(Fix(message.sampled_ns, np.array(position.position), _velocity(seen.get("GnssVelocity"))))  # type: ignore[attr-defined]
-        elif isinstance(message, VehicleSpeed | WheelSpeeds) and (speed := speed_of(message, settings)) is not None:
-            speeds.append((speed.time_ns, speed.speed))
+        elif isinstance(message, VehicleSpeed | WheelSpeeds):
+            found = (one for one in measurements_of(message, settings) if isinstance(one, WheelSpeed))
+            speeds += [(one.time_ns, one.speed) for one in found]
     return Recorded(
         np.array([t for batch in batches for t in batch.sampled_ns], dtype=np.int64),
         np.array([f for batch in batches for f in batch.specific_force_body_m_s2]),

@@ -1,8 +1,9 @@
 """Aiding of the filter: selection among sensors of one kind, plausibility and integrity state of each."""
 
 from collections.abc import Iterator
-from copy import copy
 from dataclasses import replace
+
+from shared.copies import shallow
 
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.standstill import Limits, limits_of
@@ -38,8 +39,8 @@ class Aids:
 
     def copy(self) -> "Aids":
         """Independent copy."""
-        made = copy(self)
-        made.gate = copy(self.gate)
+        made = shallow(self)
+        made.gate = shallow(self.gate)
         return made
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:

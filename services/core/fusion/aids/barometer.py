@@ -7,6 +7,7 @@ from math import exp, hypot, log
 import numpy as np
 
 from shared.maths.earth import STANDARD_GRAVITY
+from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 
 from ..inertial import error_model as em
@@ -50,13 +51,19 @@ def pressure_height(pressure_pa: float) -> float:
 
 @dataclass(frozen=True)
 class BarometricHeight(Kind):
-    """Height [m] in the standard atmosphere; its offset to the ellipsoid is a state of the filter."""
+    """Height in the standard atmosphere by a static pressure; its offset to the ellipsoid is a state of the filter."""
+
+    quantity, period_ns = "pressure", PERIOD_NS
 
     time_ns: int
     received_ns: int
     source: str
-    height: float
+    pressure_pa: float
     settings: Settings
+
+    def implausible(self) -> str | None:
+        """Limits of the pressure."""
+        return None if LOWEST_PA <= self.pressure_pa <= HIGHEST_PA else "implausible pressure"
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Height alone."""
@@ -64,7 +71,7 @@ class BarometricHeight(Kind):
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Innovation against the height of the filter plus the offset."""
-        z = self.height - navigation.position.height - navigation.parameter(em.BAROMETER_OFFSET)
+        z = pressure_height(self.pressure_pa) - navigation.position.height - navigation.parameter(em.BAROMETER_OFFSET)
         H = np.zeros((1, em.SIZE))
         H[0, em.POSITION.stop - 1] = 1.0  # down is positive in the error, up in the height
         H[0, em.BAROMETER_OFFSET] = -1.0
@@ -76,3 +83,9 @@ class BarometricHeight(Kind):
             H,
             np.array([[hypot(self.settings.barometer.height_sd_m, wind) ** 2]]),
         )
+
+
+def of_samples(batch: ImuSamples, settings: Settings) -> Iterator[BarometricHeight]:
+    """Height by the pressure of a batch of inertial samples, if it has one."""
+    if batch.pressure_pa is not None and settings.barometer.enabled:
+        yield BarometricHeight(batch.sampled_ns[-1], batch.received_ns, batch.source, batch.pressure_pa, settings)

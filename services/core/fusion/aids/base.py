@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.earth import Geodetic
+from shared.maths.rotation import Vector
 from shared.messages.navigation import AidingKind
 
 from ..inertial.filter import ErrorStateFilter
@@ -49,12 +51,27 @@ class Start(Protocol):
         """Use a position; returns the filter if it can start."""
 
 
+class MotionSink(Protocol):
+    """What a measurement can tell the checks of the set-up."""
+
+    def see_position(self, position: Geodetic) -> None:
+        """Take a position."""
+
+    def see_velocity(self, velocity: Vector, axes: int) -> None:
+        """Take a velocity [m/s, NED], of which so many axes were measured."""
+
+    def see_speed(self, speed: float) -> None:
+        """Take a speed [m/s]."""
+
+
 class Kind:
     """What a kind of measurement may override; a measurement of another kind does nothing of it."""
 
     sensor: ClassVar[Sensor] = Sensor.OTHER
     is_fix: ClassVar[bool] = False  # it is a position: counted, and after many rejected ones the filter is reset
     epoch: ClassVar[bool] = False  # it is of an epoch of a receiver, which a fault-free fix may replace
+    quantity: ClassVar[str] = ""  # of which one value in a period is used
+    period_ns: ClassVar[int] = 0  # 0: all
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
     def implausible(self) -> str | None:
@@ -73,6 +90,9 @@ class Kind:
         """Tell an alignment what it measures; returns the filter if it can start."""
         return None
 
+    def show(self, sink: MotionSink) -> None:
+        """Tell the checks of the set-up what it measures."""
+
 
 class Measurement(Protocol):
     """Something that was measured at an instant; its class is a `Kind`."""
@@ -80,6 +100,8 @@ class Measurement(Protocol):
     sensor: ClassVar[Sensor]
     is_fix: ClassVar[bool]
     epoch: ClassVar[bool]
+    quantity: ClassVar[str]
+    period_ns: ClassVar[int]
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -118,6 +140,10 @@ class Measurement(Protocol):
         ...
 
     def align(self, start: Start) -> ErrorStateFilter | None:
+        """See `Kind`."""
+        ...
+
+    def show(self, sink: MotionSink) -> None:
         """See `Kind`."""
         ...
 

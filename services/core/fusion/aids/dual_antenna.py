@@ -9,13 +9,17 @@ import numpy as np
 
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Quaternion, Vector
+from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.strapdown import rotate
+from ..settings import Settings
 from .base import Kind, Observation, Sensor, Start
+from .gnss.fix import true_time_ns
 
+LEAST_SD = 1e-3  # [rad]
 TILT_SD = 0.02  # [rad] error of a heading in the alignment by the tilt error
 
 
@@ -69,3 +73,11 @@ class BaselineHeading(Kind):
 
     def _direction(self, quaternion: Quaternion) -> Vector:
         return rotate(quaternion, (cos(self.yaw_body), sin(self.yaw_body), 0.0))
+
+
+def of_fix(fix: GnssFix, settings: Settings) -> Iterator[BaselineHeading]:
+    """Heading of a fix, if it has one; as late as its position."""
+    if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
+        time_ns, sd = true_time_ns(settings, fix.sampled_ns), max(fix.baseline_heading_sd_rad, LEAST_SD)
+        yaw_body = settings.vehicle.gnss.baseline_yaw_body_rad
+        yield BaselineHeading(time_ns, fix.received_ns, fix.source, fix.baseline_heading_rad, sd, yaw_body)

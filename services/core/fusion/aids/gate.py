@@ -12,8 +12,9 @@ from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..settings import Settings
 from .base import Height, Measurement, Observation, Outcome
+from .gnss.antenna import antenna_velocity
 from .gnss.comparison import Comparison, Corrections
-from .gnss.fix import GnssPosition, GnssVelocity, antenna_velocity
+from .gnss.fix import GnssPosition, GnssVelocity
 from .gnss.lever_arm import FloatArray, LeverArmMonitor
 
 # Standard deviations [m, m/s] by which each rejected GNSS measurement inflates the covariance.

@@ -8,11 +8,13 @@ import numpy as np
 
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector
+from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.strapdown import rotate
+from ..settings import Settings
 from .base import Kind, Observation
 
 PERIOD_NS = 1_000_000_000
@@ -59,6 +61,8 @@ class CompassCheck:
 class MagneticHeading(Kind):
     """Magnetic field in body axes, in units of its strength where the magnetometer was calibrated."""
 
+    quantity, period_ns = "field", PERIOD_NS
+
     time_ns: int
     received_ns: int
     source: str
@@ -101,3 +105,10 @@ class MagneticHeading(Kind):
         spread = self.check.spread if self.check else None
         R = np.array([[CORRELATION_S * max(LEAST_SD, spread or WORST) ** 2]])
         return Observation(AidingKind.MAGNETIC_HEADING, np.array([self.error(navigation)]), H, R, self.unfit)
+
+
+def of_samples(batch: ImuSamples, settings: Settings) -> Iterator[MagneticHeading]:
+    """Heading by the magnetic field of a batch of inertial samples, if it has one."""
+    if batch.magnetic_field_body is not None and settings.magnetometer.enabled:
+        stamp = batch.sampled_ns[-1], batch.received_ns, batch.source
+        yield MagneticHeading(*stamp, batch.magnetic_field_body, settings.magnetometer.declination_rad)

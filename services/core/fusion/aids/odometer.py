@@ -1,4 +1,4 @@
-"""Wheel speeds, and the non-holonomic constraint (NHC): no sideways and no vertical velocity of the rear axle."""
+"""Wheel speeds as an aid."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -7,22 +7,19 @@ from math import hypot, tanh
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.rotation import Vector
 from shared.messages.navigation import AidingKind
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.propagation import FASTEST_M_S
 from ..settings import Settings
-from .base import Kind, Observation, Sensor
+from .base import Kind, MotionSink, Observation, Sensor
+from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
 
 FloatArray = npt.NDArray[np.float64]
 
-PERIOD_S = 0.1
-CORRELATION_S = 1.0  # of the wheels' sideways and vertical motion: successive zeros are no independent evidence
-SLOWEST_M_S = 2.0  # below it a wheel goes where it is steered
-SLIP = 0.006  # [rad per m/s²] by which a tyre runs askew in a bend; 0.006 in a real car
-UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where its position is not configured
+PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 HALF_TRACK_M = 0.8  # by which a speed may be that of one side
 STAMP_SD = 0.02  # [s] of the speed's stamp, because the age of a control unit's value is unknown
 DEAD_ZONE_SD = 0.3  # [m/s] of a speed of zero: sensors are silent at a walking pace
@@ -33,7 +30,7 @@ SWAY_SD = 0.1  # [m/s] of a body on its springs, sideways and vertically, while 
 class WheelSpeed(Kind):
     """Speed [m/s] with its step: of the wheels or some other speed of the vehicle, `exact` if of both rear wheels."""
 
-    sensor = Sensor.ODOMETER
+    sensor, quantity, period_ns = Sensor.ODOMETER, "speed", PERIOD_NS
 
     time_ns: int
     received_ns: int
@@ -50,6 +47,10 @@ class WheelSpeed(Kind):
         fast = not (abs(self.speed) < FASTEST_M_S and abs(self.resolution) < FASTEST_M_S)
         return "implausible speed" if fast else None
 
+    def show(self, sink: MotionSink) -> None:
+        """Speed."""
+        sink.see_speed(self.speed)
+
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Speed alone."""
         yield self.observe
@@ -61,7 +62,7 @@ class WheelSpeed(Kind):
         speed and S the innovation's variance, the mean of the two is s tanh(s f / S), their variance
         s² (1 - tanh²). One below zero has a sign.
         """
-        ahead, H = _axle(navigation, self.settings)
+        ahead, H = rear_axle_of(navigation, self.settings)
         scale, forward = 1.0 + navigation.parameter(em.ODOMETER_SCALE), float(ahead[0])
         H = scale * H[:1]
         H[0, em.ODOMETER_SCALE] = -forward
@@ -83,7 +84,7 @@ class WheelSpeed(Kind):
         """
         arm_sd = UNKNOWN_ARM_SD if self.settings.vehicle.rear_axle_body_m is None else 0.0
         sway2 = SWAY_SD**2 + (arm_sd * navigation.rate[2]) ** 2
-        rows = np.vstack([H, _axle(navigation, self.settings)[1][1:]])
+        rows = np.vstack([H, rear_axle_of(navigation, self.settings)[1][1:]])
         unsure = float(H[0] @ navigation.P @ H[0]) > DEAD_ZONE_SD**2
         z, R = np.array([-predicted, -float(ahead[1]), -float(ahead[2])]), np.diag([variance, sway2, sway2])
         return Observation(AidingKind.ODOMETER, z, rows, R, self.doubt if unsure else None)
@@ -98,43 +99,19 @@ class WheelSpeed(Kind):
         return noise**2 + side**2 + old**2
 
 
-@dataclass(frozen=True)
-class NonHolonomic(Kind):
-    """Non-holonomic constraint: at this instant the rear axle moves neither sideways nor down."""
-
-    time_ns: int
-    settings: Settings
-    source: str = "core.fusion"
-
-    @property
-    def received_ns(self) -> int:
-        """When it became known: at once."""
-        return self.time_ns
-
-    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
-        """Both at once."""
-        yield self.observe
-
-    def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Innovation of two zeros against the velocity of the rear axle, right and down.
-
-        In bends tyres slip by an angle that is proportional to the acceleration, and an unknown arm swings; straight on
-        they give way less than springs, on which a body pitches and heaves. These errors, as those of camber, are
-        time-correlated; ten of them in their correlation time count as one.
-        """
-        ahead, H = _axle(navigation, self.settings)
-        turn = abs(navigation.rate[2])
-        sd, vertical_sd = self.settings.non_holonomic.lateral_sd_m_s, self.settings.non_holonomic.vertical_sd_m_s
-        repeated = CORRELATION_S / PERIOD_S
-        arm_sd = UNKNOWN_ARM_SD if self.settings.vehicle.rear_axle_body_m is None else 0.0
-        sideways = sd**2 + (SLIP * float(ahead[0]) ** 2 * turn) ** 2 + (arm_sd * turn) ** 2
-        return Observation(AidingKind.NON_HOLONOMIC, -ahead[1:], H[1:], repeated * np.diag([sideways, vertical_sd**2]))
+def of_speed(message: VehicleSpeed, settings: Settings) -> Iterator[WheelSpeed]:
+    """Speed of the vehicle, of which nobody says where it is measured."""
+    if settings.odometer.enabled:
+        scale, stamp = settings.odometer.scale, (message.sampled_ns, message.received_ns, message.source)
+        resolution = scale * (message.resolution_m_s or 0.0)
+        yield WheelSpeed(*stamp, scale * message.speed_m_s, resolution, of_wheels=False, exact=False, settings=settings)
 
 
-def _axle(navigation: ErrorStateFilter, settings: Settings) -> tuple[FloatArray, FloatArray]:
-    """Velocity of the rear axle [m/s, vehicle], and the matrix of its errors; the Earth's rate times l is left out."""
-    arm: Vector = settings.vehicle.rear_axle_body_m or (0.0, 0.0, 0.0)
-    C, M = navigation.ned_from_body, navigation.vehicle_from_body
-    velocity, (x, y, z), (a, b, c) = navigation.velocity, navigation.rate, arm
-    axle_b = C.T @ np.array(velocity) + np.array([y * c - z * b, z * a - x * c, x * b - y * a])
-    return M @ axle_b, em.axle_velocity_matrix(arm, velocity, axle_b, C, M)
+def of_wheels(message: WheelSpeeds, settings: Settings) -> Iterator[WheelSpeed]:
+    """Mean speed of the rear wheels, or of the front wheels if there is no rear wheel."""
+    rear = [wheel for wheel in (message.rear_left_m_s, message.rear_right_m_s) if wheel is not None]
+    wheels = rear or [wheel for wheel in (message.front_left_m_s, message.front_right_m_s) if wheel is not None]
+    if wheels and settings.odometer.enabled:
+        speed, stamp = sum(wheels) / len(wheels), (message.sampled_ns, message.received_ns, message.source)
+        exact = len(rear) == 2
+        yield WheelSpeed(*stamp, settings.odometer.scale * speed, 0.0, of_wheels=True, exact=exact, settings=settings)

@@ -1,4 +1,4 @@
-"""Error model of the filter: its states, the system matrix F, the process noise, and matrices H of antenna and axle.
+"""Error model of the filter: its states, the system matrix F, and the process noise.
 
 Sign convention of every state, biases, scales and parameters included::
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from shared.maths.compiled import compilable, compiled
 from shared.maths.earth import EARTH_RATE
-from shared.maths.rotation import Quaternion, Vector, cross, skew
+from shared.maths.rotation import Quaternion, Vector
 
 from .strapdown import POLAR_FACTOR, LocalEarth
 
@@ -42,7 +42,7 @@ SIZE = 31
 MOVING = 9  # number of states whose derivative F gives: attitude, velocity, position
 DRIVING = 21  # number of states on which that derivative depends: these and the errors of the IMU
 PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
-UNIT, UNIT_STATES = np.eye(3), np.eye(SIZE)
+UNIT = np.eye(3)
 
 
 @compilable
@@ -180,19 +180,51 @@ def system_matrix(
     return F
 
 
-@compilable
-def transition_matrix(
-    F: FloatArray, step_s: float, gnss_correlation_s: float = inf, velocity_correlation_s: float = inf
-) -> FloatArray:
-    """Transition matrix Phi, shape (31, 31), of a short step: I + F t.
+def transition_matrix(Ft: FloatArray, gnss_decay: float, velocity_decay: float) -> FloatArray:
+    """Transition matrix Phi, shape (31, 31), of a short step: I + F t, but for the time-correlated errors, which decay.
 
-    The time-correlated errors of GNSS positions and velocities decay by exp(-t/T), exact for any step: no other state
-    acts on them.
+    Parameters
+    ----------
+    Ft : ndarray, shape (9, 21)
+        Nonzero block of F t.
+    gnss_decay, velocity_decay : float
+        [-] exp(-t/T) of the errors of GNSS positions and velocities, exact for any step: no other state acts on them.
     """
-    Phi = UNIT_STATES + F * step_s
-    Phi[GNSS_ERROR, GNSS_ERROR] = exp(-step_s / gnss_correlation_s) * UNIT
-    Phi[GNSS_VELOCITY_ERROR, GNSS_VELOCITY_ERROR] = exp(-step_s / velocity_correlation_s) * UNIT
+    Phi = np.eye(SIZE)
+    Phi[:MOVING, :DRIVING] += Ft
+    Phi[GNSS_ERROR, GNSS_ERROR] *= gnss_decay
+    Phi[GNSS_VELOCITY_ERROR, GNSS_VELOCITY_ERROR] *= velocity_decay
     return Phi
+
+
+@compilable
+def predicted(P: FloatArray, Ft: FloatArray, gnss_decay: float, velocity_decay: float, Q: FloatArray) -> FloatArray:
+    """Covariance after a step, Phi P Phi^T + diag(Q), with Phi of `transition_matrix`: only its blocks are multiplied.
+
+    Parameters
+    ----------
+    P : ndarray, shape (31, 31)
+        Covariance before.
+    Ft, gnss_decay, velocity_decay
+        Of `transition_matrix`.
+    Q : ndarray, shape (31,)
+        Diagonal of the covariance of the noise.
+
+    Returns
+    -------
+    ndarray, shape (31, 31)
+        Exactly symmetric.
+    """
+    after = P.copy()
+    after[:MOVING] += Ft @ P[:DRIVING]
+    after[:, :MOVING] += np.ascontiguousarray(after[:, :DRIVING]) @ Ft.T
+    after[GNSS_ERROR] *= gnss_decay
+    after[:, GNSS_ERROR] *= gnss_decay
+    after[GNSS_VELOCITY_ERROR] *= velocity_decay
+    after[:, GNSS_VELOCITY_ERROR] *= velocity_decay
+    symmetric: FloatArray = 0.5 * (after + after.T)
+    symmetric += np.diag(Q)
+    return symmetric
 
 
 def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) -> FloatArray:
@@ -253,7 +285,8 @@ def process_noise(
 
 
 @compiled
-def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arrays
+def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arrays
+    P: FloatArray,
     quaternion: Quaternion,
     velocity: Vector,
     position: Vector,
@@ -267,11 +300,13 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
     gnss_correlation_s: float,
     velocity_correlation_s: float,
     velocity_variance: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """System matrix F, transition matrix Phi and process noise Q of a step.
+) -> tuple[FloatArray, FloatArray, float, float]:
+    """Covariance after a step, and its transition: see `predicted` and `transition_matrix`.
 
     Parameters
     ----------
+    P : ndarray, shape (31, 31)
+        Covariance before.
     quaternion, velocity, position, earth
         At the end of the step: see `system_matrix`.
     velocity_gain_n, rotation_b : tuple of float
@@ -284,95 +319,14 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
 
     Returns
     -------
-    tuple of ndarray
-        Shapes (31, 31), (31, 31) and (31,).
+    tuple of ndarray and float
+        P, shape (31, 31), the block F t, shape (9, 21), and the decays of the errors of positions and velocities.
     """
     (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
     force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)
     F = system_matrix(quaternion, velocity, position, earth, force_n, rate_b)
-    Phi = transition_matrix(F, step_s, gnss_correlation_s, velocity_correlation_s)
+    Ft = F[:MOVING, :DRIVING] * step_s
+    gnss_decay, velocity_decay = exp(-step_s / gnss_correlation_s), exp(-step_s / velocity_correlation_s)
     Q = process_noise(psd, attitude_psd, velocity_psd, step_s, gnss_correlation_s)
     Q[GNSS_VELOCITY_ERROR] = velocity_variance * (1.0 - exp(-2.0 * step_s / velocity_correlation_s))
-    return F, Phi, Q
-
-
-def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 31), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
-    H = np.zeros((3, SIZE))
-    H[:, ATTITUDE] = skew(arm_n)
-    H[:, POSITION] = -UNIT
-    return H
-
-
-def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatArray) -> FloatArray:
-    """Matrix H of GNSS minus predicted antenna velocity.
-
-    Parameters
-    ----------
-    arm_b : tuple of float
-        [m, body] Lever arm l from the IMU to the antenna.
-    rate_b : tuple of float
-        [rad/s, body] Angular rate w, bias removed.
-    ned_from_body : ndarray, shape (3, 3)
-        [-] Attitude C.
-
-    Returns
-    -------
-    ndarray, shape (3, 31)
-        The term of the Earth's rate in the prediction is neglected.
-
-    Notes
-    -----
-    ::
-
-        H = [ sk(C (w x l)), -I, 0, 0, -C sk(l), 0, 0 ]
-
-    References
-    ----------
-    P. Groves, 2nd ed., eq. 14.115; J. Zuriarrain Sosa et al., 2024, eq. A12.
-    """
-    H = np.zeros((3, SIZE))
-    H[:, ATTITUDE] = skew(ned_from_body @ cross(rate_b, arm_b))
-    H[:, VELOCITY] = -UNIT
-    H[:, GYROSCOPE_BIAS] = -ned_from_body @ skew(arm_b)
-    return H
-
-
-def axle_velocity_matrix(
-    arm_b: Vector, velocity_n: Vector, axle_velocity_b: FloatArray, ned_from_body: FloatArray, M: FloatArray
-) -> FloatArray:
-    """Matrix H of true minus predicted velocity of the rear axle, in the axes of the vehicle.
-
-    Parameters
-    ----------
-    arm_b : tuple of float
-        [m, body] Lever arm l from the IMU to the middle of the rear axle.
-    velocity_n : tuple of float
-        [m/s, NED] Velocity v of the IMU.
-    axle_velocity_b : ndarray, shape (3,)
-        [m/s, body] u = C^T v + w x l.
-    ned_from_body : ndarray, shape (3, 3)
-        [-] Attitude C.
-    M : ndarray, shape (3, 3)
-        [-] Vehicle from body: the mounting's yaw about the vehicle's z, after its pitch about the IMU's y.
-
-    Returns
-    -------
-    ndarray, shape (3, 31)
-        Rows forward, right, down. The roll of the mounting is zero: it is not observable.
-
-    Notes
-    -----
-    With e_y and e_z unit vectors::
-
-        H = [ -M C^T sk(v), -M C^T, 0, 0, -M sk(l), 0, -M (e_y x u), -e_z x M u ]
-    """
-    u, Mu = axle_velocity_b, M @ axle_velocity_b
-    vehicle_from_ned = M @ ned_from_body.T
-    H = np.zeros((3, SIZE))
-    H[:, ATTITUDE] = -vehicle_from_ned @ skew(velocity_n)
-    H[:, VELOCITY] = -vehicle_from_ned
-    H[:, GYROSCOPE_BIAS] = -M @ skew(arm_b)
-    H[:, MOUNTING.start] = -M @ np.array([u[2], 0.0, -u[0]])
-    H[:, MOUNTING.start + 1] = Mu[1], -Mu[0], 0.0
-    return H
+    return predicted(P, Ft, gnss_decay, velocity_decay, Q), Ft, gnss_decay, velocity_decay

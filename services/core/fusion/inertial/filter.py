@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
-from shared.maths.kalman import Correction, correct, predict
+from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from ..aids.gnss import velocity_errors as gnss_velocity_errors
@@ -244,7 +244,8 @@ class ErrorStateFilter:
             return
         estimated = self.P.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start) > 0.0
         factor = self._settings.imu.vibration_factor
-        F, Phi, Q = em.discretised(
+        self.P, Ft, gnss_decay, velocity_decay = em.propagated(
+            self.P,
             state.quaternion,
             state.velocity,
             state.position,
@@ -259,18 +260,16 @@ class ErrorStateFilter:
             gnss_velocity_errors.CORRELATION_S,
             self.velocity_errors.variance,
         )
-        self.P = predict(self.P, Phi, np.diag(Q))
-        gnss_decay = Phi.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start)
         if gnss_decay != 1.0:
             self._set_parameters(em.GNSS_ERROR, gnss_decay * self.gnss_error)
-        velocity_decay = Phi.item(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.start)
-        self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
+        if self.velocity_errors.follows:
+            self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
         self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
         if self.late is not None:
             self._lag(self.late, span_s)
         self._check()
         if self.recorder is not None:
-            self.recorder.record_step(self, F, span_s, (gnss_decay, velocity_decay))
+            self.recorder.record_step(self, Ft, span_s, (gnss_decay, velocity_decay))
 
     def set_gnss_errors(self, gnss_errors: GnssErrorBank | KnownGnssErrors) -> None:
         """Use new statistics of GNSS errors; the estimate of the error [m] is kept, and its variance is scaled."""

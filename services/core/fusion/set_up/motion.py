@@ -15,8 +15,6 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import Vector
 
 from ..aids.base import Measurement
-from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.odometer import WheelSpeed
 from ..inertial.propagation import GAP_S
 
 FloatArray = npt.NDArray[np.float64]
@@ -252,6 +250,7 @@ class MotionLog:
         self._speeds = _Rows(2, MOST_EPOCHS)
         self._place: tuple[Geodetic, Vector] | None = None  # newest position, and it against the first [m, NED]
         self._speed_s = -inf  # time of the newest speed
+        self._seen_s = 0.0  # stamp of the measurement that is told
         self._followed: dict[type, tuple[str, int]] = {}  # device of each kind, and its newest stamp
 
     def samples(self, stamps_ns: Sequence[int], forces: Sequence[Vector], rates: Sequence[Vector]) -> None:
@@ -267,19 +266,26 @@ class MotionLog:
         """Take a position, a velocity or a speed at its stamp; out-of-sequence ones are left out."""
         if self._start_ns is None or not self._follows(seen):
             return
-        time_s = (seen.time_ns - self._start_ns) * 1e-9
-        match seen:
-            case GnssPosition():
-                before, (north, east, down) = self._place or (seen.position, (0.0, 0.0, 0.0))
-                n, e, d = ned_from_geodetic_difference(seen.position, before)
-                self._place = seen.position, (north + n, east + e, down + d)
-                self._positions.append(time_s, *self._place[1])
-            case GnssVelocity():
-                north, east, down = seen.velocity
-                self._velocities.append(time_s, north, east, down if seen.axes == 3 else nan)
-            case WheelSpeed() if time_s - self._speed_s >= SPEED_S:
-                self._speed_s = time_s
-                self._speeds.append(time_s, seen.speed)
+        self._seen_s = (seen.time_ns - self._start_ns) * 1e-9
+        seen.show(self)
+
+    def see_position(self, position: Geodetic) -> None:
+        """Take a position."""
+        before, (north, east, down) = self._place or (position, (0.0, 0.0, 0.0))
+        n, e, d = ned_from_geodetic_difference(position, before)
+        self._place = position, (north + n, east + e, down + d)
+        self._positions.append(self._seen_s, *self._place[1])
+
+    def see_velocity(self, velocity: Vector, axes: int) -> None:
+        """Take a velocity [m/s, NED], of which so many axes were measured."""
+        north, east, down = velocity
+        self._velocities.append(self._seen_s, north, east, down if axes == 3 else nan)
+
+    def see_speed(self, speed: float) -> None:
+        """Take a speed [m/s]."""
+        if self._seen_s - self._speed_s >= SPEED_S:
+            self._speed_s = self._seen_s
+            self._speeds.append(self._seen_s, speed)
 
     def _follows(self, seen: Measurement) -> bool:
         source, last_ns = self._followed.get(type(seen), (seen.source, seen.time_ns - 1))

@@ -37,11 +37,7 @@ class Step(NamedTuple):
     @property
     def transition(self) -> FloatArray:
         """Matrix Phi, shape (31, 31)."""
-        Phi = np.eye(em.SIZE)
-        Phi[: em.MOVING, : em.DRIVING] += self.Ft
-        Phi[em.GNSS_ERROR, em.GNSS_ERROR] *= self.decays[0]
-        Phi[em.GNSS_VELOCITY_ERROR, em.GNSS_VELOCITY_ERROR] *= self.decays[1]
-        return Phi
+        return em.transition_matrix(self.Ft, *self.decays)
 
 
 class CorrectionRecord(NamedTuple):
@@ -120,11 +116,11 @@ class HistoryRecorder:
         self._add_knot(filter_)
 
     def record_step(
-        self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, decays: tuple[float, float]
+        self, filter_: "ErrorStateFilter", Ft: FloatArray, step_s: float, decays: tuple[float, float]
     ) -> None:
-        """Record a covariance step of `step_s` with the system matrix F [1/s]."""
+        """Record a covariance step of `step_s` with the block F t and the decays of its transition."""
         time_ns = filter_.time_ns
-        self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, decays))
+        self._store.push(Step(time_ns, Ft, decays))
         before_ns = time_ns - round(step_s * 1e9)
         if time_ns // self._period_ns != before_ns // self._period_ns:
             self._add_knot(filter_)

@@ -2,24 +2,23 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from math import degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
+from shared.copies import shallow
 from shared.errors import FilterDiverged
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
 
-from ..aids import odometer
-from ..aids import zero_velocity as zupt
+from ..aids import non_holonomic, zero_velocity
 from ..aids.aiding import Aids
 from ..aids.base import Counts, Measurement, Outcome
 from ..aids.gnss.comparison import Comparison
 from ..aids.gnss.fix import GnssPosition
-from ..aids.odometer import NonHolonomic
+from ..aids.non_holonomic import NonHolonomic
 from ..aids.zero_velocity import Standstill
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, mean
@@ -66,8 +65,8 @@ class Engine:
         self.coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
         self._intervals = Intervals(
             settings.covariance_period_s,
-            zupt.PERIOD_S if settings.standstill.enabled else inf,
-            odometer.PERIOD_S if settings.non_holonomic.enabled else inf,
+            zero_velocity.PERIOD_S if settings.standstill.enabled else inf,
+            non_holonomic.PERIOD_S if settings.non_holonomic.enabled else inf,
         )
         self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
         self.reason = "no inertial sample yet"
@@ -89,8 +88,8 @@ class Engine:
 
     def copy(self) -> "Engine":
         """Independent copy."""
-        made = copy(self)
-        made.filter, made.aids = copy(self.filter), self.aids.copy()
+        made = shallow(self)
+        made.filter, made.aids = self.filter and shallow(self.filter), self.aids.copy()
         made._alignment = self._alignment.copy() if self._alignment else None
         return made
 
@@ -211,7 +210,7 @@ class Engine:
                 outcomes += self._use(Standstill(self.time_ns, rate, rate_sd))
             case Stop.NON_HOLONOMIC_DUE:
                 navigation.begin_non_holonomic()
-                if hypot(*navigation.velocity) > odometer.SLOWEST_M_S:
+                if hypot(*navigation.velocity) > non_holonomic.SLOWEST_M_S:
                     outcomes += self._use(NonHolonomic(self.time_ns, self._settings))
             case Stop.GAP | Stop.END_OF_SAMPLES:
                 pass  # handled by `_process`

@@ -52,10 +52,6 @@ class Log:
         """Number of samples."""
         return self._end - self._begin
 
-    def size_after(self, time_ns: int) -> int:
-        """Number of samples after a time."""
-        return self.size - int(self._times_ns[self._begin : self._end].searchsorted(time_ns, side="right"))
-
     def samples(self, after_ns: int, until_ns: int, most: int) -> Samples:
         """Samples with stamps after one time and up to another, at most so many; the oldest first."""
         times_ns = self._times_ns[self._begin : self._end]

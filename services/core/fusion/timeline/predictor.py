@@ -18,24 +18,18 @@ ALONE = Intervals(LONGEST_STEP_S, zero_velocity_s=inf, non_holonomic_s=inf)
 EVERYTHING = 1_000_000  # samples
 
 
-def begin(engine: Engine, lag_ns: int) -> Engine:
-    """Independent engine for a prediction, which coasts no earlier than the engine at the horizon does."""
-    ahead = engine.unrecorded()
+def predicted(cursor: Cursor, log: Log, lag_ns: int) -> Engine:
+    """Engine of a cursor at the newest sample, by the samples and events since its time, and no measurement.
+
+    It coasts no earlier than the engine at the horizon does. Nothing of the cursor changes.
+    """
+    ahead = cursor.engine.unrecorded()
     ahead.coasting_ns += lag_ns
-    return ahead
-
-
-def carry(ahead: Engine, log: Log, cursor: Cursor) -> None:
-    """Carry the prediction of a cursor over the samples and events since its own time, and no measurement."""
-    if log.newest is None:
-        return
-    begin_ns, end_ns = ahead.time_ns, log.newest.time_ns
-    samples = log.samples(begin_ns, end_ns, EVERYTHING)
-    if len(samples.times_ns):
-        events = [entry for entry in cursor.entries(log, begin_ns, end_ns) if isinstance(entry, Event)]
-        ahead.process(samples, events, ALONE)
-
-
-def complete(ahead: Engine) -> None:
-    """Propagate the covariance of a prediction to its time."""
+    if log.newest is not None:
+        begin_ns, end_ns = ahead.time_ns, log.newest.time_ns
+        samples = log.samples(begin_ns, end_ns, EVERYTHING)
+        if len(samples.times_ns):
+            events = [entry for entry in cursor.entries(log, begin_ns, end_ns) if isinstance(entry, Event)]
+            ahead.process(samples, events, ALONE)
     ahead.attempt(ErrorStateFilter.propagate_covariance)
+    return ahead

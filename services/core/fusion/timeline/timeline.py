@@ -28,7 +28,9 @@ LONGEST_STEP_NS = 100_000_000  # of the horizon
 AHEAD = 5  # the horizon moves by this part of a step before a solution is due, which then has little left to carry
 FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000  # for which the receiver's own fix waits for it, and the horizon with it
-MOST_PENDING, MOST_SAMPLES = 20_000, 300_000  # samples behind the horizon, and in the log: two minutes at 2.5 kHz
+# Samples that wait for the horizon, and samples in the log, two minutes at 2.5 kHz. With more, of a device whose stamps
+# hardly advance, the horizon moves on and the oldest are dropped.
+MOST_PENDING, MOST_SAMPLES = 20_000, 300_000
 FOREVER_NS = 2**62
 HELD_LIMIT = 1000  # largest number of measurements that wait
 
@@ -49,9 +51,9 @@ class Timeline:
         self._waiting: list[tuple[int, int, str, Measurement]] = []  # (enters by, stamp, source, measurement)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._delays = 0.0, 0.0  # [s] of positions and velocities, found and corrected
+        self._pending = 0  # samples that the horizon has not passed
         self._step = BEFORE_ALL_NS  # of the horizon, by the newest sample
-        self._ahead: Engine | None = None  # carried from the horizon to the newest sample of the last step
-        self._now: Engine | None = None  # the same, carried to the newest sample of all and complete
+        self._now: Engine | None = None  # carried from the horizon to the newest sample
         self.measurements_late = 0  # that came behind the horizon
 
     @property
@@ -74,11 +76,7 @@ class Timeline:
             return self._now
         if self.engine.filter is None and self.engine.last is not None:
             return self.engine
-        now = (self._ahead or self.engine).unrecorded()
-        if self._ahead is None:
-            now.coasting_ns += self.horizon.lag_ns
-        predictor.carry(now, self.log, self.verdicts.published)
-        predictor.complete(now)
+        now = predictor.predicted(self.verdicts.published, self.log, self.horizon.lag_ns)
         self._now = now if self.log.newest is not None else None  # an engine without a log is not this timeline's
         return now
 
@@ -99,7 +97,7 @@ class Timeline:
         """Take a saved position and heading."""
         for cursor in self.verdicts.cursors:
             cursor.use_prior(prior)
-        self._changed()
+        self._now = None
 
     def restore(self, saved: SavedState) -> None:
         """Go on from a saved state with the first sample, which must be the next."""
@@ -112,6 +110,7 @@ class Timeline:
     def add(self, sample: Sample) -> None:
         """Append a sample, newer than all before."""
         self.log.add(sample)
+        self._pending += 1
         self._now = None
 
     def measure(self, measurement: Measurement) -> None:
@@ -147,11 +146,12 @@ class Timeline:
     def advance(self, received_ns: int) -> list[Outcome]:
         """Move the horizon with the first sample of each step; returns the outcomes of what it has passed."""
         step = (self.newest_ns + self._step_ns // AHEAD) // self._step_ns
-        if self.log.newest is None or (step == self._step and not self._is_crowded):
+        crowded = self._pending > MOST_PENDING
+        if self.log.newest is None or (step == self._step and not crowded):
             return []
         self._step = step
         self._enter(received_ns)
-        return self._advance(self._until(received_ns))
+        return self._advance(self.newest_ns if crowded else self._until(received_ns))
 
     def finish(self) -> list[Outcome]:
         """Move the horizon to the newest sample, because nothing more will arrive; returns the last outcomes."""
@@ -160,22 +160,11 @@ class Timeline:
 
     def _advance(self, until_ns: int) -> list[Outcome]:
         samples = self.verdicts.main.advance(self.log, until_ns)
+        self._pending -= samples
         self.verdicts.advance(until_ns, samples)
         self._forget()
-        self._changed()
+        self._now = None
         return self.verdicts.outcomes()
-
-    def _changed(self) -> None:
-        """Predict anew from the horizon."""
-        self._now = self._ahead = None
-        if self.engine.filter is not None:
-            self._ahead = predictor.begin(self.engine, self.horizon.lag_ns)
-            predictor.carry(self._ahead, self.log, self.verdicts.published)
-
-    @property
-    def _is_crowded(self) -> bool:
-        """Whether too many samples wait for the horizon: those of a device whose stamps hardly advance."""
-        return self.log.size_after(self.verdicts.main.engine.time_ns) > MOST_PENDING
 
     @property
     def _oldest_ns(self) -> int:
@@ -185,7 +174,7 @@ class Timeline:
 
     def _until(self, received_ns: int) -> int:
         """Horizon, before a fix that waits for the fault-free one of its epoch."""
-        until_ns = self.newest_ns if self._is_crowded else self.horizon.behind(self.newest_ns)
+        until_ns = self.horizon.behind(self.newest_ns)
         for enters_ns, time_ns, _, waiting in self._waiting:
             if waiting.epoch and enters_ns - waiting.received_ns > self._allowance_ns and enters_ns > received_ns:
                 until_ns = min(until_ns, waiting.corrected(*self._delays).time_ns - 1, time_ns - 1)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from services.core.fusion.aids.gnss.epoch import of_fix
 from services.core.fusion.inertial import error_model as em
-from services.core.fusion.messages import measurements_from_fix, state_message
+from services.core.fusion.messages import state_message
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, Process
 from services.core.fusion.settings import OdometerSettings
@@ -332,8 +333,8 @@ def test_a_saved_position_received_late_is_kept_in_the_roll_back_of_a_late_fix()
 
 
 def test_a_fix_in_two_dimensions_has_no_height_measurement() -> None:
-    _, position = measurements_from_fix(fix(0, fix_type=FixType.TWO_D), Config())
-    _, missing = measurements_from_fix(fix(0, height_ellipsoid_m=None), Config())
+    _, position = of_fix(fix(0, fix_type=FixType.TWO_D), Config())
+    _, missing = of_fix(fix(0, height_ellipsoid_m=None), Config())
     assert getattr(position, "axes", None) == getattr(missing, "axes", None) == 2
 
 

@@ -2,16 +2,15 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import hypot, isfinite, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.kalman import root_of
-from shared.maths.rotation import Quaternion, Vector, cross
+from shared.maths.rotation import Vector
 from shared.messages.navigation import AidingKind
 
 from ...inertial import error_model as em
@@ -20,7 +19,8 @@ from ...inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
 from ...inertial.standstill import is_standstill
 from ...inertial.strapdown import rotate
 from ...settings import Settings
-from ..base import Kind, Measurement, Observation, Sensor, Start
+from ..base import Kind, Measurement, MotionSink, Observation, Sensor, Start
+from .antenna import antenna_position_matrix, antenna_velocity, antenna_velocity_matrix
 from .position_errors import KnownGnssErrors
 
 FloatArray = npt.NDArray[np.float64]
@@ -87,6 +87,10 @@ class GnssPosition(Kind):
         """Place of the start."""
         return start.start_at(self)
 
+    def show(self, sink: MotionSink) -> None:
+        """Position."""
+        sink.see_position(self.position)
+
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
         yield self.observe
@@ -94,7 +98,7 @@ class GnssPosition(Kind):
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Innovation against the predicted antenna position plus the estimated time-correlated error, in metres."""
         arm_n, velocity = rotate(navigation.quaternion, self.lever_arm), navigation.velocity
-        z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
+        z, H = self._beside(navigation, arm_n), antenna_position_matrix(arm_n)
         along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
         correlated_share = max(navigation.gnss_errors.correlated_share, 1e-6) if self.time_correlated else 0.0
         cov = navigation.gnss_errors.scaled(self.cov) if self.time_correlated else self.cov
@@ -157,6 +161,10 @@ class GnssVelocity(Kind):
         """Heading and initial velocity."""
         start.use_velocity(self)
 
+    def show(self, sink: MotionSink) -> None:
+        """Velocity."""
+        sink.see_velocity(self.velocity, self.axes)
+
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Velocity alone."""
         yield self.observe
@@ -166,7 +174,7 @@ class GnssVelocity(Kind):
         (north, east, down), (vn, ve, vd) = self.velocity, navigation.velocity
         an, ae, ad = antenna_velocity(navigation, self.lever_arm)
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
-        H = em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
+        H = antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         if self.time_correlated:
             z -= navigation.gnss_velocity_error
             H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT
@@ -188,18 +196,6 @@ class GnssVelocity(Kind):
             navigation.zero_gnss_velocity_error()
         navigation.velocity_errors = errors
         navigation.set_gnss_errors(navigation.gnss_errors.following(errors.follows))
-
-
-def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:
-    """Velocity of the antenna against the IMU [m/s, NED]: C (w x l) - w_ie x C l."""
-    return _swing(navigation.quaternion, navigation.position.latitude, navigation.rate, lever_arm)
-
-
-@lru_cache(maxsize=1)  # of one velocity it is asked twice
-def _swing(quaternion: Quaternion, latitude: float, rate: Vector, lever_arm: Vector) -> Vector:
-    north, east, down = rotate(quaternion, cross(rate, lever_arm))
-    n, e, d = cross(earth_rate_n(latitude), rotate(quaternion, lever_arm))
-    return north - n, east - e, down - d
 
 
 def true_time_ns(settings: Settings, sampled_ns: int) -> int:

@@ -13,7 +13,8 @@ from benchmarks.starts.start import Receiver, Start
 from cli.papers.navigation import give_fix
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.gate import Gate
-from services.core.fusion.aids.odometer import NonHolonomic, WheelSpeed
+from services.core.fusion.aids.non_holonomic import NonHolonomic
+from services.core.fusion.aids.odometer import WheelSpeed
 from services.core.fusion.aids.zero_speeds import ZeroSpeeds
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter

@@ -124,9 +124,10 @@ def processed(
         if time_ns > seconds * 1e9:
             break
         if pressure and i % 10 == 9:
-            made.pressure(time_ns, pressure_at(i, shifted[1] if time_ns >= shifted[0] * 1e9 else 0.0))
+            pressure_pa = pressure_at(i, shifted[1] if time_ns >= shifted[0] * 1e9 else 0.0)
+            made.measure(BarometricHeight(time_ns, time_ns, "imu", pressure_pa, made.settings))
         if iron is not None and i % 10 == 9:
-            made.magnetic_field(time_ns, field_at(i, iron))
+            made.measure(MagneticHeading(time_ns, time_ns, "imu", field_at(i, iron), DECLINATION))
         if i % 100 == 99 and not (outage and time_ns >= OUTAGE_S[0] * 1e9):
             give_fix(d, i // 100, made)
         outcomes += made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
@@ -171,7 +172,7 @@ def test_a_pressure_step_is_rejected_and_the_height_stays_within_three_sigma() -
 @pytest.mark.parametrize("pressure_pa", [0.0, -5.0, 1e9])
 def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
     made = Navigator()
-    made.pressure(1, pressure_pa)
+    made.measure(BarometricHeight(1, 1, "imu", pressure_pa, made.settings))
     assert made.rejects == {"implausible pressure": 1}
 
 

@@ -1,7 +1,7 @@
 """The error model against finite differences of the mechanisation, and against matrix products."""
 
 from collections.abc import Sequence
-from math import cos, hypot, sin, tan
+from math import cos, exp, hypot, sin, tan
 
 import numpy as np
 import numpy.typing as npt
@@ -9,8 +9,10 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity, antenna_velocity
-from services.core.fusion.aids.odometer import NonHolonomic, WheelSpeed
+from services.core.fusion.aids.gnss.antenna import antenna_velocity
+from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
+from services.core.fusion.aids.non_holonomic import NonHolonomic
+from services.core.fusion.aids.odometer import WheelSpeed
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial import strapdown
 from services.core.fusion.inertial.filter import ErrorStateFilter
@@ -130,19 +132,28 @@ def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differe
 def test_the_transition_is_that_of_the_matrix_exponential_to_first_order() -> None:
     step_s = 1e-4
     F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
-    Phi = em.transition_matrix(F, step_s)
+    Phi = em.transition_matrix(step_s * F[: em.MOVING, : em.DRIVING], 1.0, 1.0)
     assert Phi == pytest.approx(expm(F * step_s), abs=1e-6)
     assert Phi == pytest.approx(np.eye(em.SIZE) + F * step_s, abs=1e-15)
+
+
+def test_the_covariance_step_by_blocks_equals_the_product_of_whole_matrices() -> None:
+    rng = np.random.default_rng(5)
+    root, Q = rng.standard_normal((em.SIZE, em.SIZE)), rng.random(em.SIZE)
+    P, Ft = root @ root.T, rng.standard_normal((em.MOVING, em.DRIVING))
+    after = em.predicted(P, Ft, 0.7, 0.4, Q)
+    assert after == pytest.approx(predict(P, em.transition_matrix(Ft, 0.7, 0.4), np.diag(Q)), rel=1e-12, abs=1e-12)
+    assert (after == after.T).all()
 
 
 def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
     """Two half steps equal one step, other states are unchanged, and the limit has variance one."""
     root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
-    F, no_noise, correlation_s = np.zeros((em.SIZE, em.SIZE)), np.zeros(em.SIZE), 20.0
+    still, no_noise, correlation_s = np.zeros((em.MOVING, em.DRIVING)), np.zeros(em.SIZE), 20.0
 
     def decayed(P: FloatArray, step_s: float) -> FloatArray:
-        Phi = em.transition_matrix(F, step_s, correlation_s)
-        return predict(P, Phi, np.diag(em.process_noise(no_noise, 0.0, 0.0, step_s, correlation_s)))
+        Q = em.process_noise(no_noise, 0.0, 0.0, step_s, correlation_s)
+        return em.predicted(P, still, exp(-step_s / correlation_s), 1.0, Q)
 
     P = root @ root.T
     whole = decayed(P, 20.0)

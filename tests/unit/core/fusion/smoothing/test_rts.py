@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from cli.papers.navigation import saved_heading
+from services.core.fusion.aids.gnss.antenna import antenna_position_matrix
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter, rescaled
 from services.core.fusion.inertial.propagation import Intervals, samples_of
@@ -449,7 +450,7 @@ def matched(seed: int) -> World:
     walk = np.sqrt(
         np.array([settings.imu.accelerometer_bias_psd_m2_s5, settings.imu.gyroscope_bias_psd_rad2_s3]) * 0.01
     )
-    sd_of_fix, H = np.array([0.5, 0.5, 1.0]), em.antenna_position_matrix((0.0, 0.0, 0.0))
+    sd_of_fix, H = np.array([0.5, 0.5, 1.0]), antenna_position_matrix((0.0, 0.0, 0.0))
     biases = force_bias, rate_bias
     for k in range(1, 4001):
         i = first + k

@@ -182,13 +182,6 @@ def test_forks_and_predictions_change_nothing_of_what_they_start_from(seed: int)
     assert (contents(cursor.engine), contents([*cursor._snapshots])) == before
 
 
-def test_a_prediction_is_made_anew_and_not_carried_on_by_what_a_caller_did_to_it() -> None:
-    timeline = play(prompt(), samples(end_s=BEGIN_S + 6.0)).timeline
-    state = contents(timeline.now)
-    timeline._changed()
-    assert contents(timeline.now) == state
-
-
 @pytest.mark.parametrize("since_s", [17.5, 18.5, 20.3])
 def test_a_fork_that_leaves_gnss_out_is_a_timeline_that_has_received_none_since(since_s: float) -> None:
     """To the last bit without GNSS in the log; what is left out is compared, and there P takes two steps for one."""

@@ -1,4 +1,7 @@
-"""pyins: inertial navigation in Python, Nikolay Mayorov (MIT)."""
+"""pyins: inertial navigation in Python, Nikolay Mayorov (MIT).
+
+This file is not named as that library, which the script beside it imports.
+"""
 
 from pathlib import Path
 
@@ -8,17 +11,14 @@ from shared.maths.earth import FloatArray
 
 from .common import START_S, Given, Peer, thinned
 
-HOW = (
-    "Make an environment of its own (never this one) with `python -m venv pyins` and "
-    "`pyins/bin/pip install git+https://github.com/nmayorov/pyins@8377ede`, and set OBU_PYINS to its bin/python."
-)
+HOW = "`python -m benchmarks.navigation.peers.build` installs it, or set OBU_PYINS to the bin/python that has it."
 
 
 class Pyins(Peer):
     """It is a library: a script of ours is run by the Python that has it. A run takes minutes: no outages."""
 
     name, variable, how, outages = "pyins", "OBU_PYINS", HOW, False
-    sets = ("rtk",)
+    sets, built = ("rtk",), "pyins/bin/python"
 
     def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
         """Write arrays."""
