@@ -89,7 +89,7 @@ class NavigationState(Message):
     imu_gaps: Count
     resets: Count
     epochs_repeated: Count = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
-    measurements_late: Count = 0  # used at their own time after newer ones of the same device
+    measurements_late: Count = 0  # that came behind the horizon, and were used at their own time by a replay
     # by how much GNSS is older than its stamps and the settings say, as the check of the set-up has found; None if not
     gnss_delay_s: Seconds | None = None  # of positions
     gnss_velocity_delay_s: Seconds | None = None  # of the velocity, beyond that of its position
