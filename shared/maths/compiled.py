@@ -5,10 +5,16 @@ stays one of Python. NUMBA_DISABLE_JIT=1, Numba's own switch, leaves Numba out.
 """
 
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
+from hashlib import sha256
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
+SOURCES = "shared", "services/core"  # folders of all code that is compiled, and of what it calls
+KEPT = 4  # versions of the code whose machine code is kept
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -16,10 +22,32 @@ def _unchanged(function: Function) -> Function:
     return function
 
 
+def machine_code() -> Path:
+    """Folder for the machine code of this version of the sources.
+
+    Numba looks at the file of a function alone: code that calls one of another file, or takes a type of it, would stay
+    as it was when that file changes.
+    """
+    root = Path(__file__).resolve().parents[2]
+    files = sorted(path for folder in SOURCES for path in (root / folder).rglob("*.py"))
+    stamps = ((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
+    version = sha256(repr(list(stamps)).encode()).hexdigest()[:16]
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "obu" / "numba"
+    try:
+        (cache / version).mkdir(parents=True, exist_ok=True)
+        for old in sorted(cache.iterdir(), key=lambda one: one.stat().st_mtime_ns)[:-KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError:  # no home, or none that can be written to: for this run alone
+        return Path(tempfile.mkdtemp(prefix="obu-numba-"))
+    return cache / version
+
+
 compiled: Callable[[Function], Function] = _unchanged
 compilable: Callable[[Function], Function] = _unchanged
 COMPILED = False
 if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        os.environ["NUMBA_CACHE_DIR"] = str(machine_code())
     try:
         numba: Any = import_module("numba")
     except ImportError:

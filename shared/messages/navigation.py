@@ -89,11 +89,12 @@ class NavigationState(Message):
     imu_gaps: Count
     resets: Count
     epochs_repeated: Count = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
-    measurements_late: Count = 0  # used at their own time after newer ones of the same device
-    # by how much measurements are older than their stamps and the settings say, each with its standard deviation
-    gnss_delay_s: Seconds | None = None  # None unless `estimate_delays` is set and the filter runs
-    gnss_delay_sd_s: Seconds | None = None
+    measurements_late: Count = 0  # that came behind the horizon, and were used at their own time by a replay
+    # by how much GNSS is older than its stamps and the settings say, as the check of the set-up has found; None if not
+    gnss_delay_s: Seconds | None = None  # of positions
     gnss_velocity_delay_s: Seconds | None = None  # of the velocity, beyond that of its position
+    # present in recordings of older units alone, whose filter estimated delays
+    gnss_delay_sd_s: Seconds | None = None
     gnss_velocity_delay_sd_s: Seconds | None = None
     odometer_delay_s: Seconds | None = None
     odometer_delay_sd_s: Seconds | None = None

@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from ..errors import ConfigError, UserError
 from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
-from .old_keys import PRESENT_KEYS, in_section, old_keys
+from .old_keys import in_section, old_keys, successor
 
 ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
 
@@ -225,8 +225,8 @@ def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     keys = list(dotted_keys(kind))
-    if key not in keys and (new := PRESENT_KEYS.get(f"{section}.{key}")):
-        return f"[{section}] has no setting {key!r}; it is {in_section(new)} now"
+    if key not in keys and (clause := successor(f"{section}.{key}")):
+        return f"[{section}] has no setting {key!r}; {clause}"
     if first["type"] != "extra_forbidden":
         return f"[{section}] {key} = {first['input']!r}: {first['msg']}"
     facts = dotted_keys(Vehicle) if issubclass(kind, VehicleSettings) else ()
@@ -252,7 +252,7 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
     document = read_toml(text, path)
     if old := next(old_keys(document), None):
         raise ConfigError(
-            f"{path}: {in_section(old)} is of an earlier version; it is {in_section(PRESENT_KEYS[old])} now. "
+            f"{path}: {in_section(old)} is of an earlier version; {successor(old)}. "
             f"`obu migrate {path}` rewrites the file"
         )
     tables: dict[str, Table] = {}

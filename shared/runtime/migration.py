@@ -15,6 +15,7 @@ from .old_keys import (
     MOUNTING,
     PARSER_MOUNTING,
     PRESENT_KEYS,
+    REMOVED,
     STATED_AGAIN,
     in_section,
     old_keys,
@@ -54,7 +55,11 @@ def migrated(text: str, path: str) -> tuple[str, list[str]]:
     file = cast("MutableMapping[str, object]", tomlkit.parse(text))
     changes = []
     for key in found:
-        value, new = _removed(file, key), PRESENT_KEYS[key]
+        value = _removed(file, key)
+        if key in REMOVED:
+            changes.append(f"{in_section(key)} is left out; {REMOVED[key]}")
+            continue
+        new = PRESENT_KEYS[key]
         if key in STATED_AGAIN:
             again = value_at(document, key)
             changes.append(f"{in_section(key)} = {again} is left out; {in_section(new)} is that of all processes")
@@ -63,7 +68,7 @@ def migrated(text: str, path: str) -> tuple[str, list[str]]:
             changes.append(f"{in_section(key)} -> {in_section(new)}")
     if mounting is not None:
         _table(file, ["vehicle", "imu"])["body_from_sensor"] = _rows(mounting)
-        olds = [in_section(key) for key in found if PRESENT_KEYS[key] == MOUNTING]
+        olds = [in_section(key) for key in found if PRESENT_KEYS.get(key) == MOUNTING]
         changes.append(f"{' and '.join(olds)} -> {in_section(MOUNTING)}")
     if emptied and not _table(file, EMPTIED.split(".")):
         _removed(file, EMPTIED)
@@ -75,9 +80,9 @@ def _refuse_rivals(document: Mapping[str, object], found: list[str], path: str) 
     """Raise `ConfigError` where a setting stands twice in a file, by keys of different versions."""
     taken = {key: key for key in PRESENT_KEYS.values() if value_at(document, key) is not None}
     for key in found:
-        new = PRESENT_KEYS[key]
-        if new == MOUNTING or key in STATED_AGAIN:
+        if key in REMOVED or key in STATED_AGAIN or PRESENT_KEYS[key] == MOUNTING:
             continue
+        new = PRESENT_KEYS[key]
         if new in taken:
             raise ConfigError(f"{path} holds both {in_section(key)} and {in_section(taken[new])}; remove one")
         taken[new] = key

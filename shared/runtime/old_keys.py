@@ -73,6 +73,10 @@ PRESENT_KEYS: Mapping[str, str] = {
     PARSER_MOUNTING: MOUNTING,
     FUSION_MOUNTING: MOUNTING,
 }
+# Old dotted keys without a successor, and what does their work.
+REMOVED: Mapping[str, str] = {
+    "core.fusion.estimate_delays": "a delay of GNSS that the check of the set-up finds is corrected without a setting",
+}
 EMPTIED = "core.fusion.dual_antenna"  # section whose only key has moved
 
 
@@ -86,10 +90,17 @@ def value_at(document: Mapping[str, object], key: str) -> object | None:
 
 def old_keys(document: Mapping[str, object]) -> Iterator[str]:
     """Name the old keys that a vehicle's file holds; a table of such a name is a section of the present version."""
-    for key in PRESENT_KEYS:
+    for key in (*PRESENT_KEYS, *REMOVED):
         value = value_at(document, key)
         if value is not None and not isinstance(value, Mapping):
             yield key
+
+
+def successor(key: str) -> str | None:
+    """What became of an old dotted key, as a clause; None if the key is not old."""
+    if key in REMOVED:
+        return f"it is no more: {REMOVED[key]}"
+    return f"it is {in_section(PRESENT_KEYS[key])} now" if key in PRESENT_KEYS else None
 
 
 def in_section(key: str) -> str:

@@ -1,11 +1,13 @@
-"""Recordings with known delays, imported as they were recorded: the delays that the filter estimates.
+"""Recordings with known delays, imported as they were recorded: what the check of the set-up and the import find.
 
-================  ==============================  =====================================================
-drive             by hand                         estimated, with its standard deviation
-================  ==============================  =====================================================
-balzer82_car      GNSS 1.1 s, velocity 0.35 more  velocity 1.07 ±0.02 s after 90 s, 1.12 ±0.014 s at the end
-rtkexp_drive      velocity 0.125 s after it       0.135 ±0.006 s
-================  ==============================  =====================================================
+================  ================================  ==========================================  ==================
+drive             by hand                           check of the set-up                         import
+================  ================================  ==========================================  ==================
+balzer82_car      GNSS 0.75 s, velocity 0.35 more   0.57 ± 0.05 s, velocity 1.03 ± 0.04 s       1.00 ± 0.01 s
+rtkexp_drive      -0.2 s (the clock of the IMU)     -0.15 ± 0.02 s: within what it allows for   -0.18 ± 0.005 s
+================  ================================  ==========================================  ==================
+
+The import finds one delay for positions and velocities.
 """
 
 from pathlib import Path
@@ -13,12 +15,15 @@ from typing import cast
 
 import pytest
 
+from cli.import_drive.estimates.delay import delay_of_fixes
 from cli.import_drive.import_drive import import_drive
 from cli.recordings.common import vehicle_of
 from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config, In, Process
-from shared.messages.navigation import NavigationState
+from shared.messages.base import Message
+from shared.messages.navigation import NavigationState, SetUpState, SetUpVerdict
 from shared.recording import Recording
+from shared.runtime.config import VehicleFile
 from tests.support.data import REPOSITORY, recording
 
 pytestmark = [pytest.mark.recording, pytest.mark.slow]
@@ -38,28 +43,44 @@ def as_recorded(name: str, folder: Path, out: Path) -> Path:
     return out / "drive.mcap"
 
 
-def last_state(drive: Path, until_s: float, **settings: object) -> NavigationState:
-    process = Process(Config().with_values({"estimate_delays": True, **settings}))
-    with Recording(drive) as recorded:
-        messages = list(inputs_of(recorded).messages(vehicle_of(recorded, None)))
-    states: list[NavigationState] = []
+def inputs_as_recorded(name: str, out: Path) -> tuple[list[Message], VehicleFile]:
+    with Recording(as_recorded(name, recording(name), out)) as recorded:
+        vehicle = vehicle_of(recorded, None)
+        return list(inputs_of(recorded).messages(vehicle)), vehicle
+
+
+def found_by_checks(
+    messages: list[Message], vehicle: VehicleFile, until_s: float
+) -> tuple[NavigationState, SetUpState]:
+    """Last state and last checks of the set-up at a time of the drive."""
+    process = Process(vehicle.section("core.fusion", Config))
+    state, checks = None, None
+    first: NavigationState | None = None
     for message in messages:
-        states += [out for out in process.handle(cast(In, message)) if isinstance(out, NavigationState)]
-        if states and (states[-1].sampled_ns - states[0].sampled_ns) * 1e-9 > until_s:
+        for out in process.handle(cast(In, message)):
+            state = out if isinstance(out, NavigationState) else state
+            checks = out if isinstance(out, SetUpState) else checks
+            first = first or state
+        if first and state and (state.sampled_ns - first.sampled_ns) * 1e-9 > until_s:
             break
-    return states[-1]
+    assert state is not None and checks is not None
+    return state, checks
 
 
-def test_a_gnss_delay_of_a_second_is_estimated_and_velocity_is_delayed_more_than_position(tmp_path: Path) -> None:
-    drive = as_recorded("balzer82_car", recording("balzer82_car"), tmp_path)
-    found = last_state(drive, 110.0, **{"imu.gyroscope_bias_sd_rad_s": 0.05, "non_holonomic.mounting_sd_rad": 0.17})
+def test_a_gnss_delay_of_a_second_is_found_and_velocity_is_delayed_more_than_position(tmp_path: Path) -> None:
+    messages, vehicle = inputs_as_recorded("balzer82_car", tmp_path)
+    found, _ = found_by_checks(messages, vehicle, 152.0)
     assert found.gnss_delay_s is not None and found.gnss_velocity_delay_s is not None
     assert found.gnss_delay_s + found.gnss_velocity_delay_s == pytest.approx(1.1, abs=0.12)
-    assert 0.05 < found.gnss_velocity_delay_s < 0.45, "0.16 s were measured after 90 s, 0.39 s at the end"
+    assert 0.3 < found.gnss_velocity_delay_s < 0.6
+    assert delay_of_fixes(messages, vehicle).seconds == pytest.approx(1.0, abs=0.1), "between the two"
 
 
-def test_a_velocity_that_is_the_mean_of_its_epoch_is_half_an_epoch_old(tmp_path: Path) -> None:
-    drive = as_recorded("rtkexp_drive", recording("rtkexp_drive"), tmp_path)
-    found = last_state(drive, 150.0, **{"vehicle.gnss.lever_arm_body_m": (0.0, -0.05, 0.0)})
-    assert found.gnss_velocity_delay_s == pytest.approx(0.125, abs=0.03)
-    assert found.gnss_delay_s == pytest.approx(-0.09, abs=0.05), "the clock of the IMU drifts"
+def test_the_clock_of_an_imu_that_is_0_2_s_late_is_found_by_the_import_alone(tmp_path: Path) -> None:
+    messages, vehicle = inputs_as_recorded("rtkexp_drive", tmp_path)
+    found, set_up = found_by_checks(messages, vehicle, 150.0)
+    assert found.gnss_delay_s is found.gnss_velocity_delay_s is None
+    delays = {check.name: check for check in set_up.checks if check.name in ("gnss_delay", "gnss_velocity_delay")}
+    assert {check.verdict for check in delays.values()} == {SetUpVerdict.AGREES}
+    assert delays["gnss_delay"].statistic == pytest.approx(-0.15, abs=0.05)
+    assert delay_of_fixes(messages, vehicle).seconds == pytest.approx(-0.18, abs=0.04), "it drifts"

@@ -1,26 +1,46 @@
 """Estimates how late stamps are: those of fixes relative to the IMU, and those of a reference relative to the fixes."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
+from statistics import fmean
 
 import numpy as np
 
+from services.core.fusion.aids.base import Outcome
+from services.core.fusion.aids.kinds import measurements_of
+from services.core.fusion.messages import samples_of
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.process import Config
+from services.core.fusion.set_up.delay import LARGEST_S as LARGEST_LAG_S
+from services.core.fusion.set_up.delay import REPEATED, lag_of, lag_of_positions
+from services.core.fusion.set_up.monitor import FEWEST_VELOCITIES
+from services.core.fusion.set_up.motion import MotionLog
+from services.core.fusion.settings import Settings
 from shared.errors import UserError
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
-from shared.messages.navigation import NavigationState, TruthState
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import AidingKind, TruthState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.runtime.config import VehicleFile
-from shared.runtime.offline import OfflineUnit
 
-from ...solve.overrides import with_settings
+Input = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
 
-LONGEST_S = 400.0  # of a drive, over which the filter estimates a delay
+LONGEST_S = 400.0  # of a drive, over which the delay of fixes is estimated
+FARTHEST_S = 2.0  # delay that a setting can correct
+GRID_S, AROUND = 0.06, 2  # between two delays for which the filter runs, and how many on each side of the best
+CLIPPED = 9.0  # squared normalised innovation above which it counts no more: that of an outlier
 WORST_SD_S = 0.1  # standard deviation above which the delay of fixes is not known
 LARGEST_S, STEP_S = 3.0, 0.02  # range and step of the delays of a reference
 SLOWEST_M_S = 2.0  # the delay is not observable at standstill
 GAP_S = 2.5  # longest time between two fixes that is interpolated
 LEAST_ROWS = 30
+UNKNOWN = (
+    "the delay of the fixes cannot be estimated: the drive has too few turns and changes of speed; give it as "
+    "`stamps_late_s`"
+)
 
 
 @dataclass(frozen=True)
@@ -32,7 +52,7 @@ class Delay:
 
 
 def delay_of_fixes(messages: Iterable[Message], vehicle: VehicleFile) -> Delay:
-    """Estimate the delay of the fixes relative to the inertial samples by the filter itself.
+    """Estimate the delay of the fixes relative to the inertial samples, of the first 400 s.
 
     Parameters
     ----------
@@ -44,25 +64,94 @@ def delay_of_fixes(messages: Iterable[Message], vehicle: VehicleFile) -> Delay:
     Returns
     -------
     Delay
-        The estimate of `core.fusion` with `estimate_delays`, after at most 400 s.
+        Near the lag by the check of the set-up, that of the greatest likelihood of the filter's innovations.
 
     Raises
     ------
     UserError
-        The standard deviation of the estimate is above 0.1 s.
+        The drive does not show the delay, or not to 0.1 s.
+
+    Notes
+    -----
+    J, the sum of the squared normalised innovations of positions and velocities, is minus twice the logarithm of the
+    likelihood. Through J of filters with delays d about the lag goes a parabola J = J0 + c (d - d0)²: d0 is the
+    estimate, and r / c its variance, where of r innovations in a row one is independent.
     """
-    unit = OfflineUnit(with_settings(vehicle, ("core.fusion.estimate_delays=true",)), ["core.fusion"])
-    states = (message for message in unit.run(messages) if isinstance(message, NavigationState))
-    last = first = next(states, None)
-    for last in states:
-        if first is not None and last.sampled_ns - first.sampled_ns > LONGEST_S * 1e9:
-            break
-    if last is None or last.gnss_delay_s is None or last.gnss_delay_sd_s is None or last.gnss_delay_sd_s > WORST_SD_S:
-        raise UserError(
-            "the delay of the fixes cannot be estimated: the drive has too few turns and changes of speed; give it as "
-            "`stamps_late_s`"
-        )
-    return Delay(round(last.gnss_delay_s, 3), last.gnss_delay_sd_s)
+    settings = vehicle.section("core.fusion", Config)
+    inputs = _first(messages)
+    middle = round(_lag_s(inputs, settings) / GRID_S)
+    squares: dict[int, list[float]] = {}
+    while abs(middle) * GRID_S <= LARGEST_LAG_S:
+        near = range(middle - AROUND, middle + AROUND + 1)
+        squares |= {step: _squares(inputs, settings, step * GRID_S) for step in near if step not in squares}
+        means = [fmean(squares[step]) for step in near]
+        least = near[int(np.argmin(means))]
+        if least == middle:
+            return _at_the_bottom(np.array(near) * GRID_S, np.array(means) * len(squares[middle]))
+        middle = least
+    raise UserError(UNKNOWN)
+
+
+def _at_the_bottom(delays_s: FloatArray, costs: FloatArray) -> Delay:
+    """Delay of the least cost by a parabola."""
+    curvature, slope, _ = np.polyfit(delays_s, costs, 2).tolist()
+    if curvature <= REPEATED / WORST_SD_S**2:
+        raise UserError(UNKNOWN)
+    return Delay(round(-0.5 * slope / curvature, 3), float(np.sqrt(REPEATED / curvature)))
+
+
+def _first(messages: Iterable[Message]) -> list[Input]:
+    """Inertial samples, fixes and speeds of the time over which a delay is estimated."""
+    inputs = (message for message in messages if isinstance(message, Input))
+    first = next(inputs, None)
+    if first is None:
+        return []
+    return [first, *takewhile(lambda m: m.received_ns - first.received_ns <= LONGEST_S * 1e9, inputs)]
+
+
+def _lag_s(inputs: Sequence[Input], settings: Settings) -> float:
+    """Lag of the fixes [s] at which changes of speed and course fit the inertial sensors best."""
+    log = MotionLog()
+    for message in inputs:
+        if isinstance(message, ImuSamples):
+            log.samples(message.sampled_ns, message.specific_force_body_m_s2, message.angular_rate_body_rad_s)
+        for measurement in measurements_of(message, settings):
+            log.see(measurement)
+    motion = log.motion()
+    if motion is None:
+        raise UserError(UNKNOWN)
+    by_receiver = motion.of_receiver()
+    found = lag_of_positions(motion) if len(by_receiver.begin) < FEWEST_VELOCITIES else lag_of(motion, by_receiver)
+    if found is None:
+        raise UserError(UNKNOWN)
+    return found[0]
+
+
+def _squares(inputs: Sequence[Input], settings: Settings, delay_s: float) -> list[float]:
+    """Squared normalised innovations of GNSS, clipped, of a filter with a delay of fixes [s] beyond the settings."""
+    delay_s += settings.gnss.delay_s
+    if abs(delay_s) > FARTHEST_S:
+        raise UserError(UNKNOWN)
+    navigator = Navigator(settings.with_values({"gnss.delay_s": delay_s}))
+    squares = [
+        min((z / sd) ** 2, CLIPPED)
+        for outcome in _outcomes(navigator, inputs)
+        if outcome.kind in (AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY)
+        for z, sd in zip(outcome.innovation, outcome.innovation_sd, strict=True)
+    ]
+    if not squares:
+        raise UserError(UNKNOWN)
+    return squares
+
+
+def _outcomes(navigator: Navigator, inputs: Sequence[Input]) -> Iterator[Outcome]:
+    for message in inputs:
+        if isinstance(message, ImuSamples):
+            for sampled_ns, force, rate in samples_of(message):
+                yield from navigator.imu(sampled_ns, force, rate, message.received_ns)
+        for measurement in measurements_of(message, navigator.settings):
+            navigator.measure(measurement)
+    yield from navigator.finish()
 
 
 def delay_of_reference(states: Sequence[TruthState], fixes: Sequence[GnssFix]) -> Delay:

@@ -225,6 +225,7 @@ def state_message(
     """
     counts, exclusions, verdicts = navigator.counts, navigator.engine.exclusions, navigator.verdicts
     conflict, difference, held = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor.held
+    position_s, velocity_s = navigator.found_delays
     declined = verdicts.unresolved or (conflict.declined if conflict else "")
     silent = silent_since_ns is not None
     return NavigationState(
@@ -240,6 +241,8 @@ def state_message(
         resets=counts.resets,
         epochs_repeated=counts.epochs_repeated,
         measurements_late=navigator.measurements_late,
+        gnss_delay_s=position_s or None,
+        gnss_velocity_delay_s=(velocity_s - position_s) or None,
         lever_arm_error_body_m=navigator.lever_arm_error if delay_known else None,
         alert_limit_horizontal_m=navigator.settings.vehicle.alert_limit_horizontal_m,
         alert_limit_vertical_m=navigator.settings.vehicle.alert_limit_vertical_m,

@@ -221,6 +221,11 @@ class Navigator:
         self._timeline.leave_out_heights(wrong=wrong)
 
     @property
+    def found_delays(self) -> tuple[float, float]:
+        """Delays of positions and of velocities [s] that have been found beyond the settings; 0 where there is none."""
+        return self._found
+
+    @property
     def corrected_delay_s(self) -> float | None:
         """Delay of positions [s] that has been found and is corrected; None if there is none."""
         position_s, velocity_s = self._found

@@ -4,7 +4,7 @@ Sign convention of every state, biases, scales and parameters included::
 
     x = estimated - true
 
-so that a correction subtracts the estimated errors from the state (`eskf.subtract_errors`), and a measurement has
+so that a correction subtracts the estimated errors from the state (`filter.subtract_errors`), and a measurement has
 z = measured - predicted = H x + noise with H = -d(predicted)/d(state). The attitude error psi is a small rotation
 vector in NED axes, C_estimated = (I + sk(psi)) C; the position error is in metres NED.
 

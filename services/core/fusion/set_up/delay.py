@@ -1,7 +1,7 @@
 """Delay of GNSS beyond the settings, by the lag at which changes of speed and course fit the inertial sensors best.
 
 The likelihood of a lag is that of the residuals of two regressions, change of speed on mean force and change of course
-on mean rate; mounting and biases are in the coefficients, as in `timing.delay_search`, which works on line.
+on mean rate; mounting and biases are in the coefficients.
 """
 
 import numpy as np

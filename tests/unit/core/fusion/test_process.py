@@ -11,6 +11,8 @@ from pydantic import ValidationError
 
 from services.core.fusion.aids.gnss.epoch import of_fix
 from services.core.fusion.inertial import error_model as em
+from services.core.fusion.messages import state_message
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, Process
 from services.core.fusion.settings import OdometerSettings
 from services.sensors.simulator.drive import Drive, simulate
@@ -464,3 +466,22 @@ def test_a_fix_received_before_the_newest_samples_does_not_report_a_missing_imu(
     early = fix(0, received_ns=newest.received_ns - 40_000_000)
     reports = [m for message in (newest, early) for m in process.handle(message) if isinstance(m, NavigationState)]
     assert NavigationPhase.WAITING_FOR_IMU not in [report.phase for report in reports]
+
+
+@pytest.mark.parametrize(
+    ("found", "position_s", "beyond_s"),
+    [
+        ((0.0, 0.0), None, None),
+        ((0.6, 0.6), 0.6, None),
+        ((0.5, 0.75), 0.5, 0.25),
+        ((0.0, 0.25), None, 0.25),
+        ((0.25, 0.0), 0.25, -0.25),
+    ],
+)
+def test_the_state_tells_delays_that_were_found(
+    found: tuple[float, float], position_s: float | None, beyond_s: float | None
+) -> None:
+    navigator = Navigator(Config())
+    navigator.correct_delay(*found)
+    state = state_message(navigator, EPOCH_NS, delay_known=False)
+    assert (state.gnss_delay_s, state.gnss_velocity_delay_s) == (position_s, beyond_s)

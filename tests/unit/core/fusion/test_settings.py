@@ -20,7 +20,7 @@ from shared.runtime.config import (
     with_values,
 )
 from shared.runtime.live import load_process
-from shared.runtime.old_keys import PRESENT_KEYS
+from shared.runtime.old_keys import PRESENT_KEYS, REMOVED
 
 
 @pytest.mark.parametrize(
@@ -59,12 +59,19 @@ def test_facts_of_the_vehicle_in_the_section_of_a_process_are_an_error(name: str
 def test_new_names_of_old_keys_are_settings_and_old_names_are_not() -> None:
     keys = {f"core.fusion.{key}" for key in dotted_keys(Settings)} | {f"vehicle.{key}" for key in dotted_keys(Vehicle)}
     assert set(PRESENT_KEYS.values()) <= keys
-    assert not set(PRESENT_KEYS) & keys
+    assert not (set(PRESENT_KEYS) | set(REMOVED)) & keys
 
 
-def test_an_old_key_that_an_override_gives_is_an_error_that_names_the_new_one() -> None:
-    vehicle = with_settings(parse_vehicle(""), ["core.fusion.imu.body_from_imu=1"])
-    with pytest.raises(ConfigError, match=r"'imu.body_from_imu'; it is \[vehicle\.imu\] body_from_sensor now$"):
+@pytest.mark.parametrize(
+    ("override", "clause"),
+    [
+        ("core.fusion.imu.body_from_imu=1", r"'imu.body_from_imu'; it is \[vehicle\.imu\] body_from_sensor now$"),
+        ("estimate_delays=true", r"'estimate_delays'; it is no more: a delay of GNSS"),
+    ],
+)
+def test_an_old_key_that_an_override_gives_is_an_error_that_names_what_became_of_it(override: str, clause: str) -> None:
+    vehicle = with_settings(parse_vehicle(""), [override])
+    with pytest.raises(ConfigError, match=clause):
         vehicle.section("core.fusion", Settings)
 
 

@@ -56,6 +56,22 @@ def test_a_file_with_an_old_key_is_refused_by_a_sentence_with_the_new_key_and_th
     )
 
 
+@pytest.mark.parametrize("value", ["true", "false"])
+def test_a_setting_without_a_successor_is_refused_by_what_does_its_work_and_removed(value: str) -> None:
+    text = f"[core.fusion]\nestimate_delays = {value} # of the GNSS receiver\nhistory_s = 2.0\n"
+    work = "a delay of GNSS that the check of the set-up finds is corrected without a setting"
+    with pytest.raises(ConfigError) as raised:
+        parse_vehicle(text, "car.toml")
+    assert str(raised.value) == (
+        f"car.toml: [core.fusion] estimate_delays is of an earlier version; it is no more: {work}. "
+        "`obu migrate car.toml` rewrites the file"
+    )
+    new, changes = migrated(text, "car.toml")
+    assert changes == [f"[core.fusion] estimate_delays is left out; {work}"]
+    assert parse_vehicle(new).tables["core.fusion"] == {"history_s": 2.0}
+    assert migrated(new, "car.toml") == (new, []), "once is enough"
+
+
 def test_every_old_key_is_rewritten_and_all_else_stays() -> None:
     text, changes = migrated(OLD, "car.toml")
     vehicle = parse_vehicle(text, "car.toml")

@@ -12,11 +12,11 @@ from shared.errors import UserError
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
-from shared.runtime.config import parse_vehicle
+from shared.runtime.config import VehicleFile, parse_vehicle
 from tests.support.drives.tracks import START_NS, solution
 
 S = 1_000_000_000
-LATE_S = 0.31
+LATE_S, SET_S = 0.31, 0.1
 
 
 def fix(time_s: float, error_m: float) -> GnssFix:
@@ -52,15 +52,16 @@ def test_a_reference_at_standstill_or_beyond_the_range_is_an_error() -> None:
         delay_of_reference(still[:5], fixes)
 
 
-@pytest.mark.slow
-def test_the_delay_of_fixes_stamped_on_arrival_is_that_of_the_simulation() -> None:
-    drive = simulate("parking_lot", seed=3, duration_s=150.0)
+def as_received(duration_s: float) -> tuple[list[ImuSamples | GnssFix], VehicleFile]:
+    """A simulated drive at 50 Hz whose fixes are stamped late, and a vehicle file that corrects 0.1 s of it."""
+    drive = simulate("parking_lot", seed=3, duration_s=duration_s)
+    stamps, force, rate = drive.t_ns[1::2], *(x.reshape(-1, 2, 3).mean(axis=1) for x in (drive.force_b, drive.rate_b))
     imu = [
         ImuSamples(
             received_ns=t, source="imu", sampled_ns=(t,), specific_force_body_m_s2=(tuple(f),),
             angular_rate_body_rad_s=(tuple(w),),
         )
-        for t, f, w in zip(drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist(), strict=True)
+        for t, f, w in zip(stamps.tolist(), force.tolist(), rate.tolist(), strict=True)
     ]  # fmt: skip
     late = round(LATE_S * S)
     fixes = [
@@ -72,7 +73,22 @@ def test_the_delay_of_fixes_stamped_on_arrival_is_that_of_the_simulation() -> No
         )
         for k in np.flatnonzero(drive.fix_valid).tolist()
     ]  # fmt: skip
-    text = f"[vehicle]\nname = 'made'\n[vehicle.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n"
-    arrived: list[ImuSamples | GnssFix] = sorted([*imu, *fixes], key=attrgetter("received_ns"))
-    found = delay_of_fixes(arrived, parse_vehicle(text))
-    assert found.seconds == pytest.approx(LATE_S, abs=0.05)
+    text = (
+        f"[vehicle]\nname = 'made'\n[vehicle.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n"
+        f"[core.fusion.gnss]\ndelay_s = {SET_S}\n"
+    )
+    return sorted([*imu, *fixes], key=attrgetter("received_ns")), parse_vehicle(text)
+
+
+def test_the_delay_of_fixes_stamped_on_arrival_is_what_the_settings_lack_of_that_of_the_simulation() -> None:
+    found = delay_of_fixes(*as_received(80.0))
+    assert found.seconds == pytest.approx(LATE_S - SET_S, abs=0.02)
+    assert 0.01 < found.sd_s < 0.05
+
+
+def test_a_delay_that_no_motion_has_shown_is_an_error() -> None:
+    inputs, vehicle = as_received(20.0)
+    with pytest.raises(UserError, match="too few turns"):
+        delay_of_fixes(inputs, vehicle)
+    with pytest.raises(UserError, match="too few turns"):
+        delay_of_fixes([message for message in inputs if isinstance(message, GnssFix)], vehicle)
