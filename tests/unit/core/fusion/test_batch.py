@@ -158,7 +158,7 @@ def received_one_by_one(
 
 def test_compiled_and_plain_python_give_the_same_bits() -> None:
     """In a process of its own without Numba: positions, rates and covariances of the whole drive."""
-    pytest.importorskip("numba", reason="Numba is not installed: pip install .[fast]")
+    pytest.importorskip("numba", reason="Numba is not installed: `make setup`")
     code = f"from {__name__} import digest; print(digest())"
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     plain = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
