@@ -40,6 +40,7 @@ $(VENV)/.testing: requirements-dev.lock services/monitoring/status/dashboard/pac
 	@echo "installing what the tests need"
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
 	@$(PYTHON) deploy/install_dashboard.py --testing
+	@$(PYTHON) -m tests.support.warm
 	@touch $@
 
 # The tests talk to a real Mosquitto, a real Chromium and a real gpsd; where they cannot be installed, their tests skip and say so.
