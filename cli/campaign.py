@@ -174,8 +174,9 @@ def _until_one_dies(
         except BaseException:  # an interrupt: nobody waits for what is running
             pool.shutdown(wait=False, cancel_futures=True)
             for process in active_children():
-                with suppress(ProcessLookupError):  # one that has not come to a group of its own yet has no children
-                    os.killpg(process.pid or 0, signal.SIGKILL)
+                if process.pid is not None:
+                    with suppress(ProcessLookupError):  # one that has no group of its own yet has started nothing
+                        os.killpg(process.pid, signal.SIGKILL)
                 process.kill()
             raise
     return []
