@@ -7,7 +7,9 @@ APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
 PORT ?= 8080
 SCENARIO ?= urban
-RUNS ?= 300
+# Sizes of campaigns: SHORT=1 takes two minutes at most and stores no result, FULL=1 is for the best confidence, RUNS=n
+# for another one. FRESH=1 does again what earlier runs of the same code have found.
+CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
 .PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x golden picture bench-replay clean
 .DEFAULT_GOAL := help
@@ -38,6 +40,7 @@ $(VENV)/.testing: requirements-dev.lock services/monitoring/status/dashboard/pac
 	@echo "installing what the tests need"
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
 	@$(PYTHON) deploy/install_dashboard.py --testing
+	@$(PYTHON) -m tests.support.warm
 	@touch $@
 
 # The tests talk to a real Mosquitto, a real Chromium and a real gpsd; where they cannot be installed, their tests skip and say so.
@@ -95,31 +98,32 @@ papers: setup ## reproduce the papers' numbers (minutes); all of them, also behi
 		$(PYTHON) -m cli papers $$paper $$out || failed="$$failed $$paper"; \
 	done; [ -z "$$failed" ] || { echo "outside their limits:$$failed"; exit 1; }
 
-attack-lab: setup ## attack simulated drives, scored against the truth (an hour and a half on two cores)
-	@$(PYTHON) -m cli attack-lab --out .obu/attack-lab
+attack-lab: setup ## attack simulated drives, scored against the truth (11 minutes on two cores)
+	@$(PYTHON) -m cli attack-lab $(if $(SHORT),--quick --out .obu/attack-lab-short,--out .obu/attack-lab) \
+		$(if $(FULL),--seeds 3 --scenario urban --scenario highway,$(if $(RUNS),--seeds $(RUNS))) $(if $(FRESH),--fresh)
 
-alarms: setup ## count false alarms of the monitors in 100,000 fault-free epochs (three hours)
-	@$(PYTHON) -m benchmarks.false_alarms
-	@$(PYTHON) -m benchmarks.false_alarms_satellites
+alarms: setup ## count false alarms of the monitors in fault-free epochs (11 minutes)
+	@$(PYTHON) -m benchmarks.false_alarms $(CAMPAIGN)
+	@$(PYTHON) -m benchmarks.false_alarms_satellites $(CAMPAIGN)
 
 bench: $(VENV)/.testing $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks
 
-drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)
-	@$(PYTHON) -m benchmarks.navigation
+drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (10 minutes)
+	@$(PYTHON) -m benchmarks.navigation $(CAMPAIGN)
 
-drives-trust: setup ## print the verdicts on the recordings of OBU_DATA, and the harm of their exclusions (minutes)
-	@$(PYTHON) -m benchmarks.navigation.trust
+drives-trust: setup ## print the verdicts on the recordings of OBU_DATA, and the harm of their exclusions (5 minutes)
+	@$(PYTHON) -m benchmarks.navigation.trust $(CAMPAIGN)
 
-integrity: setup ## hold protection levels against true errors: 100 drives with a random fault, RUNS without (20 minutes), RECORDINGS=folder
-	@$(PYTHON) -m benchmarks.integrity.faults
-	@$(PYTHON) -m benchmarks.integrity --runs $(RUNS) --keep .obu/integrity $(if $(RECORDINGS),--recordings $(RECORDINGS))
+integrity: setup ## hold protection levels against true errors, in drives with a random fault and without, RECORDINGS=folder (7 minutes)
+	@$(PYTHON) -m benchmarks.integrity.faults $(CAMPAIGN)
+	@$(PYTHON) -m benchmarks.integrity $(CAMPAIGN) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
-consistency: setup ## hold errors against the filter's covariance: 50 drives a case (a quarter of an hour)
-	@$(PYTHON) -m benchmarks.consistency
+consistency: setup ## hold errors against the filter's covariance (3 minutes)
+	@$(PYTHON) -m benchmarks.consistency $(CAMPAIGN)
 
-starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (ten minutes)
-	@$(PYTHON) -m benchmarks.starts
+starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (3 minutes)
+	@$(PYTHON) -m benchmarks.starts $(CAMPAIGN)
 
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
 	@$(PYTHON) -m benchmarks.v2x

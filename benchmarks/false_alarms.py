@@ -9,7 +9,7 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from cli import campaign
 from cli.attack_lab.score import CONFIDENCE, binomial_interval
-from cli.papers.navigation import in_parallel
 from cli.papers.report import Table, printed
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
@@ -36,8 +36,7 @@ from shared.messages.trust import MonitorOutcome, TrustMonitor
 from tests.support.drives.motion import World, drives_and_stops
 from tests.support.drives.spoofing import inputs
 
-EPOCHS = 100_000
-WORKERS = 2
+CAMPAIGN = campaign.Size(short=1000, usual=30_000, full=100_000, unit="fault-free epochs")
 DESIGN_RATES = (1e-3, None)  # None: as delivered
 MOTION_S, INERTIAL_S = 5000, 900  # of a drive
 SCENARIOS = ("urban", "highway", "parking_lot", "tunnel")
@@ -69,8 +68,7 @@ class Count:
 
 Key = tuple[str, float | None]  # test, design rate
 Outcome = tuple[str, float | None, bool | None]  # test, design rate, accuses (None: not evaluated)
-Job = tuple[int, int]  # seed, seconds
-Campaign = Callable[[Job], list[Count]]  # at all design rates
+Drive = Callable[[int, int], list[Count]]  # of a seed and seconds, at all design rates
 
 
 def counted(epochs: Iterator[Sequence[Outcome]]) -> list[Count]:
@@ -89,9 +87,9 @@ def counted(epochs: Iterator[Sequence[Outcome]]) -> list[Count]:
     return [Count(*key, evaluations[key], episodes[key], accusing[key]) for key in evaluations if evaluations[key]]
 
 
-def motion(job: Job) -> list[Count]:
+def motion(seed: int, seconds: int) -> list[Count]:
     """All tests of core.motion_conflict on a random drive whose odometer has a scale and a delay."""
-    found = {(one.test, one.design): one for rate in DESIGN_RATES for one in motion_at(*job, rate)}
+    found = {(one.test, one.design): one for rate in DESIGN_RATES for one in motion_at(seed, seconds, rate)}
     return list(found.values())  # tests whose rate is no setting count once
 
 
@@ -118,12 +116,11 @@ def motion_at(seed: int, seconds: int, rate: float | None) -> list[Count]:
     return counted(epochs())
 
 
-def inertial(job: Job) -> list[Count]:
+def inertial(seed: int, seconds: int) -> list[Count]:
     """All tests of core.spoofing on a simulated drive of the unit, with the solutions of core.fusion.
 
     The 5 s window has a learned profile, whose rate is not a setting: the design rates are those of the long windows.
     """
-    seed, seconds = job
     drive = simulate(SCENARIOS[seed % len(SCENARIOS)], seed, float(seconds))
     values = {"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
     fusion = Fusion(FusionConfig().with_values(values))
@@ -159,26 +156,30 @@ def inertial(job: Job) -> list[Count]:
     return counted(epochs())
 
 
-MONITORS: dict[str, tuple[Campaign, int]] = {"motion": (motion, MOTION_S), "inertial": (inertial, INERTIAL_S)}
+MONITORS: dict[str, tuple[Drive, int]] = {"motion": (motion, MOTION_S), "inertial": (inertial, INERTIAL_S)}
 
 
-def campaign(monitor: str, epochs: int, progress: bool) -> Iterator[list[Count]]:
-    """Run enough drives; yield the sums of their counts after each drive."""
+def jobs_of(monitor: str, epochs: int) -> list[campaign.Job[list[Count]]]:
+    """List enough drives."""
     work, drive_s = MONITORS[monitor]
     drives = max(1, round(epochs / drive_s))
-    jobs: list[Job] = [(seed, min(drive_s, epochs)) for seed in range(1, drives + 1)]
+    seconds = min(drive_s, epochs)
+    return [campaign.Job(f"{monitor}, drive {seed}", work, (seed, seconds)) for seed in range(1, drives + 1)]
+
+
+def summed(drives: Iterable[Sequence[Count]]) -> list[Count]:
+    """Put the counts of several drives together."""
     total: dict[Key, Count] = {}
-    for counts in in_parallel(work, jobs, WORKERS, progress):
-        for one in counts:
-            known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0, 0))
-            total[one.test, one.design] = Count(
-                one.test,
-                one.design,
-                known.evaluations + one.evaluations,
-                known.episodes + one.episodes,
-                known.accusing + one.accusing,
-            )
-        yield list(total.values())
+    for one in (count for counts in drives for count in counts):
+        known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0, 0))
+        total[one.test, one.design] = Count(
+            one.test,
+            one.design,
+            known.evaluations + one.evaluations,
+            known.episodes + one.episodes,
+            known.accusing + one.accusing,
+        )
+    return list(total.values())
 
 
 def table(monitor: str, counts: Sequence[Count]) -> Table:
@@ -214,26 +215,29 @@ def main() -> int:
     """Run the campaign; return 1 if a test has more false alarms than designed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.false_alarms", description=__doc__)
     parser.add_argument("--monitor", choices=(*MONITORS, "all"), default="all")
-    parser.add_argument("--epochs", type=int, default=EPOCHS, help="evaluations of each monitor and design rate")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write JSON to this file after each drive")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write JSON to this file")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    options = parser.parse_args()
-    if options.epochs < 1:
-        parser.error("--epochs must be at least 1; try --epochs 5000")
+    options = campaign.options_of(parser, None, CAMPAIGN)
     chosen = list(MONITORS) if options.monitor == "all" else [options.monitor]
-    found: dict[str, list[Count]] = {}
-    for monitor in chosen:
-        for counts in campaign(monitor, options.epochs, sys.stderr.isatty()):
-            found[monitor] = counts
-            if options.out:  # after each drive: an interrupted campaign leaves what it has counted
-                options.out.write_text(json.dumps(document(options.epochs, found), indent=2) + "\n")
+    outcomes = {
+        monitor: campaign.run(
+            f"alarms-{monitor}", jobs_of(monitor, options.runs), workers=options.workers, fresh=options.fresh
+        )
+        for monitor in chosen
+    }
+    found = {monitor: summed(outcome.results) for monitor, outcome in outcomes.items()}
+    text = json.dumps(document(options.runs, found), indent=2)
     if options.json:
-        print(json.dumps(document(options.epochs, found), indent=2))
+        print(text)
     else:
         console = Console()
         for monitor, counts in found.items():
             console.print(printed(table(monitor, counts)))
-    return 1 if any(one.verdict == "too many" for counts in found.values() for one in counts) else 0
+        console.print(CAMPAIGN.note(options.runs))
+    if campaign.worth_storing(options, *outcomes.values()) and options.out:
+        options.out.write_text(text + "\n", encoding="utf-8")
+    complete = all(outcome.complete for outcome in outcomes.values())
+    return 1 if not complete or any(one.verdict == "too many" for counts in found.values() for one in counts) else 0
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ from math import exp, radians, sqrt
 import numpy as np
 from rich.console import Console
 
-from benchmarks.false_alarms import EPOCHS, Count, table
+from benchmarks.false_alarms import CAMPAIGN, Count, table
+from cli import campaign
 from cli.papers.report import printed
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import (
@@ -165,7 +166,7 @@ class Drives:
         return moved
 
 
-def bank(rate: float, runs: int, epochs: int, *, white: bool, seed: int = 1) -> Count:
+def bank(rate: float, runs: int, epochs: int, white: bool, seed: int = 1) -> list[Count]:
     """Count exclusions that begin."""
     epoch, _, geometry = next(exact_epochs())
     geometry = replace(geometry, noise_sd=geometry.sd) if white else geometry
@@ -182,18 +183,25 @@ def bank(rate: float, runs: int, epochs: int, *, white: bool, seed: int = 1) -> 
         alarms += int(test.newly_excluded.any(axis=-1).sum())
         accusing += int(test.excluded.any(axis=-1).sum())
     errors = "white errors" if white else f"errors correlated over {CORRELATION_S:.0f} s"
-    return Count(f"leave-one-out bank, {errors}", rate, runs * epochs, alarms, accusing)
+    return [Count(f"leave-one-out bank, {errors}", rate, runs * epochs, alarms, accusing)]
 
 
 def main() -> int:
     """Run the campaign; return 1 if a test has more false alarms than designed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.false_alarms_satellites", description=__doc__)
-    parser.add_argument("--epochs", type=int, default=EPOCHS, help="of each test and design rate, hundreds")
-    epochs = parser.parse_args().epochs
-    banks = [bank(rate, epochs // 100, 100, white=white) for white in (True, False) for rate in RATES]
-    counts = [*plain(RATES, epochs), *banks]
-    Console().print(printed(table("satellites", counts)))
-    return 1 if any(one.verdict == "too many" for one in counts) else 0
+    options = campaign.options_of(parser, None, CAMPAIGN)
+    jobs = [campaign.Job("plain RAIM", plain, (RATES, options.runs))] + [
+        campaign.Job(f"bank at {rate:g}", bank, (rate, options.runs // 100, 100, white))
+        for white in (True, False)
+        for rate in RATES
+    ]
+    outcome = campaign.run("alarms-satellites", jobs, workers=options.workers, fresh=options.fresh)
+    counts = [one for found in outcome.results for one in found]
+    console = Console()
+    console.print(printed(table("satellites", counts)))
+    console.print(CAMPAIGN.note(options.runs))
+    campaign.worth_storing(options, outcome)
+    return 1 if not outcome.complete or any(one.verdict == "too many" for one in counts) else 0
 
 
 if __name__ == "__main__":

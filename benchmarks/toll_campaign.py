@@ -1,4 +1,4 @@
-"""Charges under loss, repetition, reordering and kills: `python -m benchmarks.toll_campaign --parts 10`.
+"""Charges under loss, repetition, reordering and kills: `python -m benchmarks.toll_campaign`.
 
 The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
 kill ends `core.toll` before or after one of its statements, or the ledger before one of its database statements, before
@@ -9,8 +9,7 @@ A passage is decided where `core.toll` has found the lane of its crossing, wheth
 vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted. The
 simulated road begins 150 m before the approach line and ends 90 m behind the exit line.
 
-The campaign is made of parts with a ledger and a seed each. The sum of the parts so far is written after each of them;
-`--keep` stores the parts themselves, and those that are there are not computed again.
+The campaign is made of parts of 580 passages and 12 kills, with a ledger and a seed each.
 """
 
 import argparse
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from cli.campaign import Job, Size, options_of, run, worth_storing
 from services.core.toll.process import Config as TollConfig
 from services.core.toll.process import Process as Toll
 from services.monitoring.ledger.ledger import Ledger, Settings
@@ -58,6 +58,8 @@ NS = 1_000_000_000
 BATCH_NS = 100_000_000  # of what is delivered together; each frame keeps its own time of arrival
 SECOND_STEPS = NS // BATCH_NS
 START_NS = 1_790_000_000 * NS
+SIZE = Size(short=1, usual=20, full=20, unit="parts")
+PASSAGES, KILLS, VEHICLES = 580, 12, 100  # of a part
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
 ANSWERS_LOST = 0.05
@@ -457,17 +459,10 @@ def _table(head: tuple[str, str], rows: Mapping[str, object]) -> str:
     return "".join(f"| {name} | {value} |\n" for name, value in [head, ("---", "---"), *rows.items()])
 
 
-def part(seed: int, keep: Path | None, passages: int, kills: int, vehicles: int) -> Result:
-    """Compute a part of the campaign, or read it where it is kept."""
-    kept = keep / f"part-{seed}.json" if keep else None
-    if kept and kept.exists():
-        return _result(kept)
+def part(seed: int, passages: int, kills: int, vehicles: int) -> Result:
+    """Compute a part of the campaign."""
     with tempfile.TemporaryDirectory() as folder:
-        result = campaign(passages, kills, seed, vehicles, Path(folder))
-    if kept:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_text(result.as_json() + "\n", encoding="utf-8")
-    return result
+        return campaign(passages, kills, seed, vehicles, Path(folder))
 
 
 def store(result: Result) -> None:
@@ -494,22 +489,18 @@ def _result(path: Path) -> Result:
 def main() -> None:
     """Print the sum of the parts as JSON; end with 1 where a goal of the protocol is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--passages", type=int, default=10_000)
-    parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--vehicles", type=int, default=100)
-    parser.add_argument("--parts", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="folder of the parts, so that a campaign can be continued")
-    parser.add_argument("--no-store", action="store_true", help="print only")
-    given = parser.parse_args()
+    options = options_of(parser, None, SIZE)
+    seeds = range(options.seed, options.seed + options.runs)
+    jobs = [Job(f"part {seed}", part, (seed, PASSAGES, KILLS, VEHICLES)) for seed in seeds]
+    outcome = run("toll", jobs, workers=options.workers, fresh=options.fresh)
     result = Result()
-    passages, kills = given.passages // given.parts, given.kills // given.parts
-    for seed in range(given.seed, given.seed + given.parts):
-        result = result.plus(part(seed, given.keep, passages, kills, given.vehicles))
-        if not given.no_store:
-            store(result)
+    for one in outcome.results:
+        result = result.plus(one)
     print(result.as_json())
-    sys.exit(0 if result.is_good else 1)
+    if worth_storing(options, outcome):
+        store(result)
+    sys.exit(0 if outcome.complete and result.is_good else 1)
 
 
 if __name__ == "__main__":

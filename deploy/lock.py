@@ -1,7 +1,7 @@
 """Writes the lock files: the installed versions of all dependencies of pyproject.toml.
 
-Run by `make lock` in a fresh environment. `requirements.lock` holds the packages of the vehicle,
-`requirements-fast.lock` those of the extra [fast], and `requirements-dev.lock` the former and the test tools.
+Run by `make lock` in a fresh environment. `requirements.lock` holds the packages of the unit and its commands, and
+`requirements-dev.lock` those and the test tools.
 """
 
 import tomllib
@@ -51,7 +51,6 @@ def main() -> None:
     run_time: list[str] = project["dependencies"]
     development: list[str] = project["optional-dependencies"]["dev"]
     (ROOT / "requirements.lock").write_text(lock_text(run_time))
-    (ROOT / "requirements-fast.lock").write_text(lock_text(project["optional-dependencies"]["fast"]))
     (ROOT / "requirements-dev.lock").write_text(lock_text(run_time + development))
 
 

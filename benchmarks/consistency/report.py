@@ -2,20 +2,16 @@
 
 import argparse
 import json
-import os
 import platform
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from math import radians
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
+from cli import campaign
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from shared.maths.quantiles import chi_square_limit
 
@@ -25,6 +21,7 @@ from .sizes import BLOCKS, Sizes
 from .whole import Unit
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
+SIZE = campaign.Size(short=3, usual=50, full=200)
 SCENARIO, DURATION_S = "urban", 140.0
 BAND = 0.95
 RMSE = (float(POSITION_SD[0]), float(POSITION_SD[1]), float(POSITION_SD[2]))
@@ -78,13 +75,11 @@ def band(runs: int, size: int) -> tuple[float, float]:
     return low, high
 
 
-def run(job: tuple[str, int]) -> tuple[str, Sizes]:
+def run(case: Model | Unit, seed: int) -> Sizes:
     """Do one drive of a case."""
-    name, seed = job
-    case = CASES[name]
     if isinstance(case, Model):
-        return name, matched.run(case, SCENARIO, seed, DURATION_S)
-    return name, whole.run(case, SCENARIO, seed, DURATION_S)
+        return matched.run(case, SCENARIO, seed, DURATION_S)
+    return whole.run(case, SCENARIO, seed, DURATION_S)
 
 
 def row_of(name: str, runs: Sequence[Sizes]) -> Row:
@@ -104,36 +99,35 @@ def row_of(name: str, runs: Sequence[Sizes]) -> Row:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, print, store; 1 if a filter that knows its errors does not know how large they are."""
     parser = argparse.ArgumentParser(description="Normalised errors of the filter.")
-    parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0, help="of the first runs")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    options = parser.parse_args(arguments)
-    jobs = [(name, options.seed + seed) for name in CASES for seed in range(options.runs)]
-    found: dict[str, list[Sizes]] = {name: [] for name in CASES}
-    console, quiet = Console(stderr=True), not sys.stderr.isatty()
-    with get_context("spawn").Pool(options.workers) as pool:
-        done = pool.imap(run, jobs)
-        for name, sizes in track(done, "simulating", len(jobs), console=console, disable=quiet):
-            found[name].append(sizes)
-    rows = [row_of(name, runs) for name, runs in found.items()]
+    options = campaign.options_of(parser, arguments, SIZE)
+    seeds = range(options.seed, options.seed + options.runs)
+    jobs = [campaign.Job(name, run, (case, seed)) for seed in seeds for name, case in CASES.items()]
+    outcome = campaign.run("consistency", jobs, workers=options.workers, fresh=options.fresh)
+    found: dict[str, list[Sizes]] = {}
+    for number, sizes in outcome.numbered:
+        found.setdefault(jobs[number].name, []).append(sizes)
+    rows = [row_of(name, found[name]) for name in CASES if name in found]
     text = "\n".join(page(rows)) + "\n"
-    (RESULTS / "consistency.md").write_text(text, encoding="utf-8")
-    kept = {"date": f"{datetime.now(UTC):%Y-%m-%d}", "rows": [asdict(row) for row in rows]}
-    (RESULTS / "consistency.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     print(text)
-    return 0 if all(row.within for row in rows if row.name in BOUND) else 1
+    if campaign.worth_storing(options, outcome):
+        (RESULTS / "consistency.md").write_text(text, encoding="utf-8")
+        kept = {"date": f"{datetime.now(UTC):%Y-%m-%d}", "rows": [asdict(row) for row in rows]}
+        (RESULTS / "consistency.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    return 0 if outcome.complete and all(row.within for row in rows if row.name in BOUND) else 1
 
 
 def page(rows: Sequence[Row]) -> list[str]:
     """Draw up the page, line by line."""
-    runs = rows[0].runs
+    runs = max((row.runs for row in rows), default=1)
     bands = {band(runs, dimension(block)) for block in BLOCKS}
     (low, high), (low_all, high_all) = sorted(bands)
     made = f"{datetime.now(UTC):%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()}"
     return [
         "# Errors over what the filter says of them",
         "",
-        f"Measured {made}, by `make consistency`: {runs} drives through a town of {DURATION_S:g} s a row.",
+        f"Measured {made}, by `make consistency`: drives through a town of {DURATION_S:g} s, in each row "
+        f"{SIZE.note(runs)}",
         "Normalised errors squared (NEES) over their dimensions: mean over drives and instants, and how often the mean",
         f"over the drives is within its 95 % band, in %. The band is {low:.2f} to {high:.2f} of three components,",
         f"{low_all:.2f} to {high_all:.2f} of all 15. Above it the filter is too sure of itself.",

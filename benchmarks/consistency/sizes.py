@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from cli.campaign import Kept
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
@@ -33,9 +34,9 @@ INNOVATIONS = (AidingKind.GNSS_VELOCITY, AidingKind.GNSS_POSITION)
 class Sizes:
     """Normalised squares of one run, each over its number of dimensions: one is right."""
 
-    time_s: FloatArray  # shape (n,)
-    errors: FloatArray  # shape (n, 6) of `BLOCKS`
-    innovations: FloatArray  # shape (n, 2) of velocity and position; NaN where there was none
+    time_s: Kept  # shape (n,)
+    errors: Kept  # shape (n, 6) of `BLOCKS`
+    innovations: Kept  # shape (n, 2) of velocity and position; NaN where there was none
 
 
 def error_of(navigation: ErrorStateFilter, drive: Drive, i: int, bias: FloatArray) -> FloatArray:

@@ -6,25 +6,23 @@ independent. Each drive is the whole unit with core.trust, as a vehicle runs it.
 
 import argparse
 import json
-import multiprocessing
-import os
 import platform
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
+from cli import campaign
 from cli.attack_lab.run import simulated
 from cli.attack_lab.score import binomial_interval
 from shared.attacks import ScheduledAttack, schedule
 from shared.messages.trust import TrustLevel
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
+SIZE = campaign.Size(short=8, usual=100, full=400)
 STREAM = 17  # of random numbers that no other part of the simulator draws
 DURATION_S, EARLIEST_S, LATEST_S = 90.0, 30.0, 65.0
 SHORTEST_S, LONGEST_S = 5.0, 40.0
@@ -122,13 +120,6 @@ def drive_of(seed: int) -> Faulty:
     return Faulty(kind, text, drive, seed, float(above.sum()) * step_s, float((above & safe).sum()) * step_s, largest)
 
 
-def drives_of(runs: int, first_seed: int, workers: int) -> Iterator[Faulty]:
-    """Drive a number of times."""
-    seeds = range(first_seed, first_seed + runs)
-    with multiprocessing.get_context("spawn").Pool(min(workers, runs)) as pool:
-        yield from pool.imap_unordered(drive_of, seeds)
-
-
 def rows_of(drives: Sequence[Faulty]) -> list[Row]:
     """Make one row a kind."""
     rows = []
@@ -156,9 +147,10 @@ def page(drives: Sequence[Faulty], made: str) -> list[str]:
     return [
         "# Protection levels under random faults",
         "",
-        f"Measured {made}, by `make integrity`. {len(drives)} simulated drives of {DURATION_S:.0f} s with one random "
-        "fault each, the whole unit with `core.trust`. A drive counts as above if one error, horizontal or vertical, "
-        "is above its level at any time from the fault on. Prior: faults an hour, present for an hour.",
+        f"Measured {made}, by `make integrity`: {SIZE.note(len(drives))} A run is a simulated drive of "
+        f"{DURATION_S:.0f} s with one random fault, the whole unit with `core.trust`. "
+        "A drive counts as above if one error, horizontal or vertical, is above its level at any time from the fault "
+        "on. Prior: faults an hour, present for an hour.",
         "",
         "| fault in | drives | above a level | probability, 95 % | above while SAFE | prior | product |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -185,22 +177,21 @@ def page(drives: Sequence[Faulty], made: str) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, print, store; 1 if the product with the priors is above the risk."""
     parser = argparse.ArgumentParser(description="Protection levels under one random fault a drive.")
-    parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0, help="of the first drive")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    options = parser.parse_args(arguments)
-    made = drives_of(options.runs, options.seed, options.workers)
-    hidden = not sys.stderr.isatty()
-    shown = track(made, "driving", options.runs, console=Console(stderr=True), disable=hidden)
-    drives = sorted(shown, key=lambda one: one.seed)
+    options = campaign.options_of(parser, arguments, SIZE)
+    seeds = range(options.seed, options.seed + options.runs)
+    jobs = [campaign.Job(f"drive {seed}", drive_of, (seed,)) for seed in seeds]
+    outcome = campaign.run("faults", jobs, workers=options.workers, fresh=options.fresh)
+    drives = outcome.results
     now = datetime.now(UTC)
     text = "\n".join(page(drives, f"{now:%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()}"))
-    RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "faults.md").write_text(text + "\n", encoding="utf-8")
-    numbers = {"date": f"{now:%Y-%m-%d}", "rows": [asdict(row) for row in rows_of(drives)]}
-    (RESULTS / "faults.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     print(text)
-    return 0 if sum(row.product for row in rows_of(drives)) <= RISK else 1
+    if campaign.worth_storing(options, outcome):
+        RESULTS.mkdir(exist_ok=True)
+        (RESULTS / "faults.md").write_text(text + "\n", encoding="utf-8")
+        numbers = {"date": f"{now:%Y-%m-%d}", "rows": [asdict(row) for row in rows_of(drives)]}
+        (RESULTS / "faults.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    return 0 if outcome.complete and sum(row.product for row in rows_of(drives)) <= RISK else 1
 
 
 if __name__ == "__main__":

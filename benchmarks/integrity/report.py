@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 import platform
 import subprocess
 import sys
@@ -13,12 +12,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
-from .simulated import CASES, Judged, judge_all
+from cli import campaign
+
+from .simulated import CASES, Judged, jobs_of
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
+SIZE = campaign.Size(short=10, usual=300, full=1000)
 SHARE_GOAL, RATIO_GOAL = 1e-3, 6.0
 # Recording and options of `obu solve`; docs/how-to/solve-a-recorded-drive.md says how each is imported.
 RECORDINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -65,26 +65,21 @@ class Row:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, print, store; 1 if errors are above levels more often than they may be in the simulation."""
     parser = argparse.ArgumentParser(description="Protection levels against true errors.")
-    parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0, help="of the first runs")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--recordings", type=Path, help="folder with imported recordings")
-    parser.add_argument("--keep", type=Path, help="folder for what is done, so that a campaign can be taken up again")
-    options = parser.parse_args(arguments)
-    console = Console(stderr=True)
-    judged = list(
-        track(
-            judge_all(options.runs, options.workers, options.seed, options.keep),
-            "simulating",
-            options.runs,
-            console=console,
-            disable=not sys.stderr.isatty(),
-        )
-    )
-    simulated = [*rows_of(judged), row_of("all simulated", judged)]
-    recorded = recordings_in(options.recordings) if options.recordings else []
-    store(simulated, recorded)
-    return 0 if all(row.holds for row in simulated) else 1
+    options = campaign.options_of(parser, arguments, SIZE)
+    jobs = jobs_of(options.runs, options.seed)
+    outcome = campaign.run("integrity", jobs, workers=options.workers, fresh=options.fresh)
+    judged = outcome.results
+    simulated = [*rows_of(judged), row_of("all simulated", judged)] if judged else []
+    recorded = recordings_in(options.recordings) if options.recordings and not options.short else []
+    now = datetime.now(UTC)
+    made = f"{now:%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()}"
+    text = "\n".join(page(simulated, recorded, made, SIZE.note(options.runs)))
+    print(text)
+    if campaign.worth_storing(options, outcome):
+        store(simulated, recorded, text, f"{now:%Y-%m-%d}")
+    return 0 if outcome.complete and all(row.holds for row in simulated) else 1
 
 
 def rows_of(judged: Sequence[Judged]) -> list[Row]:
@@ -132,24 +127,19 @@ def recordings_in(folder: Path) -> list[Row]:
     return rows
 
 
-def store(simulated: Sequence[Row], recorded: Sequence[Row]) -> None:
-    """Write the table and its numbers, and print it."""
-    now = datetime.now(UTC)
-    text = "\n".join(
-        page(simulated, recorded, f"{now:%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()}")
-    )
+def store(simulated: Sequence[Row], recorded: Sequence[Row], text: str, date: str) -> None:
+    """Write the page and its numbers."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "integrity.md").write_text(text + "\n", encoding="utf-8")
     numbers = {
-        "date": f"{now:%Y-%m-%d}",
+        "date": date,
         "simulated": [asdict(row) for row in simulated],
         "recorded": [asdict(row) for row in recorded],
     }
     (RESULTS / "integrity.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    print(text)
 
 
-def page(simulated: Sequence[Row], recorded: Sequence[Row], made: str) -> list[str]:
+def page(simulated: Sequence[Row], recorded: Sequence[Row], made: str, size: str) -> list[str]:
     """Draw up the page, line by line."""
     heading = [
         "| | runs | epochs | error above level, % "
@@ -162,6 +152,7 @@ def page(simulated: Sequence[Row], recorded: Sequence[Row], made: str) -> list[s
         f"Measured {made}, by `make integrity`. Pairs are horizontal / vertical; the integrity risk is 0.001 an epoch.",
         f"Goals: above in at most {100.0 * SHARE_GOAL:g} %, ratio at most {RATIO_GOAL:g}. "
         "Simulated drives last 180 s, without GNSS for 15 s of every minute, half of them with an odometer.",
+        size,
         "",
         *heading,
         *map(line, simulated),

@@ -1,15 +1,11 @@
 """Simulated drives with outages, under errors that the filter knows of and errors that it does not."""
 
-import hashlib
-import multiprocessing
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.given import fixes_of, speeds_of
+from cli.campaign import Job, Kept
 from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
@@ -43,8 +39,8 @@ class Judged:
 
     case: str
     seed: int
-    error_m: FloatArray  # horizontal, vertical, shape (n, 2)
-    level_m: FloatArray  # shape (n, 2)
+    error_m: Kept  # horizontal, vertical, shape (n, 2)
+    level_m: Kept  # shape (n, 2)
 
 
 def _lasting(rmse: tuple[float, float, float], correlation_s: float) -> InjectedError:
@@ -65,12 +61,11 @@ CASES = (
 )
 
 
-def judge_run(job: tuple[Case, int]) -> Judged:
+def judge_run(case: Case, seed: int) -> Judged:
     """Drive once, with GNSS away for 15 s of every minute and stamps off by as much as the settings say.
 
     Lever arm and delay are stated to be exact, as they are: what is judged is the filter, not what is assumed of them.
     """
-    case, seed = job
     scenario = scenario_of(case.scenario, seed)
     drive = simulate(with_error(scenario, case.error) if case.error else scenario, seed, DURATION_S)
     drive.fix_valid[_hidden(drive.fix_ns)] = False
@@ -113,40 +108,7 @@ def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     return Judged(case.name, drive.seed, np.column_stack([np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])]), levels)
 
 
-def judge_all(runs: int, workers: int, first_seed: int = 0, kept: Path | None = None) -> Iterator[Judged]:
-    """Judge a number of runs, the cases in turn, each with a seed of its own.
-
-    What a folder has `kept` of earlier campaigns of the same code is not done again.
-    """
-    jobs = [(CASES[i % len(CASES)], first_seed + i // len(CASES)) for i in range(runs)]
-    judge = partial(judge_or_recall, kept) if kept else judge_run
-    if workers == 1:
-        yield from map(judge, jobs)
-        return
-    with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
-        yield from pool.imap_unordered(judge, jobs)
-
-
-def judge_or_recall(kept: Path, job: tuple[Case, int]) -> Judged:
-    """Look in the folder first, and leave there what was not in it."""
-    case, seed = job
-    path = kept / f"{_code()}-{CASES.index(case)}-{seed}.npz"
-    if path.exists():
-        with np.load(path) as found:
-            return Judged(case.name, seed, found["error_m"], found["level_m"])
-    one = judge_run(job)
-    kept.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
-    with unfinished.open("wb") as file:
-        np.savez_compressed(file, error_m=one.error_m, level_m=one.level_m)
-    unfinished.rename(path)
-    return one
-
-
-@cache
-def _code() -> str:
-    """Digest of everything that a result depends on."""
-    root = Path(__file__).resolve().parents[2]
-    folders = ("services/core/fusion", "services/sensors/simulator", "cli", "shared", "benchmarks")
-    paths = sorted(path for folder in folders for path in (root / folder).rglob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]
+def jobs_of(runs: int, first_seed: int = 0) -> list[Job[Judged]]:
+    """List a number of runs, the cases in turn, each with a seed of its own."""
+    chosen = [(CASES[i % len(CASES)], first_seed + i // len(CASES)) for i in range(runs)]
+    return [Job(f"{case.name}, seed {seed}", judge_run, (case, seed)) for case, seed in chosen]

@@ -7,24 +7,23 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
 from typing import TypedDict
 
-from rich.console import Console
-from rich.progress import Progress
-
 from benchmarks.bus.report import machine
+from cli import campaign
 
-from .cases import CASES, GNSS_ALONE, ROWS, Case, Row
+from .cases import CASES, GNSS_ALONE, ROWS, Row
 from .peers import PEERS, PeerResult
-from .runs import REPOSITORY, Metrics, data_folder, import_drives, jobs_of, present, recording, solve_cases
+from .runs import REPOSITORY, Metrics, data_folder, import_drives, jobs_of, metrics_of, present, recording
 
 RESULTS = REPOSITORY / "benchmarks" / "results"
 PAGE = REPOSITORY / "docs" / "reference" / "drives.md"
+SIZE = campaign.Size(short=1, usual=1, full=3, unit="shifted runs of each pattern of outages")
+SHORT = ("comma", "truck", "balzer")  # of a minute each
 SPEED_SETS = ("rtk", "spp")
 HOW_TO = REPOSITORY / "docs" / "how-to" / "solve-a-recorded-drive.md"
 BEGIN, END = "<!-- printed by `make drives` -->\n", "<!-- end -->\n"
@@ -83,30 +82,35 @@ def main(arguments: Sequence[str]) -> int:
     if options.print:
         write_pages(json.loads((RESULTS / "navigation.json").read_text(encoding="utf-8")))
         return 0
-    cases = {key: case for key, case in CASES.items() if not options.only or case.drive in options.only}
-    if options.quick:
-        cases = {key: replace(case, outages=case.outages[:1]) for key, case in cases.items()}
+    only = options.only or (SHORT if options.short else None)
+    cases = {
+        key: replace(case, outages=case.outages[: options.runs])
+        for key, case in CASES.items()
+        if not only or case.drive in only
+    }
     drives = present(case.drive for case in cases.values())
     if not drives:
         print(f"no drive is measured: {data_folder()} holds none of them; set OBU_DATA to the folder of the recordings")
         return 0
     cases = {key: case for key, case in cases.items() if case.drive in drives}
     load = os.getloadavg()[0]
-    with _workshop(options.keep) as folder:
-        measured = _measure(cases, drives, folder)
-        speed = {name: _speed(recording(folder, name)) for name in SPEED_SETS if name in drives}
-        peers = {peer.name: peer.measure(folder) for peer in PEERS}
-    document = Document(
-        measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
-        machine=machine(),
-        quick=options.quick,
-        load_before=round(load, 2),
-        cases=measured,
-        speed=speed,
-        peers=peers,
-    )
-    store(document, partial=bool(options.only))
-    return 0
+    imported = import_drives(drives, workers=options.workers, fresh=options.fresh)
+    jobs = [job for key, case in cases.items() for job in jobs_of(key, case)]
+    solved = campaign.run("drives", jobs, workers=options.workers, fresh=options.fresh)
+    with tempfile.TemporaryDirectory(prefix="obu-drives-") as folder:
+        document = Document(
+            measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+            machine=machine(),
+            quick=options.runs < SIZE.full,
+            load_before=round(load, 2),
+            cases=metrics_of(cases, jobs, dict(solved.numbered)),
+            speed={name: _speed(recording(name)) for name in SPEED_SETS if name in drives},
+            peers={} if options.short else {peer.name: peer.measure(Path(folder)) for peer in PEERS},
+        )
+    print(page(document))
+    if campaign.worth_storing(options, imported, solved) and not options.only:
+        store(document)
+    return 0 if imported.complete and solved.complete else 1
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
@@ -116,36 +120,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--print", action="store_true", help="print the pages of the last results again; measure nothing"
     )
-    parser.add_argument("--quick", action="store_true", help="of the shifted runs the first alone")
-    parser.add_argument(
-        "--keep",
-        type=Path,
-        help="folder for recordings and reports, which stay there; what it holds already is not made again",
-    )
-    return parser.parse_args(arguments)
-
-
-@contextmanager
-def _workshop(keep: Path | None) -> Iterator[Path]:
-    if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
-        yield keep.resolve()
-        return
-    with tempfile.TemporaryDirectory(prefix="obu-drives-") as name:
-        yield Path(name)
-
-
-def _measure(cases: dict[str, Case], drives: Sequence[str], folder: Path) -> dict[str, Metrics]:
-    missing = [name for name in drives if not recording(folder, name).is_file()]
-    steps = len(missing) + sum(len(jobs_of(key, case)) for key, case in cases.items())
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("importing", total=steps)
-
-        def advance(what: str) -> None:
-            progress.update(task, advance=1, description=what)
-
-        import_drives(missing, folder, advance)
-        return solve_cases(cases, folder, advance)
+    return campaign.options_of(parser, arguments, SIZE)
 
 
 def _speed(path: Path) -> Cost:
@@ -155,11 +130,8 @@ def _speed(path: Path) -> Cost:
     return cost
 
 
-def store(document: Document, *, partial: bool) -> None:
-    """Print the table; keep it with all numbers behind it, if all drives were asked for."""
-    print(page(document))
-    if partial:
-        return
+def store(document: Document) -> None:
+    """Keep the table with all numbers behind it."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "navigation.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     write_pages(document)

@@ -1,24 +1,37 @@
-"""Imports the drives, solves every case in processes of their own, and puts the outages of one case together."""
+"""Imports the drives, solves every case by `obu solve`, and puts the outages of one case together."""
 
 import csv
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from cli import campaign
+from cli.campaign import Job
+from shared.runtime.config import state_dir
 
 from .cases import DRIVES, Case
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 Metrics = dict[str, float | None]
-Advance = Callable[[str], None]
+Outage = dict[str, float]
 TIMEOUT_S = 1800.0
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What one run of `obu solve` found."""
+
+    metrics: dict[str, Any]  # metrics.json
+    outages: list[Outage]  # outages.csv; none of a run without outages
 
 
 def data_folder() -> Path:
@@ -26,96 +39,86 @@ def data_folder() -> Path:
     return Path(os.environ.get("OBU_DATA", REPOSITORY.parent / "shared" / "data"))
 
 
-@dataclass(frozen=True)
-class Job:
-    """One run of `obu solve`."""
-
-    case: str
-    number: int
-    drive: str
-    options: tuple[str, ...]
-
-    @property
-    def folder(self) -> str:
-        """Name of the folder for its results."""
-        return f"{self.case.replace(' ', '-')}-{self.number}"
-
-
 def present(drives: Iterable[str]) -> list[str]:
     """Name the drives whose folder is there."""
     return [name for name in dict.fromkeys(drives) if (data_folder() / DRIVES[name].folder).is_dir()]
 
 
-def import_drives(names: Sequence[str], folder: Path, advance: Advance) -> None:
-    """Turn drives into recordings."""
-    commands = {
-        name: ["import", str(MAPPINGS / f"{DRIVES[name].mapping}.toml"), str(data_folder() / DRIVES[name].folder),
-               "-o", str(recording(folder, name))]
-        for name in names
-    }  # fmt: skip
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        waiting = {pool.submit(_obu, command): name for name, command in commands.items()}
-        for done in as_completed(waiting):
-            done.result()
-            advance(f"imported {waiting[done]}")
-
-
-def recording(folder: Path, name: str) -> Path:
+def recording(name: str) -> Path:
     """Where the recording of a drive lies."""
-    return folder / f"{name}.mcap"
+    return state_dir().resolve() / "campaigns" / "recordings" / f"{name}.mcap"
 
 
-def jobs_of(key: str, case: Case) -> list[Job]:
+def import_drives(names: Sequence[str], *, workers: int = 0, fresh: bool = False) -> campaign.Outcome[None]:
+    """Turn drives into recordings, where they are not yet."""
+    jobs = [
+        Job(
+            f"importing {name}", import_drive, (name,), also=("cli.import_drive.import_drive",), makes=recording(name),
+            reads=(_mapping(name), *sorted(path for path in _source(name).rglob("*") if path.is_file())),
+        )
+        for name in names
+    ]  # fmt: skip
+    return campaign.run("recordings", jobs, workers=workers, fresh=fresh)
+
+
+def import_drive(name: str) -> None:
+    """Run `obu import` for a drive."""
+    recording(name).parent.mkdir(parents=True, exist_ok=True)
+    _obu(["import", str(_mapping(name)), str(_source(name)), "-o", str(recording(name))])
+
+
+def _mapping(name: str) -> Path:
+    return MAPPINGS / f"{DRIVES[name].mapping}.toml"
+
+
+def _source(name: str) -> Path:
+    return data_folder() / DRIVES[name].folder
+
+
+def solve_job(name: str, drive: str, options: tuple[str, ...] = ()) -> Job[Solved]:
+    """One run of `obu solve`."""
+    return Job(name, solve, (drive, options), reads=(recording(drive),), also=("cli.solve.solve",))
+
+
+def solve(drive: str, options: tuple[str, ...]) -> Solved:
+    """Run `obu solve`."""
+    with tempfile.TemporaryDirectory(prefix="obu-drives-") as name:
+        _obu(["solve", str(recording(drive)), "--out", name, *options])
+        metrics = json.loads((Path(name) / "metrics.json").read_text(encoding="utf-8"))
+        table = Path(name) / "outages.csv"
+        lines = table.read_text(encoding="utf-8").splitlines() if table.exists() else []
+    return Solved(metrics, [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines)])
+
+
+def jobs_of(key: str, case: Case) -> list[Job[Solved]]:
     """List the runs of a case: one, or one an outage pattern."""
     common = ("--score-from", str(case.score_from), *(("--aiding", case.aiding) if case.aiding else ()))
     patterns: list[tuple[str, ...]] = [("--outage", outage) for outage in case.outages] or [()]
-    return [Job(key, number, case.drive, (*common, *pattern)) for number, pattern in enumerate(patterns)]
+    return [solve_job(key, case.drive, (*common, *pattern)) for pattern in patterns]
 
 
-def solve_cases(cases: dict[str, Case], folder: Path, advance: Advance) -> dict[str, Metrics]:
-    """Run every job, as many at once as there are cores; the metrics of each case."""
-    jobs = [job for key, case in cases.items() for job in jobs_of(key, case) if not _done(job, folder)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        waiting = {pool.submit(solve_job, job, folder): job for job in jobs}
-        for done in as_completed(waiting):
-            done.result()
-            advance(f"solved {waiting[done].case}")
-    return {key: _metrics(key, case, folder) for key, case in cases.items()}
+def metrics_of(
+    cases: Mapping[str, Case], jobs: Sequence[Job[Solved]], found: Mapping[int, Solved]
+) -> dict[str, Metrics]:
+    """Judge the runs of every case together; a case of which a run is missing is left out."""
+    runs: dict[str, list[Solved | None]] = {key: [] for key in cases}
+    for number, job in enumerate(jobs):
+        runs[job.name].append(found.get(number))
+    return {key: judged(cases[key], [one for one in each if one]) for key, each in runs.items() if all(each)}
 
 
-def _done(job: Job, folder: Path) -> bool:
-    """Whether a folder that was kept holds the results already."""
-    return (folder / job.folder / "report.html").is_file()
-
-
-def solve_job(job: Job, folder: Path) -> None:
-    """Run `obu solve` for a job; the results are in its folder."""
-    _obu(["solve", str(recording(folder, job.drive)), "--out", str(folder / job.folder), *job.options])
+def judged(case: Case, runs: Sequence[Solved]) -> Metrics:
+    """Judge the runs of a case."""
+    return pooled([run.outages[: case.most] for run in runs]) if case.outages else runs[0].metrics
 
 
 def _obu(arguments: Sequence[str]) -> None:
-    # One thread of linear algebra each: with more they stand in each other's way.
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "cli", *arguments], cwd=REPOSITORY, env=environment, check=False,
-        capture_output=True, text=True, timeout=TIMEOUT_S,
+        [sys.executable, "-m", "cli", *arguments], cwd=REPOSITORY, check=False, capture_output=True, text=True,
+        timeout=TIMEOUT_S,
     )  # fmt: skip
     if done.returncode:
         raise RuntimeError(f"obu {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}")
-
-
-def _metrics(key: str, case: Case, folder: Path) -> Metrics:
-    results = [folder / job.folder for job in jobs_of(key, case)]
-    metrics: Metrics = json.loads((results[0] / "metrics.json").read_text(encoding="utf-8"))
-    return pooled([_outages(result, case.most) for result in results]) if case.outages else metrics
-
-
-Outage = dict[str, float]
-
-
-def _outages(folder: Path, most: int | None) -> list[Outage]:
-    with (folder / "outages.csv").open(newline="", encoding="utf-8") as file:
-        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)][:most]
 
 
 def pooled(runs: Sequence[Sequence[Outage]]) -> Metrics:

@@ -6,23 +6,21 @@ anything (`obu solve` does both).
 
 import argparse
 import json
-import os
 import sys
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TypedDict, cast
 
 from benchmarks.bus.report import machine
+from cli import campaign
 from cli.solve.metrics.trust import WORDS
 
-from .runs import REPOSITORY, Job, data_folder, import_drives, present, recording, solve_job
+from .runs import REPOSITORY, data_folder, import_drives, present, solve_job
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "trust-on-drives.json"
 PAGE = REPOSITORY / "docs" / "reference" / "trust-on-drives.md"
 DRIVES = ("comma", "rtkexp", "wid02", "wid08", "wid10", "navmatlab", "navmatlab 0327")
+SIZE = campaign.Size(short=2, usual=len(DRIVES), full=len(DRIVES), unit="drives")
 HEAD = (
     "<!-- Printed by `make drives-trust` from benchmarks/results/trust-on-drives.json; a test holds it to that file. "
     "-->\n\n"
@@ -62,40 +60,30 @@ class Document(TypedDict):
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Solve the drives that are there, one after the other, and print the table."""
+    """Solve the drives that are there, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.navigation.trust", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=DRIVES, help="these drives alone; prints, and keeps nothing")
-    parser.add_argument("--keep", type=Path, help="folder for recordings and reports, which stay there")
     parser.add_argument(
         "--print", action="store_true", help="print the page of the last results again; measure nothing"
     )
-    options = parser.parse_args(arguments)
+    options = campaign.options_of(parser, arguments, SIZE)
     if options.print:
         PAGE.write_text(HEAD + page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
         return 0
-    names = present(options.only or DRIVES)
+    names = present(options.only or DRIVES[: options.runs])
     if not names:
         print(f"no drive is measured: {data_folder()} holds none of them; set OBU_DATA to the folder of the recordings")
         return 0
-    with ExitStack() as stack:
-        folder = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="obu-trust-")))
-        folder.mkdir(parents=True, exist_ok=True)
-        drives = {name: _measured(name, folder.resolve(), _tell) for name in names}
+    imported = import_drives(names, workers=options.workers, fresh=options.fresh)
+    jobs = [solve_job(name, name) for name in names]
+    solved = campaign.run("drives-trust", jobs, workers=options.workers, fresh=options.fresh)
+    drives = {names[number]: kept(one.metrics) for number, one in solved.numbered}
     document = Document(measured_at=datetime.now(UTC).isoformat(timespec="seconds"), machine=machine(), drives=drives)
     print(page(document))
-    if not options.only:
+    if campaign.worth_storing(options, imported, solved) and not options.only:
         RESULTS.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
         PAGE.write_text(HEAD + page(document), encoding="utf-8")
-    return 0
-
-
-def _measured(name: str, folder: Path, advance: Callable[[str], None]) -> Verdicts:
-    if not recording(folder, name).is_file():
-        import_drives([name], folder, advance)
-    job = Job(f"{name} trust", 0, name, ())
-    solve_job(job, folder)
-    advance(f"solved {name}")
-    return kept(json.loads((folder / job.folder / "metrics.json").read_text(encoding="utf-8")))
+    return 0 if imported.complete and solved.complete else 1
 
 
 def kept(metrics: Mapping[str, object]) -> Verdicts:
@@ -140,10 +128,6 @@ def rows(drives: Mapping[str, Verdicts]) -> Iterator[tuple[str, ...]]:
 
 def _said(value: float | None, form: str) -> str:
     return "unknown" if value is None else form.format(value)
-
-
-def _tell(what: str) -> None:
-    print(f"{what} (load {os.getloadavg()[0]:.1f})", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -241,7 +241,7 @@ def measure(path: Path, way: str, rate_hz: int, aiding: str) -> Cost:
 
     start = (0.0, 0.0, 0.0)
     if "Numba" in way and not COMPILED:
-        raise SystemExit("Numba is not installed: pip install .[fast]")
+        raise SystemExit("Numba is not installed, or left out by NUMBA_DISABLE_JIT")
     log = _load(path, rate_hz, aiding)
 
     def first() -> None:

@@ -3,9 +3,7 @@
 import argparse
 import json
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from math import degrees, erf, inf, radians, sqrt
 from pathlib import Path
@@ -13,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
-from rich.progress import track
 
+from cli import campaign
 from services.sensors.simulator.drive import Drive
 
 from .start import FAST_M_S, STEP_S, Receiver, Start, drive
 
+SIZE = campaign.Size(short=1, usual=6, full=20)  # starts of each drive, from rest and at speed
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 TITLE = """# Switched on anywhere: how soon the heading is known
 
@@ -103,9 +102,8 @@ def probability(start: Start) -> float:
     return erf(LIMIT * sqrt(0.5 * spread) / receiver.white_m)
 
 
-def row(case: tuple[Receiver, str], each: int) -> Row:
+def row(receiver: Receiver, settings: str, each: int) -> Row:
     """Try all starts of one receiver with one kind of settings."""
-    receiver, settings = case
     times, wrong, bounds = [], 0, []
     for start in starts(receiver, each):
         settled_s, worst, _ = start.known_after_s(LIMIT, WATCHED_S, SETTINGS[settings])
@@ -135,15 +133,23 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run all receivers and write `benchmarks/results/starts.md`."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--each", type=int, default=6, help="starts of each drive, from rest and at speed")
-    each = parser.parse_args(arguments).each
-    with ProcessPoolExecutor() as workers:
-        cases = list(product(RECEIVERS, SETTINGS))
-        tried = workers.map(partial(row, each=each), cases)
-        rows = list(track(tried, description="receivers", total=len(cases), transient=True))
-    RESULTS.joinpath("starts.md").write_text(TITLE + table(rows), encoding="utf-8")
+    """Run all receivers and write `benchmarks/results/starts.md`; a run is a start of each drive, of both kinds."""
+    options = campaign.options_of(argparse.ArgumentParser(description=__doc__), arguments, SIZE)
+    jobs = [
+        campaign.Job(f"receiver {number}", row, (receiver, settings, options.runs))
+        for number, (receiver, settings) in enumerate(product(RECEIVERS, SETTINGS), 1)
+    ]
+    outcome = campaign.run("starts", jobs, workers=options.workers, fresh=options.fresh)
+    rows = outcome.results
+    Console().print(table(rows), markup=False, soft_wrap=True)
+    if campaign.worth_storing(options, outcome):
+        store(rows, options.runs)
+    return 0 if outcome.complete else 1
+
+
+def store(rows: Sequence[Row], each: int) -> None:
+    """Write the page and its numbers."""
+    RESULTS.joinpath("starts.md").write_text(f"{TITLE}{SIZE.note(each)}\n\n{table(rows)}", encoding="utf-8")
     figures = [
         {
             "receiver": one.name,
@@ -155,5 +161,3 @@ def main(arguments: Sequence[str]) -> int:
         for one in rows
     ]
     RESULTS.joinpath("starts.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    Console().print(table(rows), markup=False, soft_wrap=True)
-    return 0

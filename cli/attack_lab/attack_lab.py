@@ -1,13 +1,6 @@
 """`obu attack-lab`: runs attacks on drives, and writes the report card."""
 
 import json
-import os
-import signal
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import active_children
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +10,8 @@ from rich.table import Table
 
 from shared.errors import UserError
 
-from ..progress import progress_on
+from .. import campaign
+from ..campaign import Job
 from .cases import AFTER_S, ATTACKS, CLEAN, Case, plan
 from .report import answer_rows, document, write
 from .run import run
@@ -39,17 +33,17 @@ def attack_lab(  # noqa: PLR0913  # one argument an option
     ] = None,
     scenario: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Simulated drive; may be repeated. Default: urban and highway."),
+        typer.Option(metavar="NAME", help="Simulated drive; may be repeated. Default: urban."),
     ] = None,
     seeds: Annotated[
         int, typer.Option(min=0, max=1000, metavar="COUNT", help="Runs of each simulated drive, seeds 1 to this.")
-    ] = 3,
+    ] = 1,
     recording: Annotated[
         list[Path] | None,
         typer.Option(metavar="FILE", help="Recording of `obu record` or `obu import` to attack; may be repeated."),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Four attacks, one seed of the urban drive: a few minutes.")
+        bool, typer.Option("--quick", help="Four attacks, one seed of the urban drive: two minutes.")
     ] = False,
     after: Annotated[
         float,
@@ -64,33 +58,36 @@ def attack_lab(  # noqa: PLR0913  # one argument an option
     jobs: Annotated[
         int, typer.Option(min=0, metavar="COUNT", help="Runs at the same time; 0: one for each processor.")
     ] = 0,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Do again what is kept of earlier runs of the same code.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report card as JSON.")] = False,
 ) -> int:
     """Attack simulated and recorded drives; write report.html and report.json with rates of detection and false alarm.
 
-    Ctrl-C ends the campaign early; the report then has the runs that are finished, first all cases of seed 1.
+    Ctrl-C ends the campaign early; the report then has the runs that are finished, first all cases of seed 1. Finished
+    runs are kept in .obu/campaigns: the same command goes on, as long as the code is the same.
 
     Examples:
     [bold]obu attack-lab --quick[/]
+    [bold]obu attack-lab --scenario urban --scenario highway --seeds 3[/]
     [bold]obu attack-lab --attack drag_off --attack 'drag_off(acceleration=0.1,speed=1)' --seeds 10[/]
     [bold]obu attack-lab --attack gyroscope_bias --scenario urban --after 300[/]
     [bold]obu attack-lab --recording drive.mcap --seeds 0 --attack position_jump@300:60[/]
     """
     texts = attack or list(QUICK if quick else ATTACKS)
-    scenarios = scenario or (["urban"] if quick else ["urban", "highway"])
+    scenarios = scenario or ["urban"]
     attacks = [text for text in texts if text != CLEAN]
-    count = 1 if quick and seeds == 3 else seeds  # 3: the default
-    cases = list(plan(attacks, scenarios, count, recording or [], QUICK_CLEAN_S if quick else CLEAN_S, after))
+    cases = list(plan(attacks, scenarios, seeds, recording or [], QUICK_CLEAN_S if quick else CLEAN_S, after))
     if not cases:
         raise UserError("nothing to run: give --seeds of at least 1, or a --recording")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot create the folder {out}: {error.strerror}; choose another one with --out") from error
-    console = Console(stderr=True)
-    runs = run_all(cases, jobs or os.cpu_count() or 1, console)
+    runs = run_all(cases, jobs, fresh=fresh)
     if not runs:
-        raise UserError("interrupted before the first run was finished: there is no report")
+        raise UserError("no run was finished: there is no report")
     card = document(runs, planned=cases)
     write(out, card, runs)
     if as_json:
@@ -100,46 +97,17 @@ def attack_lab(  # noqa: PLR0913  # one argument an option
     return 0
 
 
-def run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
+def run_all(cases: list[Case], jobs: int = 0, *, fresh: bool = False) -> list[Run]:
     """Run all cases in parallel, in the order of the plan; after an interrupt those that are finished."""
-    found: dict[int, Run] = {}
-    with (
-        _interruptible(),
-        progress_on(console) as progress,
-        ProcessPoolExecutor(min(jobs, len(cases)), initializer=_ignore) as pool,
-    ):
-        task = progress.add_task("attacking", total=len(cases))
-        waiting = {pool.submit(run, case): number for number, case in enumerate(cases)}
-        try:
-            for future in as_completed(waiting):
-                number = waiting[future]
-                case = cases[number]
-                found[number] = (case, future.result())
-                progress.update(task, advance=1, description=f"{case.drive} {case.label}")
-        except (UserError, BrokenProcessPool):
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in active_children():
-                worker.kill()
-    return [found[number] for number in sorted(found)]
+    work = [
+        Job(f"{case.label} on {Path(case.drive).name}, seed {case.seed}", run, (case,), _files(case)) for case in cases
+    ]
+    outcome = campaign.run("attack-lab", work, workers=jobs, fresh=fresh)
+    return [(cases[number], timeline) for number, timeline in outcome.numbered]
 
 
-def _ignore() -> None:
-    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that writes the report."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """SIGTERM ends a campaign as Ctrl-C does."""
-    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _files(case: Case) -> tuple[Path, ...]:
+    return (Path(case.drive),) if case.recorded else ()
 
 
 def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path) -> None:

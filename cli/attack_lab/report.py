@@ -30,6 +30,7 @@ from .score import (
     safe_share,
 )
 
+FULL_RUNS = 6 * (len(ATTACKS) + 1)  # three seeds of two drives
 COLLUSION = (
     "A majority of colluding neighbours cannot be detected: the expected verdict is SAFE, with the neighbours used by "
     "the leave-one-out bank only."
@@ -116,6 +117,8 @@ def page(card: dict[str, object], runs: Sequence[Run]) -> str:
     count = (
         f"{len(runs)} runs." if len(runs) == card["planned"] else f"Interrupted: {len(runs)} of {card['planned']} runs."
     )
+    if len(runs) < FULL_RUNS:
+        count += f" A full campaign (make attack-lab FULL=1) has {FULL_RUNS}; the intervals are wider accordingly."
     interval = f"{100 * CONFIDENCE:.0f} %"
     return f"""<!doctype html>
 <html lang="en">

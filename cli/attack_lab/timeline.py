@@ -11,6 +11,7 @@ from shared.messages.base import Message, Vector3
 from shared.messages.navigation import NavigationSolution, TruthState
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
 
+from ..campaign import Kept
 from ..solve.metrics.errors import errors_against
 from ..solve.reference_track import Reference, from_states
 from ..solve.track import TrackBuilder
@@ -23,13 +24,13 @@ class Timeline:
     """Verdicts, accusations and true errors of one run; times in seconds since the start of the drive."""
 
     duration_s: float
-    verdict_s: FloatArray  # times of trust/state, shape (v,)
+    verdict_s: Kept  # times of trust/state, shape (v,)
     verdicts: list[TrustLevel]
     accused_s: dict[str, list[Interval]]  # intervals in which each monitor accuses
     evaluated_s: dict[str, float]  # time during which each monitor is evaluated
-    error_s: FloatArray  # times of the true errors, shape (n,)
-    error_m: FloatArray  # horizontal and vertical error of the fused position, shape (n, 2)
-    level_m: FloatArray  # horizontal and vertical protection level, shape (n, 2)
+    error_s: Kept  # times of the true errors, shape (n,)
+    error_m: Kept  # horizontal and vertical error of the fused position, shape (n, 2)
+    level_m: Kept  # horizontal and vertical protection level, shape (n, 2)
     alert_limits_m: tuple[float, float]
     named_s: dict[str, list[Interval]] = field(default_factory=dict)  # intervals in which each source is accused
     excluded_s: dict[str, list[Interval]] = field(default_factory=dict)  # intervals in which each is excluded

@@ -5,8 +5,8 @@ match the published error ratio; agreement is therefore not independent evidence
 as a correct filter with such data.
 """
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import radians
 from typing import TypeVar
@@ -26,6 +26,7 @@ from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, wit
 from shared.maths.earth import Geodetic, ned_track
 from shared.runtime.config import GnssAntenna, Vehicle
 
+from .. import campaign
 from ..progress import progress_on
 
 FloatArray = npt.NDArray[np.float64]
@@ -208,14 +209,16 @@ def measure(job: tuple[Case, int]) -> tuple[str, FloatArray]:
 
 
 def in_parallel(work: Callable[[Job], Found], jobs: Sequence[Job], workers: int, progress: bool) -> Iterator[Found]:
-    """Execute all jobs in worker processes."""
-    with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
-        done = pool.imap(work, jobs)
-        if not progress:
-            yield from done
-            return
-        with progress_on(Console(stderr=True)) as shown:
-            yield from shown.track(done, total=len(jobs), description="simulating")
+    """Execute all jobs in worker processes, and yield what they found in their order; raises if one fails."""
+    calls = {number: campaign.Job("simulating", work, (job,)) for number, job in enumerate(jobs)}
+    done = campaign.in_processes(calls, workers)
+    with progress_on(Console(stderr=True)) if progress else nullcontext() as shown:
+        found = dict(shown.track(done, total=len(jobs), description="simulating") if shown else done)
+    for number in sorted(found):
+        one = found[number]
+        if isinstance(one, campaign.Failure):
+            raise RuntimeError(one.reason)
+        yield one
 
 
 def measure_all(cases: Sequence[Case], runs: int, workers: int, progress: bool) -> list[Result]:

@@ -1,7 +1,7 @@
-"""Numba where it is installed (the extra [fast]): the same functions, compiled; elsewhere both decorators do nothing.
+"""Numba in commands and tests: the same functions, compiled; without Numba both decorators do nothing.
 
 `compiled` makes machine code of a function and keeps it between runs; `compilable` lets that code call a function that
-stays one of Python. NUMBA_DISABLE_JIT=1, Numba's own switch, leaves Numba out.
+stays one of Python. NUMBA_DISABLE_JIT=1, Numba's own switch, leaves Numba out: processes of a vehicle have it set.
 """
 
 import os

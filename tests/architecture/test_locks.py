@@ -18,19 +18,17 @@ def pins(name: str) -> dict[str, str]:
 
 def wanted(extra: str) -> list[Requirement]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    texts: list[str] = [] if extra == "fast" else project["dependencies"]
+    texts: list[str] = project["dependencies"]
     return [Requirement(text) for text in texts + (project["optional-dependencies"][extra] if extra else [])]
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-fast.lock", "requirements-dev.lock"])
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
 def test_every_line_is_one_exact_version(name: str) -> None:
     for line in (ROOT / name).read_text().splitlines():
         assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line), f"{name}: {line!r}; run `make lock`"
 
 
-@pytest.mark.parametrize(
-    ("name", "extra"), [("requirements.lock", ""), ("requirements-fast.lock", "fast"), ("requirements-dev.lock", "dev")]
-)
+@pytest.mark.parametrize(("name", "extra"), [("requirements.lock", ""), ("requirements-dev.lock", "dev")])
 def test_what_the_project_asks_for_is_pinned_within_its_bounds(name: str, extra: str) -> None:
     pinned = pins(name)
     for requirement in wanted(extra):
@@ -40,14 +38,9 @@ def test_what_the_project_asks_for_is_pinned_within_its_bounds(name: str, extra:
 
 
 def test_the_tests_run_on_the_versions_that_the_vehicle_runs() -> None:
-    for name in ("requirements.lock", "requirements-fast.lock"):
-        assert pins(name).items() <= pins("requirements-dev.lock").items(), name
-
-
-def test_the_extra_runs_on_the_numpy_that_the_vehicle_runs() -> None:
-    assert pins("requirements-fast.lock")["numpy"] == pins("requirements.lock")["numpy"]
+    assert pins("requirements.lock").items() <= pins("requirements-dev.lock").items()
 
 
 def test_the_vehicle_gets_no_test_tools() -> None:
-    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "psutil", "numba"}
+    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "psutil"}
     assert not pins("requirements.lock").keys() & tools

@@ -6,12 +6,18 @@ from pathlib import Path
 import pytest
 
 from benchmarks.integrity import report
-from benchmarks.integrity.simulated import CASES, Judged, judge_all
+from benchmarks.integrity.simulated import CASES, Judged, jobs_of
+from cli import campaign
+from cli.campaign import Outcome, in_processes
 
 
 @pytest.fixture(scope="module")
 def judged() -> list[Judged]:
-    return list(judge_all(len(CASES), workers=2, first_seed=5000))
+    found = {}
+    for number, one in in_processes(dict(enumerate(jobs_of(len(CASES), first_seed=5000))), 2):
+        assert isinstance(one, Judged), one
+        found[number] = one
+    return [found[number] for number in sorted(found)]
 
 
 def test_at_most_1e_3_of_the_errors_are_above_their_protection_levels(judged: list[Judged]) -> None:
@@ -35,10 +41,14 @@ def test_the_table_has_every_case_and_exceeded_levels_fail_the_command(
 ) -> None:
     monkeypatch.setattr(report, "RESULTS", tmp_path)
     exceeded = [Judged(one.case, one.seed, 3.0 * one.level_m, one.level_m) for one in judged]
-    monkeypatch.setattr(report, "judge_all", lambda *_: iter(exceeded))
+    found = Outcome(list(enumerate(exceeded)), len(exceeded))
+    monkeypatch.setattr(campaign, "run", lambda *_, **__: found)
+    assert report.main(["--short"]) == 1 and not list(tmp_path.iterdir()), "the short form stores nothing"
+    capsys.readouterr()
     assert report.main(["--runs", str(len(CASES))]) == 1
     printed = capsys.readouterr().out
     assert all(case.name in printed for case in CASES) and "100 / 100" in printed
+    assert f"{len(CASES)} runs; the full campaign" in printed
     assert (tmp_path / "integrity.md").read_text() == printed
     stored = json.loads((tmp_path / "integrity.json").read_text())
     assert stored["simulated"][-1]["above"] == [1.0, 1.0]

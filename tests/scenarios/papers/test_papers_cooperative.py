@@ -16,12 +16,18 @@ from cli.papers.cooperative import (
     sensitivity,
     splits,
 )
-from cli.papers.report import publish
+from cli.papers.report import Paper, publish
 from services.core.cooperative.paper.monte_carlo import RATIOS, Rates, row
 
 
-def test_the_command_prints_every_ratio_and_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    paper = reproduce(6, progress=False)
+@pytest.fixture(scope="module")
+def paper() -> Paper:
+    return reproduce(6, progress=False)
+
+
+def test_the_command_prints_every_ratio_and_writes_figures(
+    paper: Paper, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     publish(paper, json=True, out=tmp_path)
     document = json.loads(capsys.readouterr().out)
     assert [one["ratio"] for one in document["ratios"]] == list(RATIOS)
@@ -52,8 +58,10 @@ def test_virtual_satellites_that_are_chosen_anew_have_a_level_within_the_limit_a
     assert max(found["chosen anew"].local_m) < 20.0
 
 
-def test_what_was_fitted_and_what_is_not_reproduced_is_in_the_json(capsys: pytest.CaptureFixture[str]) -> None:
-    publish(reproduce(6, progress=False), json=True, out=None)
+def test_what_was_fitted_and_what_is_not_reproduced_is_in_the_json(
+    paper: Paper, capsys: pytest.CaptureFixture[str]
+) -> None:
+    publish(paper, json=True, out=None)
     document = json.loads(capsys.readouterr().out)
     remarks = " ".join(document["not_reproduced"])
     assert document["fitted"] and "0.36 % on average in the text, 0.457 %" in remarks

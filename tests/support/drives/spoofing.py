@@ -1,6 +1,6 @@
 """Simulated drives as messages through core.fusion and core.spoofing, with GNSS velocities and positions changed."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from math import degrees, pi
 
@@ -29,6 +29,7 @@ BATCH = 10  # inertial samples a message
 # The simulated IMU is of industrial grade. These drives are too short for a minute of warm-up.
 GRADED = Config(grade=Grade.INDUSTRIAL, warm_up_s=0.0)
 Input = ImuSamples | GnssFix | VehicleSpeed | Tick
+Fused = tuple[Input, list[NavigationSolution | FilterState]]  # a message, and what core.fusion publishes for it
 
 
 @dataclass
@@ -125,21 +126,38 @@ def monitored(
     drive: Drive, config: Config | None = None, *, odometer: bool = True, resolution_m_s: float = 0.0
 ) -> Result:
     """Run a drive through both processes."""
-    lever_arm = tuple(drive.lever_arm_b)
-    config = config or GRADED
-    fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": lever_arm}))
-    process = Process(config.with_values({"vehicle.gnss.lever_arm_body_m": lever_arm}))
-    return run(fusion, process, inputs(drive, odometer=odometer, resolution_m_s=resolution_m_s))
+    return watched(process_of(drive, config), fused(drive, odometer=odometer, resolution_m_s=resolution_m_s))
+
+
+def process_of(drive: Drive, config: Config | None = None) -> Process:
+    """The monitors of the vehicle that drove."""
+    return Process((config or GRADED).with_values({"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}))
+
+
+def fused(drive: Drive, *, odometer: bool = True, resolution_m_s: float = 0.0) -> Iterator[Fused]:
+    """Run a drive through core.fusion, which takes most of the time and does not depend on the monitors' settings."""
+    fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}))
+    return solved(fusion, inputs(drive, odometer=odometer, resolution_m_s=resolution_m_s))
+
+
+def solved(fusion: Fusion, messages: Iterable[Input]) -> Iterator[Fused]:
+    """Deliver messages to core.fusion."""
+    for message in messages:
+        published = () if isinstance(message, Tick) else fusion.handle(message)
+        yield message, [one for one in published if isinstance(one, NavigationSolution | FilterState)]
 
 
 def run(fusion: Fusion, process: Process, messages: Iterator[Input]) -> Result:
     """Deliver messages to both processes, and fusion's solutions to the second."""
+    return watched(process, solved(fusion, messages))
+
+
+def watched(process: Process, received: Iterable[Fused]) -> Result:
+    """Deliver messages to the monitors, each behind the solutions that it led to."""
     result = Result(process)
-    for message in messages:
-        if not isinstance(message, Tick):
-            for solution in fusion.handle(message):
-                if isinstance(solution, NavigationSolution | FilterState):
-                    list(process.handle(solution))
+    for message, solutions in received:
+        for solution in solutions:
+            list(process.handle(solution))
         for statement in process.handle(message):
             if isinstance(statement, LearnedGrade):
                 continue

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from benchmarks.false_alarms import Count, campaign, counted, inertial, motion_at
+from benchmarks.false_alarms import Count, counted, inertial, jobs_of, motion, motion_at, summed
 
 
 def test_overlapping_windows_are_one_episode_and_only_evaluated_ones_count() -> None:
@@ -35,7 +35,7 @@ def test_the_interval_covers_the_design_rate_with_its_confidence() -> None:
 
 
 def test_a_short_campaign_of_the_motion_monitor_evaluates_every_test_without_too_many_alarms() -> None:
-    (counts,) = campaign("motion", 1500, progress=False)
+    counts = summed([motion(1, 1500)])
     tests = {count.test for count in counts}
     assert {"trimmed_mean", "event", "calibrated", "scale_step", "held_speed", "fast"} <= tests
     assert {count.design for count in counts if count.test == "fast"} == {1e-3, 1e-5}
@@ -48,9 +48,16 @@ def test_a_fast_test_with_a_low_threshold_raises_alarms() -> None:
 
 
 def test_the_inertial_monitors_are_evaluated_with_the_solutions_of_the_fusion() -> None:
-    found = inertial((4, 130))
+    found = inertial(4, 130)
     counts = {(count.test, count.design): count for count in found}
     assert counts["long_30", 1e-3].evaluations == counts["long_30", 1e-5].evaluations > 10
     (heading,) = [count for count in found if count.test == "heading_rate"]
     assert heading.evaluations > 5
     assert all(count.episodes == 0 for count in counts.values())
+
+
+def test_a_campaign_has_drives_enough_for_its_epochs_and_adds_their_counts() -> None:
+    assert [job.arguments for job in jobs_of("inertial", 2700)] == [(1, 900), (2, 900), (3, 900)]
+    assert [job.arguments for job in jobs_of("motion", 700)] == [(1, 700)]
+    drives = [[Count("fast", 1e-3, 100, 1, 2), Count("event", None, 5, 0, 0)], [Count("fast", 1e-3, 50, 2, 3)]]
+    assert summed(drives) == [Count("fast", 1e-3, 150, 3, 5), Count("event", None, 5, 0, 0)]

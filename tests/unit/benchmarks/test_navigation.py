@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.navigation import report
+from benchmarks.navigation import report, runs
 from benchmarks.navigation.cases import CASES, DRIVES, GNSS_ALONE, ROWS, Row
 from benchmarks.navigation.peers import PEERS
 from benchmarks.navigation.peers.common import Given, given, judged, protocol_gaps, thinned
 from benchmarks.navigation.peers.kf_gins import KfGins
 from benchmarks.navigation.peers.ob_gins import at_whole_seconds
-from benchmarks.navigation.runs import MAPPINGS, Metrics, jobs_of, pooled
+from benchmarks.navigation.runs import MAPPINGS, Metrics, Solved, jobs_of, metrics_of, pooled
 from cli.solve.metrics.metrics import METRICS
 from tests.support.data import REPOSITORY
 
@@ -43,10 +43,36 @@ def test_outages_of_shifted_runs_are_evaluated_as_one_set() -> None:
 
 
 def test_a_case_is_one_run_or_one_an_outage_pattern() -> None:
-    assert [job.options for job in jobs_of("truck", CASES["truck"])] == [("--score-from", "0.0")]
+    assert [job.arguments for job in jobs_of("truck", CASES["truck"])] == [("truck", ("--score-from", "0.0"))]
     shifted = jobs_of("rtk free 60 s", CASES["rtk free 60 s"])
-    assert [job.options[-1] for job in shifted] == ["60/180@650", "60/180@710", "60/180@770"]
-    assert len({job.folder for job in shifted}) == 3
+    common = ("--score-from", "0.0", "--aiding", "free", "--outage")
+    assert [job.arguments for job in shifted] == [
+        ("rtk", (*common, f"60/180@{start}")) for start in ("650", "710", "770")
+    ]
+
+
+def test_a_case_of_which_a_run_is_missing_is_not_measured() -> None:
+    cases = {"truck": CASES["truck"], "rtkexp free 15 s": CASES["rtkexp free 15 s"]}
+    jobs = [job for key, case in cases.items() for job in jobs_of(key, case)]
+    outage = {"end_error_m": 3.0, "largest_error_m": 4.0, "distance_m": 300.0}
+    found = {number: Solved({"yaw_sd_rad": 0.01 * number}, [outage]) for number in range(len(jobs))}
+    assert metrics_of(cases, jobs, found)["truck"] == {"yaw_sd_rad": 0.0}
+    assert metrics_of(cases, jobs, found)["rtkexp free 15 s"]["outage_count"] == 3
+    del found[2]
+    assert set(metrics_of(cases, jobs, found)) == {"truck"}
+
+
+@pytest.mark.parametrize("outages", [[], [{"end_error_m": 3.0, "distance_m": 300.0}]])
+def test_a_run_has_what_obu_solve_wrote(monkeypatch: pytest.MonkeyPatch, outages: list[dict[str, float]]) -> None:
+    def obu(arguments: list[str]) -> None:
+        assert arguments[0] == "solve" and arguments[1].endswith("truck.mcap") and arguments[-1] == "free"
+        folder = Path(arguments[3])
+        (folder / "metrics.json").write_text('{"yaw_sd_rad": 0.1, "trust_seconds": null}')
+        if outages:
+            (folder / "outages.csv").write_text("end_error_m,distance_m\n3.0,300.0\n")
+
+    monkeypatch.setattr(runs, "_obu", obu)
+    assert runs.solve("truck", ("--aiding", "free")) == Solved({"yaw_sd_rad": 0.1, "trust_seconds": None}, outages)
 
 
 def test_a_missed_goal_is_reported_in_the_units_of_its_row() -> None:

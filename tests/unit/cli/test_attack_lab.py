@@ -5,10 +5,10 @@ import signal
 import threading
 import time
 from math import hypot, radians
+from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from cli.attack_lab import attack_lab
 from cli.attack_lab.attack_lab import run_all
@@ -445,16 +445,23 @@ def first_seed_alone(case: Case) -> Timeline:
     return timeline([(0.0, SAFE)], {"motion": []})
 
 
+def interrupt_after(folder: Path, finished: int) -> None:
+    """Press Ctrl-C once so many runs are kept."""
+    while len(list(folder.glob("*.json"))) < finished:
+        time.sleep(0.02)
+    os.kill(os.getpid(), signal.SIGINT)
+
+
 def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_seed_1(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(attack_lab, "run", first_seed_alone)
     cases = list(plan(["jam", "freeze"], ["urban", "highway"], 2, [], 300.0))
     assert [case.seed for case in cases] == [1] * 6 + [2] * 6
-    alarm = threading.Timer(4.0, os.kill, (os.getpid(), signal.SIGINT))
-    alarm.start()
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
+    threading.Thread(target=interrupt_after, args=(tmp_path / "campaigns" / "attack-lab", 6), daemon=True).start()
     began = time.monotonic()
-    runs = run_all(cases, 2, Console(stderr=True))
+    runs = run_all(cases, 2)
     assert time.monotonic() - began < 30.0
     assert [case for case, _ in runs] == cases[:6]
     card = document(runs, planned=cases)
@@ -464,9 +471,12 @@ def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_see
     assert "Interrupted: 6 of 12 runs." in text and "Planned runs that were not finished: 6" in text
 
 
-def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> None:
+def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
     cases = [Case("urban", seed, 30.0, schedule("jam@25:2")) for seed in (1, 2)]
-    runs = run_all(cases, 2, Console(stderr=True))
+    runs = run_all(cases, 2)
     assert [case for case, _ in runs] == cases
     for _, found in runs:
         assert found.verdicts and len(found.error_s) > 50

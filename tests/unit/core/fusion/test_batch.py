@@ -163,7 +163,7 @@ def received_one_by_one(
 
 def test_compiled_and_plain_python_agree_to_a_billionth_of_each_standard_deviation(tmp_path: Path) -> None:
     """In a process of its own without Numba: positions, velocities and their deviations over the whole drive."""
-    pytest.importorskip("numba", reason="Numba is not installed: pip install .[fast]")
+    pytest.importorskip("numba", reason="Numba is not installed: `make setup`")
     path = tmp_path / "plain.npy"
     code = f"import numpy; from {__name__} import numbers; numpy.save({str(path)!r}, numbers())"
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}

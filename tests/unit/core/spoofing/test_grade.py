@@ -15,7 +15,7 @@ from services.core.spoofing.windows.short_window import Window
 from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.trust import LearnedGrade, MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import load_vehicle
-from tests.support.drives.spoofing import GRADED, SECOND_NS, monitored
+from tests.support.drives.spoofing import GRADED, SECOND_NS, Fused, fused, process_of, watched
 
 ORIGIN = Origin(imu="imu0", gnss="gnss0", imu_rate_hz=100.0, gnss_rate_hz=1.0, configuration="c", code="", drives=())
 LEARNED = LearnedGrade(
@@ -28,6 +28,11 @@ LEARNED = LearnedGrade(
 @pytest.fixture(scope="module")
 def drive() -> Drive:
     return simulate("urban", 1, 110.0)
+
+
+@pytest.fixture(scope="module")
+def received(drive: Drive) -> list[Fused]:
+    return list(fused(drive))
 
 
 def window(k: int) -> Window:
@@ -62,21 +67,25 @@ def test_a_stated_grade_sets_profile_and_propagation_and_larger_noise_of_fusion_
     assert config.long.velocity_random_walk_m_s_sqrt_s == 0.05
 
 
-def test_without_grade_or_profile_nothing_is_evaluated_and_the_reason_says_what_is_missing(drive: Drive) -> None:
-    result = monitored(drive, Config(warm_up_s=0.0))
+def test_without_grade_or_profile_nothing_is_evaluated_and_the_reason_says_what_is_missing(
+    drive: Drive, received: list[Fused]
+) -> None:
+    result = watched(process_of(drive, Config(warm_up_s=0.0)), received)
     for monitor in ("inertial_short", "inertial_long"):
         last = result.statements[monitor][-1]
         assert last.outcome is MonitorOutcome.NOT_EVALUATED and "learning the grade of this IMU" in last.reason
         assert "obu calibrate spoofing" in last.reason
 
 
-def test_free_propagations_wait_for_a_minute_after_the_alignment_and_short_windows_for_less(drive: Drive) -> None:
-    result = monitored(drive, GRADED.model_copy(update={"warm_up_s": 60.0}))
+def test_free_propagations_wait_for_a_minute_after_the_alignment_and_short_windows_for_less(
+    drive: Drive, received: list[Fused]
+) -> None:
+    result = watched(process_of(drive, GRADED.model_copy(update={"warm_up_s": 60.0})), received)
     first = {
         monitor: next(s.sampled_ns for s in result.statements[monitor] if s.outcome is MonitorOutcome.PASS) / SECOND_NS
         for monitor in ("inertial_short", "inertial_long")
     }
-    immediate = monitored(drive, GRADED).statements["inertial_long"]
+    immediate = watched(process_of(drive), received).statements["inertial_long"]
     begin_s = next(s.sampled_ns for s in immediate if s.outcome is MonitorOutcome.PASS) / SECOND_NS
     assert first["inertial_long"] > begin_s + 50.0
     assert first["inertial_short"] < first["inertial_long"] - 40.0
@@ -110,12 +119,14 @@ def test_a_slow_drag_cannot_teach_more_than_three_times_the_stated_grade() -> No
     assert found.long_factor == 3.0
 
 
-def test_a_learned_grade_is_adopted_before_the_first_sample_and_not_in_the_drive_that_taught_it(drive: Drive) -> None:
+def test_a_learned_grade_is_adopted_before_the_first_sample_and_not_in_the_drive_that_taught_it(
+    drive: Drive, received: list[Fused]
+) -> None:
     process = Process(Config())
     list(process.handle(LEARNED))
     assert process.monitor.settings.profile.threshold == LEARNED.threshold
     assert process.monitor.settings.profile.long_factor == LEARNED.long_factor
-    later = monitored(drive, Config(warm_up_s=0.0)).process
+    later = watched(process_of(drive, Config(warm_up_s=0.0)), received).process
     before = later.monitor.settings.profile
     list(later.handle(LEARNED))
     assert later.monitor.settings.profile is before

@@ -100,19 +100,16 @@ def test_integrating_the_ideal_measurements_reproduces_the_trajectory(name: str)
     drive = simulate(name, seed=1, duration_s=40.0)
     C, v, (lat, lon, h) = attitude_matrices(drive.attitude[:1])[0], drive.velocity_n[0], drive.position[0]
     worst = 0.0
+    turns = drive.ideal_rate_b * STEP
+    means, matrices = mean_rotation(turns), Rotation.from_rotvec(turns).as_matrix()
     for k in range(1, len(drive.t_ns)):
-        turn = drive.ideal_rate_b[k] * STEP
         earth, transport = np.array(earth_rate_n(lat)), np.array(transport_rate_n(lat, h, tuple(v)))
-        mean = C @ mean_rotation(turn) - 0.5 * STEP * skew(earth + transport) @ C
+        mean = C @ means[k] - 0.5 * STEP * skew(earth + transport) @ C
         g = np.array([0.0, 0.0, gravity(lat, h)])
         new_v = v + STEP * (mean @ drive.ideal_force_b[k] + g - np.cross(transport + 2.0 * earth, v))
         lat, lon, h = integrate_position(Geodetic(lat, lon, h), np.array([v, new_v]), STEP).position[1]
         new_transport = np.array(transport_rate_n(lat, h, tuple(new_v)))
-        C = (
-            (np.eye(3) - STEP * skew(earth + 0.5 * (transport + new_transport)))
-            @ C
-            @ Rotation.from_rotvec(turn).as_matrix()
-        )
+        C = (np.eye(3) - STEP * skew(earth + 0.5 * (transport + new_transport))) @ C @ matrices[k]
         C = C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)
         v = new_v
         worst = max(worst, float(np.abs(v - drive.velocity_n[k]).max()))
