@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
@@ -112,6 +113,15 @@ def test_jobs_that_fail_and_processes_that_die_leave_the_others_alone(
     assert not worth_storing(options, outcome) and "3 jobs are not done" in capsys.readouterr().err
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Python's handler of SIGINT, which a shell's background jobs do not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_keeps_what_is_finished(state: Path) -> None:
     jobs = [Job(f"seed {seed}", first_at_once, (seed,)) for seed in (0, 1, 2, 3)]
     folder, began = state / "campaigns" / "stopped", time.monotonic()

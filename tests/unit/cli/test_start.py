@@ -26,7 +26,7 @@ def imported(name, vehicle):
 
 live.run_process = imported
 command.run("core.fusion")
-assert "services.core.fusion.inertial.strapdown" in sys.modules
+assert "shared.inertial.strapdown" in sys.modules
 print([name for name in ("numba", "llvmlite") if name in sys.modules])
 """
 
