@@ -1,6 +1,5 @@
 """Gating by the normalised innovation squared (NIS), down-weighting, exclusion and readmission of GNSS receivers."""
 
-from copy import copy
 from math import radians
 from typing import NamedTuple
 
@@ -102,8 +101,7 @@ class Gate:
         correction, ratio = self._test(navigation, observation)
         limit = self._settings.gating.robust_limit if observation.kind in INFLATION else 1.0
         if ratio > limit and isinstance(measurement, GnssPosition) and observation.H[:, em.GNSS_ERROR].any():
-            other = copy(navigation)
-            other.recorder = None
+            other = navigation.unrecorded()
             other.reset_gnss_error()
             with_other_error = measurement.observe(other)
             if self._test(other, with_other_error)[1] <= 1.0:

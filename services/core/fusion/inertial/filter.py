@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shared.copies import shallow
 from shared.errors import FilterDiverged
 from shared.inertial.strapdown import InertialState, corrected, local_earth
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.kalman import Correction, correct
-from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion
 
 from ..aids.gnss import velocity_errors as gnss_velocity_errors
 from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
@@ -19,7 +20,6 @@ from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from . import error_model as em
 from .propagation import (
-    SMOOTHING_S,
     ZERO,
     ImuErrors,
     Intervals,
@@ -129,6 +129,12 @@ class ErrorStateFilter:
             ),
         )
 
+    def unrecorded(self) -> "ErrorStateFilter":
+        """Independent copy without a history for the smoother."""
+        made = shallow(self)
+        made.recorder = None
+        return made
+
     @property
     def inertial(self) -> InertialState:
         """Attitude, velocity and position."""
@@ -188,13 +194,6 @@ class ErrorStateFilter:
         """Acceleration [m/s², NED] of the last sample."""
         return self.state.acceleration_n
 
-    @property
-    def smoothed_acceleration(self) -> FloatArray:
-        """Acceleration [m/s², NED] averaged over 0.1 s, times the share that is not vibration; shape (3,)."""
-        a = np.array(self.state.smoothed_acceleration_n)
-        size2, noise2 = float(a @ a), 1.5 * self.state.force_vibration_psd / SMOOTHING_S
-        return max(0.0, 1.0 - noise2 / size2) * a if size2 > 0.0 else a
-
     def rate_noise(self, span_s: float) -> float:
         """Standard deviation [rad/s] of the mean angular rate over a time, due to vibration."""
         return sqrt(self.state.rate_vibration_psd / span_s)
@@ -218,12 +217,6 @@ class ErrorStateFilter:
     def _set_parameters(self, place: slice, values: FloatArray) -> None:
         begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
         self.parameters = (*self.parameters[:begin], *values.tolist(), *self.parameters[end:])
-
-    @property
-    def vehicle_from_body(self) -> FloatArray:
-        """Mounting as a matrix, shape (3, 3)."""
-        first = em.MOUNTING.start
-        return ned_from_body(0.0, self.parameter(first), self.parameter(first + 1))
 
     def propagate(
         self, samples: Samples, begin: int, end: int, limits: Limits, intervals: Intervals

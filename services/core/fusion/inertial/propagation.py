@@ -25,7 +25,6 @@ IntArray = npt.NDArray[np.int64]
 ZERO: Vector = (0.0, 0.0, 0.0)
 GAP_S = 0.05  # longest step between two samples; a longer one is a gap
 VIBRATION_S = 1.0  # time constant of the measured vibration
-SMOOTHING_S = 0.1  # time constant of the smoothed acceleration
 COMPILED_FROM = 4  # smallest number of samples for compiled code
 NEARLY = 0.99  # share of an interval after which it has ended: sums of sampling periods jitter
 FASTEST_M_S = 500.0  # plausible speed
@@ -72,7 +71,6 @@ class State(NamedTuple):
     rate: Vector  # [rad/s, body] of the last sample, as measured
     rate_b: Vector = ZERO  # [rad/s, body] of the last sample, IMU errors removed
     acceleration_n: Vector = ZERO  # [m/s², NED] of the last sample
-    smoothed_acceleration_n: Vector = ZERO  # [m/s², NED]
     force_vibration_psd: float = 0.0  # [m²/s³]
     rate_vibration_psd: float = 0.0  # [rad²/s]
     span_s: float = 0.0  # time since the last covariance step, and over it:
@@ -160,7 +158,6 @@ def propagate(  # noqa: PLR0915  # one loop
     lfx, lfy, lfz = state.force
     lwx, lwy, lwz = state.rate
     rate_b, acceleration_n = state.rate_b, state.acceleration_n
-    sn, se, sd = state.smoothed_acceleration_n
     force_psd, rate_psd = state.force_vibration_psd, state.rate_vibration_psd
     span_s, (vn, ve, vd), (rx, ry, rz) = state.span_s, state.velocity_gain_n, state.rotation_b
     standstill_s, (zx, zy, zz) = state.standstill_s, state.standstill_rotation_b
@@ -204,9 +201,6 @@ def propagate(  # noqa: PLR0915  # one loop
         dx, dy, dz = wx - lwx, wy - lwy, wz - lwz
         rate_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - rate_psd)
         lfx, lfy, lfz, lwx, lwy, lwz = fx, fy, fz, wx, wy, wz
-        share = step / (SMOOTHING_S + step)
-        an, ae, ad = acceleration_n
-        sn, se, sd = sn + share * (an - sn), se + share * (ae - se), sd + share * (ad - sd)
 
         quiet = detect(quiet, rate_b, acceleration_n, norm(velocity), step, limits)
         if is_standstill(quiet):
@@ -225,7 +219,6 @@ def propagate(  # noqa: PLR0915  # one loop
         (lwx, lwy, lwz),
         rate_b,
         acceleration_n,
-        (sn, se, sd),
         force_psd,
         rate_psd,
         span_s,

@@ -5,7 +5,6 @@ removed. Process noise is not recorded, because it is contained in the covarianc
 """
 
 from collections.abc import Iterator
-from copy import copy
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -147,8 +146,7 @@ class HistoryRecorder:
         self._store.cut(size)
 
     def _add_knot(self, filter_: "ErrorStateFilter") -> None:
-        knot = copy(filter_)
-        knot.recorder = None
+        knot = filter_.unrecorded()
         known = np.flatnonzero(filter_.P.diagonal())
         knot.P = filter_.P[np.ix_(known, known)]
         self._store.push(Knot(filter_.inertial.time_ns, knot, known))

@@ -8,7 +8,6 @@ of the two samples, constant over the gap. A turn rotates the velocity as well::
     psi_D' = w,    v' = g w + a,    p' = v,    g = d v / d psi_D = (-v_E, v_N, 0)
 """
 
-from copy import copy
 from hashlib import sha256
 from math import inf
 from typing import NamedTuple
@@ -16,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shared.errors import FilterDiverged
 from shared.inertial.strapdown import InertialState
 from shared.maths.rotation import Vector
 
@@ -74,25 +72,19 @@ def saved_state(
     accepted_ns: int | None,
     gnss_excluded_since_ns: int | None = None,
     held: Disagreement = NOTHING,
-) -> SavedState | None:
-    """State of a filter for saving; None if its covariance is not positive."""
-    current = copy(navigation)
-    current.recorder = None
-    try:
-        current.propagate_covariance()
-    except FilterDiverged:
-        return None
+) -> SavedState:
+    """State of a filter, whose covariance is of its time, for saving."""
     units = np.ones(em.SIZE)
-    units[em.GNSS_ERROR] = current.gnss_errors.unit
+    units[em.GNSS_ERROR] = navigation.gnss_errors.unit
     return SavedState(
-        inertial=current.inertial,
-        accelerometer_bias=current.imu.accelerometer_bias,
-        gyroscope_bias=current.imu.gyroscope_bias,
-        accelerometer_scale=current.imu.accelerometer_scale,
-        gyroscope_scale=current.imu.gyroscope_scale,
-        parameters=tuple((np.array(current.parameters) * units[em.PARAMETERS]).tolist()),
+        inertial=navigation.inertial,
+        accelerometer_bias=navigation.imu.accelerometer_bias,
+        gyroscope_bias=navigation.imu.gyroscope_bias,
+        accelerometer_scale=navigation.imu.accelerometer_scale,
+        gyroscope_scale=navigation.imu.gyroscope_scale,
+        parameters=tuple((np.array(navigation.parameters) * units[em.PARAMETERS]).tolist()),
         sample=(sample.force, sample.rate),
-        covariance=tuple((current.P * np.outer(units, units))[UPPER].tolist()),
+        covariance=tuple((navigation.P * np.outer(units, units))[UPPER].tolist()),
         accepted_ns=accepted_ns,
         gnss_excluded_since_ns=gnss_excluded_since_ns,
         held=held,

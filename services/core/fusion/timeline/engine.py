@@ -96,9 +96,7 @@ class Engine:
     def unrecorded(self) -> "Engine":
         """Independent copy without a history for the smoother."""
         made = self.copy()
-        made.recorder = None
-        if made.filter is not None:
-            made.filter.recorder = None
+        made.recorder, made.filter = None, made.filter and made.filter.unrecorded()
         return made
 
     def use_prior(self, prior: Prior) -> None:

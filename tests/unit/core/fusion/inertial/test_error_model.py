@@ -213,7 +213,7 @@ def navigation(error: FloatArray) -> ErrorStateFilter:
     """Filter with a given error, estimated minus true, in every state."""
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     rate = vector(np.array(RATE) - error[em.GYROSCOPE_BIAS])
-    wrong.state = wrong.state._replace(rate_b=rate, smoothed_acceleration_n=ACCELERATION)
+    wrong.state = wrong.state._replace(rate_b=rate)
     vehicle = slice(em.ODOMETER_SCALE, em.MOUNTING.stop)
     wrong.parameters = (*(np.array(VEHICLE) + error[vehicle]).tolist(), *error[vehicle.stop :].tolist())
     return wrong
