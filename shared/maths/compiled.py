@@ -46,14 +46,13 @@ compiled: Callable[[Function], Function] = _unchanged
 compilable: Callable[[Function], Function] = _unchanged
 COMPILED = False
 if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
-    if "NUMBA_CACHE_DIR" not in os.environ:
-        os.environ["NUMBA_CACHE_DIR"] = str(machine_code())
     try:
         numba: Any = import_module("numba")
     except ImportError:
         pass
     else:
         COMPILED = True
+        numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(machine_code())
         compiled = numba.njit(cache=True)
         extending: Any = import_module("numba.extending")
         compilable = extending.register_jitable

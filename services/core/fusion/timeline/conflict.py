@@ -207,7 +207,7 @@ class Verdicts:
         since_ns, _, odometer = self._wanted
         known = self.main.engine.exclusions
         if odometer != (known.odometer if self._odometer_excluded is None else self._odometer_excluded):
-            self._log.insert(OdometerExclusion(self._next_ns, excluded=odometer))
+            self._log.insert(OdometerExclusion(self.next_ns, excluded=odometer))
         self._odometer_excluded = odometer
         if since_ns is None:
             self._end(self.main.engine.time_ns)
@@ -216,7 +216,7 @@ class Verdicts:
         self._decide()
 
     @property
-    def _next_ns(self) -> int:
+    def next_ns(self) -> int:
         """Time behind the horizon, at which an event is the next one."""
         return self.main.engine.time_ns + 1
 
@@ -229,7 +229,7 @@ class Verdicts:
         if conflict is not None and oldest_ns > since_ns and conflict.cursor is not None:
             # No snapshot is older: what GNSS may have done between the two times is added to the solution without it.
             span_s = (conflict.since_ns - since_ns) * 1e-9
-            conflict.cursor.own = (*conflict.cursor.own, GnssExcluded(self._next_ns, since_ns, span_s))
+            conflict.cursor.own = (*conflict.cursor.own, GnssExcluded(self.next_ns, since_ns, span_s))
             conflict.since_ns = since_ns
             return
         self.conflict = Conflict(since_ns, self.main, conflict)
@@ -316,4 +316,4 @@ class Verdicts:
     def _hold(self, held: Disagreement) -> None:
         """Let the level of the engine in use hold a disagreement, at once and when late measurements take it back."""
         self.main.engine.hold(held)
-        self._log.insert(Held(self._next_ns, held))
+        self._log.insert(Held(self.next_ns, held))

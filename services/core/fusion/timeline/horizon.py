@@ -22,17 +22,15 @@ class Horizon:
     def __init__(self, allowance_ns: int, longest_ns: int) -> None:
         self._allowance_ns, self._longest_ns = allowance_ns, longest_ns
         self.lag_ns = 0
-        self._see(0)
+        self.see(0, 0)
 
     def see(self, time_ns: int, received_ns: int) -> None:
         """Note a measurement that was true at one time and received at another."""
-        self._see(received_ns - time_ns)
+        delay_ns = received_ns - time_ns
+        if delay_ns <= self._longest_ns and delay_ns + self._allowance_ns > self.lag_ns:
+            step = bisect_left(STEPS_NS, delay_ns + self._allowance_ns)
+            self.lag_ns = STEPS_NS[min(step, len(STEPS_NS) - 1)]
 
     def behind(self, newest_ns: int) -> int:
         """Horizon at a newest sample."""
         return newest_ns - self.lag_ns
-
-    def _see(self, delay_ns: int) -> None:
-        if delay_ns <= self._longest_ns and delay_ns + self._allowance_ns > self.lag_ns:
-            step = bisect_left(STEPS_NS, delay_ns + self._allowance_ns)
-            self.lag_ns = STEPS_NS[min(step, len(STEPS_NS) - 1)]

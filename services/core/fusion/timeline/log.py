@@ -2,6 +2,7 @@
 
 from bisect import bisect_right, insort
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from ..inertial.propagation import Samples, samples_of
 
 IntArray = npt.NDArray[np.int64]
 
+STAMP = attrgetter("time_ns")
 FIRST_CAPACITY = 1024  # samples
 Key = tuple[int, str, type]
 
@@ -75,15 +77,15 @@ class Log:
 
     def insert(self, entry: Measurement) -> bool:
         """Insert an entry at its stamp; returns whether it is the first with its key."""
-        first = all(key_of(one) != key_of(entry) for one in self.entries(entry.time_ns - 1, entry.time_ns))
+        is_first = not self._repetitions(entry)
         insort(self._entries, entry, key=order)
-        return first
+        return is_first
 
     def supersedes(self, entry: Measurement) -> bool:
         """Whether the fault-free fix of an entry's epoch is known; an entry that is one removes the receiver's own."""
         if not entry.epoch:
             return False
-        same = [one for one in self.entries(entry.time_ns - 1, entry.time_ns) if key_of(one) == key_of(entry)]
+        same = self._repetitions(entry)
         if not entry.left_out:
             return any(one.left_out for one in same)
         removed = set(map(id, same))
@@ -92,21 +94,25 @@ class Log:
 
     def entries(self, after_ns: int, until_ns: int) -> list[Measurement]:
         """Entries with stamps after one time and up to another."""
-        first = bisect_right(self._entries, after_ns, key=lambda m: m.time_ns)
-        return self._entries[first : bisect_right(self._entries, until_ns, first, key=lambda m: m.time_ns)]
+        first = bisect_right(self._entries, after_ns, key=STAMP)
+        return self._entries[first : bisect_right(self._entries, until_ns, first, key=STAMP)]
 
     def change(self, after_ns: int, change: Callable[[Measurement], Measurement]) -> None:
         """Change the entries after a time, and drop those that are before it then."""
-        first = bisect_right(self._entries, after_ns, key=lambda m: m.time_ns)
+        first = bisect_right(self._entries, after_ns, key=STAMP)
         moved = [change(one) for one in self._entries[first:]]
         self._entries[first:] = sorted((one for one in moved if one.time_ns > after_ns), key=order)
 
     def drop(self, until_ns: int) -> None:
         """Drop samples and entries up to a time."""
         self._begin += int(self._times_ns[self._begin : self._end].searchsorted(until_ns, side="right"))
-        del self._entries[: bisect_right(self._entries, until_ns, key=lambda m: m.time_ns)]
+        del self._entries[: bisect_right(self._entries, until_ns, key=STAMP)]
         if self._faults:
             self._faults = {time_ns: fault for time_ns, fault in self._faults.items() if time_ns > until_ns}
+
+    def _repetitions(self, entry: Measurement) -> list[Measurement]:
+        """Entries with the key of another one."""
+        return [one for one in self.entries(entry.time_ns - 1, entry.time_ns) if key_of(one) == key_of(entry)]
 
     def _make_room(self) -> None:
         """Move the kept samples to the begin of arrays that are at least twice as large as they need."""

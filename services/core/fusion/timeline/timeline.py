@@ -136,7 +136,7 @@ class Timeline:
     @property
     def next_ns(self) -> int:
         """Time behind the horizon, at which an event is the next one."""
-        return self.verdicts.main.engine.time_ns + 1
+        return self.verdicts.next_ns
 
     def correct_delay(self, found: FoundDelay) -> None:
         """Correct stamps behind the horizon by other delays; fixes that were true before it are left out."""
