@@ -91,7 +91,7 @@ class Verdicts:
         self._of_main, self._of_other = UncertaintyCache(settings), UncertaintyCache(settings)
         self.conflict: Conflict | None = None
         # Suspect time, whether GNSS is excluded, and whether the odometer is: as core.trust published.
-        self._wanted: tuple[int | None, bool, bool] | None = None
+        self.wanted: tuple[int | None, bool, bool] | None = None
         self._odometer_excluded: bool | None = None  # as applied
         self.unresolved = ""  # why the present conflict goes on without a second solution
         self._decided_ns = 0  # second of the last decision
@@ -197,14 +197,14 @@ class Verdicts:
         odometer_excluded : bool
             Whether the odometer is not used.
         """
-        self._wanted = gnss_since_ns, exclude, odometer_excluded
+        self.wanted = gnss_since_ns, exclude, odometer_excluded
         self._apply()
 
     def _apply(self) -> None:
         """Apply what differs from the verdict, from the horizon on."""
-        if self._wanted is None or self.main.engine.last is None:
+        if self.wanted is None or self.main.engine.last is None:
             return
-        since_ns, _, odometer = self._wanted
+        since_ns, _, odometer = self.wanted
         known = self.main.engine.exclusions
         if odometer != (known.odometer if self._odometer_excluded is None else self._odometer_excluded):
             self._log.insert(OdometerExclusion(self.next_ns, excluded=odometer))
@@ -237,7 +237,7 @@ class Verdicts:
     def _decide(self) -> None:
         """Choose which of the two solutions is published, once a second and with every verdict."""
         conflict = self.conflict
-        if conflict is None or conflict.cursor is None or self._wanted is None:
+        if conflict is None or conflict.cursor is None or self.wanted is None:
             return
         without = conflict.cursor.engine
         if without.filter is None:
@@ -265,7 +265,7 @@ class Verdicts:
             )
         else:
             conflict.declined = ""
-        conflict.published = self._wanted[1] and not conflict.declined
+        conflict.published = self.wanted[1] and not conflict.declined
 
     def _leave(self, why: str) -> None:
         """Give the solution without GNSS up: the level holds what the two differed by, and its level."""

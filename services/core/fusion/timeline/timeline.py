@@ -43,19 +43,19 @@ class Timeline:
         self._allowance_ns = round(settings.merge_delay_s * 1e9)
         self._history_ns = round(settings.history_s * 1e9)
         self._step_ns = min(round(settings.solution_period_s * 1e9), LONGEST_STEP_NS)
+        self._waiting: list[tuple[int, int, str, Measurement]] = []  # (enters by, stamp, source, measurement)
+        self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
+        self._heights_wrong = False  # of GNSS: they are left out
+        self.measurements_late = 0  # that came behind the horizon
         self._begin(Engine(settings))
 
     def _begin(self, engine: Engine) -> None:
         self.log, self.horizon = Log(), Horizon(self._allowance_ns, self._history_ns)
         self.verdicts = Verdicts(self._settings, self.log, Cursor(engine))
-        self._waiting: list[tuple[int, int, str, Measurement]] = []  # (enters by, stamp, source, measurement)
-        self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
-        self._heights_wrong = False  # of GNSS: they are left out
         self._delays = 0.0, 0.0  # [s] of positions and velocities, found and corrected
         self._pending = 0  # samples that the horizon has not passed
         self._step = BEFORE_ALL_NS  # of the horizon, by the newest sample
         self._now: Engine | None = None  # carried from the horizon to the newest sample
-        self.measurements_late = 0  # that came behind the horizon
 
     @property
     def engine(self) -> Engine:
@@ -86,13 +86,19 @@ class Timeline:
         return self.log.is_known(sample, self._oldest_ns)
 
     def restart(self, why: str) -> None:
-        """Begin again from nothing, because the clock went back; counts, history and what the level holds are kept."""
+        """Begin again from nothing, because the clock went back.
+
+        Counts, history, what the level holds, what core.trust wants and what the checks of the set-up say of heights
+        stay; the measurements that wait are used as far as their stamps are of the new time.
+        """
         engine = self.engine
         counts = engine.counts
         fresh = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         fresh.recorder = engine.recorder
         fresh.hold(engine.aids.error_monitor.held)  # a clock that goes back decides nothing
+        wanted = self.verdicts.wanted
         self._begin(fresh)
+        self.verdicts.wanted = wanted
 
     def use_prior(self, prior: Prior) -> None:
         """Take a saved position and heading."""

@@ -384,6 +384,19 @@ def test_an_excluded_odometer_is_not_used_and_its_scale_covariance_is_reset() ->
     assert again and any(o.used for o in again)
 
 
+def test_an_exclusion_and_wrong_heights_outlive_a_clock_that_goes_back() -> None:
+    nav, d = fault_free(70), drive()
+    nav.apply_exclusions(None, odometer_excluded=True)
+    nav.leave_out_heights(wrong=True)
+    late = nav.measurements_late
+    for i in range(300):  # stamps of the begin of the drive
+        nav.imu(int(d.t_ns[i]), d.force_b[i].tolist(), d.rate_b[i].tolist())
+    assert nav.counts.resets == 1 and nav.engine.exclusions.odometer and nav.measurements_late == late
+    outcomes = run(nav, d.t_ns[299] / SECOND_NS, 50.0)
+    heights = [o for o in outcomes if o.kind is AidingKind.GNSS_POSITION]
+    assert heights and all(len(o.innovation) == 2 for o in heights)
+
+
 def test_a_dual_antenna_heading_is_excluded_with_gnss_and_the_earliest_suspect_time_is_kept() -> None:
     heading, engine = BaselineHeading(10, 10, "gnss", 0.1, 0.01, 0.0), Engine(Settings())
     GnssExcluded(9, 5).apply(engine)
