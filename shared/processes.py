@@ -150,7 +150,7 @@ PROCESSES = (
         ),
         produces=(
             "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding",
-            "navigation/set_up",
+            "navigation/set_up", "trust/hypotheses",
         ),
     ),
     ProcessRow(
@@ -179,7 +179,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
-        consumes=("trust/monitor", "navigation/solution", "navigation/state", "trust/state"),
+        consumes=("trust/monitor", "trust/hypotheses", "navigation/solution", "navigation/state", "trust/state"),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(

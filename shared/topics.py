@@ -61,7 +61,7 @@ from .messages.toll import (
     TollTransaction,
     UsedCams,
 )
-from .messages.trust import LearnedGrade, TrustEvent, TrustMonitor, TrustState
+from .messages.trust import LearnedGrade, TrustEvent, TrustHypotheses, TrustMonitor, TrustState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
@@ -156,6 +156,8 @@ TOPICS = (
           qos=1, retain=True),
     Topic("navigation/aiding", AidingUpdate, "innovation of each measurement, and whether it was used", fast=True),
     Topic("trust/monitor", TrustMonitor, "result of one integrity monitor", rate_hz=1.0, silent_after_s=5.0),
+    Topic("trust/hypotheses", TrustHypotheses, "position under each hypothesis of what may be wrong",
+          rate_hz=1.0, silent_after_s=5.0),
     Topic("trust/state", TrustState, "whether the position can be used, and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("trust/grade", LearnedGrade, "what this vehicle's drives have taught about its IMU and receiver",

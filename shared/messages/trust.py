@@ -5,7 +5,24 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from .base import Count, Deviation, Message, Name, Nanoseconds, Ratio, Reason, Seconds, Statistic, unit
+from .base import (
+    Count,
+    Deviation,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Name,
+    Nanoseconds,
+    Ratio,
+    Reason,
+    Seconds,
+    Statistic,
+    Symmetric3,
+    Vector3,
+    Velocity3,
+    unit,
+)
 
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
@@ -88,6 +105,66 @@ class TrustLevel(StrEnum):
     INITIALISING = "initialising"
 
 
+class Hypothesis(StrEnum):
+    """What may be wrong."""
+
+    NOTHING = "nothing"
+    GNSS = "gnss"
+    IMU = "imu"
+    ODOMETER = "odometer"
+    GNSS_AND_ODOMETER = "gnss_and_odometer"  # both falsified alike
+    RECEIVER_TIME = "receiver_time"
+    SATELLITES = "satellites"  # one, or a group
+
+
+Probability = Annotated[float, Field(ge=0.0, le=1.0), unit("1")]
+
+
+class HypothesisSolution(Message):
+    """Position under one hypothesis: that of the vehicle without the sources that would be wrong."""
+
+    hypothesis: Hypothesis
+    left_out: Annotated[tuple[Name, ...], Field(max_length=64)]  # gnss, imu, odometer, or IDs of satellites
+    since_ns: Nanoseconds  # since when they are left out
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: Height
+    velocity_ned_m_s: Velocity3
+    position_cov_ned_m2: Symmetric3
+    protection_level_horizontal_m: Deviation
+    protection_level_vertical_m: Deviation
+    apart_ned_m: Vector3  # published position minus this one
+    # of the difference against its covariance, chi-square with two degrees of freedom without a fault
+    separation: Annotated[Statistic, unit("1")] | None = None
+    separation_limit: Annotated[Statistic, unit("1")] | None = None
+    # mean of its normalised innovations squared, over the last of them, and its expected value without a fault
+    innovations: Annotated[Statistic, unit("1")] | None = None
+
+
+class TrustHypotheses(Message):
+    """Solutions under every hypothesis that a process keeps, once a second."""
+
+    sampled_ns: Nanoseconds
+    source: Name  # process
+    solutions: Annotated[tuple[HypothesisSolution, ...], Field(max_length=64)] = ()
+    # why a hypothesis has no solution now
+    missing: Annotated[tuple[tuple[Hypothesis, Reason], ...], Field(max_length=16)] = ()
+
+
+class Belief(Message):
+    """How probable a hypothesis is, and what follows from it."""
+
+    hypothesis: Hypothesis
+    prior: Probability
+    probability: Probability
+    survives: bool  # above the integrity risk: the level reaches to its solution
+    acted_on: bool = False  # it alone survives: its source is not used
+    reason: Reason  # what speaks for it and against it
+    since_ns: Nanoseconds | None = None  # suspect time, while something speaks for it
+    distance_m: Deviation | None = None  # horizontal, of the published position from its solution
+    level_m: Deviation | None = None  # horizontal protection level of its solution
+
+
 class TrustState(Message):
     """The verdict on the position, with its reasons and the statement of every monitor."""
 
@@ -100,6 +177,8 @@ class TrustState(Message):
     gnss_excluded: bool = False  # decided by a third source
     suspect_since_ns: Nanoseconds | None = None  # while GNSS is in conflict with other sensors, excluded or not
     odometer_excluded: bool = False
+    imu_excluded: bool = False
+    beliefs: Annotated[tuple[Belief, ...], Field(max_length=16)] = ()  # most probable first
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
     alert_limit_horizontal_m: Deviation
