@@ -139,6 +139,7 @@ class HypothesisSolution(Message):
     separation_limit: Annotated[Statistic, unit("1")] | None = None
     # mean of its normalised innovations squared, over the last of them, and its expected value without a fault
     innovations: Annotated[Statistic, unit("1")] | None = None
+    odometer_innovations: Annotated[Statistic, unit("1")] | None = None  # the same of the odometer, used or not
 
 
 class TrustHypotheses(Message):
