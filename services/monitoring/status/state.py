@@ -23,7 +23,7 @@ from shared.messages.navigation import (
 )
 from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth, ProcessState
 from shared.messages.toll import GateCommand, PlazaDetector
-from shared.messages.trust import TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import TrustEvent, TrustHypotheses, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
@@ -31,6 +31,7 @@ from shared.runtime.tally import told
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow, on_demand
+from .history.alternatives import Alternatives
 from .history.columns import History, TrustHistory
 from .history.gnss_history import GnssHistory, KeptFix, KeptSky
 from .history.track import Track
@@ -124,6 +125,7 @@ class State:
         self.series = Series()
         self.gnss = GnssHistory()
         self.track = Track()
+        self.alternatives = Alternatives()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -182,9 +184,9 @@ class State:
             case Origin():
                 self.origins[envelope.producer] = (message, flow.heard_ns or 0)
             case _:
-                self._note_event(message, envelope.producer)
+                self._note_event(message, envelope)
 
-    def _note_event(self, message: Message | None, producer: str) -> None:
+    def _note_event(self, message: Message | None, envelope: Envelope) -> None:
         """Keep what is shown beyond the newest message of its topic."""
         match message:
             case Outage():
@@ -194,7 +196,9 @@ class State:
                 self.trust_events.append(message)
                 self._unsaved.append({"kind": "event", "ns": message.sampled_ns, "message": message})
             case TrustMonitor():
-                self.monitor_producers[message.monitor] = producer
+                self.monitor_producers[message.monitor] = envelope.producer
+            case TrustHypotheses():
+                self.alternatives.note(message, envelope.producer, envelope.received_ns)
             case GateCommand():
                 self.gates[message.lane] = message
             case PlazaDetector():
@@ -333,6 +337,16 @@ class State:
         """Whether the data are simulated, and nothing else."""
         kinds = {origin.kind for origin, _ in self.live_origins(now_ns)}
         return kinds == {OriginKind.SIMULATED}
+
+    def hypotheses(self, now_ns: int) -> list[tuple[str, TrustHypotheses]]:
+        """Give what each process states of the hypotheses, while it is live and newer than the process's last start."""
+        limits = self.topics["trust/hypotheses"].limits
+        return [
+            (producer, message)
+            for producer, (message, received_ns) in self.alternatives.newest.items()
+            if freshness_of((now_ns - received_ns) * 1e-9, limits) is not Freshness.STALE
+            and received_ns >= max(self._counts_from_ns, self._life(producer))
+        ]
 
     def odometer(self, now_ns: int) -> tuple[float, str] | None:
         """Speed by the vehicle's own sensors [m/s] and the topic it is from, while it is live."""
