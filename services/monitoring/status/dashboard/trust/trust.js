@@ -5,6 +5,7 @@ import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, monitorsStand,
 } from "../parts.js";
 import { AttacksCard } from "./attacks.js";
+import { HypothesesCard } from "./hypotheses.js";
 import { words } from "../words.js";
 
 const w = words.trustPage;
@@ -102,6 +103,7 @@ function VerdictCard() {
       ${limits.map(([axis, level, limit]) => html`<${Row} label=${w.level[axis]} value=${metres(level)} extra=${w.alertLimit(metres(limit))} />`)}
       <${Row} label=${w.gnss} value=${t.gnss_excluded ? w.excluded : t.suspect_since_ns != null ? w.inConflict : w.notExcluded} extra=${t.suspect_since_ns != null ? w.suspect(sinceText(t.suspect_since_ns)) : null} />
       <${Row} label=${w.odometer} value=${t.odometer_excluded ? w.excluded : w.notExcluded} />
+      <${Row} label=${w.imu} value=${t.imu_excluded ? w.excluded : w.notExcluded} />
     </dl>`}
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
   </${Card}>`;
@@ -203,5 +205,5 @@ export function TrustPage({ query, go }) {
   clock.value;
   link.value;
   brokerAnswers();
-  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
+  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
 }
