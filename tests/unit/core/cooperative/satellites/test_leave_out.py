@@ -94,7 +94,7 @@ def test_the_covariance_of_the_difference_is_that_of_the_part_minus_that_of_the_
         gps = next(one for one in chosen if one.satellites[0].constellation is Constellation.GPS)
         apart.append(gps.apart_n)
         expected.append(gps.cov_n - position.fit.cov[:3, :3])
-        separations.append(gps.separation)
+        separations.append(gps.separation or 0.0)
         assert gps.separation_dof == 2
     measured, mean = np.cov(np.array(apart).T), np.mean(expected, axis=0)
     # a variance of 400 samples has a relative standard deviation of sqrt(2/400) = 7 %
