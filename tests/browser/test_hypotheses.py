@@ -47,6 +47,8 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
     first = card.locator(".satellite-rows tbody tr").first
     expect(first).to_contain_text("G17")
     expect(first).to_contain_text("0.94")
+    strip = page.get_by_role("img", name="GNSS is wrong: probability 62 % now, at most 62 % in 15 minutes")
+    expect(strip).to_be_attached(timeout=8000)
     card.scroll_into_view_if_needed()
     judge_everywhere(page, "hypotheses")
 

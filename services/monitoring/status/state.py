@@ -65,13 +65,14 @@ WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s"
 
 
 class KeptVerdict(BaseModel):
-    """State of one second, and the monitors' statistics over thresholds."""
+    """State of one second, the monitors' statistics over thresholds, and the probabilities of the hypotheses."""
 
     model_config = ConfigDict(defer_build=True)
     kind: Literal["verdict"]
     ns: int
     state: Trust
     ratios: dict[str, float]
+    probabilities: dict[str, float] = {}
 
 
 class KeptOutage(BaseModel):
@@ -226,7 +227,7 @@ class State:
                 continue
             match kept:
                 case KeptVerdict():
-                    self.trust_history.add(kept.ns, kept.state, kept.ratios)
+                    self.trust_history.add(kept.ns, kept.state, kept.ratios, kept.probabilities)
                 case KeptOutage():
                     self.outages.note(kept.message)
                 case KeptEvent():
@@ -386,9 +387,18 @@ class State:
             self.verdict = replace(shown, since_ns=since_ns)
         trust = self.newest(TrustState, "trust/state", now_ns, live=True) if self.verdict.state in KNOWN else None
         ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
-        if self.trust_history.add(now_ns, self.verdict.state, ratios):
+        beliefs = {one.hypothesis.value: float(f"{one.probability:.3g}") for one in trust.beliefs} if trust else {}
+        if self.trust_history.add(now_ns, self.verdict.state, ratios, beliefs):
             known = {name: round(ratio, 4) for name, ratio in ratios.items() if ratio is not None}
-            self._unsaved.append({"kind": "verdict", "ns": now_ns, "state": self.verdict.state, "ratios": known})
+            self._unsaved.append(
+                {
+                    "kind": "verdict",
+                    "ns": now_ns,
+                    "state": self.verdict.state,
+                    "ratios": known,
+                    "probabilities": beliefs,
+                }
+            )
 
     def _find_judgement(self, now_ns: int, *, connected: bool) -> Judgement:
         """Take the judgement of `monitoring.health`, unless the broker is lost or the report is overdue.

@@ -156,11 +156,13 @@ class Change(Answer):
 
 
 class TrustHistory(Answer):
-    """Changes of the state, and each monitor's statistic over its threshold once a second."""
+    """Changes of the state; once a second each monitor's statistic over its threshold, and probabilities."""
 
     changes: list[Change]
     time_ns: list[Stamp]
     ratios: dict[str, list[float | None]]
+    probabilities: dict[str, list[float | None]]
+    """of each hypothesis"""
 
 
 class TrustReport(Answer):

@@ -1,4 +1,4 @@
-// Every word of the hypotheses, on the pages Trust and Map.
+// Every word of the hypotheses on the page Trust.
 export const w = {
   title: "Hypotheses",
   note: "what may be wrong, and where the vehicle would then be",
@@ -20,6 +20,4 @@ export const w = {
   history: (probability) => `probability ${probability}`,
   historyText: (newest, most) => `probability ${newest ?? "not known"} now, at most ${most} in 15 minutes`,
   historyNote: "Probabilities on a logarithmic scale, from one in a million to one.",
-  survivesOnMap: "survives",
-  legend: (label, distance) => `${label[0].toUpperCase()}${label.slice(1)}${distance ? `: ${distance} away` : ""}`,
 };

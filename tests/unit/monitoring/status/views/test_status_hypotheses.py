@@ -6,9 +6,11 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic_core import to_json
 
 from services.monitoring.status.history.alternatives import POINTS_MAXIMUM, Alternatives
 from services.monitoring.status.series.fields import parse, value_at
+from services.monitoring.status.state import State
 from services.monitoring.status.views import hypotheses, reports
 from services.monitoring.status.views.banner import Evidence, Trust, show
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses, TrustLevel
@@ -196,3 +198,16 @@ def test_the_report_has_tracks_rows_and_satellites_and_an_old_message_states_not
 def test_the_probability_of_a_hypothesis_is_a_field_that_can_be_plotted() -> None:
     state = trust(START_NS, beliefs=(NOTHING, belief(Hypothesis.IMU, 0.7)))
     assert value_at(state, parse("trust/state:beliefs.imu.probability").path) == 0.7
+
+
+def test_the_history_of_probabilities_survives_a_restart() -> None:
+    world = World()
+    world.hear(trust(world.now_ns, TrustLevel.UNSAFE, beliefs=(belief(Hypothesis.IMU, 0.71234),)), "core.trust")
+    world.pass_time(1.2)
+    history = world.state.trust_history.columns(world.now_ns, 900.0)["probabilities"]
+    assert isinstance(history, dict) and history["imu"][-1] == 0.712
+    lines = [to_json(record) for record in world.state.unsaved()]
+    later = State("truck-07", (), world.now_ns, 900.0)
+    assert later.restore(lines) == 0
+    restored = later.trust_history.columns(world.now_ns, 900.0)["probabilities"]
+    assert isinstance(restored, dict) and "imu" in restored
