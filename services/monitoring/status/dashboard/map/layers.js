@@ -52,7 +52,8 @@ export const LAYERS = [
 // The positions under each hypothesis: a line for each, with its name at the newest end.
 export function alternatives(tracks, survives, nowNs) {
   const lines = tracks.filter((t) => t.places.length > 1).map((t) => line(t.places, { hypothesis: t.hypothesis, survives: survives(t.hypothesis) }));
-  const ends = tracks.filter((t) => nowNs - t.until_ns < KEPT_NS).map((t) => point(t.places.at(-1), { label: t.label }));
+  const named = tracks.filter((t) => nowNs - t.until_ns < KEPT_NS).sort((a, b) => survives(b.hypothesis) - survives(a.hypothesis)); // labels make way for earlier ones
+  const ends = named.map((t) => point(t.places.at(-1), { label: t.label }));
   return collection([...lines, ...ends]);
 }
 
