@@ -21,6 +21,7 @@ from .log import Log
 
 PART = 40  # samples that are used again for each new one: two minutes take 3 s
 CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
+EARLIER_NS = 40_000_000_000  # than the suspect time of a monitor, which sees a slow error late
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
@@ -29,6 +30,16 @@ CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position th
 def _converged_s(engine: Engine, time_ns: int) -> float:
     """For how long a filter has run at a time [s]; 0 without one."""
     return 0.0 if engine.started_ns is None else max(0.0, (time_ns - engine.started_ns) * 1e-9)
+
+
+def start_ns(main: Cursor, since_ns: int) -> int:
+    """Time from which a solution without a source begins whose suspect time is known.
+
+    What grows slowly has done harm before a window could see it, and some dead reckoning more costs less than a false
+    start of it. A filter that has not converged is no start either.
+    """
+    converged_ns = (main.engine.started_ns or since_ns) + round(CONVERGED_S * 1e9)
+    return min(since_ns, max(since_ns - EARLIER_NS, converged_ns))
 
 
 def distance_n(one: Engine, other: Engine) -> Vector | None:
@@ -223,7 +234,7 @@ class Verdicts:
     def _begin(self, since_ns: int) -> None:
         """Begin a conflict, or begin it again where its suspect time is earlier than was known."""
         conflict = self.conflict
-        if conflict is not None and conflict.since_ns <= since_ns:
+        if conflict is not None and conflict.since_ns <= start_ns(self.main, since_ns):
             return
         oldest_ns = self.main.oldest_ns or 0
         if conflict is not None and oldest_ns > since_ns and conflict.cursor is not None:
@@ -232,7 +243,7 @@ class Verdicts:
             conflict.cursor.own = (*conflict.cursor.own, GnssExcluded(self.next_ns, since_ns, span_s))
             conflict.since_ns = since_ns
             return
-        self.conflict = Conflict(since_ns, self.main, conflict)
+        self.conflict = Conflict(start_ns(self.main, since_ns), self.main, conflict)
 
     def _decide(self) -> None:
         """Choose which of the two solutions is published, once a second and with every verdict."""
