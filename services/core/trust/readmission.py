@@ -21,7 +21,7 @@ REPEATED_WITHIN_S = 600.0
 LONGEST_HEALTHY_S = 60.0
 USUAL_S = (0.0, LONGEST_HEALTHY_S)  # bounds of the healthy time
 LOST_S = (LONGEST_HEALTHY_S, LONGEST_HEALTHY_S)  # the same where there is nothing that the source can be compared with
-RETURN_S = (0.0, 10.0)  # after a closure: positions that were apart have come back
+RETURN_S = (0.0, 5.0)  # after a closure: positions that were apart have come back
 # Normalised innovation squared over its gate up to which a position agrees with the solution without GNSS, and with one
 # whose protection level is above the alert limit: three times the distance.
 SPEAKING = tuple(monitor for monitor in Monitor if monitor not in (Monitor.EVIDENCE, Monitor.HYPOTHESES))

@@ -71,6 +71,7 @@ class Conflict:
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
+        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None  # the same while its levels decided
         # Newest: published minus other position, and the levels of the other.
         self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
         self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
@@ -262,6 +263,11 @@ class Verdicts:
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
+        if apart is not None and (share <= MOST_LIMITS or conflict.good is None):
+            conflict.good = (
+                apart,
+                (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
+            )
         if share > LAST_LIMITS:
             self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")
         elif share > MOST_LIMITS:
@@ -279,13 +285,17 @@ class Verdicts:
         conflict.published = self.wanted[1] and not conflict.declined
 
     def _leave(self, why: str) -> None:
-        """Give the solution without GNSS up: the level holds what the two differed by, and its level."""
+        """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
+
+        Later differences are its own drift. What the solution with GNSS did since then shows when it comes back.
+        """
         conflict, self.conflict, self.unresolved = self.conflict, None, why
-        if conflict is not None and conflict.apart_n is not None:
+        if conflict is not None and conflict.good is not None:
             main = self.main.engine
             before = main.aids.error_monitor.held
-            spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
-            self._hold(before.after(conflict.apart_n, spread, main.time_ns, grew=False, slack=conflict.levels_m))
+            apart, levels = conflict.good
+            spread = levels[0] / CLOSURE_SDS, levels[1] / CLOSURE_SDS
+            self._hold(before.after(apart, spread, main.time_ns, grew=False, slack=levels))
 
     def _end(self, now_ns: int) -> None:
         """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
