@@ -24,7 +24,7 @@ from shared.runtime.config import VehicleSettings
 from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Outcome, Solution, Statement
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
-from .readmission import AGREES, Admission, Readmission, judge_gnss, judge_imu
+from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
 from .verdict import verdict
 
 In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | Tick
@@ -71,6 +71,8 @@ class Process:
         self._statements: dict[Monitor, Statement] = {}  # of these messages
         self._gnss = Readmission()
         self._imu = Readmission()
+        self._imu_open = False
+        self._ended_ns = -(2**62)  # end of the last conflict
         self._odometer_excluded = False
         self._alike_since_ns: int | None = None  # since when solutions without both have shown that they are falsified
         self._beliefs = Beliefs()
@@ -163,6 +165,19 @@ class Process:
                     monitors=state.monitors,
                 )  # fmt: skip
 
+    def _heard(self, statement: Statement) -> Statement:
+        """Statement as it counts: an accusation from before the end of a conflict reaches back into what has ended."""
+        if (
+            statement.monitor in REACHING_BACK
+            and statement.outcome is Outcome.ACCUSES
+            and (statement.since_ns or statement.stated_ns) <= self._ended_ns
+        ):
+            return replace(
+                statement, outcome=Outcome.NOT_EVALUATED, accused=(), statistic=None, suspect_since_ns=None,
+                reason="its window reaches back into a conflict that has ended",
+            )  # fmt: skip
+        return statement
+
     def _open(self) -> frozenset[Hypothesis]:
         """Hypotheses whose contradiction has not ended."""
         found: set[Hypothesis] = set()
@@ -200,12 +215,17 @@ class Process:
             contradicted=judged.contradicted, declined=facts.exclusion_declined is not None,
             suspect_since_ns=judged.suspect_since_ns, within_s=judged.within_s,
         )  # fmt: skip
+        if facts.conflict_open and not admission.open:
+            self._ended_ns = time_ns
         imu = judge_imu(facts)
         wanted = imu.accused and (imu.decided or self._imu.suspect_since_ns is not None)
         of_imu = self._imu.update(
             time_ns, accused=wanted, agrees=imu.agrees, decided=imu.decided,
             contradicted=facts.acts_on(Hypothesis.GNSS), suspect_since_ns=imu.suspect_since_ns, within_s=imu.within_s,
         )  # fmt: skip
+        if self._imu_open and not of_imu.open:
+            self._ended_ns = time_ns
+        self._imu_open = of_imu.open
         if of_imu.excluded:
             self._gnss.end(time_ns)
             admission = Admission(open=False)
@@ -238,7 +258,7 @@ class Process:
         return Facts(
             self._time_ns,
             self._solution,
-            self._statements,
+            {monitor: self._heard(statement) for monitor, statement in self._statements.items()},
             conflict_open=admission.open,
             gnss_excluded=admission.excluded,
             exclusion_confirmed=self._confirmed(admission),
