@@ -17,6 +17,8 @@ class Monitor(StrEnum):
     INERTIAL_LONG = "inertial_long"  # 30 to 60 s of free propagation
     SATELLITES = "satellites"
     EVIDENCE = "evidence"  # the receiver's own flags, C/N0, AGC, clock
+    GYROSCOPE = "gyroscope"  # its yaw rate against wheels, GNSS course and headings
+    DRIFT = "drift"  # sums of the navigation filter's GNSS innovations over minutes
 
 
 MOTION = (Monitor.MOTION, Monitor.MOTION_FAST)
@@ -85,6 +87,8 @@ class Limits:
             Monitor.INERTIAL_LONG: 5.0,
             Monitor.SATELLITES: 5.0,
             Monitor.EVIDENCE: 5.0,
+            Monitor.GYROSCOPE: 5.0,
+            Monitor.DRIFT: 5.0,
         }
     )
     required: frozenset[Monitor] = frozenset(Monitor)
