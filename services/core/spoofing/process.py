@@ -15,11 +15,12 @@ from shared.maths.earth import Geodetic
 from shared.messages.base import Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
+from shared.messages.navigation import AidingUpdate, FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Table, VehicleFile, vehicle_in
 
+from .drift.monitor import DriftMonitor
 from .grade import LONG, UNKNOWN, Grade, profile_of
 from .gyroscope.monitor import GyroscopeMonitor
 from .inertial.anchors import is_readable
@@ -32,7 +33,7 @@ from .statements import statement, statements
 from .windows.position_step import UNKNOWN_SD_M
 
 Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
-In = Measured | NavigationSolution | FilterState | LearnedGrade | TrustState | Tick
+In = Measured | NavigationSolution | AidingUpdate | FilterState | LearnedGrade | TrustState | Tick
 Out = TrustMonitor | LearnedGrade
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
@@ -147,6 +148,7 @@ class Process:
             self._settings = Settings.model_validate(with_grade(config.model_dump(exclude_unset=True), UNKNOWN))
         self.monitor = InertialMonitor(self._settings)
         self.gyroscope = GyroscopeMonitor(self._settings, self.rejects)
+        self.drift = DriftMonitor(self._settings, self.rejects)
         self._lesson = Lesson(self._settings.profile)
         self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
@@ -170,6 +172,9 @@ class Process:
                 self._solution = message
                 self.monitor.solution(message)
                 self.gyroscope.solution(message)
+                self.drift.solution(message)
+            case AidingUpdate():
+                self.drift.innovation(message)
             case FilterState():
                 if is_readable(message):
                     self.monitor.filter_state(message)
@@ -179,6 +184,7 @@ class Process:
                 self._adopt(message)
             case TrustState():
                 self._lesson.heed(message)
+                self.drift.quiet = message.suspect_since_ns is None
             case Tick():
                 yield from self._evaluated(max(self._newest_ns, message.now_ns))
 
@@ -193,8 +199,10 @@ class Process:
                 self.gyroscope.fix(message, *velocity_of(message))
             case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
+                self.drift.speed(message.sampled_ns)
             case WheelSpeeds() if self._wheels.takes(message.source, message.received_ns):
                 self.gyroscope.speeds(message)
+                self.drift.speed(message.sampled_ns)
 
     def _evaluated(self, time_ns: int) -> Iterator[Out]:
         """Publish both statements, and once a minute what this drive has taught."""
@@ -204,6 +212,7 @@ class Process:
         yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
         yield statement("gyroscope", self.gyroscope.verdicts(time_ns, self.monitor.taken), time_ns)
         self.monitor.taken.clear()
+        yield statement("drift", self.drift.verdicts(time_ns), time_ns)
         self._lesson.add(time_ns, self.monitor.window, self.monitor.long_statistics.values())
         if self._lesson.is_due(time_ns) and (origin := self.origin) is not None:
             yield self._lesson.result(time_ns, origin)
@@ -257,6 +266,7 @@ class Process:
     def _restart_monitor(self) -> None:
         self.monitor = InertialMonitor(self._settings, self.rejects)
         self.gyroscope = GyroscopeMonitor(self._settings, self.rejects)
+        self.drift = DriftMonitor(self._settings, self.rejects)
 
     def _is_chosen(self, message: ImuSamples | GnssFix) -> bool:
         """Whether a message comes from the one source of its kind that is used."""

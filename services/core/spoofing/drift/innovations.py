@@ -21,7 +21,6 @@ class Second(NamedTuple):
 
     number: int
     mean: Axes
-    has_height: bool
 
 
 class InnovationSeconds:
@@ -57,8 +56,8 @@ class InnovationSeconds:
         if number < self._number:
             self._rejected["aiding: stamp is before that of the second before"] += 1
             return
-        if number > self._number:
-            self.complete(number)
+        self.complete(number)
+        self._number = number
         ratios = [max(-CLIP, min(CLIP, z / sd)) for z, sd in zip(update.innovation, update.innovation_sd, strict=True)]
         north, east = ratios[:2]
         c, s = cos(heading), sin(heading)
@@ -68,10 +67,11 @@ class InnovationSeconds:
         self._heights += size == 3
 
     def complete(self, number: int) -> None:
-        """End the seconds before this one."""
-        if self._count:
-            north, east, down, along, across = (value / self._count for value in self._sum)
-            if self._heights:
-                down *= self._count / self._heights
-            self.seconds.append(Second(self._number, (north, east, down, along, across), self._heights > 0))
-        self._number, self._count, self._heights, self._sum = number, 0, 0, [0.0] * 5
+        """End the open second, if it is before this one."""
+        if not self._count or self._number >= number:
+            return
+        north, east, down, along, across = (value / self._count for value in self._sum)
+        if self._heights:
+            down *= self._count / self._heights
+        self.seconds.append(Second(self._number, (north, east, down, along, across)))
+        self._count, self._heights, self._sum = 0, 0, [0.0] * 5

@@ -59,6 +59,8 @@ class GyroscopeMonitor:
         self._inconspicuous_ns: dict[int, int] = {}
         self._known: dict[str, Verdict] = {}
         self._suspected = False
+        self._acquitted: set[str] = set()  # by an earlier evaluation of this episode
+        self._quiet_s = 0  # since a window accused
         self._agreed_s = 0
         arm, axle = settings.vehicle.gnss.lever_arm_body_m, settings.vehicle.rear_axle_body_m
         self._ahead_m = arm[0] - (axle[0] if axle is not None else 0.0)
@@ -120,12 +122,22 @@ class GyroscopeMonitor:
             headings.advance(self.track)
         bias = self._reference.advance(time_ns, suspected=self._suspected)
         votes = {} if bias is None else self._votes(bias)
+        self._acquit(votes)
         found = {f"yaw_rate_{length}": self._verdict(time_ns, length, votes.get(length)) for length in LENGTHS_S}
         self._known = {name: dated(one, self._known.get(name), time_ns) for name, one in agreed(found).items()}
         self._suspected = any(one.exceeds(DOUBT_RATE) for one in votes.values())
         self._release(votes)
         self._learn()
         return self._known
+
+    def _acquit(self, votes: Mapping[int, Vote]) -> None:
+        """Remember who cannot be wrong in this episode, which ends when nothing has accused for the longest window."""
+        accusing = [one for one in votes.values() if one.statistic > one.threshold]
+        self._quiet_s = 0 if accusing else self._quiet_s + 1
+        if self._quiet_s > LENGTHS_S[-1]:
+            self._acquitted.clear()
+        for one in accusing:
+            self._acquitted.update(one.acquitted)
 
     def _clear(self) -> None:
         self.wheels.clear()
@@ -261,8 +273,9 @@ class GyroscopeMonitor:
         self._exceeded[length] = self._exceeded[length] + 1 if above else 0
         if not ballot.exceeds(0.5):
             self._inconspicuous_ns[length] = time_ns
+        left = tuple(name for name in ballot.suspects if name not in self._acquitted)
         base = base._replace(
-            statistic=ballot.statistic, threshold=ballot.threshold, accused=ballot.suspects,
+            statistic=ballot.statistic, threshold=ballot.threshold, accused=left or ballot.suspects,
             reason=self._reason(length, ballot, time_ns),
         )  # fmt: skip
         if self._exceeded[length] < CONSECUTIVE:
