@@ -11,6 +11,8 @@ LABELS = {
     "inertial_long": "Long inertial window",
     "satellites": "Satellites",
     "evidence": "Receiver evidence",
+    "gyroscope": "Gyroscope test",
+    "drift": "Slow drift test",
 }
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
 SUSPECTS = re.compile(r"\bmonitor ([a-z_]+) (?:suspects|accuses)\b")  # the latter in recordings of earlier releases
