@@ -172,7 +172,7 @@ PROCESSES = (
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours"),
-        produces=("trust/monitor", "gnss/fault_free_fix"),
+        produces=("trust/monitor", "gnss/fault_free_fix", "trust/hypotheses"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",

@@ -108,6 +108,7 @@ class NavigationState(Message):
     # of the newest excluded position against the solution without GNSS: normalised innovation squared over its limit
     excluded_test_ratio: Annotated[Statistic, unit("1")] | None = None
     odometer_excluded: bool = False
+    imu_excluded: bool = False  # the position is that of GNSS and odometer alone
     odometer_age_s: Seconds | None = None  # since the last speed of the odometer that was used
     # while GNSS contradicts the other sensors there are two solutions, with GNSS and without it since the suspect time
     conflict_since_ns: Nanoseconds | None = None

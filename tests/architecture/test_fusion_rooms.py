@@ -9,13 +9,14 @@ import pytest
 ROOT = Path(__file__).parents[2]
 FUSION = ROOT / "services" / "core" / "fusion"
 PACKAGE = "services.core.fusion"
-ROOMS = ("inertial", "aids", "start", "timeline")  # each may import those before it
+ROOMS = ("inertial", "aids", "start", "timeline", "hypotheses")  # each may import those before it
 # What a room may import of fusion beside the rooms. Every entry is in use, or this test fails.
 BESIDE = {
     "inertial": {"settings", "smoothing.history"},  # the filter reads its noise, and records what the smoother needs
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
     "start": {"settings", "integrity.disagreement"},  # a saved state has what the level holds
     "timeline": {"settings", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
+    "hypotheses": {"settings", "integrity.disagreement", "integrity.protection_levels", "solution"},
 }
 # The filter has the models of GNSS errors as states, until an aid with a state brings its own row.
 UPWARD = {"inertial/filter.py": {"aids.gnss.velocity_errors", "aids.gnss.position_errors"}}

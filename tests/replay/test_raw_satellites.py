@@ -23,6 +23,7 @@ from services.core.cooperative.broadcast.ephemeris import satellite_state
 from services.core.cooperative.broadcast.rinex import read_rinex_navigation
 from services.core.cooperative.broadcast.rinex_observation import read_rinex_observations
 from services.core.cooperative.broadcast.store import EphemerisStore
+from services.core.cooperative.hypotheses import satellite_hypotheses
 from services.core.cooperative.measurements import (
     WEEK_NS,
     Constellation,
@@ -34,6 +35,7 @@ from services.core.cooperative.measurements import (
 from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
+from shared.messages.trust import TrustHypotheses
 from tests.support.data import recording
 from tests.support.gnss.rtcm import read_rtcm
 
@@ -114,21 +116,28 @@ def test_a_detectable_pseudorange_error_is_accused_and_its_satellite_excluded_or
     assert tried > 150 and wrong < 0.04 * tried
 
 
-def test_the_solution_of_an_rtcm_stream_is_the_stated_position_of_its_base_station() -> None:
-    """The stream is of a base station (its message 1006), 318 m from the receiver whose NAV-PVT is in the same log.
+@pytest.fixture(scope="module")
+def base_station() -> Station:
+    """Epochs of an RTCM stream, and the position of its base station (message 1006).
 
-    Without coefficients of the ionosphere, which RTCM does not have; it is an hour after midnight there.
+    That is 318 m from the receiver whose NAV-PVT is in the same log. Without coefficients of the ionosphere, which RTCM
+    does not have; it is an hour after midnight there.
     """
     data = (recording("gpsd_receiver_logs") / "ublox-zed-f9r.log").read_bytes()
     midnight = datetime(2025, 4, 11, 23, 14, 26) - datetime(1980, 1, 6)  # GPS time has no zone
     messages = [message for _, message in UBXReader(BytesIO(data), protfilter=4)]
     ephemerides, epochs = read_rtcm(messages, round(midnight.total_seconds()) * 10**9)
-    store, monitor, errors = EphemerisStore(), SatelliteMonitor(), []
+    store = EphemerisStore()
     for one in ephemerides:
         store.add(one)
     base = next(message for message in messages if message.identity == "1006")
-    truth = (base.DF025, base.DF026, base.DF027)
-    place = geodetic_from_ecef(truth)
+    return epochs, store, np.array((base.DF025, base.DF026, base.DF027))
+
+
+def test_the_solution_of_an_rtcm_stream_is_the_stated_position_of_its_base_station(base_station: Station) -> None:
+    epochs, store, truth = base_station
+    monitor, errors = SatelliteMonitor(), []
+    place = geodetic_from_ecef((truth[0], truth[1], truth[2]))
     to_ned = ned_from_ecef(place.latitude, place.longitude)
     for epoch in epochs:
         verdict = monitor.evaluate(epoch, store)
@@ -188,3 +197,52 @@ def _angles_off(
         geometry = Sky((sight,), now_ns, None, model).geometry(here)
         turn = (degrees(geometry.azimuth[0]) - azimuth + 180.0) % 360.0 - 180.0
         yield degrees(geometry.elevation[0]) - elevation, turn * cos(radians(elevation))
+
+
+def hypotheses_of(epoch: RawEpoch, store: EphemerisStore) -> tuple[SatelliteVerdict, TrustHypotheses]:
+    monitor = SatelliteMonitor()
+    verdict = monitor.evaluate(epoch, store)
+    return verdict, satellite_hypotheses(monitor.all_in_view(), None, 0, false_alarm_rate=1e-5, risk=1e-3)
+
+
+def test_every_position_without_a_satellite_is_within_its_level_and_no_separation_is_above_its_limit(
+    base_station: Station,
+) -> None:
+    epochs, store, truth = base_station
+    place = geodetic_from_ecef((truth[0], truth[1], truth[2]))
+    to_ned, tried = ned_from_ecef(place.latitude, place.longitude), 0
+    for epoch in epochs:
+        _, said = hypotheses_of(epoch, store)
+        assert len(said.solutions) >= 12
+        for one in said.solutions:
+            there = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), one.height_ellipsoid_m)
+            error = to_ned @ (np.array(ecef_from_geodetic(there)) - truth)
+            assert np.hypot(*error[:2]) < one.protection_level_horizontal_m
+            assert abs(error[2]) < one.protection_level_vertical_m
+            assert one.separation is not None and one.separation_limit is not None
+            assert one.separation < one.separation_limit
+            tried += 1
+    assert tried > 400
+
+
+@pytest.mark.parametrize("bias_m", [50.0, -50.0])
+def test_without_the_satellite_that_is_50_m_off_the_residuals_are_the_smallest(
+    base_station: Station, bias_m: float
+) -> None:
+    epochs, store, _ = base_station
+    tried = 0
+    for epoch in epochs[::10]:
+        clean, _ = hypotheses_of(epoch, store)
+        for finding in clean.findings:
+            if finding.mib_m is None or finding.mib_m >= 50.0:
+                continue
+            measurements = tuple(
+                replace(one, pseudorange_m=one.pseudorange_m + bias_m * (one.satellite == finding.satellite))
+                for one in epoch.measurements
+            )
+            _, said = hypotheses_of(replace(epoch, measurements=measurements), store)
+            singles = [one for one in said.solutions if len(one.left_out) == 1]
+            assert min(singles, key=lambda one: one.innovations or 0.0).left_out == (str(finding.satellite),)
+            assert said.solutions[0].left_out == (str(finding.satellite),)
+            tried += 1
+    assert tried > 30

@@ -13,21 +13,23 @@ from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.base import Symmetric3, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.neighbours import Neighbour, NeighbourStates
-from shared.messages.trust import TrustMonitor
+from shared.messages.trust import TrustHypotheses, TrustMonitor
 from shared.runtime.config import VehicleSettings
 
 from .broadcast.store import EphemerisStore
 from .fault_free import fault_free_fix
+from .hypotheses import satellite_hypotheses
 from .measurements import Constellation, Measurement, Outcome, RawEpoch, SatelliteId, SatelliteVerdict
 from .satellites.model import ErrorModel
 from .satellites.monitor import RaimSettings, SatelliteMonitor
-from .statements import NEIGHBOUR, Since, after, silent, statement
+from .satellites.solution import PositionFit
+from .statements import NEIGHBOUR, Since, after, silent, statement, why_not
 from .v2x.bank import BankSettings
 from .v2x.monitor import CooperativeMonitor, CooperativeSettings
 from .v2x.neighbours import NeighbourReport
 
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | Tick
-Out = TrustMonitor | FaultFreeFix
+Out = TrustMonitor | FaultFreeFix | TrustHypotheses
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
 MOST_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
 AHEAD_NS = 3_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
@@ -56,16 +58,23 @@ class Config(VehicleSettings):
     elevation_mask_deg: float = Field(
         default=10.0, ge=0.0, lt=90.0, description="elevation below which satellites are not used"
     )
+    integrity_risk: float = Field(
+        default=1e-3,
+        gt=0.0,
+        lt=0.5,
+        description="probability with which the position without a satellite is beyond its protection level",
+    )
     silent_after_s: float = Field(
         default=3.0, gt=0.0, description="time without raw measurements after which the satellites are not evaluated"
     )
 
 
 class Process:
-    """Publishes the statement `satellites` with each raw epoch, or once a second why there is nothing to test."""
+    """Publishes the statement `satellites` and positions without satellites, or once a second why there are none."""
 
     def __init__(self, config: Config) -> None:
         self._silent_ns = round(config.silent_after_s * 1e9)
+        self._rate, self._risk = config.false_alarm_rate, config.integrity_risk
         model = replace(ErrorModel(), elevation_mask_rad=radians(config.elevation_mask_deg))
         self._plain = SatelliteMonitor(RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model))
         self._alert_limit_m = config.vehicle.alert_limit_horizontal_m
@@ -114,6 +123,7 @@ class Process:
                 if self._is_silent(message.now_ns):
                     why = self._why_silent(message.now_ns)
                     yield self._remembered(silent(why, message.now_ns, self._epoch_ns, self._since))
+                    yield self._hypotheses(None, why, message.now_ns)
 
     def _use_epoch(self, message: GnssRawEpoch) -> Iterator[Out]:
         if message.source != self._source:
@@ -137,6 +147,11 @@ class Process:
         )
         if (fix := fault_free_fix(plain, message)) is not None:
             yield fix
+        all_in_view = self._plain.all_in_view()
+        yield self._hypotheses(all_in_view, None if all_in_view else why_not(plain, epoch), message.sampled_ns)
+
+    def _hypotheses(self, all_in_view: PositionFit | None, why: str | None, time_ns: int) -> TrustHypotheses:
+        return satellite_hypotheses(all_in_view, why, time_ns, false_alarm_rate=self._rate, risk=self._risk)
 
     def _evaluate(
         self, epoch: RawEpoch, reports: tuple[NeighbourReport, ...]

@@ -85,7 +85,7 @@ def statement(
     if plain.outcome is Outcome.NOT_EVALUATED and cooperative and cooperative.outcome is not Outcome.NOT_EVALUATED:
         verdict = cooperative
     if verdict.outcome is Outcome.NOT_EVALUATED:
-        return not_evaluated(_why_not(verdict, epoch), time_ns, since)
+        return not_evaluated(why_not(verdict, epoch), time_ns, since)
     neighbours = cooperative.neighbours if cooperative else ()
     accused = (*_accused(verdict), *(finding.name for finding in neighbours if finding.excluded))[:MAX_ACCUSED]
     outcome = MonitorOutcome.ACCUSES if accused else MonitorOutcome.PASS
@@ -123,7 +123,8 @@ def _since_ns(outcome: MonitorOutcome, time_ns: int, since: Since) -> int:
     return since.since_ns if since.outcome is outcome and since.since_ns is not None else time_ns
 
 
-def _why_not(verdict: SatelliteVerdict, epoch: RawEpoch) -> str:
+def why_not(verdict: SatelliteVerdict, epoch: RawEpoch) -> str:
+    """Say why the satellites of an epoch are not evaluated."""
     n = len(epoch.measurements)
     if n == 0:
         return "no raw measurements of GPS L1 or Galileo E1 in this epoch"

@@ -24,9 +24,10 @@ from shared.messages.navigation import (
     SetUpCheck,
     SetUpState,
 )
-from shared.messages.trust import TrustState
+from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses, TrustState
 
 from .aids.base import Outcome
+from .hypotheses.bank import SEPARATION_LIMIT, Alternative
 from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor
@@ -55,6 +56,43 @@ def use_trust_state(navigator: Navigator, state: TrustState) -> None:
     if since_ns is None and state.gnss_excluded:
         since_ns = state.sampled_ns
     navigator.apply_exclusions(since_ns, exclude=state.gnss_excluded, odometer_excluded=state.odometer_excluded)
+    surviving = [belief for belief in state.beliefs if belief.survives and belief.hypothesis is not Hypothesis.NOTHING]
+    suspect = [belief.since_ns for belief in surviving if belief.since_ns is not None]
+    navigator.believe(
+        [belief.hypothesis for belief in surviving], min(suspect, default=since_ns), imu_excluded=state.imu_excluded
+    )
+
+
+def hypotheses_message(navigator: Navigator) -> TrustHypotheses:
+    """Solutions of the bank at the horizon."""
+    solutions: list[HypothesisSolution] = []
+    missing: list[tuple[Hypothesis, str]] = []
+    for found in navigator.bank.alternatives():
+        if not isinstance(found, Alternative):
+            missing.append(found)
+            continue
+        solutions.append(
+            HypothesisSolution(
+                hypothesis=found.hypothesis,
+                left_out=found.left_out,
+                since_ns=found.since_ns,
+                latitude_deg=degrees(found.position.latitude),
+                longitude_deg=degrees(found.position.longitude),
+                height_ellipsoid_m=found.position.height,
+                velocity_ned_m_s=found.velocity,
+                position_cov_ned_m2=found.position_cov,
+                protection_level_horizontal_m=found.levels[0],
+                protection_level_vertical_m=found.levels[1],
+                apart_ned_m=found.apart_n,
+                separation=found.separation,
+                separation_limit=SEPARATION_LIMIT,
+                innovations=found.innovations,
+                odometer_innovations=found.odometer_innovations,
+            )
+        )
+    return TrustHypotheses(
+        sampled_ns=navigator.engine.time_ns, source="core.fusion", solutions=tuple(solutions), missing=tuple(missing)
+    )
 
 
 def arm_error(navigator: Navigator) -> ArmError:
@@ -250,6 +288,7 @@ def state_message(
         fixes_excluded=exclusions.fixes,
         excluded_test_ratio=verdicts.excluded_test_ratio,
         odometer_excluded=exclusions.odometer,
+        imu_excluded=navigator.imu_excluded,
         odometer_age_s=navigator.engine.odometer_age_s,
         conflict_since_ns=None if conflict is None else conflict.since_ns,
         other_distance_m=None if difference is None else hypot(*difference[0][:2]),

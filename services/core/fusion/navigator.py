@@ -8,7 +8,7 @@ solution = navigator.solution()
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import isfinite
 
 import numpy as np
@@ -17,20 +17,23 @@ import numpy.typing as npt
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
+from shared.messages.trust import Hypothesis
 
 from .aids.base import Counts, Measurement, Outcome
 from .aids.devices import Devices
 from .aids.gnss.fix import Reading, Stamp, gnss_measurements
 from .aids.odometer import WheelSpeed
+from .hypotheses.bank import Bank
+from .hypotheses.motion_model import State
 from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
 from .inertial.imu_faults import Repeats, Sample, credible
 from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
-from .solution import Solution, UncertaintyCache, solution_of
+from .solution import Solution, UncertaintyCache, solution_of, upper
 from .start.heading import Prior
 from .start.warm_start import SavedState, fault, saved_state
-from .timeline.conflict import Verdicts
+from .timeline.conflict import MOST_LIMITS, Verdicts
 from .timeline.engine import Engine
 from .timeline.events import FoundDelay, LostTime
 from .timeline.timeline import Timeline
@@ -53,9 +56,12 @@ class Navigator:
         self.samples_used = 0
         self.samples_rejected = 0
         self._timeline = Timeline(self.settings, self.rejects)
+        self.bank = Bank(self.settings, self._timeline)
         self._uncertainty = UncertaintyCache(self.settings)
         self._clock: Clock | None = None  # while samples are rejected for their stamps
         self._repeats: Repeats | None = None
+        self._surviving: frozenset[Hypothesis] = frozenset()  # the level reaches to their solutions
+        self._imu_excluded = False  # as core.trust has decided
         self._found = 0.0, 0.0  # [s] delays of GNSS positions and velocities
         self._devices = Devices(self.rejects, self._now_ns)
 
@@ -202,6 +208,17 @@ class Navigator:
         """
         self.verdicts.follow(gnss_suspect_since_ns, exclude=exclude, odometer_excluded=odometer_excluded)
 
+    def believe(
+        self, surviving: Collection[Hypothesis], suspect_since_ns: int | None, *, imu_excluded: bool = False
+    ) -> None:
+        """Follow core.trust: hypotheses that survive, since when a source is suspect, and whether the IMU is not used.
+
+        The level reaches to the solutions of hypotheses that survive. While the IMU is excluded the solution of the
+        model of motion is published, as far as it is good.
+        """
+        self._surviving, self._imu_excluded = frozenset(surviving), imu_excluded
+        self.bank.suspect(suspect_since_ns)
+
     @property
     def verdicts(self) -> Verdicts:
         """The published solution, and the other one while there is a conflict."""
@@ -278,12 +295,62 @@ class Navigator:
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is no valid one."""
         solution = solution_of(self._timeline.now, self._uncertainty)
-        difference = None if solution is None else self.verdicts.difference()
-        return solution if solution is None or difference is None else solution.reaching(*difference)
+        if solution is None:
+            return None
+        if self._imu_excluded and (found := self._without_imu(solution)) is not None:
+            return found
+        # While GNSS is excluded its own solution is none of those that may be true, unless other hypotheses survive.
+        alone = self.verdicts.conflict is not None and self.verdicts.conflict.published
+        alone = alone and self._surviving == {Hypothesis.GNSS}
+        difference = None if alone else self.verdicts.difference()
+        solution = solution if difference is None else solution.reaching(*difference)
+        reached = self._surviving if self.verdicts.conflict is None else self._surviving - {Hypothesis.GNSS}
+        for hypothesis in reached - {Hypothesis.SATELLITES}:  # a fix without the satellite takes its place
+            other = self.bank.alternative(hypothesis)
+            solution = solution if other is None else solution.reaching(other.apart_n, other.levels)
+        return solution
+
+    @property
+    def imu_excluded(self) -> bool:
+        """Whether the published solution is that of the model of motion."""
+        return self._imu_excluded and self._motion() is not None
+
+    def _motion(self) -> State | None:
+        """State of the model of motion at the newest sample, if its levels are of use."""
+        state = self.bank.motion.state(self._timeline.newest_ns)
+        limits_m = self.settings.vehicle.alert_limits_m
+        if state is None or self.bank.levels(state.position_cov)[0] > MOST_LIMITS * limits_m[0]:
+            return None
+        return state
+
+    def _without_imu(self, solution: Solution) -> Solution | None:
+        """Solution of the model of motion, with roll and pitch of the inertial sensors; None without one."""
+        state = self._motion()
+        if state is None:
+            return None
+        horizontal, vertical = self.bank.levels(state.position_cov)
+        attitude_cov = solution.attitude_cov.copy()
+        attitude_cov[2, :2] = attitude_cov[:2, 2] = 0.0
+        attitude_cov[2, 2] = state.heading_variance
+        covariances = state.position_cov, state.velocity_cov, attitude_cov
+        position, velocity, attitude = (upper(one.tolist()) for one in covariances)
+        return solution._replace(
+            position=state.position,
+            velocity=state.velocity,
+            yaw=state.heading,
+            position_cov=state.position_cov,
+            velocity_cov=state.velocity_cov,
+            attitude_cov=attitude_cov,
+            protection_level_horizontal=horizontal,
+            protection_level_vertical=vertical,
+            triangles=(position, velocity, attitude),
+        )
 
     def release(self, received_ns: int) -> list[Outcome]:
         """Move the horizon, all being known that was received by a time; returns the outcomes since the last call."""
-        return self._timeline.advance(received_ns)
+        outcomes = self._timeline.advance(received_ns)
+        self.bank.advance()
+        return outcomes
 
     def finish(self) -> list[Outcome]:
         """Use everything that has arrived up to the newest sample, at the end of a log; returns the outcomes."""

@@ -15,7 +15,7 @@ from shared.messages.navigation import (
     NavigationState,
     SetUpState,
 )
-from shared.messages.trust import TrustState
+from shared.messages.trust import TrustHypotheses, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
@@ -29,7 +29,7 @@ SILENT_NS = 1_100_000_000  # silence of the IMU in use after which another one i
 In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | FaultFreeFix | Tick
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
 NO_EXCLUSION: Exclusion = (None, False, ())
-Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState
+Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState | TrustHypotheses
 
 
 class Config(Settings):
@@ -89,6 +89,7 @@ class Process:
                 yield from self._state(sampled_ns)
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._filter_state(batch.source)
+                yield from self._hypotheses()
             self._sampled_ns = sampled_ns
         self._set_up.samples(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s)
         if self._set_up.is_due(self._sampled_ns):
@@ -143,6 +144,11 @@ class Process:
         """Publish the state for a later process, while a filter runs."""
         if (saved := self._navigator.saved_state()) is not None:
             yield messages.filter_state_message(saved, self._navigator.settings, imu)
+
+    def _hypotheses(self) -> Iterator[TrustHypotheses]:
+        """Publish where the vehicle is under each hypothesis, while a filter runs."""
+        if self._navigator.engine.filter is not None:
+            yield messages.hypotheses_message(self._navigator)
 
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
         """Publish the solution."""

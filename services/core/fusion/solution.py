@@ -70,7 +70,7 @@ class Solution(NamedTuple):
             protection_level_horizontal=min(horizontal, LARGEST_M),
             protection_level_vertical=min(vertical, LARGEST_M),
             position_cov=position_cov,
-            triangles=(_upper(position_cov.tolist()), *self.triangles[1:]),
+            triangles=(upper(position_cov.tolist()), *self.triangles[1:]),
         )
 
 
@@ -117,7 +117,7 @@ class UncertaintyCache:
                 spread=self.spread,
             )
             x, y, z = np.sqrt(P.diagonal()[em.GYROSCOPE_BIAS]).tolist()
-            triangles = _upper(rows[0]), _upper(rows[1]), _upper(rows[2])
+            triangles = upper(rows[0]), upper(rows[1]), upper(rows[2])
             self._uncertainty = Uncertainty(levels, covariances, triangles, (x, y, z))
             self._key = key
         return self._uncertainty
@@ -156,6 +156,7 @@ def solution_of(engine: Engine, uncertainty: UncertaintyCache) -> Solution | Non
     )
 
 
-def _upper(rows: list[list[float]]) -> Symmetric3:
+def upper(rows: list[list[float]]) -> Symmetric3:
+    """Upper half of a symmetric matrix (3, 3): NN NE ND EE ED DD."""
     (nn, ne, nd), (_, ee, ed), (_, _, dd) = rows
     return nn, ne, nd, ee, ed, dd

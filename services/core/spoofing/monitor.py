@@ -77,6 +77,7 @@ class InertialMonitor:
         self._inconspicuous_ns: dict[str, int] = {}  # newest evaluation of each long window below the median
         self._known: dict[str, Verdict] = {}
         self._differences = PositionDifferences()
+        self._in_conflict = False  # of GNSS with other sensors, by core.trust
         self._aligned_ns: int | None = None  # since when there have been solutions without a break
         self.learning = ""  # why nothing is evaluated, although everything could be compared
         self.long_statistics: dict[str, float] = {}  # newest of each test of the long windows, over its threshold
@@ -145,6 +146,14 @@ class InertialMonitor:
         else:
             self._odometer.add(true_ns, speed)
             self._resolution = min(max(resolution or 0.0, 0.0), 3.0)
+
+    def heed(self, *, odometer: bool, imu: bool, in_conflict: bool) -> None:
+        """Follow core.trust: free propagations with an excluded sensor, or of a conflict, start again after it."""
+        ends = self._in_conflict and not in_conflict  # the filter had used what was in doubt
+        if imu or ends or odometer != self.long.odometer_excluded:
+            self.long.clear()
+            self._inconspicuous_ns.clear()
+        self.long.odometer_excluded, self._in_conflict = odometer, in_conflict
 
     def solution(self, solution: NavigationSolution) -> None:
         """Use a solution of fusion that has attitude and heading."""
@@ -385,7 +394,8 @@ class InertialMonitor:
             return base._replace(reason=reason)
         limit = profile.threshold * sigma
         reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
-        suspect_ns = window.start_ns - (CONSECUTIVE - 1) * SECOND_NS
+        # A slow error shows in 5 s late: suspect is what the longer windows have not found inconspicuous since.
+        suspect_ns = min([window.start_ns - (CONSECUTIVE - 1) * SECOND_NS, *self._inconspicuous_ns.values()])
         return judged(
             base._replace(reason=reason, accused=GNSS if self._decided else EITHER),
             abs(difference),

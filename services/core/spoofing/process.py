@@ -178,6 +178,10 @@ class Process:
                 self._adopt(message)
             case TrustState():
                 self._lesson.heed(message)
+                self.monitor.heed(
+                    odometer=message.odometer_excluded, imu=message.imu_excluded,
+                    in_conflict=message.suspect_since_ns is not None,
+                )  # fmt: skip
             case Tick():
                 yield from self._evaluated(max(self._newest_ns, message.now_ns))
 

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from shared.messages.trust import Hypothesis
+
+DEFAULT_RISK = 1e-3  # before fusion has stated one
 SECOND_NS = 1_000_000_000
 CLOCK_TOLERANCE_NS = SECOND_NS  # by which a stamp may be ahead; one further ahead could never become stale
 
@@ -17,10 +20,17 @@ class Monitor(StrEnum):
     INERTIAL_LONG = "inertial_long"  # 30 to 60 s of free propagation
     SATELLITES = "satellites"
     EVIDENCE = "evidence"  # the receiver's own flags, C/N0, AGC, clock
+    COHERENT_SCALE = "coherent_scale"  # common scale of GNSS and odometer against the inertial sensors
+    GYROSCOPE = "gyroscope"  # yaw rate against wheels, course, second antenna
+    HYPOTHESES = "hypotheses"  # solutions that leave sensors out, against each other; stated by core.trust itself
+    DRIFT = "drift"  # accumulated innovations over 30 to 300 s
 
 
 MOTION = (Monitor.MOTION, Monitor.MOTION_FAST)
 INERTIAL = (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
+AGAINST_GNSS = (*INERTIAL, Monitor.GYROSCOPE, Monitor.DRIFT, Monitor.SATELLITES)
+# Without a statement of these the verdict is at best CAUTION; the others are tests that not every vehicle has.
+REQUIRED = (*MOTION, *INERTIAL, Monitor.SATELLITES, Monitor.EVIDENCE)
 GNSS, ODOMETER, IMU = "gnss", "odometer", "imu"  # accused by name; satellites and neighbours by their IDs
 
 
@@ -48,6 +58,29 @@ class Statement:
     since_ns: int | None = None
     suspect_since_ns: int | None = None
     doubtful: bool = False
+    accusing_tests: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """One hypothesis, at one time."""
+
+    hypothesis: Hypothesis
+    prior: float
+    probability: float
+    survives: bool
+    acted_on: bool
+    reason: str
+    since_ns: int | None = None  # suspect time
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Solution under a hypothesis, beside the published one."""
+
+    distance_m: float  # horizontal
+    level_m: float  # horizontal protection level
+    agrees: bool  # the difference is within its spread
 
 
 @dataclass(frozen=True)
@@ -61,6 +94,7 @@ class Solution:
     protection_level_vertical_m: float | None
     gnss_age_s: float | None  # since the last fix that was used
     gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
+    risk: float = 1e-3  # at which its levels hold
 
     @property
     def protection_levels_m(self) -> tuple[float | None, float | None]:
@@ -77,17 +111,8 @@ class Limits:
     near_share: float = 0.8  # of the alert limit, above which the verdict is CAUTION
     solution_silent_after_s: float = 2.0
     coasting_after_s: float = 3.0
-    silent_after_s: Mapping[Monitor, float] = field(
-        default_factory=lambda: {
-            Monitor.MOTION: 5.0,
-            Monitor.MOTION_FAST: 5.0,
-            Monitor.INERTIAL_SHORT: 5.0,
-            Monitor.INERTIAL_LONG: 5.0,
-            Monitor.SATELLITES: 5.0,
-            Monitor.EVIDENCE: 5.0,
-        }
-    )
-    required: frozenset[Monitor] = frozenset(Monitor)
+    silent_after_s: Mapping[Monitor, float] = field(default_factory=lambda: dict.fromkeys(Monitor, 5.0))
+    required: frozenset[Monitor] = frozenset(REQUIRED)
 
 
 @dataclass(frozen=True)
@@ -102,15 +127,38 @@ class Facts:
     exclusion_confirmed: bool = False  # and the solution contains none of it
     # of the newest position against the solution without GNSS: above 1 they contradict each other
     excluded_test_ratio: float | None = None
+    gnss_was_apart: bool = False  # they have contradicted each other since the conflict began
     other_distance_m: float | None = None  # between the two solutions of a conflict, None without a second one
     other_level_m: float | None = None  # horizontal protection level of the one that is not published
     without_gnss_level_m: float | None = None  # horizontal protection level of the solution without GNSS
     exclusion_declined: str | None = None  # fusion's reason why GNSS goes on being used
     held: str | None = None  # difference of positions that the level holds, and what would end it
     odometer_in_use: bool = False  # by fusion
-    odometer_excluded_since_ns: int | None = None  # by the judgement before
+    odometer_excluded: bool = False  # trust has excluded it
+    imu_excluded: bool = False
+    imu_exclusion_confirmed: bool = False  # the position is that of the model without inertial sensors
+    beliefs: tuple[Posterior, ...] = ()  # most probable first
+    alternatives: Mapping[Hypothesis, Alternative] = field(default_factory=dict)  # newest, of fusion
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
     limits: Limits = field(default_factory=Limits)
+
+    @property
+    def risk(self) -> float:
+        """Integrity risk [-] at which fusion's levels hold."""
+        return DEFAULT_RISK if self.solution is None else self.solution.risk
+
+    @property
+    def surviving(self) -> tuple[Posterior, ...]:
+        """Hypotheses of a fault that survive, the most probable first."""
+        return tuple(one for one in self.beliefs if one.survives and one.hypothesis is not Hypothesis.NOTHING)
+
+    def survives(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis survives."""
+        return any(one.hypothesis is hypothesis for one in self.surviving)
+
+    def acts_on(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis alone survives."""
+        return any(one.hypothesis is hypothesis and one.acted_on for one in self.beliefs)
 
     @property
     def level_exceeded(self) -> bool:

@@ -3,24 +3,37 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from math import hypot
 
 from pydantic import Field
 
 from shared.messages.base import Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
-from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import (
+    Belief,
+    Hypothesis,
+    MonitorOutcome,
+    TrustEvent,
+    TrustHypotheses,
+    TrustLevel,
+    TrustMonitor,
+    TrustState,
+)
 from shared.runtime.config import VehicleSettings
 
-from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
-from .readmission import Admission, Readmission, is_lost, judge_gnss
-from .verdict import odometer_accused, verdict
+from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Outcome, Solution, Statement
+from .hypotheses.beliefs import Beliefs
+from .hypotheses.comparison import compared
+from .readmission import AGREES, Admission, Readmission, is_lost, judge_gnss, judge_imu
+from .verdict import verdict
 
-In = TrustMonitor | NavigationSolution | NavigationState | TrustState | Tick
+In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | Tick
 Out = TrustState | TrustEvent
 MONITORS = frozenset(Monitor)
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
 REASON_LENGTH = 400  # of a message
+ALTERNATIVES_NS = 5_000_000_000  # age at which solutions of the bank are no longer used
 ODOMETER_SILENT_S = 3.0  # after which it decides nothing
 
 
@@ -40,7 +53,7 @@ class Config(VehicleSettings):
         default=5.0, gt=0.0, description="age of a monitor's statement from which it counts as not evaluated"
     )
     required_monitors: tuple[Monitor, ...] = Field(
-        default=tuple(Monitor), description="monitors without whose statements the verdict is at best CAUTION"
+        default=REQUIRED, description="monitors without whose statements the verdict is at best CAUTION"
     )
 
 
@@ -57,7 +70,10 @@ class Process:
         self._monitors: dict[Monitor, TrustMonitor] = {}
         self._statements: dict[Monitor, Statement] = {}  # of these messages
         self._gnss = Readmission()
-        self._odometer_since_ns: int | None = None  # while it is excluded
+        self._imu = Readmission()
+        self._odometer_excluded = False
+        self._beliefs = Beliefs()
+        self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._published: TrustState | None = None
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
@@ -77,6 +93,11 @@ class Process:
             case NavigationState():
                 self._navigation = message
                 return
+            case TrustHypotheses():
+                if message.source == "core.fusion":
+                    self._alternatives = message
+                    self._statements[Monitor.HYPOTHESES] = compared(message)
+                return
             case TrustState():  # later ones are its own
                 self._saved = message if self._published is None else None
                 return
@@ -92,6 +113,7 @@ class Process:
             and (saved.gnss_excluded or saved.suspect_since_ns is not None)
             and 0 <= self._time_ns - saved.sampled_ns <= RESTART_NS
         ):
+            self._beliefs.resume(saved.beliefs, DEFAULT_RISK)
             since_ns = saved.sampled_ns if saved.suspect_since_ns is None else saved.suspect_since_ns
             self._gnss.update(
                 saved.sampled_ns, accused=True, agrees=False, decided=saved.gnss_excluded, suspect_since_ns=since_ns
@@ -100,18 +122,11 @@ class Process:
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
         self._resume()
         facts = self._facts(Admission(self._gnss.suspect_since_ns is not None, False, self._gnss.suspect_since_ns))
-        judged = judge_gnss(facts)
-        admission = self._gnss.update(
-            facts.time_ns, accused=judged.accused, agrees=judged.agrees, decided=judged.decided,
-            declined=facts.exclusion_declined is not None, suspect_since_ns=judged.suspect_since_ns,
-            lost=is_lost(facts),
-        )  # fmt: skip
-        facts = replace(
-            facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
-            exclusion_confirmed=self._confirmed(admission),
-        )  # fmt: skip
-        found, excluded = verdict(facts), odometer_accused(facts)
-        self._odometer_since_ns = None if not excluded else self._odometer_since_ns or facts.time_ns
+        if facts.conflict_open and (facts.excluded_test_ratio or 0.0) > AGREES:
+            self._gnss.was_apart = True
+        facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
+        facts, admission = self._admitted(facts)
+        found = verdict(facts)
         before = self._published
         level = TrustLevel(found.state.value)
         horizontal_m, vertical_m = facts.solution.protection_levels_m if facts.solution else (None, None)
@@ -127,7 +142,9 @@ class Process:
             findings=tuple(finding[:REASON_LENGTH] for finding in found.findings),
             gnss_excluded=admission.excluded,
             suspect_since_ns=admission.suspect_since_ns,
-            odometer_excluded=excluded,
+            odometer_excluded=facts.odometer_excluded,
+            imu_excluded=facts.imu_excluded,
+            beliefs=tuple(_beliefs(facts)),
             protection_level_horizontal_m=horizontal_m,
             protection_level_vertical_m=vertical_m,
             alert_limit_horizontal_m=facts.limits.horizontal_m,
@@ -143,6 +160,42 @@ class Process:
                     sampled_ns=state.sampled_ns, before=earlier, after=level, reasons=state.reasons,
                     monitors=state.monitors,
                 )  # fmt: skip
+
+    def _open(self) -> frozenset[Hypothesis]:
+        """Hypotheses whose contradiction has not ended."""
+        gnss = self._gnss.suspect_since_ns is not None
+        return frozenset([Hypothesis.GNSS, Hypothesis.IMU, Hypothesis.GNSS_AND_ODOMETER] if gnss else []) | frozenset(
+            [Hypothesis.IMU] if self._imu.suspect_since_ns is not None else []
+        )
+
+    def _admitted(self, facts: Facts) -> tuple[Facts, Admission]:
+        """Decide which sources are used; returns the facts with that, and the admission of GNSS."""
+        judged, lost, time_ns = judge_gnss(facts), is_lost(facts), facts.time_ns
+        if judged.contradicted:  # another source is wrong
+            self._gnss.end(time_ns)
+        admission = self._gnss.update(
+            time_ns, accused=judged.accused, agrees=judged.agrees, decided=judged.decided,
+            contradicted=judged.contradicted, declined=facts.exclusion_declined is not None,
+            suspect_since_ns=judged.suspect_since_ns, lost=lost,
+        )  # fmt: skip
+        imu = judge_imu(facts)
+        wanted = imu.accused and (imu.decided or self._imu.suspect_since_ns is not None)
+        of_imu = self._imu.update(
+            time_ns, accused=wanted, agrees=imu.agrees, decided=imu.decided,
+            contradicted=facts.acts_on(Hypothesis.GNSS), suspect_since_ns=imu.suspect_since_ns, lost=lost,
+        )  # fmt: skip
+        if of_imu.excluded:
+            self._gnss.end(time_ns)
+            admission = Admission(open=False)
+        accused = facts.acts_on(Hypothesis.ODOMETER)
+        self._odometer_excluded = accused or (self._odometer_excluded and facts.survives(Hypothesis.ODOMETER))
+        confirmed = self._navigation is not None and self._navigation.imu_excluded
+        facts = replace(
+            facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
+            exclusion_confirmed=self._confirmed(admission), imu_excluded=of_imu.excluded,
+            imu_exclusion_confirmed=of_imu.excluded and confirmed, odometer_excluded=self._odometer_excluded,
+        )  # fmt: skip
+        return facts, admission
 
     def _current(self, facts: Facts, monitor: Monitor) -> TrustMonitor:
         """Statement of a monitor as the verdict uses it: a silent one is not evaluated."""
@@ -176,16 +229,42 @@ class Process:
             odometer_in_use=state is not None
             and state.odometer_age_s is not None
             and state.odometer_age_s <= ODOMETER_SILENT_S,
-            odometer_excluded_since_ns=self._odometer_since_ns,
+            alternatives=self._newest_alternatives(),
             satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
             limits=self._limits,
         )
+
+    def _newest_alternatives(self) -> dict[Hypothesis, Alternative]:
+        """Solutions of the bank, if they are not too old."""
+        newest = self._alternatives
+        if newest is None or self._time_ns - newest.sampled_ns > ALTERNATIVES_NS:
+            return {}
+        return {
+            one.hypothesis: Alternative(
+                hypot(*one.apart_ned_m[:2]),
+                one.protection_level_horizontal_m,
+                one.separation is not None and one.separation_limit is not None
+                and one.separation <= one.separation_limit,
+            )
+            for one in newest.solutions
+        }  # fmt: skip
 
     def _confirmed(self, admission: Admission) -> bool:
         """Whether fusion confirms an exclusion by its solution, which has no GNSS since the suspect time."""
         suspect_since_ns = admission.suspect_since_ns
         excluded_ns = None if self._solution is None else self._solution.gnss_excluded_since_ns
         return excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
+
+
+def _beliefs(facts: Facts) -> Iterator[Belief]:
+    """Posteriors with the solutions that belong to them, as a message."""
+    for one in facts.beliefs:
+        other = facts.alternatives.get(one.hypothesis)
+        yield Belief(
+            hypothesis=one.hypothesis, prior=one.prior, probability=min(1.0, one.probability), survives=one.survives,
+            acted_on=one.acted_on, reason=one.reason[:REASON_LENGTH], since_ns=one.since_ns,
+            distance_m=None if other is None else other.distance_m, level_m=None if other is None else other.level_m,
+        )  # fmt: skip
 
 
 def _limits(config: Config) -> Limits:
@@ -208,6 +287,7 @@ def _solution(message: NavigationSolution) -> Solution:
         message.protection_level_vertical_m,
         message.gnss_age_s,
         message.gnss_excluded_since_ns,
+        message.integrity_risk or DEFAULT_RISK,
     )
 
 
@@ -216,4 +296,5 @@ def _statement(monitor: Monitor, message: TrustMonitor) -> Statement:
         monitor, Outcome(message.outcome.value), message.sampled_ns, message.reason, message.accused,
         message.statistic, message.threshold, message.false_alarm_rate, message.window_s, message.since_ns,
         message.suspect_since_ns, message.doubtful,
+        tuple(test.name for test in message.tests if test.outcome is MonitorOutcome.ACCUSES),
     )  # fmt: skip

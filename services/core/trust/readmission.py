@@ -1,7 +1,7 @@
-"""Opens a conflict of GNSS with other sensors when it is accused, and ends it after GNSS has agreed for a minimum time.
+"""Opens a conflict of a source with others when it is accused, and ends it after it has agreed for a minimum time.
 
-GNSS is excluded only by a third source: the odometer, which agrees with the inertial sensors against it, or satellites
-with redundancy. With GNSS and inertial sensors alone one difference says the same of both.
+GNSS is excluded only while its hypothesis alone survives (`hypotheses/beliefs.py`). With GNSS and inertial sensors
+alone one difference says the same of both.
 
 The minimum healthy time is 2 s after a first fault of under 10 s and grows for longer faults in proportion to their
 duration; each further fault within 10 minutes doubles it; it is at most 60 s.
@@ -10,8 +10,10 @@ duration; each further fault within 10 minutes doubles it; it is at most 60 s.
 from collections import deque
 from dataclasses import dataclass
 
+from shared.messages.trust import Hypothesis
+
 from .facts import GNSS, IMU, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
-from .verdict import by_accused_odometer, solution_lost
+from .verdict import solution_lost
 
 HEALTHY_S = 2.0
 SHORT_FAULT_S = 10.0
@@ -19,6 +21,9 @@ REPEATED_WITHIN_S = 600.0
 LONGEST_HEALTHY_S = 60.0
 # Normalised innovation squared over its gate up to which a position agrees with the solution without GNSS, and with one
 # whose protection level is above the alert limit: three times the distance.
+SPEAKING = tuple(monitor for monitor in Monitor if monitor not in (Monitor.EVIDENCE, Monitor.HYPOTHESES))
+USEFUL_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be, to decide of a return
+REACHING_BACK = (Monitor.INERTIAL_LONG, Monitor.DRIFT, Monitor.MOTION)
 AGREES, AGREES_ABOVE_LIMIT = 1.0, 9.0
 
 
@@ -53,7 +58,8 @@ class Readmission:
         self._accused_ns = 0  # last accusation of it
         self._suspect_ns: int | None = None
         self._healthy_ns: int | None = None  # since when it agrees
-        self._decided = False  # a third source decides against it
+        self._decided = False  # its hypothesis alone has survived
+        self.was_apart = False  # the two solutions have contradicted each other in this conflict
 
     @property
     def suspect_since_ns(self) -> int | None:
@@ -61,8 +67,8 @@ class Readmission:
         return self._suspect_ns
 
     def update(
-        self, time_ns: int, *, accused: bool, agrees: bool, decided: bool = False, declined: bool = False,
-        suspect_since_ns: int | None = None, lost: bool = False,
+        self, time_ns: int, *, accused: bool, agrees: bool, decided: bool = False, contradicted: bool = False,
+        declined: bool = False, suspect_since_ns: int | None = None, lost: bool = False,
     ) -> Admission:  # fmt: skip
         """Use the monitors' judgement of one time.
 
@@ -75,7 +81,9 @@ class Readmission:
         agrees : bool
             Every monitor that can judge the source passes it; "not evaluated" does not agree.
         decided : bool
-            A third source agrees with the accusation.
+            No other hypothesis survives.
+        contradicted : bool
+            This hypothesis does not survive any more: what was decided is taken back.
         declined : bool
             Fusion has no good solution without the source: it is used in spite of a decision.
         suspect_since_ns : int, optional
@@ -86,6 +94,7 @@ class Readmission:
         if accused:
             self._accuse(time_ns, suspect_since_ns)
             self._decided |= decided
+        self._decided &= not contradicted
         if self._began_ns is None:
             return Admission(open=False)
         if accused or not agrees:
@@ -97,9 +106,16 @@ class Readmission:
         if self._healthy_ns is not None and healthy_s >= required_s:
             self._faults.append(self._accused_ns)
             self._began_ns = self._suspect_ns = self._healthy_ns = None
-            self._decided = False
+            self._decided = self.was_apart = False
             return Admission(open=False)
         return Admission(True, self._decided and not declined, self._suspect_ns, healthy_s, required_s)
+
+    def end(self, time_ns: int) -> None:
+        """End the conflict, because another source is found to be wrong."""
+        if self._began_ns is not None:
+            self._faults.append(time_ns)
+            self._began_ns = self._suspect_ns = self._healthy_ns = None
+            self._decided = self.was_apart = False
 
     def _accuse(self, time_ns: int, suspect_since_ns: int | None) -> None:
         suspect_ns = time_ns if suspect_since_ns is None else suspect_since_ns
@@ -116,27 +132,26 @@ class Readmission:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the monitors say of GNSS at one time."""
+    """What the monitors say of a source at one time."""
 
     accused: bool
-    decided: bool  # by a third source
+    decided: bool  # no other hypothesis survives
+    contradicted: bool  # its own does not
     agrees: bool
     suspect_since_ns: int | None
 
 
 def judge_gnss(facts: Facts) -> Judgement:
-    """Say whether GNSS is accused, by a third source too, whether it agrees, and since when it is suspect.
+    """Say whether GNSS is accused and may be wrong, whether it alone may, whether it agrees, and since when.
 
-    Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Decided: the
-    accusation names GNSS and not the inertial sensors as well, the odometer is in use, and the accusation does not
-    follow from an odometer that was accused before; redundant satellites decide by themselves. Agreement takes an
-    inertial window that passes, none that accuses, and a position that does not contradict the solution without GNSS
-    while there is one. Velocities alone cannot tell an attack that holds its offset from one that has ended. A position
-    may be three times as far from a solution whose protection level is above the alert limit.
+    Agreement takes an inertial window that passes, no monitor that accuses, and a position that does not contradict the
+    solution without GNSS while there is one. Velocities alone cannot tell an attack that holds its offset from one that
+    has ended. A position may be three times as far from a solution whose protection level is above the alert limit. The
+    long windows and the drift reach back into an error that has ended: where positions were apart and have come back,
+    the solution without GNSS decides in their place.
     """
-    accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
-    odometer = facts.odometer_in_use and not by_accused_odometer(facts)
-    decided = any(one.monitor is Monitor.SATELLITES or (odometer and IMU not in one.accused) for one in accusing)
+    accusing = facts.accusing(SPEAKING, GNSS)
+    found = next((one for one in facts.surviving if one.hypothesis is Hypothesis.GNSS), None)
     passing = any(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
     ratio, level_m = facts.excluded_test_ratio, facts.without_gnss_level_m
     # Of a state that was saved during an exclusion there is one solution only.
@@ -144,9 +159,27 @@ def judge_gnss(facts: Facts) -> Judgement:
     limit = AGREES_ABOVE_LIMIT if exceeded else AGREES
     compared = ratio is not None and ratio <= limit
     alone = facts.exclusion_declined is not None and level_m is None  # the level holds the difference
-    agrees = not accusing and (is_lost(facts) or (passing and (compared or alone)))
-    suspect = [s.suspect_since_ns for s in accusing if s.suspect_since_ns is not None]
-    return Judgement(bool(accusing), decided, agrees, min(suspect) if suspect else None)
+    useful = level_m is not None and level_m <= USEFUL_LIMITS * facts.limits.horizontal_m
+    came_back = facts.gnss_was_apart and useful and ratio is not None and ratio <= AGREES
+    present = [one for one in accusing if not (came_back and one.monitor in REACHING_BACK)]
+    agrees = not present and (is_lost(facts) or (passing and (compared or alone)))
+    accused = bool(present) and found is not None
+    decided, since_ns = facts.acts_on(Hypothesis.GNSS), None if found is None else found.since_ns
+    return Judgement(accused, decided, found is None, agrees, since_ns)
+
+
+def judge_imu(facts: Facts) -> Judgement:
+    """Say the same of the inertial sensors.
+
+    They agree when the short windows pass, the gyroscope is not accused, and the filter is within the spread of the
+    solution without them. The long windows reach back into the fault, and the drift as well.
+    """
+    alone = facts.acts_on(Hypothesis.IMU)
+    accusing = facts.accusing((Monitor.INERTIAL_SHORT, Monitor.GYROSCOPE), IMU)
+    other = facts.alternatives.get(Hypothesis.IMU)
+    agrees = not accusing and (is_lost(facts) or (other is not None and other.agrees))
+    since_ns = next((one.since_ns for one in facts.surviving if one.hypothesis is Hypothesis.IMU), None)
+    return Judgement(alone or bool(accusing), alone, not facts.survives(Hypothesis.IMU), agrees, since_ns)
 
 
 def is_lost(facts: Facts) -> bool:

@@ -6,31 +6,24 @@ row   condition                                                                 
 1     no solution yet                                                                     INITIALISING
 2     solution lost or stale                                                              NO_FIX
 3     protection level above the alert limit, horizontal or vertical                      UNSAFE
-4     GNSS is in conflict, and fusion does not know the solution without it yet           UNSAFE
-5     a satellite fault inside the position in use                                        UNSAFE
-6     motion conflict, inertial monitors not wholly evaluated, GNSS not excluded          UNSAFE
-7     GNSS excluded and confirmed by fusion                                               DEAD_RECKONING
-8     no GNSS used for longer than `coasting_after_s`                                     DEAD_RECKONING
-9     a conflict that is not decided, or decided against the odometer                     CAUTION
-10    evidence alone, or a doubt of an inertial monitor                                   CAUTION
-11    a required monitor is silent                                                        CAUTION
-12    no independent check: neither inertial windows nor satellites evaluated             CAUTION
-13    protection level above 0.8 of the alert limit                                       CAUTION
-14    otherwise                                                                           SAFE
+4     a hypothesis survives to whose solution the level does not reach                    UNSAFE
+5     no GNSS in the position: excluded and confirmed by fusion, or missing for too long  DEAD_RECKONING
+6     a hypothesis survives, a source is excluded, or a monitor doubts                    CAUTION
+7     no independent check of the position, or a required monitor is silent               CAUTION
+8     protection level above 0.8 of the alert limit                                       CAUTION
+9     otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
 
-In a conflict the level reaches to the solution that is not published, so that row 3 decides between UNSAFE and CAUTION.
-An accusation by the long window that follows from an odometer accused before (`by_accused_odometer`) opens a conflict
-as every other, but does not exclude GNSS.
+The level reaches to the solution of every hypothesis that survives, so that row 3 decides between UNSAFE and CAUTION.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from .facts import GNSS, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Statement
+from shared.messages.trust import Hypothesis
 
-LEAD_NS = 3 * SECOND_NS  # from the exclusion of the odometer to an accusation that follows from it
+from .facts import AGAINST_GNSS, GNSS, IMU, INERTIAL, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Posterior, Statement
 
 
 class TrustState(StrEnum):
@@ -112,32 +105,33 @@ def _both_sides(facts: Facts) -> str:
     return said
 
 
+def _not_reached(facts: Facts) -> str | None:
+    """Row 4: a hypothesis to whose solution the level does not reach."""
+    found = [reason for reason in (_conflict(facts), _satellite_fault(facts)) if reason is not None]
+    found += [
+        f"{WRONG[one.hypothesis]}, and nothing says where the vehicle is then ({one.reason})"
+        for one in facts.surviving
+        if _is_unknown(facts, one.hypothesis)
+    ]
+    return "; ".join(found) or None
+
+
+def _is_unknown(facts: Facts, hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis has no solution; those of GNSS and satellites are judged by what fusion says of them."""
+    if hypothesis is Hypothesis.ODOMETER and not facts.odometer_in_use:
+        return False
+    return hypothesis in SOLVED_BY_THE_BANK and hypothesis not in facts.alternatives
+
+
 def _conflict(facts: Facts) -> str | None:
-    """Row 4: a conflict of which fusion does not state both sides."""
-    accusing = facts.accusing(INERTIAL, GNSS)
-    if _excluded(facts) or not (accusing or facts.conflict_open):
+    """A conflict of GNSS of which fusion does not state both sides."""
+    accusing = facts.accusing(AGAINST_GNSS, GNSS)
+    if _excluded(facts) or facts.imu_exclusion_confirmed or not (accusing or facts.conflict_open):
         return None
     if facts.conflict_open and (facts.other_level_m is not None or facts.exclusion_declined):
         return None
     why = _sentences(facts, accusing) if accusing else "GNSS has not agreed for long enough"
     return f"{why}; fusion has not computed the solution without GNSS yet"
-
-
-def _undecided(facts: Facts) -> str | None:
-    """Row 9: both sides of a conflict are known, and nothing decides between them."""
-    if not facts.conflict_open or _excluded(facts):
-        return None
-    accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
-    why = _sentences(facts, accusing) if accusing else "GNSS has not agreed for long enough after a conflict"
-    if by_accused_odometer(facts):
-        why += "; it uses the odometer, which was suspected before"
-    declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
-    return f"unresolved: {why}{declined}{_both_sides(facts)}"
-
-
-def _conflict_of_odometer_or_gnss(facts: Facts) -> str | None:
-    found = [reason for reason in (_undecided(facts), _odometer_conflict(facts)) if reason is not None]
-    return "; ".join(found) or None
 
 
 def _satellite_fault(facts: Facts) -> str | None:
@@ -154,21 +148,13 @@ def _satellite_fault(facts: Facts) -> str | None:
     return f"{_sentences(facts, facts.accusing((Monitor.SATELLITES,)))}; the position in use contains the fault"
 
 
-def _unresolved_motion_conflict(facts: Facts) -> str | None:
-    conflict = facts.accusing(MOTION)
-    open_ones = [monitor for monitor in INERTIAL if facts.outcome(monitor) is Outcome.NOT_EVALUATED]
-    if not conflict or not open_ones or facts.conflict_open:
-        return None
-    reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in open_ones)
-    return f"{_sentences(facts, conflict)}; GNSS or odometer is wrong, and inertial monitors cannot tell ({reasons})"
-
-
-def _gnss_excluded(facts: Facts) -> str | None:
-    if not _excluded(facts):
-        return None
-    accusing = facts.accusing(INERTIAL, GNSS)
-    why = f": {_sentences(facts, accusing)}" if accusing else " until it has agreed for the minimum healthy time"
-    return f"GNSS is excluded, position by dead reckoning{why}{_both_sides(facts)}"
+def _without_gnss(facts: Facts) -> str | None:
+    """Row 5: dead reckoning, because GNSS is excluded or missing."""
+    if _excluded(facts):
+        accusing = facts.accusing(AGAINST_GNSS, GNSS)
+        why = f": {_sentences(facts, accusing)}" if accusing else " until it has agreed for the minimum healthy time"
+        return f"GNSS is excluded, position by dead reckoning{why}{_both_sides(facts)}"
+    return _coasting(facts)
 
 
 def _coasting(facts: Facts) -> str | None:
@@ -180,24 +166,67 @@ def _coasting(facts: Facts) -> str | None:
     return None if age_s <= limit_s else f"no GNSS fix used for {age_s:.1f} s, limit {limit_s:.1f} s"
 
 
-def _odometer_conflict(facts: Facts) -> str | None:
-    """Row 9: GNSS and odometer disagree, and the inertial monitors agree with GNSS."""
-    conflict = facts.accusing(MOTION)
-    if not conflict or any(facts.outcome(monitor) is not Outcome.PASS for monitor in INERTIAL):
-        return None
-    unused = bool(facts.accusing(MOTION, ODOMETER)) or by_accused_odometer(facts)
-    then = "the odometer is no longer used" if unused else "nothing is excluded"
-    return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, {then}"
-
-
-def _evidence(facts: Facts) -> str | None:
+def _unresolved(facts: Facts) -> str | None:
+    """Row 6: hypotheses that survive, sources that are not used, and monitors that doubt."""
+    found = []
+    if _surviving(facts) and not _excluded(facts):
+        found.append(_of_hypotheses(facts))
+    elif facts.conflict_open and not _excluded(facts):
+        declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
+        found.append(f"GNSS has not agreed for long enough after a conflict{declined}{_both_sides(facts)}")
+    if facts.imu_excluded and not facts.survives(Hypothesis.IMU):
+        found.append("the inertial sensors have not agreed for long enough")
     accusing = facts.accusing((Monitor.EVIDENCE,))
-    doubts = [
+    found += [_sentences(facts, accusing)] if accusing else []
+    found += [
         f"monitor {monitor} is close to its threshold: {statement.reason}"
         for monitor in INERTIAL
         if (statement := facts.statement(monitor)).doubtful and statement.outcome is Outcome.PASS
     ]
-    return "; ".join([*([_sentences(facts, accusing)] if accusing else []), *doubts]) or None
+    return "; ".join(found) or None
+
+
+def _surviving(facts: Facts) -> tuple[Posterior, ...]:
+    """Hypotheses that lower the verdict: not a satellite that is left out."""
+    outside = _satellite_fault(facts) is None
+    return tuple(one for one in facts.surviving if not (one.hypothesis is Hypothesis.SATELLITES and outside))
+
+
+def _of_hypotheses(facts: Facts) -> str:
+    """Say between which hypotheses nothing decides, or which one is acted on, and what the monitors say."""
+    surviving = _surviving(facts)
+    named = ", or ".join(f"{WRONG[one.hypothesis]} ({100.0 * one.probability:.1f} %)" for one in surviving)
+    said = [one for one in facts.accusing(tuple(Monitor)) if one.monitor is not Monitor.EVIDENCE]
+    why = f": {_sentences(facts, said)}" if said else ""
+    if len(surviving) > 1:
+        declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
+        return f"unresolved: {named}; {_decider(facts)}{why}{declined}{_both_sides(facts)}"
+    return f"{named}; {_consequence_of(surviving[0].hypothesis, facts)}{why}{_both_sides(facts)}"
+
+
+def _decider(facts: Facts) -> str:
+    """Say what would decide between the hypotheses that survive."""
+    names = {one.hypothesis for one in facts.surviving}
+    if Hypothesis.GNSS_AND_ODOMETER in names:
+        return "centripetal speed in further bends, a second receiver or authenticated signals would decide"
+    if names >= {Hypothesis.GNSS, Hypothesis.IMU} and not facts.odometer_in_use:
+        return "an odometer or wheel speeds would decide"
+    if names >= {Hypothesis.GNSS, Hypothesis.ODOMETER}:
+        return "the inertial change of speed in braking or acceleration would decide"
+    return "a step back, a second receiver or authenticated signals would decide"
+
+
+def _consequence_of(hypothesis: Hypothesis, facts: Facts) -> str:
+    """What follows for the source of a hypothesis that alone survives."""
+    match hypothesis:
+        case Hypothesis.ODOMETER:
+            return "it is no longer used" if facts.odometer_excluded else "it is not used for the position"
+        case Hypothesis.IMU if facts.imu_exclusion_confirmed:
+            return "the position is that of GNSS and odometer"
+        case Hypothesis.GNSS if facts.exclusion_declined:
+            return f"it is used all the same: {facts.exclusion_declined}"
+        case _:
+            return "the level reaches to the solution without it"
 
 
 def _silent(facts: Facts) -> str | None:
@@ -205,13 +234,16 @@ def _silent(facts: Facts) -> str | None:
     return "; ".join(f"monitor {monitor}: {facts.statement(monitor).reason}" for monitor in silent) or None
 
 
-def _not_evaluated(facts: Facts) -> str | None:
-    """Row 12: the position needs one independent check, of which there are two kinds."""
+def _not_checked(facts: Facts) -> str | None:
+    """Row 7: the position needs one independent check, of which there are two kinds, and monitors that are alive."""
     checks = (*INERTIAL, Monitor.SATELLITES)
-    if any(facts.outcome(monitor) is not Outcome.NOT_EVALUATED for monitor in checks):
-        return None
-    reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
-    return f"no independent check of the position is evaluated: {reasons}"
+    found = []
+    if all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in checks):
+        reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
+        found.append(f"no independent check of the position is evaluated: {reasons}")
+    if (silent := _silent(facts)) is not None:
+        found.append(silent)
+    return "; ".join(found) or None
 
 
 def _near_alert_limit(facts: Facts) -> str | None:
@@ -236,19 +268,26 @@ def _sentence(facts: Facts, statement: Statement) -> str:
     return text
 
 
+# Of each hypothesis, in words.
+WRONG = {
+    Hypothesis.GNSS: "GNSS is wrong",
+    Hypothesis.IMU: "the inertial sensors are wrong",
+    Hypothesis.ODOMETER: "the odometer is wrong",
+    Hypothesis.GNSS_AND_ODOMETER: "GNSS and odometer are falsified alike",
+    Hypothesis.RECEIVER_TIME: "the time of the receiver is wrong",
+    Hypothesis.SATELLITES: "a satellite is wrong",
+}
+SOLVED_BY_THE_BANK = (
+    Hypothesis.IMU, Hypothesis.ODOMETER, Hypothesis.GNSS_AND_ODOMETER, Hypothesis.RECEIVER_TIME,
+)  # fmt: skip
 ROWS: tuple[tuple[TrustState, Row], ...] = (
     (TrustState.INITIALISING, _no_solution),
     (TrustState.NO_FIX, solution_lost),
     (TrustState.UNSAFE, _above_alert_limit),
-    (TrustState.UNSAFE, _conflict),
-    (TrustState.UNSAFE, _satellite_fault),
-    (TrustState.UNSAFE, _unresolved_motion_conflict),
-    (TrustState.DEAD_RECKONING, _gnss_excluded),
-    (TrustState.DEAD_RECKONING, _coasting),
-    (TrustState.CAUTION, _conflict_of_odometer_or_gnss),
-    (TrustState.CAUTION, _evidence),
-    (TrustState.CAUTION, _silent),
-    (TrustState.CAUTION, _not_evaluated),
+    (TrustState.UNSAFE, _not_reached),
+    (TrustState.DEAD_RECKONING, _without_gnss),
+    (TrustState.CAUTION, _unresolved),
+    (TrustState.CAUTION, _not_checked),
     (TrustState.CAUTION, _near_alert_limit),
 )
 
@@ -260,7 +299,7 @@ def findings(facts: Facts) -> tuple[str, ...]:
     """
     accused = {name for statement in facts.accusing(tuple(Monitor)) for name in statement.accused}
     named = [f"{name} is suspected{_consequence(name, facts)}" for name in sorted(accused)]
-    if odometer_accused(facts) and ODOMETER not in accused:
+    if facts.odometer_excluded and ODOMETER not in accused:
         named.append("odometer is not used: it was suspected before")
     named += [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)]
     if facts.held is not None:
@@ -276,30 +315,10 @@ def _consequence(name: str, facts: Facts) -> str:
     if name == GNSS:
         return ", and not used" if _excluded(facts) else ", and still used"
     if name == ODOMETER:
-        return ", and not used" if odometer_accused(facts) else ", and still used"
+        return ", and not used" if facts.odometer_excluded else ", and still used"
+    if name == IMU:
+        return ", and not used" if facts.imu_exclusion_confirmed else ", and still used"
     return ""
-
-
-def odometer_accused(facts: Facts) -> bool:
-    """Whether fusion must not use the odometer: a motion monitor accuses it and both inertial windows pass.
-
-    It stays so while the long window, which uses the odometer, accuses GNSS in turn.
-    """
-    agreed = _odometer_conflict(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
-    return agreed or by_accused_odometer(facts)
-
-
-def by_accused_odometer(facts: Facts) -> bool:
-    """Whether the long window began to accuse GNSS, not excluded so far, when the odometer had been for `LEAD_NS`.
-
-    Its free propagations use the odometer, so that a wrong one contradicts a right GNSS. In a drag-off the long window
-    accuses before, or at the same time.
-    """
-    since_ns = facts.odometer_excluded_since_ns
-    began_ns = [one.since_ns for one in facts.accusing((Monitor.INERTIAL_LONG,), GNSS)]
-    if facts.exclusion_confirmed or since_ns is None:
-        return False
-    return any(ns is not None and ns - since_ns >= LEAD_NS for ns in began_ns)
 
 
 def verdict(facts: Facts) -> Verdict:

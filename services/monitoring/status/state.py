@@ -23,7 +23,7 @@ from shared.messages.navigation import (
 )
 from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth, ProcessState
 from shared.messages.toll import GateCommand, PlazaDetector
-from shared.messages.trust import TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import TrustEvent, TrustHypotheses, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
@@ -31,6 +31,7 @@ from shared.runtime.tally import told
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow, on_demand
+from .history.alternatives import Alternatives
 from .history.columns import History, TrustHistory
 from .history.gnss_history import GnssHistory, KeptFix, KeptSky
 from .history.track import Track
@@ -64,13 +65,14 @@ WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s"
 
 
 class KeptVerdict(BaseModel):
-    """State of one second, and the monitors' statistics over thresholds."""
+    """State of one second, the monitors' statistics over thresholds, and the probabilities of the hypotheses."""
 
     model_config = ConfigDict(defer_build=True)
     kind: Literal["verdict"]
     ns: int
     state: Trust
     ratios: dict[str, float]
+    probabilities: dict[str, float] = {}
 
 
 class KeptOutage(BaseModel):
@@ -124,6 +126,7 @@ class State:
         self.series = Series()
         self.gnss = GnssHistory()
         self.track = Track()
+        self.alternatives = Alternatives()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -182,9 +185,9 @@ class State:
             case Origin():
                 self.origins[envelope.producer] = (message, flow.heard_ns or 0)
             case _:
-                self._note_event(message, envelope.producer)
+                self._note_event(message, envelope)
 
-    def _note_event(self, message: Message | None, producer: str) -> None:
+    def _note_event(self, message: Message | None, envelope: Envelope) -> None:
         """Keep what is shown beyond the newest message of its topic."""
         match message:
             case Outage():
@@ -194,7 +197,9 @@ class State:
                 self.trust_events.append(message)
                 self._unsaved.append({"kind": "event", "ns": message.sampled_ns, "message": message})
             case TrustMonitor():
-                self.monitor_producers[message.monitor] = producer
+                self.monitor_producers[message.monitor] = envelope.producer
+            case TrustHypotheses():
+                self.alternatives.note(message, envelope.producer, envelope.received_ns)
             case GateCommand():
                 self.gates[message.lane] = message
             case PlazaDetector():
@@ -222,7 +227,7 @@ class State:
                 continue
             match kept:
                 case KeptVerdict():
-                    self.trust_history.add(kept.ns, kept.state, kept.ratios)
+                    self.trust_history.add(kept.ns, kept.state, kept.ratios, kept.probabilities)
                 case KeptOutage():
                     self.outages.note(kept.message)
                 case KeptEvent():
@@ -334,6 +339,16 @@ class State:
         kinds = {origin.kind for origin, _ in self.live_origins(now_ns)}
         return kinds == {OriginKind.SIMULATED}
 
+    def hypotheses(self, now_ns: int) -> list[tuple[str, TrustHypotheses]]:
+        """Give what each process states of the hypotheses, while it is live and newer than the process's last start."""
+        limits = self.topics["trust/hypotheses"].limits
+        return [
+            (producer, message)
+            for producer, (message, received_ns) in self.alternatives.newest.items()
+            if freshness_of((now_ns - received_ns) * 1e-9, limits) is not Freshness.STALE
+            and received_ns >= max(self._counts_from_ns, self._life(producer))
+        ]
+
     def odometer(self, now_ns: int) -> tuple[float, str] | None:
         """Speed by the vehicle's own sensors [m/s] and the topic it is from, while it is live."""
         wheels = self.newest(WheelSpeeds, "vehicle/wheel_speed", now_ns, live=True)
@@ -372,9 +387,18 @@ class State:
             self.verdict = replace(shown, since_ns=since_ns)
         trust = self.newest(TrustState, "trust/state", now_ns, live=True) if self.verdict.state in KNOWN else None
         ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
-        if self.trust_history.add(now_ns, self.verdict.state, ratios):
+        beliefs = {one.hypothesis.value: float(f"{one.probability:.3g}") for one in trust.beliefs} if trust else {}
+        if self.trust_history.add(now_ns, self.verdict.state, ratios, beliefs):
             known = {name: round(ratio, 4) for name, ratio in ratios.items() if ratio is not None}
-            self._unsaved.append({"kind": "verdict", "ns": now_ns, "state": self.verdict.state, "ratios": known})
+            self._unsaved.append(
+                {
+                    "kind": "verdict",
+                    "ns": now_ns,
+                    "state": self.verdict.state,
+                    "ratios": known,
+                    "probabilities": beliefs,
+                }
+            )
 
     def _find_judgement(self, now_ns: int, *, connected: bool) -> Judgement:
         """Take the judgement of `monitoring.health`, unless the broker is lost or the report is overdue.

@@ -62,7 +62,16 @@ from shared.messages.operation import (
     RecordingState,
 )
 from shared.messages.simulation import AttackCommand, AttackRun, SimulationAttack, SimulationState
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import (
+    Belief,
+    Hypothesis,
+    HypothesisSolution,
+    MonitorOutcome,
+    MonitorTest,
+    TrustHypotheses,
+    TrustMonitor,
+    TrustState,
+)
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
 from shared.topics import TOPICS, topic_of
@@ -79,6 +88,7 @@ SATELLITE_TESTS = (
                 threshold=4.2),
     MonitorTest(name="E02", outcome=MonitorOutcome.PASS, reason="used, residual 0.4 m", statistic=0.3, threshold=4.2),
 )  # fmt: skip
+APART_M = {Hypothesis.NOTHING: 0.0, Hypothesis.GNSS: 18.0, Hypothesis.IMU: -9.0, Hypothesis.ODOMETER: 2.0}
 SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
 
@@ -184,6 +194,8 @@ class FakeUnit:
         self.protection_level_m = 3.14  # horizontal, while it does not coast
         self.aligning = False  # core.fusion runs, but has no solution yet
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
+        self.beliefs: tuple[Belief, ...] = ()  # stated by core.trust in place of its own
+        self.suspected_ns: int | None = None  # since when positions under the hypotheses are published
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
         self.attacks: list[AttackRun] = []
         self._due: dict[str, int] = {}
@@ -203,6 +215,7 @@ class FakeUnit:
             ("beat", 2.0, self._heartbeats),
             ("origin", 0.5, self._origin),
             ("trust", 1.0, self._trust),
+            ("hypotheses", 1.0, self._hypotheses),
         ):
             due_ns = self._due.setdefault(name, now_ns)
             if now_ns < due_ns:
@@ -222,7 +235,8 @@ class FakeUnit:
             return
         if isinstance(message, TrustMonitor | NavigationSolution | NavigationState | Tick):
             for found in self.trust.handle(message):
-                self.bus.feed(found, "core.trust")
+                stated = isinstance(found, TrustState) and self.beliefs
+                self.bus.feed(found.model_copy(update={"beliefs": self.beliefs}) if stated else found, "core.trust")
 
     def command(self, message: SimulationAttack) -> None:
         """Note an attack, or the end of those that were active, and answer as the simulator does."""
@@ -466,6 +480,58 @@ class FakeUnit:
                 free_bytes=41_000_000_000,
             ),
         )
+
+    def suspect(self) -> None:
+        """Let GNSS or the inertial sensors be wrong: positions under each hypothesis drift apart from now on."""
+        since_ns = self.suspected_ns = self.bus.now_ns()
+
+        def belief(hypothesis: Hypothesis, prior: float, probability: float, reason: str) -> Belief:
+            survives = probability > 1e-3
+            spoken_for = survives and hypothesis is not Hypothesis.NOTHING
+            return Belief(
+                hypothesis=hypothesis, prior=prior, probability=probability, survives=survives, reason=reason,
+                since_ns=since_ns if spoken_for else None,
+            )  # fmt: skip
+
+        self.beliefs = (
+            belief(Hypothesis.GNSS, 1e-4, 0.62, "the free run is 18 m from GNSS, its own spread is 4 m"),
+            belief(Hypothesis.IMU, 1e-3, 0.375, "the gyroscope turns 3 deg/s faster than the wheels"),
+            belief(Hypothesis.NOTHING, 0.998, 4e-5, "a separation of 18 m is beyond its spread"),
+            belief(Hypothesis.ODOMETER, 1e-3, 3e-5, "inertial speed changes agree with the odometer"),
+            belief(Hypothesis.SATELLITES, 1e-4, 2e-6, "all satellites agree"),
+        )
+
+    def _hypotheses(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        """Positions under each hypothesis, once one is suspected."""
+        if self.suspected_ns is None:
+            return
+        grown = min(1.0, (now_ns - self.suspected_ns) * 1e-9 / 5.0)
+        fusion = tuple(
+            self._without(now_ns, hypothesis, (hypothesis.value,), grown * apart_m)
+            for hypothesis, apart_m in APART_M.items()
+        )
+        missing = ((Hypothesis.RECEIVER_TIME, "the delay is not estimated while the vehicle stands still"),)
+        yield "core.fusion", TrustHypotheses(sampled_ns=now_ns, source="core.fusion", solutions=fusion, missing=missing)
+        satellites = tuple(
+            self._without(now_ns, Hypothesis.SATELLITES, (f"G{number:02d}",), 0.3 * number, separation=0.9 * number)
+            for number in range(1, 18)
+        )
+        yield (
+            "core.cooperative",
+            TrustHypotheses(sampled_ns=now_ns, source="core.cooperative", solutions=satellites),
+        )
+
+    def _without(
+        self, now_ns: int, hypothesis: Hypothesis, left_out: tuple[str, ...], apart_m: float, separation: float = 31.0
+    ) -> HypothesisSolution:
+        latitude, longitude = self._place(now_ns, 0.5 + apart_m, -0.4)
+        return HypothesisSolution(
+            hypothesis=hypothesis, left_out=left_out, since_ns=self.started_ns, latitude_deg=latitude,
+            longitude_deg=longitude, height_ellipsoid_m=HEIGHT_M, velocity_ned_m_s=self._velocity(now_ns),
+            position_cov_ned_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 2.0), protection_level_horizontal_m=5.2,
+            protection_level_vertical_m=7.7, apart_ned_m=(-apart_m, 0.0, 0.2), separation=separation,
+            separation_limit=16.3, innovations=1.04,
+        )  # fmt: skip
 
     def _satellites(self, now_ns: int) -> GnssSatellites:
         """24 in view, 17 of them used: the others are low, unhealthy, weak or excluded by their own receiver."""

@@ -49,6 +49,7 @@ class SatelliteMonitor:
         self._settings = settings or RaimSettings()
         self._healthy_epochs: dict[SatelliteId, int] = {}  # of the satellites that are excluded
         self._start_e: FloatArray | None = None
+        self._sky: Sky | None = None  # of the epoch that was evaluated last
 
     def evaluate(
         self, epoch: RawEpoch, store: EphemerisStore, left_out: frozenset[SatelliteId] = frozenset()
@@ -71,6 +72,7 @@ class SatelliteMonitor:
         """
         sights, rejected = usable_sights(epoch, store, self._settings.model)
         sky = Sky(sights, epoch.gps_time_ns, store.ionosphere, self._settings.model)
+        self._sky = sky
         tested = self._test(sky, left_out | self._healthy_epochs.keys())
         if self._healthy_epochs and (tested.position is None or tested.position.fit.dof < 1):
             # What is left cannot be tested: earlier exclusions give way, and the whole epoch is judged afresh.
@@ -82,6 +84,10 @@ class SatelliteMonitor:
             reason = f"no solution from {len(sights)} usable satellites"
             return SatelliteVerdict(Outcome.NOT_EVALUATED, reason, rejected=rejected)
         return self._verdict(tested.position, tested, left_out, rejected)
+
+    def all_in_view(self) -> PositionFit | None:
+        """Solve the epoch that was evaluated last with all its satellites, excluded ones too; None if there is none."""
+        return None if self._sky is None or not self._sky.sights else masked(self._sky, self._start_e)[0]
 
     def all_agree(self, epoch: RawEpoch, store: EphemerisStore) -> bool:
         """Whether the satellites of an epoch, without exception, pass the global test; nothing is remembered."""

@@ -142,10 +142,27 @@ def fit_velocity(position: PositionFit, false_alarm_rate: float) -> VelocityFit 
 
     The receiver has one oscillator: its drift is the same against all constellations.
     """
+    found = doppler_fit(position, false_alarm_rate)
+    if found is None:
+        return None
+    fit, rows = found
+    sights, to_ned = position.sky.sights, position.geometry.ned_from_ecef
+    excluded = (one.satellite for row, one in enumerate(sights) if one.range_rate is not None and row not in rows)
+    x, y, z = (to_ned.T @ fit.parameters[:3]).tolist()
+    return VelocityFit((x, y, z), to_ned.T @ fit.cov[:3, :3] @ to_ned, float(fit.parameters[3]), tuple(excluded))
+
+
+def doppler_fit(position: PositionFit, false_alarm_rate: float) -> tuple[Fit, tuple[int, ...]] | None:
+    """Fit velocity [m/s, NED] and clock drift [m/s] as `fit_velocity` does.
+
+    Returns
+    -------
+    Fit and tuple of int, or None
+        The rows of the position whose Doppler is used.
+    """
     model, sights = position.sky.model, position.sky.sights
     rows = [row for row, sight in enumerate(sights) if sight.range_rate is not None]
     sight_n, velocity_n = position.geometry.line_of_sight_n, position.geometry.satellite_velocity_n
-    excluded: list[SatelliteId] = []
     while len(rows) >= 4:
         H = np.hstack([-sight_n[rows], np.ones((len(rows), 1))])
         measured = np.array([sights[row].range_rate for row in rows], dtype=np.float64)
@@ -154,13 +171,10 @@ def fit_velocity(position: PositionFit, false_alarm_rate: float) -> VelocityFit 
         if fit is None:
             return None
         if fit.dof == 0 or fit.statistic <= chi_square_limit(fit.dof, false_alarm_rate):
-            to_ned = position.geometry.ned_from_ecef
-            x, y, z = (to_ned.T @ fit.parameters[:3]).tolist()
-            cov = to_ned.T @ fit.cov[:3, :3] @ to_ned
-            return VelocityFit((x, y, z), cov, float(fit.parameters[3]), tuple(excluded))
+            return fit, tuple(rows)
         if fit.dof < 2:
             return None
-        excluded.append(sights[rows.pop(int(fit.w.argmax()))].satellite)
+        rows.pop(int(fit.w.argmax()))
     return None
 
 

@@ -16,6 +16,7 @@ from ..inertial.filter import ErrorStateFilter
 if TYPE_CHECKING:
     from .dual_antenna import BaselineHeading
     from .gnss.fix import GnssPosition, GnssVelocity
+    from .odometer import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -64,6 +65,19 @@ class MotionSink(Protocol):
         """Take a speed [m/s]."""
 
 
+class NonInertial(Protocol):
+    """What a measurement can tell a model of the vehicle's motion that has no inertial sensors."""
+
+    def use_position(self, fix: "GnssPosition") -> None:
+        """Use a position."""
+
+    def use_velocity(self, fix: "GnssVelocity") -> None:
+        """Use a velocity."""
+
+    def use_speed(self, wheels: "WheelSpeed") -> None:
+        """Use a speed of the vehicle."""
+
+
 class Kind:
     """What a kind of measurement may override; a measurement of another kind does nothing of it."""
 
@@ -92,6 +106,9 @@ class Kind:
 
     def show(self, sink: MotionSink) -> None:
         """Tell the checks of the set-up what it measures."""
+
+    def tell(self, model: NonInertial) -> None:
+        """Tell a model of motion without inertial sensors what it measures."""
 
 
 class Measurement(Protocol):
@@ -144,6 +161,10 @@ class Measurement(Protocol):
         ...
 
     def show(self, sink: MotionSink) -> None:
+        """See `Kind`."""
+        ...
+
+    def tell(self, model: NonInertial) -> None:
         """See `Kind`."""
         ...
 

@@ -14,7 +14,7 @@ from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.propagation import FASTEST_M_S
 from ..settings import Settings
-from .base import Kind, MotionSink, Observation, Sensor
+from .base import Kind, MotionSink, NonInertial, Observation, Sensor
 from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
 
 FloatArray = npt.NDArray[np.float64]
@@ -50,6 +50,10 @@ class WheelSpeed(Kind):
     def show(self, sink: MotionSink) -> None:
         """Speed."""
         sink.see_speed(self.speed)
+
+    def tell(self, model: NonInertial) -> None:
+        """Speed."""
+        model.use_speed(self)
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Speed alone."""

@@ -20,7 +20,7 @@ from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
 from .log import Log
 
 PART = 40  # samples that are used again for each new one: two minutes take 3 s
-CONVERGED_S = 60.0  # of the filter before the suspect time, without which GNSS is not excluded
+CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it

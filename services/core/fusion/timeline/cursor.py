@@ -13,7 +13,7 @@ from ..aids.base import Measurement, Outcome
 from ..smoothing.history import HistoryRecorder
 from ..start.heading import Prior
 from .engine import Engine
-from .events import Event, GnssExcluded, GnssReadmitted
+from .events import Event
 from .log import Key, Log, key_of, order
 
 PERIOD_NS = 1_000_000_000  # between two snapshots
@@ -36,8 +36,8 @@ class Cursor:
     engine : Engine
         At the place from which it goes on.
     own : sequence of Event
-        Events of this cursor alone. With any, verdicts on GNSS in the log are not its own: it leaves GNSS out or not
-        by these.
+        Events of this cursor alone. Verdicts of the log on the same source are not its own: it leaves GNSS or the
+        odometer out or not by these.
     """
 
     def __init__(self, engine: Engine, own: Sequence[Event] = ()) -> None:
@@ -140,7 +140,8 @@ class Cursor:
         if not self.own:
             return entries
         own = [event for event in self.own if after_ns < event.time_ns <= until_ns]
-        others = [entry for entry in entries if not isinstance(entry, GnssExcluded | GnssReadmitted)]
+        excluded = {event.excludes for event in self.own}
+        others = [entry for entry in entries if not (isinstance(entry, Event) and entry.excludes in excluded)]
         return sorted((*others, *own), key=order)
 
     def _keep(self) -> None:

@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from ..aids.base import Kind, Observation
+from ..aids.base import Kind, Observation, Sensor
 from ..aids.gnss.heights import inflate_for_wrong_heights
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_gaps import inflate_for_lost_time
@@ -23,6 +23,7 @@ class Event(Kind, ABC):
     """Something that is no measurement and changes the engine at its stamp."""
 
     time_ns: int
+    excludes: ClassVar[Sensor | None] = None  # source that it leaves out or takes back
 
     @property
     def received_ns(self) -> int:
@@ -103,6 +104,8 @@ class GnssExcluded(Event):
     effect.
     """
 
+    excludes = Sensor.GNSS
+
     since_ns: int
     contaminated_s: float = 0.0
 
@@ -119,6 +122,8 @@ class GnssExcluded(Event):
 class GnssReadmitted(Event):
     """From this instant on GNSS is used again."""
 
+    excludes = Sensor.GNSS
+
     def apply(self, engine: "Engine") -> None:
         """Use GNSS again; its first position tells how far dead reckoning was off."""
         since_ns = engine.exclusions.gnss_since_ns
@@ -132,6 +137,8 @@ class GnssReadmitted(Event):
 @dataclass(frozen=True)
 class OdometerExclusion(Event):
     """From this instant on the odometer is excluded, or used again."""
+
+    excludes = Sensor.ODOMETER
 
     excluded: bool
 

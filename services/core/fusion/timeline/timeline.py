@@ -47,6 +47,7 @@ class Timeline:
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._heights_wrong = False  # of GNSS: they are left out
         self.measurements_late = 0  # that came behind the horizon
+        self.followers: tuple[Cursor, ...] = ()  # other cursors on the log, which their owner advances
         self._begin(Engine(settings))
 
     def _begin(self, engine: Engine) -> None:
@@ -215,7 +216,7 @@ class Timeline:
                 continue
             self.measurements_late += measurement.time_ns <= self.verdicts.main.engine.time_ns
             is_new = self.log.insert(measurement)
-            for cursor in self.verdicts.cursors:
+            for cursor in (*self.verdicts.cursors, *self.followers):
                 cursor.insert(measurement, is_new=is_new)
 
     def _forget(self) -> None:

@@ -88,6 +88,7 @@ class LongWindow:
         self.way_median = chi_square_limit(2, 0.5)
         self._speed_limit = chi_square_limit(1, settings.long.false_alarm_rate)
         self.suspect_since_ns: int | None = None  # while GNSS is accused
+        self.odometer_excluded = False  # by core.trust
 
     @property
     def oldest_s(self) -> float:
@@ -162,7 +163,8 @@ class LongWindow:
         if self._anchors_ns and stationary:
             self.free.stand()
         elif self._anchors_ns:
-            self.free.aid(odometer if self._settings.long.odometer else None, yaw_rate)
+            used = self._settings.long.odometer and not self.odometer_excluded
+            self.free.aid(odometer if used else None, yaw_rate)
 
     def compare(self, fix: VelocityFix, passed_ns: int) -> None:
         """Take the differences of every propagation from a fix that the increment which ends at a time has passed."""

@@ -286,6 +286,7 @@ export const words = {
     alertLimit: (limit) => `alert limit ${limit}`,
     gnss: "GNSS",
     odometer: "Odometer",
+    imu: "Inertial sensors",
     excluded: "excluded",
     notExcluded: "not excluded",
     inConflict: "in conflict, used: nothing decides who is wrong",

@@ -2,12 +2,14 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 FINE_S, FINE_HZ = 60.0, 5.0
 COARSE_HZ = 1.0
 CHANGES_MAXIMUM = 500  # of the verdict
 SECOND_NS, GAP_NS = 1_000_000_000, 3_000_000_000
 GAP = "gap"  # state of a time in which this process did not run
+NO_PROBABILITIES: Mapping[str, float] = MappingProxyType({})
 FIELDS = (
     "latitude_deg",
     "longitude_deg",
@@ -50,14 +52,22 @@ class History:
 
 
 class TrustHistory:
-    """Changes of the shown verdict, and each monitor's statistic over threshold once a second; both bounded."""
+    """Changes of the shown verdict; once a second statistics over thresholds and probabilities; all bounded."""
 
     def __init__(self, history_s: float) -> None:
         self.changes: deque[tuple[int, str]] = deque(maxlen=CHANGES_MAXIMUM)  # stamp and state, oldest first
         self._last_ns = 0
-        self._ratios: deque[tuple[int, Mapping[str, float]]] = deque(maxlen=max(int(history_s * COARSE_HZ), 1))
+        self._rows: deque[tuple[int, Mapping[str, float], Mapping[str, float]]] = deque(
+            maxlen=max(int(history_s * COARSE_HZ), 1)
+        )  # stamp, ratio of each monitor, probability of each hypothesis
 
-    def add(self, now_ns: int, state: str, ratios: Mapping[str, float | None]) -> bool:
+    def add(
+        self,
+        now_ns: int,
+        state: str,
+        ratios: Mapping[str, float | None],
+        probabilities: Mapping[str, float] = NO_PROBABILITIES,
+    ) -> bool:
         """Note the state, and at most once a second the ratios, of which None was not evaluated; says whether it did.
 
         A time without any note is a gap: nobody knows the state of then.
@@ -68,18 +78,24 @@ class TrustHistory:
         changed = not self.changes or self.changes[-1][1] != state
         if changed:
             self.changes.append((now_ns, state))
-        second = not self._ratios or now_ns - self._ratios[-1][0] >= 0.95e9 / COARSE_HZ
+        second = not self._rows or now_ns - self._rows[-1][0] >= 0.95e9 / COARSE_HZ
         if second:
-            self._ratios.append((now_ns, {name: ratio for name, ratio in ratios.items() if ratio is not None}))
+            known = {name: ratio for name, ratio in ratios.items() if ratio is not None}
+            self._rows.append((now_ns, known, probabilities))
         return changed or second
 
     def columns(self, now_ns: int, seconds: float) -> dict[str, object]:
-        """Give the last seconds: changes, stamps, and a list of ratios for each monitor, None where not evaluated."""
+        """Give the last seconds: changes, stamps, ratios and probabilities by name, None where not evaluated."""
         from_ns = now_ns - int(seconds * 1e9)
-        rows = [row for row in self._ratios if row[0] >= from_ns]
-        names = list(dict.fromkeys(name for _, ratios in rows for name in ratios))
+        rows = [row for row in self._rows if row[0] >= from_ns]
         return {
             "changes": [{"since_ns": ns, "state": state} for ns, state in self.changes],
-            "time_ns": [ns for ns, _ in rows],
-            "ratios": {name: [ratios.get(name) for _, ratios in rows] for name in names},
+            "time_ns": [ns for ns, _, _ in rows],
+            "ratios": _columns([ratios for _, ratios, _ in rows]),
+            "probabilities": _columns([probabilities for _, _, probabilities in rows]),
         }
+
+
+def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, list[float | None]]:
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [row.get(name) for row in rows] for name in names}

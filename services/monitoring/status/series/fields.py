@@ -28,6 +28,7 @@ IDENTITIES = (
     ("name",),
     ("lane",),
     ("station_id",),
+    ("hypothesis",),
     ("number",),
 )
 FIELD_LENGTH = 200

@@ -23,6 +23,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 
 from .geometry import vertical_sd
+from .hypotheses import figures, sentence_of, suspected
 from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
@@ -164,6 +165,14 @@ WHY = {
     (TrustLevel.CAUTION, 13): "its error may come close to the alert limit",
 }
 ROW_CONFLICT = 9
+# Rows with a cause of their own, whatever hypotheses survive beside it.
+OTHER_CAUSES = {
+    (TrustLevel.UNSAFE, 5),
+    (TrustLevel.DEAD_RECKONING, 8),
+    (TrustLevel.CAUTION, 11),
+    (TrustLevel.CAUTION, 12),
+}
+JUDGED = (TrustLevel.CAUTION, TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING)
 ACTIONS = {
     TrustLevel.SAFE: "Use the position within its protection level. The Trust page shows every monitor.",
     TrustLevel.CAUTION: (
@@ -227,17 +236,28 @@ def no_verdict(age_s: float | None) -> str | None:
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
     waiting = WAITING.get(e.phase) if e.phase else None
     known = {TrustLevel.NO_FIX: e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
-    why = known or _why(trust)
-    above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and trust.suspect_since_ns is None
+    why = known or _which_is_wrong(e, trust) or _why(trust)
+    conflict = trust.suspect_since_ns is not None or suspected(trust.beliefs)
+    above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and not conflict
     return Verdict(
         Trust.ABOVE_LIMIT if above else Trust(trust.state.value),
         sentence(f"{SENTENCES[trust.state]}{f': {why}' if why else ''}"),
         ABOVE_LIMIT_ACTION if above else ACTIONS[trust.state],
         checks,
-        tuple(plain(reason) for reason in trust.reasons),
+        (*(plain(reason) for reason in trust.reasons), *figures(trust.beliefs)),
         trust.since_ns,
         trust.row,
     )
+
+
+def _which_is_wrong(e: Evidence, trust: TrustState) -> str | None:
+    """Name what may be wrong by the hypotheses that survive; where the position can be used, only what is acted on."""
+    beliefs = trust.beliefs
+    if trust.state is TrustLevel.SAFE:
+        beliefs = tuple(one for one in beliefs if one.acted_on)
+    elif trust.state not in JUDGED or (trust.state, trust.row) in OTHER_CAUSES:
+        return None
+    return sentence_of(beliefs, odometer=e.odometer_age_s is not None and not trust.odometer_excluded)
 
 
 def _why(trust: TrustState) -> str | None:

@@ -2,7 +2,10 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+
+from shared.messages.trust import Hypothesis
 
 LABELS = {
     "motion": "Motion conflict",
@@ -12,6 +15,43 @@ LABELS = {
     "satellites": "Satellites",
     "evidence": "Receiver evidence",
 }
+
+
+@dataclass(frozen=True)
+class HypothesisWords:
+    """One hypothesis in words."""
+
+    label: str  # of a row or a metric
+    source: str  # subject of a sentence
+    is_wrong: str  # verb of that subject
+    consequence: str  # while it is acted on
+    condition: str  # of the solution that follows from it
+
+
+NOT_USED, ARE_NOT_USED = "and is not used", "and are not used"
+HYPOTHESES = {
+    Hypothesis.NOTHING: HypothesisWords(
+        "Nothing is wrong", "nothing", "is wrong", "and all sources are used", "if nothing is wrong"
+    ),
+    Hypothesis.GNSS: HypothesisWords("GNSS is wrong", "GNSS", "is wrong", NOT_USED, "if GNSS is wrong"),
+    Hypothesis.IMU: HypothesisWords(
+        "The inertial sensors are wrong", "the inertial sensors", "are wrong",
+        "and the position is by GNSS and odometer", "if the inertial sensors are wrong",
+    ),
+    Hypothesis.ODOMETER: HypothesisWords(
+        "The odometer is wrong", "the odometer", "is wrong", NOT_USED, "if the odometer is wrong"
+    ),
+    Hypothesis.GNSS_AND_ODOMETER: HypothesisWords(
+        "GNSS and odometer are falsified alike", "GNSS and odometer alike", "are wrong",
+        "and the position is by the inertial sensors alone", "if GNSS and odometer are falsified alike",
+    ),
+    Hypothesis.RECEIVER_TIME: HypothesisWords(
+        "The receiver's time is wrong", "the receiver's time", "is wrong", NOT_USED, "if the receiver's time is wrong"
+    ),
+    Hypothesis.SATELLITES: HypothesisWords(
+        "Satellites are wrong", "single satellites", "are wrong", ARE_NOT_USED, "if these satellites are wrong"
+    ),
+}  # fmt: skip
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
 SUSPECTS = re.compile(r"\bmonitor ([a-z_]+) (?:suspects|accuses)\b")  # the latter in recordings of earlier releases
 EARLIER = {"no monitor accuses": "no monitor suspects", " is accused": " is suspected", "was accused": "was suspected"}
@@ -62,8 +102,9 @@ def _stated(names: Sequence[str], text: str) -> str:
     if not names:
         return text
     verb = text if len(names) == 1 else text.replace("has ", "have ", 1) if text.startswith("has ") else text
-    return f"{_and([LABELS[name] for name in names])}: {verb}"
+    return f"{all_of([LABELS[name] for name in names])}: {verb}"
 
 
-def _and(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def all_of(names: Sequence[str], word: str = "and") -> str:
+    """Join names: "a, b and c"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"

@@ -101,7 +101,16 @@ def _trust(state: State, now_ns: int) -> Iterator[Metric]:
             statistic.add_metric([m.monitor], ratio)
         for outcome in MonitorOutcome:
             outcomes.add_metric([m.monitor, outcome], 1.0 if m.outcome is outcome else 0.0)
-    yield from (statistic, alarms, outcomes)
+    probability = GaugeMetricFamily(
+        "obu_hypothesis_probability", "Probability that this is what is wrong.", labels=["hypothesis"]
+    )
+    survives = GaugeMetricFamily(
+        "obu_hypothesis_survives", "1 while the protection level reaches to its solution.", labels=["hypothesis"]
+    )
+    for belief in newest.beliefs if newest else ():
+        probability.add_metric([belief.hypothesis], belief.probability)
+        survives.add_metric([belief.hypothesis], 1.0 if belief.survives else 0.0)
+    yield from (statistic, alarms, outcomes, probability, survives)
 
 
 def _traffic(state: State, now_ns: int) -> Iterator[Metric]:

@@ -3,9 +3,11 @@
 from shared.errors import BadPayload
 from shared.messages.base import Message, RawBytes
 from shared.messages.operation import ProcessStatus
+from shared.messages.trust import TrustState
 
 from ..flow import TopicFlow
 from ..state import State
+from . import hypotheses as hypothesis_views
 from . import snapshot as views
 from .banner import WORDS, Trust
 from .snapshot import Json, dashboard, rounded, traffic
@@ -95,6 +97,18 @@ def trust(state: State, now_ns: int, seconds: float) -> Json:
     """Give verdict, monitors, events, and the history of the last seconds."""
     shown = {"state": state.verdict.state, "sentence": state.verdict.sentence}
     return {**shown, **views.trust(state, now_ns), "history": state.trust_history.columns(now_ns, seconds)}
+
+
+def hypotheses(state: State, now_ns: int) -> Json:
+    """Give every hypothesis, the solutions without satellites, and the tracks of the alternatives."""
+    message = state.newest(TrustState, "trust/state", now_ns)
+    stated = state.hypotheses(now_ns)
+    return {
+        "now_ns": now_ns,
+        "hypotheses": hypothesis_views.table(message.beliefs if message else (), stated),
+        "satellites": hypothesis_views.satellites(stated),
+        "tracks": hypothesis_views.tracks(state.alternatives.lines(now_ns)),
+    }
 
 
 def outages(state: State) -> Json:

@@ -21,6 +21,7 @@ from shared.topics import TOPICS
 
 from ..flow import TopicFlow
 from ..state import State
+from . import hypotheses as hypothesis_views
 from . import simulation as simulation_views
 from . import toll
 from . import trust as trust_views
@@ -117,11 +118,13 @@ def banner(state: State) -> Json:
 
 
 def trust(state: State, now_ns: int) -> Json:
-    """Show the newest verdict, the monitors behind it, and the changes since this process started, newest first."""
+    """Show the newest verdict, monitors, hypotheses, and the changes since this process started, newest first."""
     message = state.newest(TrustState, "trust/state", now_ns)
+    beliefs = () if message is None else message.beliefs
     return {
         "verdict": None if message is None else trust_views.verdict(message, state.topics["trust/state"].updated_ns),
         "monitors": {} if message is None else trust_views.monitors(message),
+        "hypotheses": hypothesis_views.table(beliefs, state.hypotheses(now_ns)),
         "events": [trust_views.event(change) for change in reversed(state.trust_events)],
     }
 

@@ -11,7 +11,7 @@ TESTS_MAXIMUM = 64  # shown of one monitor
 
 def verdict(state: TrustState, updated_ns: int | None) -> Json:
     """Show a verdict with its reasons, exclusions and limits; stamps instead of ages."""
-    shown = state.model_dump(mode="json", exclude={"monitors", "reasons", "findings"})
+    shown = state.model_dump(mode="json", exclude={"monitors", "reasons", "findings", "beliefs"})
     reasons, findings = ([plain(text) for text in texts] for texts in (state.reasons, state.findings))
     return {**shown, "updated_ns": updated_ns, "reasons": reasons, "findings": findings}
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic.json_schema import models_json_schema
 
 from shared.messages.operation import Freshness, Outage, ProcessStatus
+from shared.messages.trust import Hypothesis
 
 from ..views.banner import Trust
 
@@ -155,11 +156,13 @@ class Change(Answer):
 
 
 class TrustHistory(Answer):
-    """Changes of the state, and each monitor's statistic over its threshold once a second."""
+    """Changes of the state; once a second each monitor's statistic over its threshold, and probabilities."""
 
     changes: list[Change]
     time_ns: list[Stamp]
     ratios: dict[str, list[float | None]]
+    probabilities: dict[str, list[float | None]]
+    """of each hypothesis"""
 
 
 class TrustReport(Answer):
@@ -170,9 +173,37 @@ class TrustReport(Answer):
     verdict: Object | None
     """`trust/state` without its monitors"""
     monitors: dict[str, Object]
+    hypotheses: dict[str, Object]
+    """what may be wrong: beliefs of core.trust, and the solutions behind them"""
     events: list[Object]
     """changes of the verdict, newest first"""
     history: TrustHistory
+
+
+class AlternativeTrack(Answer):
+    """Positions under one hypothesis, unbroken."""
+
+    hypothesis: Hypothesis
+    label: str
+    """as the map shows it"""
+    source: str
+    """process that publishes them"""
+    left_out: list[str]
+    """sources or satellites that they are without"""
+    until_ns: Stamp
+    places: list[tuple[float, float]]
+    """longitude and latitude [deg], oldest first"""
+
+
+class HypothesesReport(Answer):
+    """What may be wrong, and the positions that follow."""
+
+    now_ns: Stamp
+    hypotheses: dict[str, Object]
+    satellites: list[Object]
+    """solutions without one satellite or one constellation, the largest separation first"""
+    tracks: list[AlternativeTrack]
+    """of the last two minutes"""
 
 
 class Outages(Answer):

@@ -29,6 +29,7 @@ from .answers import (
     Feature,
     Health,
     History,
+    HypothesesReport,
     Outages,
     Refusal,
     Solution,
@@ -106,6 +107,8 @@ class Api:
         add("/api/solution", self.solution, "position", {200: newest})
         add("/api/history", self.history, "position", {200: described(History, "Columns of values"), **unknown})
         add("/api/trust", self.trust, "integrity", {200: described(TrustReport, "The verdict and its monitors")})
+        hypotheses: Responses = {200: described(HypothesesReport, "What may be wrong, and the positions that follow")}
+        add("/api/hypotheses", self.hypotheses, "integrity", hypotheses)
         add("/api/health", self.health, "unit", health)
         add("/api/outages", self.outages, "unit", {200: described(Outages, "Outages by root cause")})
         add("/api/state", self.state, "unit", {200: described(Everything, "Everything at once")})
@@ -162,6 +165,10 @@ class Api:
         """The verdict with its reasons and every monitor; their history at 1 Hz, as far back as `history_s`."""
         span_s = min(seconds, self._history_s)
         return self._answer(lambda now_ns: reports.trust(self._state, now_ns, span_s))
+
+    def hypotheses(self) -> Response:
+        """What may be wrong: probabilities, and the position under each hypothesis over the last two minutes."""
+        return self._answer(lambda now_ns: reports.hypotheses(self._state, now_ns))
 
     def outages(self) -> Response:
         """What is lost now, and what was lost and for how long."""

@@ -6,7 +6,7 @@ from services.core.trust.facts import Monitor
 from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
-from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import Hypothesis, MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import Vehicle
 
 SECOND_NS = 1_000_000_000
@@ -76,32 +76,67 @@ def test_all_monitors_passing_give_safe_and_one_event() -> None:
 def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None:
     process = Process(Config())
     second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
-    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
+    accusing = statement(Monitor.INERTIAL_SHORT, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
     published = list(process.handle(accusing))
     assert states(published) == [TrustLevel.UNSAFE]
     state = next(message for message in published if isinstance(message, TrustState))
-    assert state.gnss_excluded, "the odometer is in use and decides"
     assert state.suspect_since_ns == -8 * SECOND_NS
-    assert "inertial_long" in state.reasons[0]
+    assert "inertial_short" in state.reasons[0]
+    belief = next(one for one in state.beliefs if one.hypothesis is Hypothesis.GNSS)
+    assert belief.survives and "inertial_short" in belief.reason
+
+
+def accused_for(process: Process, seconds: int, accused: tuple[str, ...], **known: object) -> list[TrustState]:
+    """Feed seconds in which both inertial windows accuse and all else passes."""
+    found: list[TrustState] = []
+    for k in range(2, 2 + seconds):
+        now_ns = k * SECOND_NS
+        state = navigation_state(now_ns, 10.0).model_copy(update=known)
+        others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and "inertial" not in one.monitor]
+        accusing = [
+            statement(monitor, now_ns, MonitorOutcome.ACCUSES, accused)
+            for monitor in (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
+        ]
+        found += [one for one in second(process, now_ns, [state, *others, *accusing]) if isinstance(one, TrustState)]
+    return found
 
 
 @pytest.mark.parametrize(
-    ("accused", "odometer_age_s", "declined"),
-    [(("gnss", "imu"), 0.1, None), (("gnss",), None, None), (("gnss",), 9.0, None), (("gnss",), 0.1, "level of 92 m")],
-    ids=["the inertial sensors may be wrong", "no odometer", "a silent odometer", "fusion declines"],
+    ("accused", "known", "excluded"),
+    [
+        (("gnss",), {}, True),
+        (("gnss", "imu"), {}, False),
+        (("gnss",), {"exclusion_declined": "level of 92 m"}, False),
+    ],
+    ids=["the odometer agrees with the inertial sensors", "they may be wrong", "fusion declines"],
 )
-def test_without_a_third_source_or_a_good_solution_a_conflict_is_open_and_nothing_is_excluded(
-    accused: tuple[str, ...], odometer_age_s: float | None, declined: str | None
+def test_gnss_is_excluded_only_if_nothing_else_can_be_wrong_and_there_is_a_good_solution_without_it(
+    accused: tuple[str, ...], known: dict[str, object], excluded: bool
 ) -> None:
     process = Process(Config())
-    known = navigation_state(SECOND_NS, 10.0).model_copy(
-        update={"odometer_age_s": odometer_age_s, "exclusion_declined": declined}
-    )
-    second(process, SECOND_NS, [known, *passing(SECOND_NS)])
-    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, accused)
-    [state] = [one for one in process.handle(accusing) if isinstance(one, TrustState)]
-    assert not state.gnss_excluded and state.suspect_since_ns == -8 * SECOND_NS
-    assert state.state in (TrustLevel.UNSAFE, TrustLevel.CAUTION)
+    second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
+    last = accused_for(process, 20, accused, **known)[-1]
+    assert last.gnss_excluded is excluded and last.suspect_since_ns is not None
+    assert last.state in (TrustLevel.UNSAFE, TrustLevel.CAUTION)
+
+
+def test_an_inertial_unit_that_gyroscope_and_windows_accuse_is_excluded_and_gnss_is_not() -> None:
+    process = Process(Config())
+    second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
+    found: list[TrustState] = []
+    for k in range(2, 16):
+        now_ns = k * SECOND_NS
+        accusing = [
+            statement(Monitor.INERTIAL_SHORT, now_ns, MonitorOutcome.ACCUSES, ("gnss", "imu")),
+            statement(Monitor.GYROSCOPE, now_ns, MonitorOutcome.ACCUSES, ("imu",)),
+        ]
+        names = {one.monitor for one in accusing}
+        others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and one.monitor not in names]
+        state = navigation_state(now_ns, 10.0)
+        found += [one for one in second(process, now_ns, [state, *others, *accusing]) if isinstance(one, TrustState)]
+    assert found[-1].imu_excluded and not found[-1].gnss_excluded
+    assert found[-1].suspect_since_ns is None, "GNSS is in conflict no more"
+    assert "the inertial sensors are wrong" in " ".join(found[-1].reasons)
 
 
 def test_a_silent_monitor_gives_caution_within_its_deadline_and_is_listed_as_not_evaluated() -> None:
@@ -138,9 +173,9 @@ def test_an_unknown_monitor_is_counted_and_rejected() -> None:
 def test_a_restart_goes_on_with_the_exclusion_of_the_process_before_and_not_with_an_old_one() -> None:
     first, known = Process(Config()), navigation_state(SECOND_NS, 10.0)
     second(first, SECOND_NS, [known, *passing(SECOND_NS)])
-    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
-    [saved] = [one for one in first.handle(accusing) if isinstance(one, TrustState)]
-    for after_s, excluded in ((4, True), (14, False)):
+    saved = accused_for(first, 20, ("gnss",))[-1]
+    assert saved.gnss_excluded
+    for after_s, excluded in ((23, True), (33, False)):
         restarted = Process(Config())
         assert list(restarted.handle(saved)) == [] and list(restarted.handle(known)) == []
         published = second(restarted, after_s * SECOND_NS, passing(after_s * SECOND_NS))
@@ -152,15 +187,15 @@ def test_a_restart_goes_on_with_the_exclusion_of_the_process_before_and_not_with
 def test_fusion_confirms_by_a_solution_without_gnss_since_the_suspect_time() -> None:
     process = Process(Config())
     second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
-    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
-    list(process.handle(accusing))
-    rows = []
-    for since_ns in (None, -7 * SECOND_NS, -8 * SECOND_NS):
-        free = solution(3 * SECOND_NS).model_copy(update={"gnss_excluded_since_ns": since_ns, "gnss_age_s": 11.0})
+    last = accused_for(process, 20, ("gnss",))[-1]
+    assert last.suspect_since_ns is not None
+    rows, now_ns = [], 21 * SECOND_NS
+    for since_ns in (None, last.suspect_since_ns + 1, last.suspect_since_ns):
+        free = solution(now_ns).model_copy(update={"gnss_excluded_since_ns": since_ns, "gnss_age_s": 11.0})
         list(process.handle(free))
-        published = list(process.handle(Tick(now_ns=3 * SECOND_NS)))
+        published = list(process.handle(Tick(now_ns=now_ns)))
         rows.append(next((one.row, one.state) for one in published if isinstance(one, TrustState)))
-    assert rows == [(4, TrustLevel.UNSAFE), (4, TrustLevel.UNSAFE), (7, TrustLevel.DEAD_RECKONING)]
+    assert rows == [(4, TrustLevel.UNSAFE), (4, TrustLevel.UNSAFE), (5, TrustLevel.DEAD_RECKONING)]
 
 
 def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> None:
@@ -171,5 +206,5 @@ def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> Non
     left_out = navigation_state(SECOND_NS, 10.0).model_copy(update={"satellites_left_out": ("G05",)})
     after = second(process, SECOND_NS, [left_out, *others, accusing])
     last = [[one for one in published if isinstance(one, TrustState)][-1] for published in (before, after)]
-    assert [one.row for one in last] == [5, 14]
+    assert [one.row for one in last] == [4, 9]
     assert "satellite G05 is excluded" in last[1].findings

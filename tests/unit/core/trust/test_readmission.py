@@ -4,8 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Solution, Statement
-from services.core.trust.readmission import Admission, Judgement, Readmission, healthy_time, is_lost, judge_gnss
+from services.core.trust.facts import SECOND_NS, Alternative, Facts, Monitor, Outcome, Posterior, Solution, Statement
+from services.core.trust.readmission import (
+    Admission,
+    Judgement,
+    Readmission,
+    healthy_time,
+    is_lost,
+    judge_gnss,
+    judge_imu,
+)
+from shared.messages.trust import Hypothesis
 
 
 class Source:
@@ -128,38 +137,80 @@ def facts(**outcomes: tuple[Outcome, tuple[str, ...]]) -> Facts:
 
 
 ACCUSED, EITHER = (Outcome.ACCUSES, ("gnss",)), (Outcome.ACCUSES, ("gnss", "imu"))
+SURVIVES = Posterior(Hypothesis.GNSS, 1e-4, 0.6, True, False, "", 7)
+ALONE = replace(SURVIVES, probability=0.999, acted_on=True)
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("given", "beliefs", "expected"),
     [
-        (facts(), (False, False, True, None)),
-        (facts(inertial_short=ACCUSED), (True, True, False, 14)),
-        (facts(inertial_short=ACCUSED, inertial_long=ACCUSED), (True, True, False, 13)),
-        (facts(inertial_short=EITHER, inertial_long=ACCUSED), (True, True, False, 13)),
-        (facts(inertial_short=EITHER), (True, False, False, 14)),
-        (replace(facts(inertial_long=ACCUSED), odometer_in_use=False), (True, False, False, 13)),
-        (replace(facts(satellites=ACCUSED), odometer_in_use=False), (True, True, False, 10)),
-        (facts(satellites=(Outcome.ACCUSES, ("G05",))), (False, False, True, None)),
-        (facts(motion=(Outcome.ACCUSES, ("gnss", "odometer"))), (False, False, True, None)),
-        (facts(evidence=ACCUSED), (False, False, True, None)),
-        (facts(inertial_long=(Outcome.NOT_EVALUATED, ())), (False, False, True, None)),
+        (facts(), (), (False, False, True, True, None)),
+        (facts(), (SURVIVES,), (False, False, False, True, 7)),
+        (facts(inertial_short=EITHER), (SURVIVES,), (True, False, False, False, 7)),
+        (facts(inertial_short=EITHER), (), (False, False, True, False, None)),
+        (facts(inertial_short=ACCUSED), (ALONE,), (True, True, False, False, 7)),
+        (facts(satellites=(Outcome.ACCUSES, ("G05",))), (), (False, False, True, True, None)),
+        (facts(motion_fast=(Outcome.ACCUSES, ("gnss", "odometer"))), (SURVIVES,), (True, False, False, False, 7)),
+        (facts(evidence=ACCUSED), (), (False, False, True, True, None)),
+        (facts(inertial_long=(Outcome.NOT_EVALUATED, ())), (), (False, False, True, True, None)),
         (
-            facts(inertial_long=(Outcome.NOT_EVALUATED, ()), inertial_short=(Outcome.NOT_EVALUATED, ())),
-            (False, False, False, None),
+            facts(inertial_long=(Outcome.NOT_EVALUATED, ()), inertial_short=(Outcome.NOT_EVALUATED, ())), (),
+            (False, False, True, False, None),
         ),
     ],
-)
-def test_inertial_monitors_and_unidentified_satellite_faults_accuse_and_a_third_source_decides(
-    given: Facts, expected: tuple[bool, bool, bool, int | None]
+)  # fmt: skip
+def test_gnss_is_accused_while_its_hypothesis_survives_and_decided_while_it_alone_does(
+    given: Facts, beliefs: tuple[Posterior, ...], expected: tuple[bool, bool, bool, bool, int | None]
 ) -> None:
-    assert judge_gnss(given) == Judgement(*expected)
+    assert judge_gnss(replace(given, beliefs=beliefs)) == Judgement(*expected)
+
+
+@pytest.mark.parametrize(
+    ("was_apart", "ratio", "level_m", "agrees"),
+    [(True, 0.5, 21.0, True), (False, 0.5, 21.0, False), (True, 1.5, 21.0, False), (True, 0.5, 31.0, False)],
+    ids=["came back", "never was apart", "still apart", "the solution without GNSS is of no use"],
+)
+def test_where_positions_came_back_windows_that_reach_into_the_error_do_not_accuse(
+    was_apart: bool, ratio: float, level_m: float, agrees: bool
+) -> None:
+    given = replace(
+        facts(inertial_long=EITHER), beliefs=(SURVIVES,), gnss_was_apart=was_apart, excluded_test_ratio=ratio,
+        without_gnss_level_m=level_m,
+    )  # fmt: skip
+    assert (judge_gnss(given).agrees, judge_gnss(given).accused) == (agrees, not agrees)
+
+
+@pytest.mark.parametrize(
+    ("other", "accusing", "agrees"),
+    [
+        (Alternative(2.0, 3.0, True), {}, True),
+        (Alternative(20.0, 3.0, False), {}, False),
+        (None, {}, False),
+        (Alternative(2.0, 3.0, True), {"inertial_short": EITHER}, False),
+        (Alternative(2.0, 3.0, True), {"gyroscope": (Outcome.ACCUSES, ("imu",))}, False),
+        (Alternative(2.0, 3.0, True), {"inertial_long": EITHER}, True),
+    ],
+)
+def test_inertial_sensors_agree_with_the_solution_without_them(
+    other: Alternative | None, accusing: dict[str, tuple[Outcome, tuple[str, ...]]], agrees: bool
+) -> None:
+    given = replace(facts(**accusing), alternatives={} if other is None else {Hypothesis.IMU: other})
+    assert judge_imu(given).agrees is agrees
+
+
+def test_what_was_decided_is_taken_back_when_it_is_contradicted_and_a_conflict_can_be_ended() -> None:
+    readmission = Readmission()
+    assert readmission.update(0, accused=True, agrees=False, decided=True).excluded
+    assert not readmission.update(SECOND_NS, accused=True, agrees=False, contradicted=True).excluded
+    readmission.end(2 * SECOND_NS)
+    assert readmission.update(3 * SECOND_NS, accused=False, agrees=True) == Admission(open=False)
 
 
 def test_dead_inertial_monitors_keep_a_conflict_open() -> None:
     now_ns = 100 * SECOND_NS
     dead = replace(
         facts(inertial_long=ACCUSED, inertial_short=ACCUSED),
+        beliefs=(SURVIVES,),
         time_ns=now_ns,
         solution=replace(DEAD_RECKONING, sampled_ns=now_ns),
     )

@@ -19,7 +19,7 @@ from ...inertial.filter import ErrorStateFilter
 from ...inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
 from ...inertial.standstill import is_standstill
 from ...settings import Settings
-from ..base import Kind, Measurement, MotionSink, Observation, Sensor, Start
+from ..base import Kind, Measurement, MotionSink, NonInertial, Observation, Sensor, Start
 from .antenna import antenna_position_matrix, antenna_velocity, antenna_velocity_matrix
 from .position_errors import KnownGnssErrors
 
@@ -90,6 +90,10 @@ class GnssPosition(Kind):
     def show(self, sink: MotionSink) -> None:
         """Position."""
         sink.see_position(self.position)
+
+    def tell(self, model: NonInertial) -> None:
+        """Position."""
+        model.use_position(self)
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
@@ -164,6 +168,10 @@ class GnssVelocity(Kind):
     def show(self, sink: MotionSink) -> None:
         """Velocity."""
         sink.see_velocity(self.velocity, self.axes)
+
+    def tell(self, model: NonInertial) -> None:
+        """Velocity."""
+        model.use_velocity(self)
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Velocity alone."""

@@ -49,6 +49,14 @@ export const LAYERS = [
   { id: "tracks", topic: "toll/tracks", draw: tracks },
 ];
 
+// The positions under each hypothesis: a line for each, with its name at the newest end.
+export function alternatives(tracks, survives, nowNs) {
+  const lines = tracks.filter((t) => t.places.length > 1).map((t) => line(t.places, { hypothesis: t.hypothesis, survives: survives(t.hypothesis) }));
+  const named = tracks.filter((t) => nowNs - t.until_ns < KEPT_NS).sort((a, b) => survives(b.hypothesis) - survives(a.hypothesis)); // labels make way for earlier ones
+  const ends = named.map((t) => point(t.places.at(-1), { label: t.label }));
+  return collection([...lines, ...ends]);
+}
+
 // The track as runs of one colour: solid while GNSS was used, dashed in dead reckoning, dotted across a span without position.
 export function trackRuns(columns, key) {
   const features = [];

@@ -5,13 +5,15 @@ import { Age, Card, Empty, Icon, duration, html, metres, timeOfDay } from "../pa
 import { CloseUp, SYMBOLS, items, scene } from "../closeup.js";
 import { words } from "../words.js";
 import { between, moved } from "./geodesy.js";
-import { COLOUR_KEYS, LAYERS, LEVELS_M, collection, roads, sections } from "./layers.js";
-import { drawable, trackColours } from "./style.js";
+import { hypothesesNow, useReport } from "../trust/hypotheses.js";
+import { COLOUR_KEYS, LAYERS, LEVELS_M, alternatives, collection, roads, sections } from "./layers.js";
+import { alternativeStyle, drawable, trackColours } from "./style.js";
 import { MapView, STREET_ZOOM, boundsOf } from "./view.js";
 import { w } from "./map_words.js";
 
 const POLL_MS = 1000;
 const HIDDEN = "hidden map layers";
+const ALTERNATIVES = "map alternatives"; // shown or not as somebody chose; without a choice they are while a hypothesis is suspected
 
 let library = null; // loaded once, by the first visit of this page
 let track = null; // the answer of /api/track, with the rows that came since
@@ -101,6 +103,18 @@ function useHidden() {
   return [hidden, toggle];
 }
 
+const suspected = (hypothesis) => Boolean(state.value.trust.hypotheses[hypothesis]?.suspected);
+
+// Whether the alternatives are drawn, what switches them, and their tracks while they are.
+function useAlternatives() {
+  const chosen = settings.value[ALTERNATIVES] ?? null;
+  const rows = hypothesesNow();
+  const known = rows.some(([, row]) => row.solutions > 0);
+  const shown = known && (chosen ?? rows.some(([name]) => suspected(name)));
+  const report = useReport(shown);
+  return { known, shown, report, toggle: () => remember({ [ALTERNATIVES]: !shown }) };
+}
+
 // Everything that the page asks the unit for, beside the stream.
 function useAnswers() {
   const [installed, setInstalled] = useState(null);
@@ -137,7 +151,13 @@ function Swatch({ colour, kind = "aided" }) {
   return html`<svg width="26" height="12" aria-hidden="true"><path d="M1 6h24" fill="none" stroke=${colour} stroke-width="4" stroke-dasharray=${dash} /></svg>`;
 }
 
-function Legend({ colourBy, theme, sc, columns }) {
+function AlternativeKey({ theme, hypothesis }) {
+  const { colour, dash } = alternativeStyle(theme, hypothesis);
+  return html`<svg width="34" height="12" aria-hidden="true"><path d="M1 6h32" fill="none" stroke=${colour} stroke-width="2.5" stroke-dasharray=${dash.map((part) => 2.5 * part).join(" ")} /></svg>`;
+}
+
+function Legend({ colourBy, theme, sc, columns, tracks }) {
+  const named = new Map(tracks.map((t) => [t.hypothesis, t.label]));
   const colours = trackColours(theme);
   const states = [...new Set(columns?.state ?? [])];
   const classes = [...LEVELS_M, null].map((to, i) => [`level${i}`, w.levels(LEVELS_M[i - 1], to)]);
@@ -146,6 +166,7 @@ function Legend({ colourBy, theme, sc, columns }) {
     ${keys.map(([key, label]) => html`<li><${Swatch} colour=${colours[key] ?? colours.none} /><span>${label}</span></li>`)}
     ${Object.entries(w.kinds).map(([kind, label]) => html`<li><${Swatch} colour="var(--text)" kind=${kind} /><span>${label}</span></li>`)}
     ${sc && items(sc).map(([key, name, value]) => html`<li><svg width="18" height="18" aria-hidden="true">${SYMBOLS[key]}</svg><span>${name}</span><span class="dim">${key === "fused" ? "" : value}</span></li>`)}
+    ${[...named].map(([hypothesis, label]) => html`<li key=${hypothesis}><${AlternativeKey} theme=${theme} hypothesis=${hypothesis} /><span>${w.alternative(label, suspected(hypothesis))}</span></li>`)}
   </ul>`;
 }
 
@@ -189,7 +210,7 @@ function firstCamera(place, network) {
   return { center: [0, 20], zoom: 1 };
 }
 
-function Picture({ installed, network, afresh, theme, hidden, ids, colourBy, onView, handlers }) {
+function Picture({ installed, network, afresh, theme, hidden, ids, report, colourBy, onView, handlers }) {
   const box = useRef(null);
   const [view, setView] = useState(null);
   const now = placesNow();
@@ -225,6 +246,7 @@ function Picture({ installed, network, afresh, theme, hidden, ids, colourBy, onV
     view.show(["graticule"], !hidden.includes("grid"));
     for (const id of ["gnss", "truth", "uncertainty"]) view.show([id], !hidden.includes(id));
   }, [view, hidden]);
+  useEffect(() => view?.set("alternatives", report ? alternatives(report.tracks, suspected, report.now_ns) : collection()), [view, report]);
   const shown = useRef(colourBy);
   useEffect(() => {
     if (!view || !track) return;
@@ -245,7 +267,8 @@ export function MapPage() {
   clock.value;
   const theme = useTheme();
   const { installed, network, afresh } = useAnswers();
-  const [hidden, toggle] = useHidden();
+  const [hidden, toggleHidden] = useHidden();
+  const alternative = useAlternatives();
   const [follow, setFollow] = useState(true);
   const [colourBy, setColourBy] = useState("trust");
   const [table, setTable] = useState(false);
@@ -301,7 +324,9 @@ export function MapPage() {
 
   if (missing) return html`<div class="page map-page"><p class="note block" role="status">${missing}</p><${CloseUp} /></div>`;
   const topics = LAYERS.filter((layer) => received(layer.topic)).map((layer) => layer.id);
-  const ids = ["base", "grid", "gnss", ...(received("truth/state") ? ["truth"] : []), "uncertainty", ...topics];
+  const ids = ["base", "grid", "gnss", ...(received("truth/state") ? ["truth"] : []), "uncertainty", ...(alternative.known ? ["alternatives"] : []), ...topics];
+  const off = alternative.shown ? hidden : [...hidden, "alternatives"];
+  const toggle = (id) => (id === "alternatives" ? alternative.toggle() : toggleHidden(id));
   const first = track?.started_ns;
   const summary = first ? w.summary(metres(track.length_m), duration((track.now_ns - first) / 1e9)) : w.noTrack;
   const grid = installed && !installed.map && !network ? w.noMap : installed?.map && !drawable(installed.map) ? w.schema : null;
@@ -317,12 +342,12 @@ export function MapPage() {
       <button onClick=${startMeasure} aria-pressed=${ends !== null}>${w.measure}</button>
       ${ends !== null && html`<button onClick=${() => mark(view.current.centre())}>${w.mark}</button>`}
       <span class="map-colour"><span class="dim" aria-hidden="true">${w.colour}</span> <select aria-label=${w.colour} value=${colourBy} onChange=${(e) => setColourBy(e.target.value)}>${Object.entries(w.colours).map(([key, label]) => html`<option value=${key}>${label}</option>`)}</select></span>
-      <${Layers} ids=${ids} hidden=${hidden} toggle=${toggle} />
+      <${Layers} ids=${ids} hidden=${off} toggle=${toggle} />
       <button onClick=${() => setTable(!table)} aria-pressed=${table} class="push">${table ? w.picture : w.table}</button>
     </div>
     <div class="stage map-stage ${ends !== null ? "measuring" : ""}">
       <div class="map-hold" hidden=${table} role="group" aria-label=${w.label(said)}>
-        ${installed && html`<${Picture} installed=${installed} network=${network} afresh=${afresh} theme=${theme} hidden=${hidden} ids=${topics} colourBy=${colourBy}
+        ${installed && html`<${Picture} installed=${installed} network=${network} afresh=${afresh} theme=${theme} hidden=${hidden} ids=${topics} report=${alternative.report} colourBy=${colourBy}
           onView=${(v) => { view.current = v; }} handlers=${handlers.current} />`}
         ${!place && !state.value.toll && html`<p class="map-note">${w.noPosition}</p>`}
       </div>
@@ -330,7 +355,7 @@ export function MapPage() {
     </div>
     <p class="note map-message" role="status">${message}</p>
     ${[installed?.problem, grid].filter(Boolean).map((sentence) => html`<p class="note block">${sentence}</p>`)}
-    <${Legend} colourBy=${colourBy} theme=${theme} sc=${sc} columns=${track?.columns} />
+    <${Legend} colourBy=${colourBy} theme=${theme} sc=${sc} columns=${track?.columns} tracks=${alternative.report?.tracks ?? []} />
     <p class="note map-foot"><span>${w.download} <a href="/api/track.gpx" download>${w.gpx}</a> <a href="/api/track.kml" download>${w.kml}</a> ${first ? w.thinned(metres(track.spacing_m)) : ""}</span>${credit && html`<span class="push">${credit}</span>`}</p>
   </${Card}></div>`;
 }

@@ -11,6 +11,15 @@ const LEVEL_COLOURS = {
   dark: ["#7dbcf0", "#35c495", "#dcc24a", "#f2913d", "#ff8aa0"],
   night: ["#7a3026", "#a33c2e", "#c9503f", "#f0604d", "#ff9a88"],
 };
+// The alternatives: a colour of each theme and a dash pattern for each hypothesis, so that no colour has to tell them apart.
+const ALTERNATIVE_COLOURS = {
+  light: { nothing: "#52606d", gnss: "#b84f00", imu: "#6a3d9a", odometer: "#00795a", gnss_and_odometer: "#7a5c00", receiver_time: "#0b5394", satellites: "#a33c78" },
+  dark: { nothing: "#9fb0bf", gnss: "#f2913d", imu: "#b9a0f0", odometer: "#35c495", gnss_and_odometer: "#dcc24a", receiver_time: "#7dbcf0", satellites: "#e58fc0" },
+  night: { nothing: "#7a3026", gnss: "#ff9a88", imu: "#f0604d", odometer: "#d9543f", gnss_and_odometer: "#c9503f", receiver_time: "#ff7c66", satellites: "#a33c2e" },
+};
+const ALTERNATIVE_DASHES = { nothing: [1, 2], gnss: [5, 2], imu: [2, 1.5], odometer: [6, 2, 1, 2], gnss_and_odometer: [1, 1], receiver_time: [4, 1.5, 1, 1.5, 1, 1.5], satellites: [2, 3] };
+export const alternativeStyle = (theme, hypothesis) => ({ colour: ALTERNATIVE_COLOURS[theme][hypothesis], dash: ALTERNATIVE_DASHES[hypothesis] });
+
 const VERDICTS = ["safe", "caution", "unsafe", "above_limit", "dead_reckoning", "no_fix", "initialising", "starting", "stale", "broker_lost"];
 const MARKS = { above_limit: "unsafe", dead_reckoning: "info", no_fix: "stale", initialising: "stale", starting: "stale", broker_lost: "stale" };
 
@@ -85,7 +94,7 @@ function baseSource(description) {
 
 const EMPTY = { type: "FeatureCollection", features: [] };
 // The largest zoom of the tiles of each source: what moves with the vehicle is drawn to 2 cm, all else to 8 cm, which takes fewer and smaller tiles.
-const SOURCES = { graticule: 16, roads: 16, gnss: 16, truth: 16, track: 16, recent: 16, present: 18, overlay: 16, measure: 18 };
+const SOURCES = { graticule: 16, roads: 16, gnss: 16, truth: 16, track: 16, recent: 16, alternatives: 16, present: 18, overlay: 16, measure: 18 };
 const geojson = (maxzoom) => ({ type: "geojson", data: EMPTY, maxzoom, tolerance: 0.1, buffer: 64 });
 
 // Everything that is drawn, from the ground up; `latitude` makes roads as wide as they are.
@@ -106,6 +115,9 @@ export function makeStyle(theme, description, latitude) {
   ];
   const single = (kind, dash) => [kind, "recent"].map((source) => (
     { id: source === kind ? kind : `recent-${kind}`, type: "line", source, metadata: { part: kind }, filter: ["==", ["get", "kind"], kind], layout: { "line-join": "round" }, paint: { "line-color": css(kind), "line-width": 2, "line-dasharray": dash } }));
+  const alternatives = Object.keys(ALTERNATIVE_DASHES).map((hypothesis) => (
+    { id: `alternative-${hypothesis}`, type: "line", source: "alternatives", filter: ["==", ["get", "hypothesis"], hypothesis], layout: { "line-join": "round" },
+      paint: { "line-color": ALTERNATIVE_COLOURS[theme][hypothesis], "line-width": 2.5, "line-opacity": ["case", ["get", "survives"], 0.95, 0.55], "line-dasharray": ALTERNATIVE_DASHES[hypothesis] } }));
   const inRole = (role) => ["==", ["get", "role"], role];
   const overlayColour = ["match", ["get", "role"], "neighbour", css("odometer"), "gate", css("mark-unsafe"), "lane", css("edge"), css("soft")];
   return {
@@ -119,6 +131,7 @@ export function makeStyle(theme, description, latitude) {
       { id: "road-wide", type: "line", source: "roads", layout: round, filter: ["!", ["get", "tunnel"]], paint: { "line-color": theme === "light" ? "#cfd6dd" : g.road, "line-width": scaled } },
       { id: "road-tunnel", type: "line", source: "roads", filter: ["get", "tunnel"], paint: { "line-color": theme === "light" ? "#8d98a4" : "#5a6874", "line-width": 5, "line-dasharray": [0.5, 0.5] } },
       ...single("truth", [1, 1.5]), ...single("gnss", [3, 1.5]),
+      ...alternatives,
       ...["track", "recent", "present"].map(casing), ...["track", "recent", "present"].flatMap(track),
       { id: "within", type: "fill", source: "present", metadata: { part: "uncertainty" }, filter: inRole("within"), paint: { "fill-color": css("stale"), "fill-opacity": 0.2 } },
       { id: "within-edge", type: "line", source: "present", metadata: { part: "uncertainty" }, filter: inRole("within"), paint: { "line-color": css("mark-stale"), "line-width": 1.75, "line-dasharray": [4, 3] } },
@@ -131,6 +144,7 @@ export function makeStyle(theme, description, latitude) {
       { id: "measure-point", type: "circle", source: "measure", filter: ["==", ["geometry-type"], "Point"], paint: { "circle-color": css("card"), "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": css("text") } },
       text("graticule-label", "graticule", ["get", "label"], css("soft"), g.land, { layout: { "symbol-placement": "line", "text-size": 11, "symbol-spacing": 350 } }),
       text("overlay-label", "overlay", ["coalesce", ["get", "label"], ""], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0, 1.2], "text-anchor": "top" } }),
+      text("alternative-label", "alternatives", ["get", "label"], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0.7, 0], "text-anchor": "left", "text-optional": true } }),
       text("measure-label", "measure", ["coalesce", ["get", "label"], ""], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0, -1.3] } }),
     ],
   };

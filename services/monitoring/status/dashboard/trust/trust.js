@@ -5,11 +5,13 @@ import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, monitorsStand,
 } from "../parts.js";
 import { AttacksCard } from "./attacks.js";
+import { HypothesesCard, hypothesesNow, probability } from "./hypotheses.js";
+import { w as hypothesisWords } from "./hypothesis_words.js";
 import { words } from "../words.js";
 
 const w = words.trustPage;
 const RENEW_MS = 5000;
-const STRIP = { width: 900, height: 40, limit: 2 }; // the limit is in the middle: twice the threshold is the upper edge
+const STRIP = { width: 900, height: 40, limit: 2, decades: 6 }; // the limit is in the middle: twice the threshold is the upper edge
 const GAP_NS = 3e9; // a longer pause between samples breaks the line
 const OUTCOME_STATE = { pass: "safe", accuses: "unsafe", not_evaluated: "off" };
 
@@ -102,6 +104,7 @@ function VerdictCard() {
       ${limits.map(([axis, level, limit]) => html`<${Row} label=${w.level[axis]} value=${metres(level)} extra=${w.alertLimit(metres(limit))} />`)}
       <${Row} label=${w.gnss} value=${t.gnss_excluded ? w.excluded : t.suspect_since_ns != null ? w.inConflict : w.notExcluded} extra=${t.suspect_since_ns != null ? w.suspect(sinceText(t.suspect_since_ns)) : null} />
       <${Row} label=${w.odometer} value=${t.odometer_excluded ? w.excluded : w.notExcluded} />
+      <${Row} label=${w.imu} value=${t.imu_excluded ? w.excluded : w.notExcluded} />
     </dl>`}
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
   </${Card}>`;
@@ -142,9 +145,12 @@ function useHistory() {
   return history;
 }
 
-function pathOf(times, ratios, nowNs) {
+const ofRatio = (ratio) => Math.min(ratio, STRIP.limit) / STRIP.limit; // share of the height
+const ofProbability = (p) => Math.max(0, 1 + Math.log10(Math.max(p, 1e-9)) / STRIP.decades);
+
+function pathOf(times, ratios, nowNs, share = ofRatio) {
   const x = (ns) => ((ns - nowNs) / (SPAN_S * 1e9) + 1) * STRIP.width;
-  const y = (ratio) => STRIP.height * (1 - Math.min(ratio, STRIP.limit) / STRIP.limit);
+  const y = (ratio) => STRIP.height * (1 - share(ratio));
   let path = "";
   let last = null;
   times.forEach((ns, i) => {
@@ -171,6 +177,16 @@ function Strip({ label, times, ratios }) {
       <path class="limit" d="M0 ${STRIP.height / 2}H${STRIP.width}" /><path class=${most > 1 ? "line over" : "line"} d=${path} /></svg></div>`;
 }
 
+// A probability on a logarithmic scale: a hypothesis that grows from one in a million to certainty crosses the whole height.
+function ProbabilityStrip({ label, times, values }) {
+  const path = useMemo(() => pathOf(times, values, times.at(-1), ofProbability), [times]);
+  const newest = monitorsStand() ? values.at(-1) ?? null : null;
+  const shown = newest === null ? null : probability(newest);
+  return html`<div class="strip"><p class="strip-label">${label}<span class="dim">${shown === null ? w.outcome.stale : hypothesisWords.history(shown)}</span></p>
+    <svg viewBox="0 0 ${STRIP.width} ${STRIP.height}" preserveAspectRatio="none" role="img" aria-label=${`${label}: ${hypothesisWords.historyText(shown, probability(largest(values)))}`}>
+      <path class=${newest > 0.5 ? "line over" : "line"} d=${path} /></svg></div>`;
+}
+
 function HistoryTable({ rows, bands }) {
   const c = w.history;
   const share = (ratios) => `${Math.round((100 * ratios.filter((r) => r != null).length) / Math.max(ratios.length, 1))} %`;
@@ -188,13 +204,15 @@ function HistoryCard() {
   const seen = [...new Set(bands.map((b) => b.state))];
   const total = (name) => bands.filter((b) => b.state === name).reduce((sum, b) => sum + (b.to - b.from) / 1e9, 0);
   const rows = monitorsNow().map(([name, m]) => [name, m.label, history?.ratios[name] ?? []]);
+  const beliefs = hypothesesNow().filter(([name]) => name !== "nothing" && history?.probabilities[name]);
   return html`<${Card} title=${w.historyTitle} note=${words.trustCard.span} id="trust-history" class="history-card"
     aside=${html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${table ? html`<${HistoryTable} rows=${rows} bands=${bands} />` : html`<div class="strips">
       <div class="strip"><p class="strip-label">${w.verdictTitle}</p><${Band} bands=${bands} nowNs=${nowNs} /></div>
       ${rows.map(([name, label, ratios]) => html`<${Strip} key=${name} label=${label} times=${history?.time_ns ?? []} ratios=${ratios} />`)}
+      ${beliefs.map(([name, row]) => html`<${ProbabilityStrip} key=${name} label=${row.label} times=${history.time_ns} values=${history.probabilities[name]} />`)}
       <p class="axis" aria-hidden="true"><span>${words.trustCard.ago}</span><span>${words.trustCard.now}</span></p></div>
-    <p class="note block">${w.stripNote}</p>`}
+    <p class="note block">${w.stripNote}${beliefs.length > 0 && ` ${hypothesisWords.historyNote}`}</p>`}
     <ul class="legend">${seen.map((name) => html`<li><${StateIcon} state=${name} word="" /><span>${words.trust[name]}</span><span class="dim">${duration(total(name))}</span></li>`)}</ul>
   </${Card}>`;
 }
@@ -203,5 +221,5 @@ export function TrustPage({ query, go }) {
   clock.value;
   link.value;
   brokerAnswers();
-  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
+  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
 }

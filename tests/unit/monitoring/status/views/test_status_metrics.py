@@ -6,7 +6,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from services.monitoring.status.views import prometheus
 from shared.messages.navigation import AidingKind
 from shared.messages.operation import RecordingState
-from shared.messages.trust import TrustLevel
+from shared.messages.trust import Belief, Hypothesis, TrustLevel
 from tests.support.dashboard.status_world import START_NS, World, aiding, fix, solution, trust
 
 
@@ -81,3 +81,16 @@ def test_a_stale_value_is_left_out_and_not_repeated(world: World) -> None:
     assert not {"obu_gnss_fix_mode", "obu_gnss_satellites_used", "obu_disk_free_bytes"} & found.keys()
     assert found["obu_topic_age_seconds"][("gnss/fix",)] == pytest.approx(20.5)
     assert found["obu_integrity_state"][("stale",)] == 1.0
+
+
+def test_each_hypothesis_has_its_probability_while_the_verdict_is_live(world: World) -> None:
+    beliefs = tuple(
+        Belief(hypothesis=hypothesis, prior=1e-4, probability=probability, survives=probability > 1e-3, reason="x")
+        for hypothesis, probability in ((Hypothesis.GNSS, 0.25), (Hypothesis.ODOMETER, 1e-5))
+    )
+    world.hear(trust(world.now_ns, TrustLevel.CAUTION, beliefs=beliefs), "core.trust")
+    found = scrape(world)
+    assert found["obu_hypothesis_probability"] == {("gnss",): 0.25, ("odometer",): 1e-5}
+    assert found["obu_hypothesis_survives"] == {("gnss",): 1.0, ("odometer",): 0.0}
+    world.pass_time(6.0)
+    assert "obu_hypothesis_probability" not in scrape(world)

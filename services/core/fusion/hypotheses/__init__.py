@@ -1,0 +1,1 @@
+"""Solutions that leave sensors out, all the time: where the vehicle is if these are wrong."""

@@ -1,0 +1,1 @@
+"""What may be wrong, how probable it is, and what follows."""

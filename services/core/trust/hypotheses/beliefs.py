@@ -1,0 +1,116 @@
+"""Posteriors of the hypotheses, which of them survive, and which one is acted on.
+
+Posterior = prior times likelihood of all that the monitors have said, over the sum of these. A hypothesis survives
+while its posterior is above the integrity risk. One that alone survives, with more than `CERTAIN`, is acted on: its
+source is not used. Of several none is.
+"""
+
+from collections.abc import Collection, Iterable
+from math import exp, log
+
+from shared.messages.trust import Belief, Hypothesis
+
+from ..facts import Facts, Monitor, Outcome, Posterior
+from .evidence import MOST, Evidence, explained_by
+from .priors import PRIOR, SUSPECTED
+
+CERTAIN = 0.99
+KEPT = MOST  # sum of logarithms by which a hypothesis that survived a restart is above "nothing is wrong"
+
+
+class Beliefs:
+    """Accumulated evidence of all monitors, and the posteriors that follow."""
+
+    def __init__(self) -> None:
+        self._evidence = {monitor: Evidence(monitor) for monitor in Monitor}
+        self._earlier: dict[Hypothesis, float] = {}  # the same sums of a process before
+        self._since_ns: dict[Hypothesis, int] = {}  # suspect time of those that a monitor has spoken for
+
+    def resume(self, saved: Iterable[Belief], risk: float) -> None:
+        """Go on with what a process before has believed of hypotheses that a monitor had spoken for."""
+        for one in saved:
+            if one.since_ns is not None and one.survives and one.probability > 0.0:
+                self._since_ns[one.hypothesis] = one.since_ns
+                self._earlier[one.hypothesis] = (
+                    log(one.probability / max(PRIOR[one.hypothesis], SUSPECTED * risk)) + KEPT
+                )
+
+    def update(self, facts: Facts, open_ones: Collection[Hypothesis]) -> tuple[Posterior, ...]:
+        """Use the statements of one time.
+
+        Parameters
+        ----------
+        facts : Facts
+            Of this time.
+        open_ones : collection of Hypothesis
+            Those whose contradiction has not ended: what speaks for them is kept although no monitor says so now.
+
+        Returns
+        -------
+        tuple of Posterior
+            The most probable first; "nothing is wrong" is one of them.
+        """
+        named = self._count(facts)
+        for hypothesis in PRIOR:
+            if hypothesis not in named and hypothesis not in open_ones:
+                self._since_ns.pop(hypothesis, None)
+                self._earlier.pop(hypothesis, None)
+                for evidence in self._evidence.values():
+                    evidence.forget(hypothesis)
+        return self._posteriors(facts.risk)
+
+    def _count(self, facts: Facts) -> set[Hypothesis]:
+        """Count what the monitors say; returns the hypotheses that some monitor speaks for."""
+        named: set[Hypothesis] = set()
+        for monitor in Monitor:
+            statement = facts.statement(monitor)
+            if statement.outcome is not Outcome.ACCUSES:
+                continue
+            for hypothesis in explained_by(statement, odometer_in_use=facts.odometer_in_use):
+                named.add(hypothesis)
+                if monitor is Monitor.HYPOTHESES:
+                    continue  # it decides where others have found a contradiction
+                # Flags of the receiver alone are no conflict, and late velocities alone are none of its time.
+                if (monitor is Monitor.EVIDENCE) is not (hypothesis is Hypothesis.RECEIVER_TIME):
+                    continue
+                since_ns = facts.time_ns if statement.suspect_since_ns is None else statement.suspect_since_ns
+                self._since_ns[hypothesis] = min(self._since_ns.get(hypothesis, since_ns), since_ns)
+        for monitor, evidence in self._evidence.items():
+            evidence.update(facts.statement(monitor), facts, self._since_ns)
+        return named
+
+    def _posteriors(self, risk: float) -> tuple[Posterior, ...]:
+        priors = {k: max(prior, SUSPECTED * risk) if k in self._since_ns else prior for k, prior in PRIOR.items()}
+        weights = {k: prior * exp(self._sum(k)) for k, prior in priors.items()}
+        weights[Hypothesis.NOTHING] = 1.0 - sum(PRIOR.values())
+        total = sum(weights.values())
+        shares = {k: weight / total for k, weight in weights.items()}
+        surviving = {k for k, share in shares.items() if share > risk and k in self._since_ns}
+        found = [
+            Posterior(
+                k,
+                PRIOR.get(k, 1.0 - sum(PRIOR.values())),
+                share,
+                k in surviving or (k is Hypothesis.NOTHING and share > risk),
+                surviving == {k} and share > CERTAIN,
+                self._reason(k),
+                self._since_ns.get(k),
+            )
+            for k, share in shares.items()
+        ]
+        return tuple(sorted(found, key=lambda one: -one.probability))
+
+    def _sum(self, hypothesis: Hypothesis) -> float:
+        said = sum(evidence.sums.get(hypothesis, 0.0) for evidence in self._evidence.values())
+        return said + self._earlier.get(hypothesis, 0.0)
+
+    def _reason(self, hypothesis: Hypothesis) -> str:
+        """Which monitors speak for it and against it."""
+        if hypothesis is Hypothesis.NOTHING:
+            return "no monitor accuses" if not self._since_ns else "what the monitors say would be false alarms"
+        sums = {monitor: evidence.sums.get(hypothesis, 0.0) for monitor, evidence in self._evidence.items()}
+        speaks_for = [str(monitor) for monitor, total in sums.items() if total > 0.0]
+        against = [str(monitor) for monitor, total in sums.items() if total < 0.0]
+        parts = [f"for it: {', '.join(speaks_for)}"] if speaks_for else []
+        parts += [f"against it: {', '.join(against)}"] if against else []
+        return "; ".join(parts) or "no monitor says anything of it"

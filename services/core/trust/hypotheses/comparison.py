@@ -1,0 +1,98 @@
+"""The solutions of the bank against each other: whether odometer or GNSS contradicts the inertial sensors alone.
+
+The inertial sensors alone, with the non-holonomic constraint, know the way for a minute. Beside them stand the solution
+without GNSS, which has the odometer, and the one without odometer, which has GNSS. Compared is the way along the
+direction of motion: a wrong heading turns it and leaves its length, so that the gyroscope decides nothing here.
+"""
+
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.quantiles import chi_square_limit
+from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
+
+from ..facts import GNSS, IMU, ODOMETER, Monitor, Outcome, Statement
+
+FloatArray = npt.NDArray[np.float64]
+
+FALSE_ALARM_RATE = 1e-5
+LIMIT = chi_square_limit(1, FALSE_ALARM_RATE)
+AGREES = 0.25  # of the limit: half of the difference
+CLEARLY = 0.5  # of the difference of the one that contradicts, to which that of the other may come
+LEAST_SPEED_M_S = 2.0
+WINDOW_S = 10.0  # in which the way grows by what is another sample of it
+NEEDED = (Hypothesis.GNSS_AND_ODOMETER, Hypothesis.GNSS, Hypothesis.ODOMETER)
+
+
+class Apart(NamedTuple):
+    """Distance of two solutions along the way [m], and its square over the sum of their variances [-]."""
+
+    distance_m: float
+    squared: float
+
+
+def compared(bank: TrustHypotheses) -> Statement:
+    """Statement on the solutions of the bank."""
+    known = {one.hypothesis: one for one in bank.solutions}
+    base = Statement(
+        Monitor.HYPOTHESES, Outcome.NOT_EVALUATED, bank.sampled_ns, "", threshold=LIMIT,
+        false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
+    )  # fmt: skip
+    if any(one not in known for one in NEEDED):
+        return _with(base, Outcome.NOT_EVALUATED, "no solution by inertial sensors alone, or no odometer")
+    alone, without_gnss, without_odometer = (known[one] for one in NEEDED)
+    if hypot(*alone.velocity_ned_m_s[:2]) < LEAST_SPEED_M_S:
+        return _with(base, Outcome.NOT_EVALUATED, "the vehicle hardly moves")
+    odometer, gnss = _along(alone, without_gnss), _along(alone, without_odometer)
+    # An odometer that this solution would reject takes no part in the solution without GNSS.
+    wrong_speed = alone.odometer_innovations or 0.0
+    said = (
+        f"inertial sensors alone are {odometer.distance_m:.1f} m from the solution with odometer and "
+        f"{gnss.distance_m:.1f} m from the one with GNSS along the way; chi-square {odometer.squared:.1f} and "
+        f"{gnss.squared:.1f}, that of the odometer's speed {wrong_speed:.1f}, limit {LIMIT:.1f}"
+    )
+    accused = _accused(max(odometer.squared, wrong_speed), odometer, gnss, _along(without_gnss, without_odometer))
+    if accused is None:
+        return _with(base, Outcome.NOT_EVALUATED, f"{said}: no two of three agree")
+    statistic = max(odometer.squared, gnss.squared, wrong_speed)
+    return _with(base, Outcome.ACCUSES if accused else Outcome.PASS, said, accused, statistic)
+
+
+def _accused(of_odometer: float, odometer: Apart, gnss: Apart, both: Apart) -> tuple[str, ...] | None:
+    """Who contradicts the inertial sensors, or everything else; None where no two of three agree."""
+    if max(of_odometer, gnss.squared) <= LIMIT:
+        return ()
+    if of_odometer <= AGREES * LIMIT and odometer.distance_m <= CLEARLY * gnss.distance_m:
+        return (GNSS,)
+    if gnss.squared <= AGREES * LIMIT and of_odometer > LIMIT:
+        return (ODOMETER,)
+    return (IMU, GNSS, ODOMETER) if both.squared <= AGREES * LIMIT else None
+
+
+def _with(
+    base: Statement, outcome: Outcome, reason: str, accused: tuple[str, ...] = (), statistic: float | None = None
+) -> Statement:
+    return Statement(
+        base.monitor, outcome, base.stated_ns, reason, accused, statistic, base.threshold, base.false_alarm_rate,
+        base.window_s,
+    )  # fmt: skip
+
+
+def _along(one: HypothesisSolution, other: HypothesisSolution) -> Apart:
+    """Distance of two solutions along the way of the first."""
+    velocity = np.array(one.velocity_ned_m_s[:2])
+    direction = velocity / np.linalg.norm(velocity)
+    apart = np.array(other.apart_ned_m[:2]) - np.array(one.apart_ned_m[:2])
+    distance = float(direction @ apart)
+    variance = sum(_variance(solution, direction) for solution in (one, other))
+    return Apart(abs(distance), distance**2 / variance if variance > 0.0 else 0.0)
+
+
+def _variance(solution: HypothesisSolution, direction: FloatArray) -> float:
+    """Variance of a position along a horizontal direction [m²]."""
+    nn, ne, _, ee, *_ = solution.position_cov_ned_m2
+    north, east = direction.tolist()
+    return float(nn * north**2 + 2.0 * ne * north * east + ee * east**2)

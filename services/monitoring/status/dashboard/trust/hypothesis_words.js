@@ -1,0 +1,23 @@
+// Every word of the hypotheses on the page Trust.
+export const w = {
+  title: "Hypotheses",
+  note: "what may be wrong, and where the vehicle would then be",
+  old: "last known; no verdict is known now",
+  empty: "No hypothesis is evaluated",
+  emptyWhy: "Hypotheses appear here when core.trust states probabilities, or a process the positions that follow.",
+  columns: { hypothesis: "Hypothesis", probability: "Probability", state: "State", distance: "Its position", level: "Its level", separation: "Separation / limit", since: "Since", without: "Without", source: "By" },
+  prior: (text) => `prior ${text}`,
+  state: { acted: "acted on", suspected: "survives", kept: "not ruled out", ruledOut: "ruled out", unknown: "no probability", stale: "not known" },
+  away: (distance) => `${distance} away`,
+  notEvaluated: (why) => `not evaluated: ${why}`,
+  published: "the published one",
+  noSolution: "no position",
+  satellites: (n) => (n === 1 ? "1 position" : `${n} positions`),
+  openSatellites: "Positions without one satellite or one constellation, largest separation first",
+  satelliteColumns: ["Without", "Horizontal", "Vertical", "Level", "Separation / limit", "Residuals"],
+  satelliteNote: "Distances are from the least-squares position with all satellites. Residuals: mean square over its expected value, 1 without a fault.",
+  noSatellites: "No position without a satellite is published now.",
+  history: (probability) => `probability ${probability}`,
+  historyText: (newest, most) => `probability ${newest ?? "not known"} now, at most ${most} in 15 minutes`,
+  historyNote: "Probabilities on a logarithmic scale, from one in a million to one.",
+};

@@ -1,0 +1,160 @@
+"""What may be wrong, for the page Trust and the map: beliefs of `core.trust`, and the solutions behind them."""
+
+from collections.abc import Iterable, Sequence
+from math import hypot
+
+from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses
+
+from ..history.alternatives import Line, separation_ratio, worst
+from .plain_words import HYPOTHESES, all_of, plain, who
+
+Json = dict[str, object]
+Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live
+NAMED_MAXIMUM = 3  # hypotheses in one sentence
+
+
+def suspected(beliefs: Iterable[Belief]) -> list[Belief]:
+    """Select what survives and is spoken for; a hypothesis that only its prior keeps alive is not suspected."""
+    return [
+        one
+        for one in beliefs
+        if one.hypothesis is not Hypothesis.NOTHING and one.survives and (one.acted_on or one.since_ns is not None)
+    ]
+
+
+def sentence_of(beliefs: Sequence[Belief], *, odometer: bool) -> str | None:
+    """Say what the surviving hypotheses mean, in one clause without figures.
+
+    Parameters
+    ----------
+    beliefs : sequence of Belief
+        Of the newest verdict.
+    odometer : bool
+        Whether there is an odometer, on which a position without the inertial sensors then rests too.
+
+    Returns
+    -------
+    str or None
+        None while nothing is suspected.
+    """
+    found = suspected(beliefs)
+    if not found:
+        return None
+    if acted := next((one for one in found if one.acted_on), None):
+        words = HYPOTHESES[acted.hypothesis]
+        by_gnss = acted.hypothesis is Hypothesis.IMU and not odometer
+        return f"{words.source} {words.is_wrong}, {'and the position is by GNSS' if by_gnss else words.consequence}"
+    innocent = any(one.hypothesis is Hypothesis.NOTHING and one.survives for one in beliefs)
+    most = sorted(found, key=lambda one: one.probability, reverse=True)[:NAMED_MAXIMUM]
+    names = [HYPOTHESES[one.hypothesis].source for one in most] + ["others"] * (len(found) > NAMED_MAXIMUM)
+    verb = "may be wrong" if innocent else "are wrong" if len(found) > NAMED_MAXIMUM else _verb(most[-1])
+    if len(names) == 1:
+        return f"{names[0]} {verb}, {'and nothing decides it' if innocent else 'but is still used'}"
+    return f"{all_of(names, 'or')} {verb}, and nothing decides which"
+
+
+def _verb(belief: Belief) -> str:
+    return HYPOTHESES[belief.hypothesis].is_wrong
+
+
+def figures(beliefs: Iterable[Belief]) -> list[str]:
+    """Give probability and reason of each hypothesis that is suspected, for those who ask why."""
+    return [
+        f"{HYPOTHESES[one.hypothesis].label}: {100.0 * one.probability:.3g} %; {plain(one.reason)}"
+        for one in suspected(beliefs)
+    ]
+
+
+def table(beliefs: Iterable[Belief], stated: Sequence[Stated]) -> Json:
+    """Show each hypothesis by its name: probability, what follows from it, and its solution or why it has none."""
+    known = {one.hypothesis: one for one in beliefs}
+    return {
+        hypothesis.value: _row(hypothesis, known.get(hypothesis), stated)
+        for hypothesis in Hypothesis
+        if hypothesis in known or _is_stated(hypothesis, stated)
+    }
+
+
+def _is_stated(hypothesis: Hypothesis, stated: Sequence[Stated]) -> bool:
+    return any(
+        any(one.hypothesis is hypothesis for one in message.solutions)
+        or any(name is hypothesis for name, _ in message.missing)
+        for _, message in stated
+    )
+
+
+def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]) -> Json:
+    found = [(producer, one) for producer, message in stated for one in message.solutions]
+    mine = [(producer, one) for producer, one in found if one.hypothesis is hypothesis]
+    solution = worst([one for _, one in mine])
+    missing = [why for _, message in stated for name, why in message.missing if name is hypothesis]
+    distance_m, level_m = (belief.distance_m, belief.level_m) if belief else (None, None)
+    if solution is not None and hypothesis is not Hypothesis.SATELLITES:
+        distance_m = _distance_m(solution) if distance_m is None else distance_m
+        level_m = solution.protection_level_horizontal_m if level_m is None else level_m
+    return {
+        "label": HYPOTHESES[hypothesis].label,
+        "probability": None if belief is None else float(f"{belief.probability:.4g}"),
+        "prior": None if belief is None else belief.prior,
+        "survives": None if belief is None else belief.survives,
+        "acted_on": bool(belief and belief.acted_on),
+        "suspected": bool(belief and suspected((belief,))),
+        "reason": None if belief is None else plain(belief.reason),
+        "since_ns": belief.since_ns if belief else None,
+        "distance_m": _rounded(distance_m),
+        "level_m": _rounded(level_m),
+        "solutions": len(mine),
+        "left_out": who(solution.left_out) if solution and solution.left_out else None,
+        "ratio": None if solution is None else _ratio(solution),
+        "missing": None if mine or not missing else plain("; ".join(missing)),
+        "source": ", ".join(dict.fromkeys(producer for producer, _ in mine)) or None,
+    }
+
+
+def satellites(stated: Sequence[Stated]) -> list[Json]:
+    """List the solutions without satellites, the largest separation over its limit first."""
+    found = [one for _, message in stated for one in message.solutions if one.hypothesis is Hypothesis.SATELLITES]
+    return [
+        {
+            "left_out": list(one.left_out),
+            "distance_m": _rounded(_distance_m(one)),
+            "vertical_m": _rounded(abs(one.apart_ned_m[2])),
+            "level_m": _rounded(one.protection_level_horizontal_m),
+            "level_vertical_m": _rounded(one.protection_level_vertical_m),
+            "separation": _rounded(one.separation),
+            "separation_limit": _rounded(one.separation_limit),
+            "ratio": _ratio(one),
+            "innovations": _rounded(one.innovations),
+        }
+        for one in sorted(found, key=lambda one: separation_ratio(one) or 0.0, reverse=True)
+    ]
+
+
+def tracks(lines: Iterable[Line]) -> list[Json]:
+    """Show the lines of the map: places as [longitude, latitude] in degrees, as in GeoJSON."""
+    return [
+        {
+            "hypothesis": line.hypothesis.value,
+            "label": HYPOTHESES[line.hypothesis].condition,
+            "source": line.producer,
+            "left_out": list(line.points[-1].left_out),
+            "until_ns": line.points[-1].time_ns,
+            "places": [
+                [round(point.place.longitude_deg, 8), round(point.place.latitude_deg, 8)] for point in line.points
+            ],
+        }
+        for line in lines
+    ]
+
+
+def _distance_m(solution: HypothesisSolution) -> float:
+    return hypot(solution.apart_ned_m[0], solution.apart_ned_m[1])
+
+
+def _ratio(solution: HypothesisSolution) -> float | None:
+    ratio = separation_ratio(solution)
+    return None if ratio is None else float(f"{ratio:.3g}")
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)

@@ -1,0 +1,118 @@
+"""Posteriors: who explains what the monitors say, bounds of one monitor, survival and action."""
+
+from dataclasses import replace
+from math import exp
+
+import pytest
+
+from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Posterior, Statement
+from services.core.trust.hypotheses.beliefs import CERTAIN, Beliefs
+from services.core.trust.hypotheses.evidence import FALSE_ALARM, MOST, Evidence, explained_by
+from services.core.trust.hypotheses.priors import PRIOR
+from shared.messages.trust import Hypothesis
+
+H = Hypothesis
+EITHER, SPEEDS = ("gnss", "imu"), ("gnss", "odometer")
+
+
+def statement(monitor: Monitor, accused: tuple[str, ...] = (), *, tests: tuple[str, ...] = ()) -> Statement:
+    outcome = Outcome.ACCUSES if accused else Outcome.PASS
+    return Statement(monitor, outcome, 0, "", accused, window_s=5.0, accusing_tests=tests)
+
+
+def after(seconds: int, said: dict[Monitor, tuple[str, ...] | None], *, odometer: bool = True) -> dict[H, Posterior]:
+    """Posteriors after some seconds of the same statements; None of a monitor that is not evaluated."""
+    beliefs, found = Beliefs(), tuple[Posterior, ...]()
+    for k in range(1, seconds + 1):
+        now_ns = k * SECOND_NS
+        statements = {
+            monitor: replace(statement(monitor, accused), stated_ns=now_ns, suspect_since_ns=now_ns - 7 * SECOND_NS)
+            for monitor, accused in said.items()
+            if accused is not None
+        }
+        found = beliefs.update(Facts(now_ns, None, statements, odometer_in_use=odometer), ())
+    return {one.hypothesis: one for one in found}
+
+
+ALL_PASS: dict[Monitor, tuple[str, ...] | None] = dict.fromkeys(Monitor, ())
+CASES = [
+    pytest.param({Monitor.INERTIAL_SHORT: EITHER}, {H.GNSS, H.IMU}, None, id="one difference says the same of both"),
+    pytest.param({Monitor.INERTIAL_SHORT: EITHER, Monitor.MOTION_FAST: SPEEDS}, {H.GNSS}, H.GNSS, id="drag along"),
+    pytest.param({Monitor.INERTIAL_SHORT: EITHER, Monitor.GYROSCOPE: ("imu",)}, {H.IMU}, H.IMU, id="gyroscope"),
+    pytest.param({Monitor.MOTION_FAST: SPEEDS, Monitor.HYPOTHESES: ("odometer",)}, {H.ODOMETER}, H.ODOMETER,
+                 id="odometer against inertial sensors alone"),
+    pytest.param({Monitor.MOTION_FAST: SPEEDS, Monitor.HYPOTHESES: ("gnss",), Monitor.INERTIAL_LONG: None},
+                 {H.GNSS}, H.GNSS,
+                 id="GNSS against inertial sensors alone"),
+    pytest.param({Monitor.INERTIAL_SHORT: EITHER, Monitor.COHERENT_SCALE: SPEEDS}, {H.GNSS_AND_ODOMETER, H.IMU}, None,
+                 id="falsified alike, or the scale of the inertial sensors"),
+    pytest.param({Monitor.SATELLITES: ("G05",)}, {H.SATELLITES}, H.SATELLITES, id="satellite"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("said", "includes", "acted_on"), CASES)
+def test_hypotheses_that_explain_what_is_said_survive_and_one_alone_is_acted_on(
+    said: dict[Monitor, tuple[str, ...]], includes: set[H], acted_on: H | None
+) -> None:
+    found = after(30, {**ALL_PASS, **said})
+    surviving = {name for name, one in found.items() if one.survives and name is not H.NOTHING}
+    assert includes <= surviving
+    assert {name for name, one in found.items() if one.acted_on} == ({acted_on} if acted_on else set())
+    if acted_on is not None:
+        assert surviving == {acted_on} and found[acted_on].probability > CERTAIN
+
+
+def test_without_a_statement_the_posteriors_are_the_priors() -> None:
+    found = after(100, ALL_PASS)
+    assert {name: one.probability for name, one in found.items() if name is not H.NOTHING} == pytest.approx(dict(PRIOR))
+    assert [name for name, one in found.items() if one.survives] == [H.NOTHING]
+    assert sum(one.probability for one in found.values()) == pytest.approx(1.0)
+
+
+def test_the_flags_of_the_receiver_alone_are_no_conflict_but_its_time_is() -> None:
+    assert not after(60, {**ALL_PASS, Monitor.EVIDENCE: ("gnss",)})[H.GNSS].survives
+    said = replace(statement(Monitor.EVIDENCE, ("gnss",), tests=("host_time",)), stated_ns=SECOND_NS)
+    found = Beliefs().update(Facts(SECOND_NS, None, {Monitor.EVIDENCE: said}), ())
+    assert {one.hypothesis for one in found if one.survives} >= {H.RECEIVER_TIME}
+
+
+def test_one_statement_a_window_counts_and_one_monitor_is_bounded() -> None:
+    evidence, found = Evidence(Monitor.INERTIAL_SHORT), []
+    for k in range(100):
+        facts = Facts(k * SECOND_NS)
+        evidence.update(statement(Monitor.INERTIAL_SHORT, EITHER), facts, {H.GNSS})
+        found.append(evidence.sums[H.GNSS])
+    assert found[0] == found[4] == pytest.approx(0.5 * MOST), "the window is 5 s long"
+    assert found[5] == found[-1] == pytest.approx(MOST)
+    assert exp(0.5 * MOST) == pytest.approx(0.5 / FALSE_ALARM)
+
+
+def test_passing_speaks_only_against_what_another_monitor_has_spoken_for() -> None:
+    evidence = Evidence(Monitor.INERTIAL_LONG)
+    for k in range(10):
+        evidence.update(statement(Monitor.INERTIAL_LONG), Facts(k * SECOND_NS), ())
+    assert not evidence.sums
+    evidence.update(statement(Monitor.INERTIAL_LONG), Facts(10 * SECOND_NS), {H.GNSS})
+    assert evidence.sums[H.GNSS] < 0.0
+
+
+def test_what_was_said_is_kept_while_a_contradiction_is_open_and_forgotten_after_it() -> None:
+    beliefs = Beliefs()
+    accusing = replace(statement(Monitor.INERTIAL_SHORT, ("gnss",)), stated_ns=SECOND_NS, suspect_since_ns=5)
+    quiet = replace(statement(Monitor.INERTIAL_SHORT), stated_ns=2 * SECOND_NS)
+    beliefs.update(Facts(SECOND_NS, None, {Monitor.INERTIAL_SHORT: accusing}), ())
+    facts = Facts(2 * SECOND_NS, None, {Monitor.INERTIAL_SHORT: quiet})
+    kept = {one.hypothesis: one for one in beliefs.update(facts, (H.GNSS,))}[H.GNSS]
+    assert kept.survives and kept.since_ns == 5
+    gone = {one.hypothesis: one for one in beliefs.update(facts, ())}[H.GNSS]
+    assert not gone.survives and gone.probability == pytest.approx(PRIOR[H.GNSS], rel=1e-2)
+
+
+@pytest.mark.parametrize("monitor", Monitor)
+def test_every_accusation_of_a_source_is_explained_by_its_hypothesis(monitor: Monitor) -> None:
+    for name, hypothesis in (("gnss", H.GNSS), ("imu", H.IMU), ("odometer", H.ODOMETER)):
+        if monitor is not Monitor.COHERENT_SCALE:
+            assert hypothesis in explained_by(statement(monitor, (name,)), odometer_in_use=False)
+    assert not explained_by(statement(monitor, ("neighbour 17",)), odometer_in_use=False) or (
+        monitor is Monitor.COHERENT_SCALE
+    )
