@@ -130,14 +130,20 @@ class InertialSpeed:
         return None
 
     def _judged(self, change: Change) -> ScaleVerdict:
-        falsified = _falsified(change)
-        accused = falsified if self.change.accusing else ()
-        limit, share = LIMIT * change.sd, 100.0 * change.difference
-        who = "GNSS and odometer both scaled alike" if "odometer" in falsified else "GNSS scaled"
-        reason = (
-            f"{who} by {share:+.1f} +- {100.0 * change.sd:.1f} % against the centripetal speed of {change.bends} "
-            f"bends, limit {100.0 * limit:.1f} %"
-        )
+        accused = _falsified(change) if self.change.accusing else ()
+        limit, both = LIMIT * change.sd, change.odometer is not None
+        size = f"{100.0 * change.difference:+.1f} +- {100.0 * change.sd:.1f} %"
+        against = f"against the centripetal speed of {change.bends} bends, limit {100.0 * limit:.1f} %"
+        if not accused:
+            reason = f"scale of GNSS{' and odometer' if both else ''} differs by {size} {against}"
+        elif "odometer" in accused:
+            reason = f"GNSS and odometer both scaled alike by {size} {against}"
+        elif both:
+            reason = f"GNSS scaled, the odometer not, by {size} {against}"
+        else:
+            reason = f"GNSS scaled, or the inertial sensors, by {size} {against}"
+        if accused and change.size <= LIMIT:
+            reason += "; accused until ten bends have the former scale"
         window = list(self.change.window)[-change.bends :]
         return ScaleVerdict(
             evaluated=True, reason=reason, accused=accused, difference=abs(change.difference), limit=limit,
