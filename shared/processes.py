@@ -154,9 +154,11 @@ PROCESSES = (
         ),
     ),
     ProcessRow(
-        "core.motion_conflict", Kind.STANDING, "compares the speeds of GNSS and odometer as the smart tachograph does",
-        consumes=("gnss/fix", "vehicle/speed", "trust/state"),
+        "core.motion_conflict", Kind.STANDING,
+        "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state"),
         produces=("trust/monitor",),
+        pause_s=0.1,
     ),
     ProcessRow(
         "core.spoofing", Kind.STANDING, "compares GNSS, inertial sensors and wheels over 5 s to 5 minutes",

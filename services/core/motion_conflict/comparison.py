@@ -50,13 +50,19 @@ class SpeedComparison:
         self.fast_statistic: tuple[int, float] | None = None  # of the fast test, with the stamp of its window's end
         self.inconspicuous_ns: int | None = None  # start of the newest window without a sign of a fault
 
-    def gnss(self, time_ns: int, speed_m_s: float | None, sd_m_s: float | None = None) -> None:
-        """Use a GNSS speed over ground; None when the receiver has no fix, whatever number it reports."""
+    def gnss(self, time_ns: int, speed_m_s: float | None, sd_m_s: float | None = None) -> bool:
+        """Use a GNSS speed over ground; None when the receiver has no fix, whatever number it reports.
+
+        Returns
+        -------
+        bool
+            Whether it is a measured speed: neither rejected, nor missing, nor the last one repeated.
+        """
         if not self._acceptable("gnss", time_ns, self.gnss_ns, speed_m_s, self.settings.largest_gnss_m_s):
-            return
+            return False
         if sd_m_s is not None and not (isfinite(sd_m_s) and sd_m_s > 0.0):
             self.rejected["gnss: accuracy is not a positive number"] += 1
-            return
+            return False
         self.advance(time_ns)
         self.gnss_ns = time_ns
         self.held.gnss(time_ns, speed_m_s)
@@ -66,28 +72,36 @@ class SpeedComparison:
             self._forget_held(held_since_ns)
         self.motion_sensor.update(time_ns, speed_m_s, self.track.newest(time_ns))
         if speed_m_s is None:
-            return
+            return False
         self.speed_ns = time_ns
         sd = max(self.settings.gnss_sd_floor_m_s, sd_m_s if sd_m_s is not None else self.settings.gnss_sd_m_s)
         if self._candidate is None and not self._sampled and time_ns % PERIOD_NS <= self.settings.pairing_s * SECOND_NS:
             self._candidate = (time_ns, speed_m_s)
         self._pending.append((time_ns, speed_m_s, sd))
         self._pair()
+        return True
 
-    def odometer(self, time_ns: int, speed_m_s: float | None, resolution_m_s: float | None = None) -> None:
-        """Use an odometer speed as the vehicle reports it, with its step (None: 1 km/h, OBD-II PID 0x0D)."""
+    def odometer(self, time_ns: int, speed_m_s: float | None, resolution_m_s: float | None = None) -> bool:
+        """Use an odometer speed as the vehicle reports it, with its step (None: 1 km/h, OBD-II PID 0x0D).
+
+        Returns
+        -------
+        bool
+            Whether it is used.
+        """
         limit = self.settings.largest_odometer_m_s
         if speed_m_s is None or not self._acceptable("odometer", time_ns, self.track.newest_ns, speed_m_s, limit):
-            return
+            return False
         resolution = 1.0 * KM_H if resolution_m_s is None else resolution_m_s
         if not (isfinite(resolution) and 0.0 <= resolution < 3.0):
             self.rejected["odometer: resolution is not within 0 to 3 m/s"] += 1
-            return
+            return False
         self.advance(time_ns)
         self.track.add(time_ns, speed_m_s, resolution)
         self.held.odometer(speed_m_s, resolution)
         self.distance.odometer(time_ns, speed_m_s)
         self._pair()
+        return True
 
     def position(self, time_ns: int, latitude_deg: float, longitude_deg: float) -> None:
         """Use a GNSS position with a valid fix, for the distance rule."""

@@ -1,4 +1,4 @@
-"""Compares the speeds of GNSS and odometer as the smart tachograph does, and faster."""
+"""Compares the speeds of GNSS and odometer as the smart tachograph does, faster, and both with inertial sensors."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -9,20 +9,24 @@ from pydantic import ValidationInfo, model_validator
 from shared.chosen import ChosenSource
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuSamples
 from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
-from shared.runtime.config import vehicle_in
+from shared.runtime.config import VehicleFile, vehicle_in
 
+from .calibration import LEARNED_DELAY_SD_S
+from .inertial_speed.monitor import InertialSpeed, geometry_of
 from .monitor import MotionMonitor
 from .settings import Settings
-from .statements import statements
+from .statements import ScaleStatement, statements
 
-In = GnssFix | VehicleSpeed | TrustState | Tick
+In = ImuSamples | GnssFix | VehicleSpeed | TrustState | Tick
 # Fixes whose velocity is measured by satellites; dead reckoning of a receiver may come from the same wheels.
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 # Learning stops while the position is in doubt: a spoofed speed must not become the odometer's scale.
 NO_LEARNING = (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.NO_FIX)
-OWN = ("motion", "motion_fast")  # statements, which accuse GNSS or the odometer for a change of scale
+SECOND_NS = 1_000_000_000
+OWN = ("motion", "motion_fast", "coherent_scale")  # statements, which accuse GNSS or the odometer for a change of scale
 
 
 class Config(Settings):
@@ -31,22 +35,37 @@ class Config(Settings):
     @model_validator(mode="before")
     @classmethod
     def _as_fusion(cls, given: object, info: ValidationInfo) -> object:
-        """An odometer that the vehicle's file does not let fusion use is not compared either."""
+        """Use the delay of core.fusion; an odometer that fusion may not use is not compared either."""
         vehicle = vehicle_in(info.context)
         if not isinstance(given, dict) or vehicle is None:
             return given
         odometer = vehicle.tables.get("core.fusion", {}).get("odometer", {})
         disabled = isinstance(odometer, dict) and odometer.get("enabled") is False
-        return {"odometer": False, **given} if disabled else given
+        return _delay_of_fusion(vehicle) | ({"odometer": False} if disabled else {}) | given
+
+
+def _delay_of_fusion(vehicle: VehicleFile) -> dict[str, object]:
+    """Age of a GNSS velocity at its stamp, from the section of core.fusion."""
+    gnss = vehicle.tables.get("core.fusion", {}).get("gnss", {})
+    delays = [gnss.get(key) for key in ("delay_s", "velocity_delay_s")] if isinstance(gnss, dict) else []
+    known = [delay for delay in delays if isinstance(delay, int | float)]
+    return {"velocity_delay_s": sum(known)} if known else {}
 
 
 class Process:
-    """Publishes the statements `motion` and `motion_fast` once a second."""
+    """Publishes the statements `motion`, `motion_fast` and `coherent_scale` once a second."""
 
     def __init__(self, config: Config) -> None:
+        self._config = config
         self._monitor = MotionMonitor(config)
+        facts = config.vehicle
+        self.inertial = InertialSpeed(
+            geometry=geometry_of(facts.rear_axle_body_m, facts.gnss.lever_arm_body_m),
+            common_sd=config.inertial_scale_sd, rejected=self._monitor.rejected,
+        )  # fmt: skip
+        self._statement = ScaleStatement()
         self._newest_ns, self._odometer = 0, config.odometer
-        self._speed = ChosenSource()
+        self._speed, self._imu = ChosenSource(), ChosenSource()
 
     @property
     def rejects(self) -> Counter[str]:
@@ -56,17 +75,35 @@ class Process:
     def handle(self, message: In) -> Iterator[TrustMonitor]:
         """Use a speed; publish with each tick."""
         match message:
+            case ImuSamples() if self._imu.takes(message.source, message.received_ns):
+                self._use_samples(message)
             case GnssFix():
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._use_fix(message)
             case VehicleSpeed() if self._odometer and self._speed.takes(message.source, message.received_ns):
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
-                self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
+                self._use_odometer(message)
             case TrustState():
-                self._monitor.calibration.frozen = forbids_learning(message)
+                self._monitor.calibration.frozen = self.inertial.change.frozen = forbids_learning(message)
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
                 yield from statements(self._monitor.verdicts(time_ns), time_ns)
+                yield self._statement.of(self.inertial.verdict(time_ns), time_ns)
+
+    def _use_samples(self, batch: ImuSamples) -> None:
+        if batch.saturated:
+            self.rejects["imu: saturated"] += 1
+            return
+        self.inertial.inertial(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s)
+
+    def _use_odometer(self, message: VehicleSpeed) -> None:
+        """Use a speed; its delay against GNSS has to be known before it is compared in bends."""
+        if not self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s):
+            return
+        known = self._monitor.calibration.calibration
+        if message.speed_m_s is not None and known.delay_sd_s <= LEARNED_DELAY_SD_S:
+            late_ns = round((known.delay_s + self._config.velocity_delay_s) * SECOND_NS)
+            self.inertial.odometer(message.sampled_ns - late_ns, message.speed_m_s)
 
     def _use_fix(self, fix: GnssFix) -> None:
         """Use the horizontal speed; without velocity, or without satellites, there is no speed, and no standstill."""
@@ -78,7 +115,9 @@ class Process:
             speed = hypot(*fix.velocity_ned_m_s[:2])
         if fix.velocity_sd_ned_m_s is not None:
             sd = max(fix.velocity_sd_ned_m_s[:2]) or None
-        self._monitor.gnss(fix.sampled_ns, speed, sd)
+        if self._monitor.gnss(fix.sampled_ns, speed, sd) and speed is not None:
+            true_ns = fix.sampled_ns - round(self._config.velocity_delay_s * SECOND_NS)
+            self.inertial.gnss(true_ns, speed, max(self._config.gnss_sd_floor_m_s, sd or self._config.gnss_sd_m_s))
         if fix.latitude_deg is not None and fix.longitude_deg is not None:
             self._monitor.position(fix.sampled_ns, fix.latitude_deg, fix.longitude_deg)
 

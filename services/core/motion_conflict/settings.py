@@ -2,12 +2,12 @@
 
 from pydantic import Field
 
-from shared.runtime.config import Section
+from shared.runtime.config import VehicleSettings
 
 from .tachograph import KM_H, WindowMode
 
 
-class Settings(Section):
+class Settings(VehicleSettings):
     """Windows, noise, limits of what is learned, and plausibility limits."""
 
     odometer: bool = Field(
@@ -48,4 +48,14 @@ class Settings(Section):
     largest_gnss_m_s: float = Field(default=150.0, gt=0.0, description="GNSS speeds above it are rejected")
     largest_odometer_m_s: float = Field(
         default=254.5 * KM_H, gt=0.0, description="odometer speeds above it are rejected: OBD 255 km/h means no value"
+    )
+    velocity_delay_s: float = Field(
+        default=0.0, ge=-5.0, le=5.0, description="age of a GNSS velocity at its stamp; that of core.fusion by default"
+    )
+    inertial_scale_sd: float = Field(
+        default=0.02,
+        gt=0.0,
+        le=0.1,
+        description="standard deviation of the scale of accelerometer and gyroscope together, before the vehicle's own "
+        "has been learned in bends",
     )

@@ -1,9 +1,11 @@
-"""Two statements of the ten verdicts: the tachograph's tests, and the fast test."""
+"""Statements of the verdicts: the tachograph's tests, the fast test, and the common scale of both speeds."""
 
 from dataclasses import fields
 
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
+from .inertial_speed.monitor import ScaleVerdict
+from .inertial_speed.scale_change import FALSE_ALARM_RATE
 from .verdicts import MotionVerdicts, State, Verdict
 
 # Order in which an accusing test gives the reason and the accused: tests that name one sensor first.
@@ -43,3 +45,24 @@ def _statement(monitor: str, verdict: Verdict, time_ns: int, tests: tuple[Monito
         since_ns=verdict.since_ns, statistic=verdict.statistic, threshold=verdict.threshold,
         false_alarm_rate=verdict.false_alarm_rate, window_s=verdict.window_s, tests=tests,
     )  # fmt: skip
+
+
+class ScaleStatement:
+    """The statement `coherent_scale`, with the time since which its outcome lasts."""
+
+    def __init__(self) -> None:
+        self._outcome: MonitorOutcome | None = None
+        self._since_ns = 0
+
+    def of(self, verdict: ScaleVerdict, time_ns: int) -> TrustMonitor:
+        """Give the statement of a verdict."""
+        outcome = MonitorOutcome.ACCUSES if verdict.accused else MonitorOutcome.PASS
+        outcome = outcome if verdict.evaluated else MonitorOutcome.NOT_EVALUATED
+        if outcome is not self._outcome:
+            self._outcome, self._since_ns = outcome, time_ns
+        return TrustMonitor(
+            sampled_ns=time_ns, monitor="coherent_scale", outcome=outcome, reason=verdict.reason,
+            accused=verdict.accused, suspect_since_ns=verdict.suspect_since_ns, since_ns=self._since_ns,
+            statistic=verdict.difference, threshold=verdict.limit, false_alarm_rate=FALSE_ALARM_RATE,
+            window_s=verdict.window_s,
+        )  # fmt: skip

@@ -8,9 +8,9 @@ start.
 from collections import deque
 from collections.abc import Iterable
 
+from shared.inertial.increments import SECOND_NS
 from shared.messages.trust import LearnedGrade, MonitorOutcome, TrustState
 
-from .inertial.increments import SECOND_NS
 from .profile import LearnedDrive, Origin, Profile, learn
 from .windows.metrics import Metric
 from .windows.short_window import Window

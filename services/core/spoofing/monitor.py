@@ -8,13 +8,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.increments import SECOND_NS, Decimator, Increment
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import MonitorOutcome
 
 from .inertial.anchors import anchor_of, filter_anchor_of
-from .inertial.increments import SECOND_NS, Decimator, Increment
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
 from .verdicts import EITHER, GNSS, Verdict, dated

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.increments import Increment
 from shared.inertial.strapdown import local_earth, mechanise
 from shared.maths.compiled import COMPILED, compiled
 from shared.maths.rotation import matrix_from_quaternion
-
-from .increments import Increment
 
 FloatArray = npt.NDArray[np.float64]
 Table = Sequence[Sequence[float]] | FloatArray

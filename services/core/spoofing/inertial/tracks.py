@@ -8,10 +8,10 @@ from math import hypot, isfinite
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.increments import SECOND_NS
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 
 from .compass import barometric_height
-from .increments import SECOND_NS
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.increments import Increment
 from shared.maths.earth import STANDARD_GRAVITY
 from shared.maths.kalman import correct, predict
 from shared.maths.quantiles import chi_square_limit
@@ -21,7 +22,6 @@ from shared.maths.rotation import quaternion_from_rotation_vector, quaternion_pr
 
 from ..inertial import propagation
 from ..inertial.anchors import FilterAnchor
-from ..inertial.increments import Increment
 from ..inertial.propagation import carried, matrices, table_of
 from ..inertial.tracks import OdometerSpeed
 from ..settings import Settings

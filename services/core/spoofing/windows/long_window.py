@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.correlated_noise import mean_variance
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 
 from ..inertial.anchors import FilterAnchor
-from ..inertial.increments import SECOND_NS, Increment
 from ..inertial.tracks import OdometerSpeed, VelocityFix
 from ..settings import Settings
 from .free_propagation import MOVED, FreePropagations

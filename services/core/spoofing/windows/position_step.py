@@ -10,9 +10,9 @@ from math import exp, hypot
 
 import numpy as np
 
+from shared.inertial.increments import SECOND_NS
 from shared.maths.earth import ned_from_geodetic_difference
 
-from ..inertial.increments import SECOND_NS
 from ..inertial.tracks import VelocityFix
 from .metrics import WINDOW_S
 

@@ -8,11 +8,11 @@ from math import hypot, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import STANDARD_GRAVITY, wrap_angle
 from shared.maths.rotation import skew
 
 from ..inertial.anchors import Anchor
-from ..inertial.increments import SECOND_NS, Increment
 from ..inertial.propagation import MOTION, QUATERNION, RATE, VELOCITY, carried, matrices, table_of
 from ..inertial.tracks import VelocityFix
 from .metrics import WINDOW_S, Metric, acceleration_differences

@@ -38,11 +38,11 @@ def drive(process: Process, seconds: range, gnss_m_s: float | None, odometer_m_s
     return last
 
 
-def test_two_statements_are_published_with_each_tick_and_nothing_between() -> None:
+def test_three_statements_are_published_with_each_tick_and_nothing_between() -> None:
     process = Process(Config())
     assert list(process.handle(fix(SECOND_NS, 10.0))) == []
     statements = list(process.handle(Tick(now_ns=SECOND_NS)))
-    assert [statement.monitor for statement in statements] == ["motion", "motion_fast"]
+    assert [statement.monitor for statement in statements] == ["motion", "motion_fast", "coherent_scale"]
     assert all(statement.outcome is MonitorOutcome.NOT_EVALUATED for statement in statements)
 
 

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from services.core.spoofing.inertial import propagation
 from services.core.spoofing.inertial.anchors import FilterAnchor
-from services.core.spoofing.inertial.increments import SECOND_NS, Decimator, Increment
 from services.core.spoofing.inertial.tracks import OdometerSpeed, VelocityFix
 from services.core.spoofing.settings import LongSettings, Settings
 from services.core.spoofing.windows.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagations
 from services.core.spoofing.windows.long_window import LongWindow
 from services.sensors.simulator.drive import Drive, simulate
+from shared.inertial.increments import SECOND_NS, Decimator, Increment
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 

@@ -21,11 +21,11 @@ from cli.papers.spoofing.method import (
     turned_by_course,
 )
 from services.core.spoofing.inertial.compass import barometric_pressure
-from services.core.spoofing.inertial.increments import SECOND_NS
 from services.core.spoofing.inertial.tracks import Heights, Series, VelocityFix
 from services.core.spoofing.profile import UNIT_IMU, Profile, exceeding, learn
 from services.core.spoofing.windows.metrics import Metric, acceleration_differences, consecutive
 from services.core.spoofing.windows.short_window import Window, window_of_fixes
+from shared.inertial.increments import SECOND_NS
 
 FloatArray = npt.NDArray[np.float64]
 RATE_HZ = 10

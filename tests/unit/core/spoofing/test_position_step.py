@@ -6,9 +6,9 @@ from math import radians
 import numpy as np
 import pytest
 
-from services.core.spoofing.inertial.increments import SECOND_NS
 from services.core.spoofing.inertial.tracks import VelocityFix
 from services.core.spoofing.windows.position_step import LEAST_SD_M, THRESHOLD, position_step
+from shared.inertial.increments import SECOND_NS
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
 START = Geodetic(radians(48.0), radians(11.0), 0.0)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import STANDARD_GRAVITY
-from shared.maths.rotation import Vector
+from ..maths.earth import STANDARD_GRAVITY
+from ..maths.rotation import Vector
 
 FloatArray = npt.NDArray[np.float64]
 

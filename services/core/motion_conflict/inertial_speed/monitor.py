@@ -1,0 +1,162 @@
+"""Accuses GNSS and odometer if both are scaled alike, by the centripetal speed of the inertial sensors in bends."""
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from shared.inertial.increments import SECOND_NS, Decimator, Increment
+from shared.maths.rotation import Vector
+
+from .bend_fit import ARM_SD, Arm
+from .bends import Bend, BendRecorder, Geometry
+from .levelling import Levelling
+from .scale_change import ALIKE, LEAST_BENDS, LIMIT, Change, ScaleChange
+
+LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S = 80.0, 20.0  # of each axis, as in core.spoofing: beyond every vehicle's motion
+WAIT_NS = 4 * SECOND_NS  # for a speed that covers an increment; odometers are up to 3 s late
+MOST_WAITING = 100  # increments, 10 s between two verdicts
+SILENT_NS = 5 * SECOND_NS  # without inertial samples or speeds
+STALE_NS = 600 * SECOND_NS  # since the last bend: a motorway has none for so long
+RESTART_NS = 5 * SECOND_NS  # by which a stamp is earlier than the newest one where a time line starts again
+
+
+@dataclass(frozen=True)
+class ScaleVerdict:
+    """What the bends say; `accused` is empty unless it accuses."""
+
+    evaluated: bool
+    reason: str
+    accused: tuple[str, ...] = ()
+    difference: float | None = None  # [-] magnitude of the change of scale
+    limit: float | None = None  # [-]
+    suspect_since_ns: int | None = None
+    window_s: float | None = None
+
+
+def geometry_of(rear_axle_body_m: Vector | None, antenna_body_m: Vector) -> Geometry:
+    """IMU and antenna relative to the rear axle, from lever arms of the IMU [m, body: forward, right, down]."""
+    if rear_axle_body_m is None:
+        return Geometry()
+    forward, right, _ = rear_axle_body_m
+    return Geometry(
+        Arm(-forward, -right, ARM_SD, ARM_SD), antenna_body_m[0] - forward, antenna_body_m[1] - right
+    )  # fmt: skip
+
+
+class InertialSpeed:
+    """Takes inertial samples and speeds, and gives a verdict on the scale of the speeds."""
+
+    def __init__(
+        self, *, geometry: Geometry | None = None, common_sd: float = 0.02, rejected: Counter[str] | None = None
+    ) -> None:
+        self.rejected: Counter[str] = Counter() if rejected is None else rejected
+        self._geometry = geometry or Geometry()
+        self.change = ScaleChange(common_sd)
+        self.bends: deque[Bend] = deque(maxlen=256)  # of this drive, newest last
+        self._start()
+
+    def _start(self) -> None:
+        self._decimator = Decimator(LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S, self.rejected)
+        self._levelling, self._recorder = Levelling(), BendRecorder(self._geometry)
+        self._pending: deque[Increment] = deque(maxlen=MOST_WAITING)
+        self._imu_ns: int | None = None
+
+    def inertial(self, times_ns: Sequence[int], forces_b: Sequence[Vector], rates_b: Sequence[Vector]) -> None:
+        """Use a batch of samples [m/s², rad/s; body]."""
+        if self._imu_ns is not None and self._imu_ns - times_ns[-1] > RESTART_NS:
+            self.rejected["imu: time line started again"] += 1
+            self._start()
+        self._imu_ns = max(times_ns[-1], self._imu_ns or times_ns[-1])
+        if self._decimator.add(times_ns, forces_b, rates_b) > MOST_WAITING:
+            self.advance()
+
+    def gnss(self, time_ns: int, speed: float, sd: float) -> None:
+        """Use a GNSS speed and its standard deviation [m/s] at its true time."""
+        self._recorder.gnss.add(time_ns, speed, sd)
+
+    def odometer(self, time_ns: int, speed: float) -> None:
+        """Use an odometer speed [m/s] at its true time."""
+        self._recorder.odometer.add(time_ns, speed, 0.0)
+
+    def advance(self) -> None:
+        """Use what has been received, up to the newest speed."""
+        self._pending.extend(self._decimator.take())
+        recorder = self._recorder
+        while self._pending:
+            increment = self._pending[0]
+            speed = recorder.gnss.at(increment.end_ns)
+            waited_ns = self._pending[-1].end_ns - increment.end_ns
+            if waited_ns < WAIT_NS and (speed is None or not self._odometer_reaches(increment.end_ns)):
+                return
+            self._pending.popleft()
+            self._use(increment, speed)
+
+    def _odometer_reaches(self, time_ns: int) -> bool:
+        newest_ns = self._recorder.odometer.newest_ns
+        return newest_ns is None or newest_ns >= time_ns
+
+    def _use(self, increment: Increment, known: tuple[float, float] | None) -> None:
+        speed, acceleration = (None, None) if known is None else known
+        levelled = self._levelling.step(increment, speed, acceleration)
+        if levelled is None:
+            return
+        for bend in self._recorder.add(levelled, speed):
+            self.bends.append(bend)
+            self.change.add(bend)
+
+    def verdict(self, time_ns: int) -> ScaleVerdict:
+        """Give the verdict at a time."""
+        self.advance()
+        change = self.change.change
+        if change is not None and self.change.accusing:
+            return self._judged(change)
+        missing = self._missing(time_ns)
+        if missing is not None or change is None:
+            return ScaleVerdict(evaluated=False, reason=missing or f"{len(self.change.window)} of {LEAST_BENDS} bends")
+        return self._judged(change)
+
+    def _missing(self, time_ns: int) -> str | None:
+        """Why the scale cannot be judged now."""
+        newest_ns = {"inertial samples": self._imu_ns, "GNSS speed": self._recorder.gnss.newest_ns}
+        for name, stamp_ns in newest_ns.items():
+            if stamp_ns is None:
+                return f"no {name} received yet"
+            if time_ns - stamp_ns > SILENT_NS:
+                return f"no {name} for {(time_ns - stamp_ns) / SECOND_NS:.0f} s"
+        if not self._levelling.ready:
+            return "no standstill of 2 s yet: tilt and gyroscope bias are not known"
+        if self.bends and time_ns - self.bends[-1].end_ns > STALE_NS:
+            return f"no bend for {(time_ns - self.bends[-1].end_ns) / SECOND_NS:.0f} s"
+        return None
+
+    def _judged(self, change: Change) -> ScaleVerdict:
+        accused = _falsified(change) if self.change.accusing else ()
+        limit, both = LIMIT * change.sd, change.odometer is not None
+        size = f"{100.0 * change.difference:+.1f} +- {100.0 * change.sd:.1f} %"
+        against = f"against the centripetal speed of {change.bends} bends, limit {100.0 * limit:.1f} %"
+        if not accused:
+            reason = f"scale of GNSS{' and odometer' if both else ''} differs by {size} {against}"
+        elif "odometer" in accused:
+            reason = f"GNSS and odometer both scaled alike by {size} {against}"
+        elif both:
+            reason = f"GNSS scaled, the odometer not, by {size} {against}"
+        else:
+            reason = f"GNSS scaled, or the inertial sensors, by {size} {against}"
+        if accused and change.size <= LIMIT:
+            reason += "; accused until ten bends have the former scale"
+        window = list(self.change.window)[-change.bends :]
+        return ScaleVerdict(
+            evaluated=True, reason=reason, accused=accused, difference=abs(change.difference), limit=limit,
+            suspect_since_ns=change.suspect_since_ns if accused else None,
+            window_s=(window[-1].end_ns - window[0].start_ns) / SECOND_NS,
+        )  # fmt: skip
+
+
+def _falsified(change: Change) -> tuple[str, ...]:
+    """Who is at fault: both speeds if the odometer shows the change too, GNSS if it agrees with the inertial sensors.
+
+    Without an odometer one difference says the same of GNSS and of the inertial sensors.
+    """
+    if change.odometer is None:
+        return ("gnss", "imu")
+    return ("gnss", "odometer") if change.odometer * change.difference > ALIKE * change.difference**2 else ("gnss",)
