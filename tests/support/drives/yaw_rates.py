@@ -9,10 +9,10 @@ import numpy as np
 
 from services.core.spoofing.grade import Grade
 from services.core.spoofing.gyroscope.monitor import GyroscopeMonitor
-from services.core.spoofing.inertial.increments import Increment
 from services.core.spoofing.process import Config
 from services.core.spoofing.settings import Settings
 from services.core.spoofing.verdicts import Verdict
+from shared.inertial.increments import Increment
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.messages.trust import MonitorOutcome

@@ -4,9 +4,8 @@ from collections import Counter, deque
 from math import cos, isfinite, sin
 from typing import NamedTuple
 
+from shared.inertial.increments import SECOND_NS
 from shared.messages.navigation import AidingKind, AidingUpdate
-
-from ..inertial.increments import SECOND_NS
 
 KEPT = 330  # seconds: the longest window, and what is learned after it
 # Standard deviations by which one innovation counts at most: a second of multipath is no drift.

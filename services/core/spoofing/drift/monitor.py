@@ -15,11 +15,11 @@ from collections.abc import Mapping, Sequence
 from math import sqrt
 from typing import NamedTuple
 
+from shared.inertial.increments import SECOND_NS
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution
 from shared.messages.trust import MonitorOutcome
 
 from ..grade import Grade
-from ..inertial.increments import SECOND_NS
 from ..settings import Settings
 from ..verdicts import EITHER, Verdict, dated
 from .innovations import KINDS, InnovationSeconds, Second

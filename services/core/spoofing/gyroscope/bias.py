@@ -3,9 +3,8 @@
 from collections import deque
 from typing import NamedTuple
 
+from shared.inertial.increments import SECOND_NS
 from shared.maths.rotation import Vector
-
-from ..inertial.increments import SECOND_NS
 
 AGE_NS = 60 * SECOND_NS  # twice the longest window: an error of half the smallest detectable size is not followed
 KEPT = 130  # one a second

@@ -4,6 +4,7 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from math import atan2, degrees, hypot, sqrt
 
+from shared.inertial.increments import SECOND_NS, Increment
 from shared.inertial.strapdown import rotate
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
@@ -12,7 +13,6 @@ from shared.messages.navigation import NavigationSolution
 from shared.messages.trust import MonitorOutcome
 from shared.messages.vehicle import WheelSpeeds
 
-from ..inertial.increments import SECOND_NS, Increment
 from ..settings import UNKNOWN_AXLE_M, Settings
 from ..verdicts import Verdict, dated
 from .axle import Axle, AxleSecond, combined

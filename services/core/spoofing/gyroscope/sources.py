@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from math import hypot, isfinite
 from typing import NamedTuple
 
+from shared.inertial.increments import SECOND_NS
 from shared.maths.rotation import Vector
 from shared.messages.vehicle import WheelSpeeds
 
-from ..inertial.increments import SECOND_NS
 from .axle import AxleSecond
 from .track import GyroscopeTrack, Turn
 

@@ -5,11 +5,10 @@ from collections.abc import Iterable
 from math import radians, sin
 from typing import NamedTuple
 
+from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Vector, ned_from_body
 from shared.messages.navigation import NavigationSolution
-
-from ..inertial.increments import SECOND_NS, Increment
 
 KEPT = 350  # increments, 35 s: the longest window
 STALE_NS = 3 * SECOND_NS  # age of an attitude

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from services.core.spoofing.gyroscope.monitor import GyroscopeMonitor
-from services.core.spoofing.inertial.increments import Decimator, Increment
+from shared.inertial.increments import Decimator, Increment
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import MonitorOutcome
 from shared.messages.vehicle import WheelSpeeds
