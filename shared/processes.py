@@ -161,10 +161,10 @@ PROCESSES = (
         pause_s=0.1,
     ),
     ProcessRow(
-        "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
+        "core.spoofing", Kind.STANDING, "compares GNSS, inertial sensors and wheels over 5 s to 5 minutes",
         consumes=(
-            "imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution", "navigation/filter_state", "trust/grade",
-            "trust/state",
+            "imu/sample", "gnss/fix", "vehicle/speed", "vehicle/wheel_speed", "navigation/solution",
+            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state",
         ),
         produces=("trust/monitor", "trust/grade"),
         pause_s=0.1,

@@ -134,8 +134,8 @@ class HypothesisSolution(Message):
     protection_level_horizontal_m: Deviation
     protection_level_vertical_m: Deviation
     apart_ned_m: Vector3  # published position minus this one
-    # Of the horizontal difference against its covariance, chi-square without a fault: two degrees of freedom, one where a
-    # single satellite is left out; the limit is that of its own.
+    # Of the horizontal difference against its covariance, chi-square without a fault: two degrees of freedom, one where
+    # a single satellite is left out; the limit is that of its own.
     separation: Annotated[Statistic, unit("1")] | None = None
     separation_limit: Annotated[Statistic, unit("1")] | None = None
     # mean of its normalised innovations squared, over the last of them, and its expected value without a fault

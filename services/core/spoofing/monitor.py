@@ -58,6 +58,7 @@ class InertialMonitor:
         self._lever_arm = np.array(s.vehicle.gnss.lever_arm_body_m)
         self._increments: deque[Increment] = deque(maxlen=KEPT_S * 12)
         self._new: deque[Increment] = deque(maxlen=KEPT_S * 12)  # not propagated yet
+        self.taken: deque[Increment] = deque(maxlen=KEPT_S * 12)  # for the other monitors, which clear it
         self._solutions: deque[NavigationSolution] = deque(maxlen=KEPT_S * 12)
         self._states: deque[FilterState] = deque(maxlen=KEPT_S)
         self._fixes: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)
@@ -96,6 +97,7 @@ class InertialMonitor:
                 self.long.clear()
             self._increments.append(increment)
             self._new.append(increment)
+            self.taken.append(increment)
 
     def pressure(self, time_ns: int, pressure_pa: float) -> None:
         """Use the pressure of the barometer."""

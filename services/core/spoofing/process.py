@@ -15,22 +15,25 @@ from shared.maths.earth import Geodetic
 from shared.messages.base import Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
+from shared.messages.navigation import AidingUpdate, FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
-from shared.messages.vehicle import VehicleSpeed
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Table, VehicleFile, vehicle_in
 
+from .drift.monitor import DriftMonitor
 from .grade import LONG, UNKNOWN, Grade, profile_of
+from .gyroscope.monitor import GyroscopeMonitor
 from .inertial.anchors import is_readable
 from .inertial.tracks import UNKNOWN_VERTICAL_SD
 from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
 from .profile import Origin, Profile
 from .settings import LongSettings, Settings
-from .statements import statements
+from .statements import statement, statements
 from .windows.position_step import UNKNOWN_SD_M
 
-In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | FilterState | LearnedGrade | TrustState | Tick
+Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
+In = Measured | NavigationSolution | AidingUpdate | FilterState | LearnedGrade | TrustState | Tick
 Out = TrustMonitor | LearnedGrade
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
@@ -144,10 +147,13 @@ class Process:
         if config.grade is None:  # also what was learned is learned over what a sensor of unknown grade may do
             self._settings = Settings.model_validate(with_grade(config.model_dump(exclude_unset=True), UNKNOWN))
         self.monitor = InertialMonitor(self._settings)
+        self.gyroscope = GyroscopeMonitor(self._settings, self.rejects)
+        self.drift = DriftMonitor(self._settings, self.rejects)
         self._lesson = Lesson(self._settings.profile)
         self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
-        self._speed = ChosenSource()
+        self._speed, self._wheels = ChosenSource(), ChosenSource()
+        self._solution: NavigationSolution | None = None  # newest with a heading
         self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
         self._imu, self._gnss = Rate(), Rate()
         self._warning: str | None = None  # of a profile for another unit; None until it has been compared
@@ -160,15 +166,15 @@ class Process:
     def handle(self, message: In) -> Iterator[Out]:
         """Use a measurement or a solution; publish with each tick."""
         match message:
-            case ImuSamples() if self._is_chosen(message):
-                self._use_samples(message)
-            case GnssFix() if self._is_chosen(message):
-                self._gnss.count(message.source, message.sampled_ns)
-                self.monitor.fix(message.sampled_ns, *velocity_of(message), *position_of(message))
-            case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
-                self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
+            case ImuSamples() | GnssFix() | VehicleSpeed() | WheelSpeeds():
+                self._measure(message)
             case NavigationSolution() if message.phase in WITH_HEADING:
+                self._solution = message
                 self.monitor.solution(message)
+                self.gyroscope.solution(message)
+                self.drift.solution(message)
+            case AidingUpdate():
+                self.drift.innovation(message)
             case FilterState():
                 if is_readable(message):
                     self.monitor.filter_state(message)
@@ -182,8 +188,25 @@ class Process:
                     odometer=message.odometer_excluded, imu=message.imu_excluded,
                     in_conflict=message.suspect_since_ns is not None,
                 )  # fmt: skip
+                self.drift.quiet = message.suspect_since_ns is None
             case Tick():
                 yield from self._evaluated(max(self._newest_ns, message.now_ns))
+
+    def _measure(self, message: Measured) -> None:
+        """Use a measurement of the source in use."""
+        match message:
+            case ImuSamples() if self._is_chosen(message):
+                self._use_samples(message)
+            case GnssFix() if self._is_chosen(message):
+                self._gnss.count(message.source, message.sampled_ns)
+                self.monitor.fix(message.sampled_ns, *velocity_of(message), *position_of(message))
+                self.gyroscope.fix(message, *velocity_of(message))
+            case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
+                self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
+                self.drift.speed(message.sampled_ns)
+            case WheelSpeeds() if self._wheels.takes(message.source, message.received_ns):
+                self.gyroscope.speeds(message)
+                self.drift.speed(message.sampled_ns)
 
     def _evaluated(self, time_ns: int) -> Iterator[Out]:
         """Publish both statements, and once a minute what this drive has taught."""
@@ -191,6 +214,9 @@ class Process:
             self._warning = self._compare_profile()
         self.monitor.learning = self._learning()
         yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
+        yield statement("gyroscope", self.gyroscope.verdicts(time_ns, self.monitor.taken), time_ns)
+        self.monitor.taken.clear()
+        yield statement("drift", self.drift.verdicts(time_ns), time_ns)
         self._lesson.add(time_ns, self.monitor.window, self.monitor.long_statistics.values())
         if self._lesson.is_due(time_ns) and (origin := self.origin) is not None:
             yield self._lesson.result(time_ns, origin)
@@ -243,6 +269,8 @@ class Process:
 
     def _restart_monitor(self) -> None:
         self.monitor = InertialMonitor(self._settings, self.rejects)
+        self.gyroscope = GyroscopeMonitor(self._settings, self.rejects)
+        self.drift = DriftMonitor(self._settings, self.rejects)
 
     def _is_chosen(self, message: ImuSamples | GnssFix) -> bool:
         """Whether a message comes from the one source of its kind that is used."""
@@ -265,6 +293,8 @@ class Process:
         self._newest_ns = max(self._newest_ns, batch.sampled_ns[-1])
         if batch.pressure_pa is not None:
             self.monitor.pressure(batch.sampled_ns[-1], batch.pressure_pa)
+        if batch.magnetic_field_body is not None and self._solution is not None:
+            self.gyroscope.field(batch.sampled_ns[-1], batch.magnetic_field_body, self._solution)
 
     def _restart(self, time_ns: int) -> None:
         """Start again with what was counted, because the time line has started again earlier."""

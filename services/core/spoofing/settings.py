@@ -119,8 +119,24 @@ class LongSettings(Section):
     )
 
 
+class GyroscopeSettings(Section):
+    """Yaw rate of the gyroscope against wheels, GNSS course and headings."""
+
+    false_alarm_rate: float = Field(
+        default=1e-6, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+    )
+
+
+class DriftSettings(Section):
+    """Sums of GNSS innovations over 30, 100 and 300 s."""
+
+    false_alarm_rate: float = Field(
+        default=1e-6, gt=0.0, lt=0.5, description="false-alarm rate of each test of each window, per evaluation"
+    )
+
+
 class Settings(VehicleSettings):
-    """Settings of both monitors."""
+    """Settings of all monitors."""
 
     grade: Grade | None = Field(
         default=None,
@@ -134,6 +150,8 @@ class Settings(VehicleSettings):
     )
     gnss: GnssSettings = GnssSettings()
     long: LongSettings = LongSettings()
+    gyroscope: GyroscopeSettings = GyroscopeSettings()
+    drift: DriftSettings = DriftSettings()
     profile: Profile = Field(default=UNIT_IMU, description="standard deviations of the 5 s metrics, and their origin")
     stale_after_s: float = Field(default=3.0, gt=0.0, description="age of GNSS or inertial data that ends a comparison")
     largest_force_m_s2: float = Field(default=80.0, gt=0.0, description="larger specific forces are rejected")

@@ -18,13 +18,13 @@ def statements(
     """Give the statements of the monitors `inertial_short`, with a warning of its profile, and `inertial_long`."""
     short = {name: verdict for name, verdict in verdicts.items() if name in SHORT}
     long = {name: verdict for name, verdict in verdicts.items() if name not in SHORT}
-    warned = _statement("inertial_short", short, time_ns)
+    warned = statement("inertial_short", short, time_ns)
     if warning:
         warned = warned.model_copy(update={"reason": f"{warned.reason}; {warning}"[:REASON_LENGTH]})
-    return warned, _statement("inertial_long", long, time_ns)
+    return warned, statement("inertial_long", long, time_ns)
 
 
-def _statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> TrustMonitor:
+def statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> TrustMonitor:
     """Statement of the deciding test: accusing before passing before not evaluated, then the largest ratio."""
     deciding = max(verdicts.values(), key=_weight)
     suspect = [verdict.suspect_since_ns for verdict in verdicts.values() if verdict.suspect_since_ns is not None]

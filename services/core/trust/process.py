@@ -24,7 +24,7 @@ from shared.runtime.config import VehicleSettings
 from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Outcome, Solution, Statement
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
-from .readmission import AGREES, Admission, Readmission, is_lost, judge_gnss, judge_imu
+from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
 from .verdict import verdict
 
 In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | Tick
@@ -71,7 +71,10 @@ class Process:
         self._statements: dict[Monitor, Statement] = {}  # of these messages
         self._gnss = Readmission()
         self._imu = Readmission()
+        self._imu_open = False
+        self._ended_ns = -(2**62)  # end of the last conflict
         self._odometer_excluded = False
+        self._alike_since_ns: int | None = None  # since when solutions without both have shown that they are falsified
         self._beliefs = Beliefs()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._published: TrustState | None = None
@@ -125,6 +128,7 @@ class Process:
         if facts.conflict_open and (facts.excluded_test_ratio or 0.0) > AGREES:
             self._gnss.was_apart = True
         facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
+        self._follow_alike(facts)
         facts, admission = self._admitted(facts)
         found = verdict(facts)
         before = self._published
@@ -161,29 +165,67 @@ class Process:
                     monitors=state.monitors,
                 )  # fmt: skip
 
+    def _heard(self, statement: Statement) -> Statement:
+        """Statement as it counts: an accusation from before the end of a conflict reaches back into what has ended."""
+        if (
+            statement.monitor in REACHING_BACK
+            and statement.outcome is Outcome.ACCUSES
+            and (statement.since_ns or statement.stated_ns) <= self._ended_ns
+        ):
+            return replace(
+                statement, outcome=Outcome.NOT_EVALUATED, accused=(), statistic=None, suspect_since_ns=None,
+                reason="its window reaches back into a conflict that has ended",
+            )  # fmt: skip
+        return statement
+
     def _open(self) -> frozenset[Hypothesis]:
         """Hypotheses whose contradiction has not ended."""
-        gnss = self._gnss.suspect_since_ns is not None
-        return frozenset([Hypothesis.GNSS, Hypothesis.IMU, Hypothesis.GNSS_AND_ODOMETER] if gnss else []) | frozenset(
-            [Hypothesis.IMU] if self._imu.suspect_since_ns is not None else []
-        )
+        found: set[Hypothesis] = set()
+        if self._gnss.suspect_since_ns is not None:
+            found |= {Hypothesis.GNSS, Hypothesis.IMU, Hypothesis.GNSS_AND_ODOMETER}
+        if self._imu.suspect_since_ns is not None:
+            found.add(Hypothesis.IMU)
+        if self._alike_since_ns is not None:
+            found.add(Hypothesis.GNSS_AND_ODOMETER)
+        return frozenset(found)
+
+    def _follow_alike(self, facts: Facts) -> None:
+        """Keep the hypothesis that GNSS and odometer are falsified alike, once solutions without both have shown it.
+
+        Their solution agrees with that of GNSS for ever. It ends by the inertial sensors: centripetal speeds of later
+        bends that pass.
+        """
+        shown = facts.statement(Monitor.HYPOTHESES)
+        if facts.survives(Hypothesis.GNSS_AND_ODOMETER) and len(shown.accused) > 1:
+            self._alike_since_ns = self._alike_since_ns or facts.time_ns
+        scale, since_ns = facts.statement(Monitor.COHERENT_SCALE), self._alike_since_ns
+        if since_ns is not None and (
+            not facts.survives(Hypothesis.GNSS_AND_ODOMETER)
+            or (scale.outcome is Outcome.PASS and (scale.since_ns or 0) > since_ns)
+        ):
+            self._alike_since_ns = None
 
     def _admitted(self, facts: Facts) -> tuple[Facts, Admission]:
         """Decide which sources are used; returns the facts with that, and the admission of GNSS."""
-        judged, lost, time_ns = judge_gnss(facts), is_lost(facts), facts.time_ns
+        judged, time_ns = judge_gnss(facts), facts.time_ns
         if judged.contradicted:  # another source is wrong
             self._gnss.end(time_ns)
         admission = self._gnss.update(
             time_ns, accused=judged.accused, agrees=judged.agrees, decided=judged.decided,
             contradicted=judged.contradicted, declined=facts.exclusion_declined is not None,
-            suspect_since_ns=judged.suspect_since_ns, lost=lost,
+            suspect_since_ns=judged.suspect_since_ns, within_s=judged.within_s,
         )  # fmt: skip
+        if facts.conflict_open and not admission.open:
+            self._ended_ns = time_ns
         imu = judge_imu(facts)
         wanted = imu.accused and (imu.decided or self._imu.suspect_since_ns is not None)
         of_imu = self._imu.update(
             time_ns, accused=wanted, agrees=imu.agrees, decided=imu.decided,
-            contradicted=facts.acts_on(Hypothesis.GNSS), suspect_since_ns=imu.suspect_since_ns, lost=lost,
+            contradicted=facts.acts_on(Hypothesis.GNSS), suspect_since_ns=imu.suspect_since_ns, within_s=imu.within_s,
         )  # fmt: skip
+        if self._imu_open and not of_imu.open:
+            self._ended_ns = time_ns
+        self._imu_open = of_imu.open
         if of_imu.excluded:
             self._gnss.end(time_ns)
             admission = Admission(open=False)
@@ -216,7 +258,7 @@ class Process:
         return Facts(
             self._time_ns,
             self._solution,
-            self._statements,
+            {monitor: self._heard(statement) for monitor, statement in self._statements.items()},
             conflict_open=admission.open,
             gnss_excluded=admission.excluded,
             exclusion_confirmed=self._confirmed(admission),

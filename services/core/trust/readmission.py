@@ -19,6 +19,9 @@ HEALTHY_S = 2.0
 SHORT_FAULT_S = 10.0
 REPEATED_WITHIN_S = 600.0
 LONGEST_HEALTHY_S = 60.0
+USUAL_S = (0.0, LONGEST_HEALTHY_S)  # bounds of the healthy time
+LOST_S = (LONGEST_HEALTHY_S, LONGEST_HEALTHY_S)  # the same where there is nothing that the source can be compared with
+RETURN_S = (0.0, 5.0)  # after a closure: positions that were apart have come back
 # Normalised innovation squared over its gate up to which a position agrees with the solution without GNSS, and with one
 # whose protection level is above the alert limit: three times the distance.
 SPEAKING = tuple(monitor for monitor in Monitor if monitor not in (Monitor.EVIDENCE, Monitor.HYPOTHESES))
@@ -68,7 +71,7 @@ class Readmission:
 
     def update(
         self, time_ns: int, *, accused: bool, agrees: bool, decided: bool = False, contradicted: bool = False,
-        declined: bool = False, suspect_since_ns: int | None = None, lost: bool = False,
+        declined: bool = False, suspect_since_ns: int | None = None, within_s: tuple[float, float] = USUAL_S,
     ) -> Admission:  # fmt: skip
         """Use the monitors' judgement of one time.
 
@@ -88,8 +91,8 @@ class Readmission:
             Fusion has no good solution without the source: it is used in spite of a decision.
         suspect_since_ns : int, optional
             Earliest time from which the evidence of the accusation may be wrong.
-        lost : bool
-            There is nothing that the source can be compared with: it must not be accused for the longest time.
+        within_s : tuple of float
+            [s] Bounds of the time of agreement that is needed.
         """
         if accused:
             self._accuse(time_ns, suspect_since_ns)
@@ -102,7 +105,7 @@ class Readmission:
         elif self._healthy_ns is None:
             self._healthy_ns = time_ns
         healthy_s = 0.0 if self._healthy_ns is None else (time_ns - self._healthy_ns) / SECOND_NS
-        required_s = LONGEST_HEALTHY_S if lost else self._required_s()
+        required_s = min(max(self._required_s(), within_s[0]), within_s[1])
         if self._healthy_ns is not None and healthy_s >= required_s:
             self._faults.append(self._accused_ns)
             self._began_ns = self._suspect_ns = self._healthy_ns = None
@@ -139,6 +142,7 @@ class Judgement:
     contradicted: bool  # its own does not
     agrees: bool
     suspect_since_ns: int | None
+    within_s: tuple[float, float] = USUAL_S  # bounds of the time of agreement that is needed
 
 
 def judge_gnss(facts: Facts) -> Judgement:
@@ -162,10 +166,22 @@ def judge_gnss(facts: Facts) -> Judgement:
     useful = level_m is not None and level_m <= USEFUL_LIMITS * facts.limits.horizontal_m
     came_back = facts.gnss_was_apart and useful and ratio is not None and ratio <= AGREES
     present = [one for one in accusing if not (came_back and one.monitor in REACHING_BACK)]
-    agrees = not present and (is_lost(facts) or (passing and (compared or alone)))
+    agrees = not present and (is_lost(facts) or (passing and (compared or alone) and not _may_be_alike(facts)))
     accused = bool(present) and found is not None
     decided, since_ns = facts.acts_on(Hypothesis.GNSS), None if found is None else found.since_ns
-    return Judgement(accused, decided, found is None, agrees, since_ns)
+    return Judgement(accused, decided, found is None, agrees, since_ns, _bounds(facts, came_back=came_back))
+
+
+def _bounds(facts: Facts, *, came_back: bool) -> tuple[float, float]:
+    if is_lost(facts):
+        return LOST_S
+    return RETURN_S if came_back else USUAL_S
+
+
+def _may_be_alike(facts: Facts) -> bool:
+    """Whether an odometer that agrees with GNSS may be falsified like it, as far as the inertial sensors alone say."""
+    shown = facts.outcome(Monitor.HYPOTHESES)
+    return facts.odometer_in_use and facts.survives(Hypothesis.GNSS_AND_ODOMETER) and shown is not Outcome.PASS
 
 
 def judge_imu(facts: Facts) -> Judgement:
@@ -179,7 +195,8 @@ def judge_imu(facts: Facts) -> Judgement:
     other = facts.alternatives.get(Hypothesis.IMU)
     agrees = not accusing and (is_lost(facts) or (other is not None and other.agrees))
     since_ns = next((one.since_ns for one in facts.surviving if one.hypothesis is Hypothesis.IMU), None)
-    return Judgement(alone or bool(accusing), alone, not facts.survives(Hypothesis.IMU), agrees, since_ns)
+    bounds = _bounds(facts, came_back=False)
+    return Judgement(alone or bool(accusing), alone, not facts.survives(Hypothesis.IMU), agrees, since_ns, bounds)
 
 
 def is_lost(facts: Facts) -> bool:

@@ -25,6 +25,7 @@ from ..integrity.disagreement import Pair
 from ..integrity.protection_levels import horizontal_level, vertical_level
 from ..settings import Settings
 from ..solution import UncertaintyCache, upper
+from ..timeline.conflict import start_ns
 from ..timeline.cursor import Cursor
 from ..timeline.engine import Engine
 from ..timeline.events import Event, GnssExcluded, OdometerExclusion
@@ -198,7 +199,7 @@ class Bank:
                 self._members = []
         elif (before_ns is None or since_ns < before_ns) and main.engine.filter is not None:
             self._members = [
-                Member(self._settings, kept, main, since_ns)
+                Member(self._settings, kept, main, start_ns(main, since_ns))
                 for kept in KEPT[1:]  # the solution without GNSS is that of the conflict
                 if self._is_wanted(kept, main.engine)
             ]

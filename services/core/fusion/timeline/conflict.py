@@ -21,6 +21,7 @@ from .log import Log
 
 PART = 40  # samples that are used again for each new one: two minutes take 3 s
 CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
+EARLIER_NS = 40_000_000_000  # than the suspect time of a monitor, which sees a slow error late
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
@@ -29,6 +30,16 @@ CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position th
 def _converged_s(engine: Engine, time_ns: int) -> float:
     """For how long a filter has run at a time [s]; 0 without one."""
     return 0.0 if engine.started_ns is None else max(0.0, (time_ns - engine.started_ns) * 1e-9)
+
+
+def start_ns(main: Cursor, since_ns: int) -> int:
+    """Time from which a solution without a source begins whose suspect time is known.
+
+    What grows slowly has done harm before a window could see it, and some dead reckoning more costs less than a false
+    start of it. A filter that has not converged is no start either.
+    """
+    converged_ns = (main.engine.started_ns or since_ns) + round(CONVERGED_S * 1e9)
+    return min(since_ns, max(since_ns - EARLIER_NS, converged_ns))
 
 
 def distance_n(one: Engine, other: Engine) -> Vector | None:
@@ -60,6 +71,7 @@ class Conflict:
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
+        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None  # the same while its levels decided
         # Newest: published minus other position, and the levels of the other.
         self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
         self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
@@ -223,7 +235,7 @@ class Verdicts:
     def _begin(self, since_ns: int) -> None:
         """Begin a conflict, or begin it again where its suspect time is earlier than was known."""
         conflict = self.conflict
-        if conflict is not None and conflict.since_ns <= since_ns:
+        if conflict is not None and conflict.since_ns <= start_ns(self.main, since_ns):
             return
         oldest_ns = self.main.oldest_ns or 0
         if conflict is not None and oldest_ns > since_ns and conflict.cursor is not None:
@@ -232,7 +244,7 @@ class Verdicts:
             conflict.cursor.own = (*conflict.cursor.own, GnssExcluded(self.next_ns, since_ns, span_s))
             conflict.since_ns = since_ns
             return
-        self.conflict = Conflict(since_ns, self.main, conflict)
+        self.conflict = Conflict(start_ns(self.main, since_ns), self.main, conflict)
 
     def _decide(self) -> None:
         """Choose which of the two solutions is published, once a second and with every verdict."""
@@ -251,6 +263,11 @@ class Verdicts:
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
+        if apart is not None and (share <= MOST_LIMITS or conflict.good is None):
+            conflict.good = (
+                apart,
+                (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
+            )
         if share > LAST_LIMITS:
             self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")
         elif share > MOST_LIMITS:
@@ -268,13 +285,17 @@ class Verdicts:
         conflict.published = self.wanted[1] and not conflict.declined
 
     def _leave(self, why: str) -> None:
-        """Give the solution without GNSS up: the level holds what the two differed by, and its level."""
+        """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
+
+        Later differences are its own drift. What the solution with GNSS did since then shows when it comes back.
+        """
         conflict, self.conflict, self.unresolved = self.conflict, None, why
-        if conflict is not None and conflict.apart_n is not None:
+        if conflict is not None and conflict.good is not None:
             main = self.main.engine
             before = main.aids.error_monitor.held
-            spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
-            self._hold(before.after(conflict.apart_n, spread, main.time_ns, grew=False, slack=conflict.levels_m))
+            apart, levels = conflict.good
+            spread = levels[0] / CLOSURE_SDS, levels[1] / CLOSURE_SDS
+            self._hold(before.after(apart, spread, main.time_ns, grew=False, slack=levels))
 
     def _end(self, now_ns: int) -> None:
         """End the conflict: what the two solutions still differ by is held, unless a return has closed it.

@@ -18,7 +18,7 @@ from ..facts import GNSS, IMU, ODOMETER, Monitor, Outcome, Statement
 
 FloatArray = npt.NDArray[np.float64]
 
-FALSE_ALARM_RATE = 1e-5
+FALSE_ALARM_RATE = 1e-3  # it decides where another monitor, with its own rate, has found a contradiction
 LIMIT = chi_square_limit(1, FALSE_ALARM_RATE)
 AGREES = 0.25  # of the limit: half of the difference
 CLEARLY = 0.5  # of the difference of the one that contradicts, to which that of the other may come

@@ -83,7 +83,8 @@ def explained_by(statement: Statement, *, odometer_in_use: bool) -> dict[Hypothe
 def _with_gnss(monitor: Monitor, named: set[str], *, odometer_in_use: bool) -> dict[Hypothesis, float]:
     """Other hypotheses that explain in part why a monitor names GNSS."""
     found: dict[Hypothesis, float] = {}
-    if monitor in (*INERTIAL, Monitor.DRIFT) and IMU in named:
+    # The long windows use the odometer: of one that is falsified as well, they cannot say that it decides.
+    if (monitor in (*INERTIAL, Monitor.DRIFT) and IMU in named) or monitor is Monitor.INERTIAL_LONG:
         found[Hypothesis.GNSS_AND_ODOMETER] = PARTLY
     if monitor in (Monitor.INERTIAL_LONG, Monitor.DRIFT) and odometer_in_use and ODOMETER not in named:
         found[Hypothesis.ODOMETER] = PARTLY  # it aids what GNSS is compared with

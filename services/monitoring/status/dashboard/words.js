@@ -314,6 +314,8 @@ export const words = {
       inertial_long: "GNSS against inertial propagation over 30 to 60 s",
       satellites: "consistency of the pseudoranges (RAIM)",
       evidence: "spoofing and jamming flags, C/N0, AGC, clock of the receiver",
+      gyroscope: "yaw rate of the gyroscope against wheels, GNSS course and headings",
+      drift: "sums of GNSS innovations over 30 to 300 s",
     },
     eventsTitle: "Changes of the verdict",
     eventsNote: "newest first",

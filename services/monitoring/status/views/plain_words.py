@@ -14,6 +14,8 @@ LABELS = {
     "inertial_long": "Long inertial window",
     "satellites": "Satellites",
     "evidence": "Receiver evidence",
+    "gyroscope": "Gyroscope test",
+    "drift": "Slow drift test",
 }
 
 

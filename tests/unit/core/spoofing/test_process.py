@@ -194,7 +194,7 @@ def test_without_odometer_and_after_it_ends_both_monitors_go_on(drive: Drive) ->
 def test_without_a_heading_nothing_is_evaluated() -> None:
     process = Process(GRADED)
     found = [s for s in process.handle(Tick(now_ns=10**9)) if isinstance(s, TrustMonitor)]
-    assert [s.monitor for s in found] == [SHORT, LONG]
+    assert [s.monitor for s in found] == [SHORT, LONG, "gyroscope", "drift"]
     assert {s.outcome for s in found} == {MonitorOutcome.NOT_EVALUATED}
     assert found[0].reason == "no inertial samples received yet" and found[0].statistic is None
     standing = simulate("urban", 1, 15.0)  # fusion gets its heading when the vehicle drives

@@ -6,11 +6,11 @@ import pytest
 
 from services.core.trust.facts import SECOND_NS, Alternative, Facts, Monitor, Outcome, Posterior, Solution, Statement
 from services.core.trust.readmission import (
+    USUAL_S,
     Admission,
     Judgement,
     Readmission,
     healthy_time,
-    is_lost,
     judge_gnss,
     judge_imu,
 )
@@ -162,7 +162,8 @@ ALONE = replace(SURVIVES, probability=0.999, acted_on=True)
 def test_gnss_is_accused_while_its_hypothesis_survives_and_decided_while_it_alone_does(
     given: Facts, beliefs: tuple[Posterior, ...], expected: tuple[bool, bool, bool, bool, int | None]
 ) -> None:
-    assert judge_gnss(replace(given, beliefs=beliefs)) == Judgement(*expected)
+    found = judge_gnss(replace(given, beliefs=beliefs))
+    assert replace(found, within_s=USUAL_S) == Judgement(*expected)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +262,7 @@ def test_gnss_is_readmitted_after_a_minute_without_accusation_where_the_solution
     for time_s in range(1, 70):
         judged = judge_gnss(lost)
         admission = readmission.update(
-            time_s * SECOND_NS, accused=judged.accused, agrees=judged.agrees, lost=is_lost(lost)
+            time_s * SECOND_NS, accused=judged.accused, agrees=judged.agrees, within_s=judged.within_s
         )
         excluded.append(admission.open)
     assert excluded.count(True) == 60

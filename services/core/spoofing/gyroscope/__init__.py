@@ -1,0 +1,1 @@
+"""Yaw rate of the gyroscope against wheels, GNSS course, second antenna and magnetometer."""

@@ -1,0 +1,324 @@
+"""The gyroscope's yaw rate against all others: means over 5, 10 and 30 s, evaluated once a second."""
+
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from math import atan2, degrees, hypot, sqrt
+
+from shared.inertial.increments import SECOND_NS, Increment
+from shared.inertial.strapdown import rotate
+from shared.maths.earth import wrap_angle
+from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import NavigationSolution
+from shared.messages.trust import MonitorOutcome
+from shared.messages.vehicle import WheelSpeeds
+
+from ..settings import UNKNOWN_AXLE_M, Settings
+from ..verdicts import Verdict, dated
+from .axle import Axle, AxleSecond, combined
+from .bias import Bias, ReferenceBias
+from .sources import Headings, Reading, Second, WheelSeconds
+from .track import GyroscopeTrack
+from .vote import Difference, Source, Vote, vote
+
+# [s] Wheels alone tell 0.5 deg/s from noise over 10 s, not over 5.
+LENGTHS_S = (5, 10, 30)
+CONSECUTIVE = 2  # evaluations above the threshold that accuse
+LEAST_SHARE = 0.8  # of the seconds of a window that wheel speeds must cover
+LEAST_COURSE_M_S = 5.0  # GNSS speed that has a course
+STILL_M_S = 0.3  # GNSS speed of a vehicle that stands: six times the least standard deviation of an axis
+# [rad/s] Mean yaw rate of a vehicle that stands, over 5 s: a body that sways on its springs by a millimetre at the
+# bumper, 2 m from its middle, turns by 0.03 deg.
+STILL_SD = 3e-4
+# [rad s²/m] Sideslip of the rear axle per lateral acceleration: cornering compliance of passenger cars, 2 to 4 deg/g.
+SIDESLIP = 5e-3
+COMPASS_SD = 0.17  # [rad] of a magnetic heading: iron that the vehicle passes turns it by ten degrees
+LEARNING_DELAY_S = 30  # for which seconds wait before they are learned, the longest window
+USEFUL_SD = 5e-3  # [rad/s] of the wheels' yaw rate over 5 s, above which it is still being learned
+USEFUL_SHARE = 0.2  # of the turn, likewise: the track width is known to 0.3 m before it is learned
+AGREED_S = 60  # of agreement with the newest bias that end an accusation
+DOUBT_RATE = 1e-4  # false-alarm rate below which nothing is learned and the bias of before is kept
+
+
+class GyroscopeMonitor:
+    """Takes stamped measurements and solutions in order of arrival, and gives verdicts once a second."""
+
+    def __init__(self, settings: Settings, rejected: Counter[str]) -> None:
+        self.settings = settings
+        self.rejected = rejected
+        self.track = GyroscopeTrack()
+        self.wheels = WheelSeconds(rejected)
+        self.rear, self.front = Axle(), Axle()
+        self._headings = {source: Headings() for source in (Source.COURSE, Source.ANTENNA, Source.COMPASS)}
+        self._reference = ReferenceBias()
+        self._to_learn: deque[Second] = deque(maxlen=LEARNING_DELAY_S + 5)
+        self._still_since_ns: int | None = None  # since when GNSS has stood
+        self._stationary_since_ns: int | None = None  # since when the inertial sensors have been at standstill
+        self._fix_ns: int | None = None
+        self._exceeded: Counter[int] = Counter()
+        self._inconspicuous_ns: dict[int, int] = {}
+        self._known: dict[str, Verdict] = {}
+        self._suspected = False
+        self._acquitted: set[str] = set()  # by an earlier evaluation of this episode
+        self._quiet_s = 0  # since a window accused
+        self._agreed_s = 0
+        arm, axle = settings.vehicle.gnss.lever_arm_body_m, settings.vehicle.rear_axle_body_m
+        self._ahead_m = arm[0] - (axle[0] if axle is not None else 0.0)
+        self._ahead_sd_m = UNKNOWN_AXLE_M if axle is None else 0.1
+
+    def solution(self, solution: NavigationSolution) -> None:
+        """Use tilt and gyroscope bias of fusion."""
+        self.track.attitude(solution)
+        if not solution.stationary:
+            self._stationary_since_ns = None
+        elif self._stationary_since_ns is None:
+            self._stationary_since_ns = solution.sampled_ns
+        self.wheels.stationary_since_ns = self._stationary_since_ns
+        self._reference.add(solution.sampled_ns, solution.gyroscope_bias_rad_s, solution.gyroscope_bias_sd_rad_s)
+
+    def speeds(self, message: WheelSpeeds) -> None:
+        """Use wheel speeds."""
+        self.wheels.add(message.sampled_ns - round(self.settings.long.odometer_delay_s * SECOND_NS), message)
+
+    def fix(self, fix: GnssFix, velocity_n: Vector | None, sd_n: Vector | None) -> None:
+        """Use the course of a GNSS velocity [m/s, NED], and the heading of two antennas."""
+        gnss = self.settings.gnss
+        if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
+            time_ns = fix.sampled_ns - round(gnss.position_delay_s * SECOND_NS)
+            sd = max(fix.baseline_heading_sd_rad, 1e-3)
+            self._headings[Source.ANTENNA].add(time_ns, fix.baseline_heading_rad, sd**2)
+        if velocity_n is None:
+            self._still_since_ns = None
+            return
+        time_ns, speed = fix.sampled_ns - round(gnss.velocity_delay_s * SECOND_NS), hypot(*velocity_n[:2])
+        sd = max(max(sd_n[:2]) if sd_n is not None else gnss.velocity_sd_m_s, gnss.velocity_sd_floor_m_s)
+        if self._fix_ns is None or not 0 < time_ns - self._fix_ns <= 2 * SECOND_NS:
+            self._still_since_ns = None
+        self._fix_ns = time_ns
+        if speed >= STILL_M_S or sd > STILL_M_S:
+            self._still_since_ns = None
+        elif self._still_since_ns is None:
+            self._still_since_ns = time_ns
+        if LEAST_COURSE_M_S <= speed <= gnss.largest_speed_m_s and sd <= gnss.largest_velocity_sd_m_s:
+            slip_s = hypot(SIDESLIP * speed, self._ahead_sd_m / speed)
+            course = atan2(velocity_n[1], velocity_n[0])
+            self._headings[Source.COURSE].add(
+                time_ns, course, (sd / speed) ** 2, ahead_s=self._ahead_m / speed, slip_s=slip_s
+            )
+
+    def field(self, time_ns: int, field_b: Vector, solution: NavigationSolution) -> None:
+        """Use the magnetic field in body axes with the tilt of a solution."""
+        tilt = quaternion_from_matrix(ned_from_body(solution.roll_rad, solution.pitch_rad, 0.0))
+        ahead, right, _ = rotate(tilt, field_b)
+        self._headings[Source.COMPASS].add(time_ns, -atan2(right, ahead), COMPASS_SD**2)
+
+    def verdicts(self, time_ns: int, increments: Sequence[Increment]) -> Mapping[str, Verdict]:
+        """Take the increments since the last call, and test every window."""
+        if not self.track.add(increments):
+            self._clear()
+        for second in self.wheels.advance(self.track):
+            self._to_learn.append(second)
+        for headings in self._headings.values():
+            headings.advance(self.track)
+        bias = self._reference.advance(time_ns, suspected=self._suspected)
+        votes = {} if bias is None else self._votes(bias)
+        self._acquit(votes)
+        found = {f"yaw_rate_{length}": self._verdict(time_ns, length, votes.get(length)) for length in LENGTHS_S}
+        self._known = {name: dated(one, self._known.get(name), time_ns) for name, one in agreed(found).items()}
+        self._suspected = any(one.exceeds(DOUBT_RATE) for one in votes.values())
+        self._release(votes)
+        self._learn()
+        return self._known
+
+    def _acquit(self, votes: Mapping[int, Vote]) -> None:
+        """Remember who cannot be wrong in this episode, which ends when nothing has accused for the longest window."""
+        accusing = [one for one in votes.values() if one.statistic > one.threshold]
+        self._quiet_s = 0 if accusing else self._quiet_s + 1
+        if self._quiet_s > LENGTHS_S[-1]:
+            self._acquitted.clear()
+        for one in accusing:
+            self._acquitted.update(one.acquitted)
+
+    def _clear(self) -> None:
+        self.wheels.clear()
+        self._to_learn.clear()
+        for headings in self._headings.values():
+            headings.clear()
+
+    def _release(self, votes: Mapping[int, Vote]) -> None:
+        """Take the newest bias as the reference when all sources have agreed with it for a minute of suspicion."""
+        newest = self._reference.newest
+        if not self._suspected or newest is None:
+            self._agreed_s = 0
+            return
+        now = self._votes(newest)
+        agrees = len(now) == len(votes) and not any(one.exceeds(DOUBT_RATE) for one in now.values())
+        self._agreed_s = self._agreed_s + 1 if agrees else 0
+        if self._agreed_s >= AGREED_S:
+            self._reference.adopt()
+            self._agreed_s = 0
+
+    def _learn(self) -> None:
+        """Learn from the seconds that no window of an inconspicuous evaluation has called into question."""
+        newest = self._reference.newest
+        if self._suspected:
+            self._to_learn.clear()
+        while self._to_learn and newest is not None:
+            second = self._to_learn[0]
+            if second.number > self.wheels.seconds[-1].number - LEARNING_DELAY_S:
+                break
+            self._to_learn.popleft()
+            if second.still:
+                continue
+            rate = second.rate_less(newest.value)
+            for axle, part in ((self.rear, second.rear), (self.front, second.front)):
+                if part is not None:
+                    axle.learn(part, rate)
+
+    def _votes(self, bias: Bias) -> dict[int, Vote]:
+        """Vote over each window that can be evaluated."""
+        end_ns, rate = self.track.newest_ns, self.settings.gyroscope.false_alarm_rate
+        found: dict[int, Vote] = {}
+        if end_ns is None:
+            return found
+        for length in LENGTHS_S:
+            ballot = vote(*self._differences(end_ns, bias, length), rate)
+            if ballot is not None:
+                found[length] = ballot
+        return found
+
+    def _differences(self, end_ns: int, bias: Bias, length: int) -> tuple[dict[Source, Difference], float]:
+        """Gyroscope minus every other source over a window, and the variance of the gyroscope's mean rate."""
+        found: dict[Source, Difference] = {}
+        rates: list[float] = []
+        for source, headings in self._headings.items():
+            if (pair := headings.pair(end_ns, float(length))) is not None:
+                found[source], rate = self._of_headings(*pair, bias, source)
+                rates.append(rate)
+        if (still := self._of_gnss_still(end_ns, bias, length)) is not None:
+            found[Source.COURSE] = still
+        if (by_wheels := self._of_wheels(end_ns, bias, length)) is not None:
+            found[Source.WHEELS], rate = by_wheels
+            rates.append(rate)
+        long = self.settings.long
+        bias_sd = hypot(*bias.sd, long.gyroscope_bias_sd_rad_s)
+        rate = max(map(abs, rates), default=0.0)
+        common = bias_sd**2 + long.angle_random_walk_rad_sqrt_s**2 / length + (long.gyroscope_scale_sd * rate) ** 2
+        return found, common
+
+    def _of_headings(self, first: Reading, last: Reading, bias: Bias, source: Source) -> tuple[Difference, float]:
+        """Difference by two headings, and the gyroscope's rate between them [rad/s]."""
+        span_s = (last.turn.time_ns - first.turn.time_ns) / SECOND_NS
+        turned = last.turn.less(bias.value) - first.turn.less(bias.value)
+        off = wrap_angle(turned - (last.angle - first.angle))
+        late = 0.0
+        if source is not Source.COMPASS:
+            gnss_s = max(self.settings.gnss.time_sd_s, self.settings.long.position_time_sd_s)
+            late = gnss_s * (last.turn.rate - first.turn.rate)
+        variance = (first.variance + last.variance + late**2) / span_s**2
+        return Difference(off / span_s, variance), turned / span_s
+
+    def _of_gnss_still(self, end_ns: int, bias: Bias, length: int) -> Difference | None:
+        """Difference while GNSS stands for the whole window: a vehicle that stands does not turn.
+
+        The inertial sensors must be at standstill too: GNSS does not see a vehicle that creeps around a corner.
+        """
+        begin_ns, still_ns, quiet_ns = end_ns - length * SECOND_NS, self._still_since_ns, self._stationary_since_ns
+        if still_ns is None or quiet_ns is None or self._fix_ns is None or max(still_ns, quiet_ns) > begin_ns:
+            return None
+        if end_ns - self._fix_ns > 1.5 * SECOND_NS or (turn := self._mean_rate(end_ns, bias, length)) is None:
+            return None
+        return Difference(turn, STILL_SD**2)
+
+    def _mean_rate(self, end_ns: int, bias: Bias, length: int) -> float | None:
+        begin, end = self.track.at(end_ns - length * SECOND_NS), self.track.at(end_ns)
+        return None if begin is None or end is None else (end.less(bias.value) - begin.less(bias.value)) / length
+
+    def _of_wheels(self, end_ns: int, bias: Bias, length: int) -> tuple[Difference, float] | None:
+        """Difference by the wheels over the seconds of a window, and the gyroscope's rate over them [rad/s]."""
+        end = end_ns // SECOND_NS
+        chosen = [second for second in self.wheels.seconds if second.number >= end - length - 1]
+        chosen = chosen[-length:]
+        if len(chosen) < LEAST_SHARE * length or chosen[-1].number < end - 2:
+            return None
+        n, moving = len(chosen), [second for second in chosen if not second.still]
+        mean = sum(second.rate_less(bias.value) for second in chosen) / n
+        still_variance = STILL_SD**2 * (n - len(moving)) / n
+        if not moving:
+            return Difference(mean, still_variance), mean
+        rates = []
+        for axle, parts in ((self.rear, [s.rear for s in moving]), (self.front, [s.front for s in moving])):
+            known = [part for part in parts if part is not None]
+            if len(known) == len(moving):
+                rates.append((axle.rate(mean_second(known)), len(known)))
+        if not rates:
+            return None
+        share = len(moving) / n
+        turns = [second.rate_less(bias.value) for second in moving]
+        rate, variance = combined(rates, turns)
+        variance = share**2 * variance + still_variance
+        if variance > USEFUL_SD**2 + (USEFUL_SHARE * mean) ** 2:
+            return None
+        return Difference(mean - share * rate, variance), mean
+
+    def _verdict(self, time_ns: int, length: int, ballot: Vote | None) -> Verdict:
+        base = Verdict(
+            MonitorOutcome.NOT_EVALUATED, self._missing(time_ns), "-", window_s=float(length),
+            false_alarm_rate=self.settings.gyroscope.false_alarm_rate,
+        )  # fmt: skip
+        if ballot is None:
+            self._exceeded[length] = 0
+            return base
+        above = ballot.statistic > ballot.threshold
+        self._exceeded[length] = self._exceeded[length] + 1 if above else 0
+        if not ballot.exceeds(0.5):
+            self._inconspicuous_ns[length] = time_ns
+        left = tuple(name for name in ballot.suspects if name not in self._acquitted)
+        base = base._replace(
+            statistic=ballot.statistic, threshold=ballot.threshold, accused=left or ballot.suspects,
+            reason=self._reason(length, ballot, time_ns),
+        )  # fmt: skip
+        if self._exceeded[length] < CONSECUTIVE:
+            return base._replace(outcome=MonitorOutcome.PASS)
+        since_ns = self._inconspicuous_ns.get(length, time_ns - length * SECOND_NS) - length * SECOND_NS
+        return base._replace(outcome=MonitorOutcome.ACCUSES, suspect_since_ns=since_ns)
+
+    def _missing(self, time_ns: int) -> str:
+        """Why a window cannot be evaluated."""
+        if self._reference.newest is None or self.track.newest_ns is None:
+            return "no tilt and gyroscope bias of fusion, or no inertial samples"
+        return f"no GNSS course above {LEAST_COURSE_M_S:.0f} m/s over the window; {self._without_wheels(time_ns)}"
+
+    def _without_wheels(self, time_ns: int) -> str:
+        """Why there is no yaw rate by the wheels."""
+        newest_ns = self.wheels.newest_ns
+        if newest_ns is None or time_ns - newest_ns > 3 * SECOND_NS:
+            return "no wheel speeds"
+        track_sd, ratio_sd = self.rear.sds
+        return f"learning (track width to {track_sd:.2f} m, ratio of the wheels to {100.0 * ratio_sd:.2f} %)"
+
+    def _reason(self, length: int, ballot: Vote, time_ns: int) -> str:
+        parts = (
+            f"{source.value} {degrees(one.rate):+.2f} +- {degrees(sqrt(one.variance)):.2f}"
+            for source, one in ballot.differences.items()
+        )
+        text = f"gyroscope minus {', '.join(parts)} deg/s over {length} s"
+        return text if Source.WHEELS in ballot.differences else f"{text}; {self._without_wheels(time_ns)}"
+
+
+def mean_second(seconds: Sequence[AxleSecond]) -> AxleSecond:
+    """Mean of some seconds."""
+    n = len(seconds)
+    return AxleSecond(sum(one.difference for one in seconds) / n, sum(one.speed for one in seconds) / n)
+
+
+def agreed(found: Mapping[str, Verdict]) -> dict[str, Verdict]:
+    """Verdicts with the names of all where two windows accuse different sensors."""
+    accusing = [set(one.accused) for one in found.values() if one.outcome is MonitorOutcome.ACCUSES]
+    if not accusing or set.intersection(*accusing):
+        return dict(found)
+    names = tuple(sorted(set.union(*accusing)))
+    return {
+        name: one._replace(accused=names) if one.outcome is MonitorOutcome.ACCUSES else one
+        for name, one in found.items()
+    }
