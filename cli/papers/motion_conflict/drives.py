@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.core.motion_conflict.tachograph import KM_H
-from services.sensors.simulator.drive import simulate
+from services.sensors.simulator.drive import Drive
 
 from .profiles import PERIOD_S
 from .sweeps import Statistics, delay_break_points, scale_break_points, with_delay, with_scale
@@ -28,6 +28,7 @@ FAULTS = {
     "scale -30 %": (0.0, 0.30),
 }  # delay [s] and reduction of the odometer's scale
 RECORDING = "canedge_obd_gnss"
+ALIKE_FACTORS = (1.0, 1.03, 1.10)  # of both speeds alike
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,8 @@ class DriveSpeeds:
         return [self.odometer(t) - self.gnss(t) for t in self.times_s]
 
 
-def simulated(scenario: str, seed: int) -> DriveSpeeds:
+def speeds_of(drive: Drive) -> DriveSpeeds:
     """Speeds of a simulated drive of 15 minutes."""
-    drive = simulate(scenario, seed, DURATION_S)
     valid = drive.fix_valid
     return DriveSpeeds(
         range(PERIOD_S, int(DURATION_S), PERIOD_S),
@@ -86,12 +86,6 @@ class DriveResult:
     faults: dict[str, Statistics]
     delay_s: tuple[float | None, float | None]  # MT, median
     scale: tuple[float | None, float | None]
-
-
-def measure(job: tuple[str, int]) -> DriveResult:
-    """Simulate and sweep one drive."""
-    scenario, seed = job
-    return result_of(scenario, simulated(scenario, seed))
 
 
 def result_of(kind: str, drive: DriveSpeeds) -> DriveResult:

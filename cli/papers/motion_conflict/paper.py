@@ -16,8 +16,9 @@ from services.core.motion_conflict.tachograph import trimmed_mean
 from .. import recordings
 from ..navigation import WORKERS, in_parallel
 from ..report import Figure, Paper, Table, figure
+from .alike import Alike, measure
 from .constellations import PHONE, STATION, Comparison, compare_phone, station_speeds
-from .drives import DURATION_S, FAULTS, RECORDING, SCENARIOS, DriveResult, measure, recorded, result_of
+from .drives import ALIKE_FACTORS, DURATION_S, FAULTS, RECORDING, SCENARIOS, DriveResult, recorded, result_of
 from .profiles import PERIOD_S, PROFILES, Drive
 from .sweeps import LIMIT_KM_H, BreakPoints, break_points, with_delay, with_gap, with_scale
 
@@ -59,18 +60,19 @@ class Findings:
     phone: Comparison | None
     station: FloatArray | None
     skipped: list[str]
+    alike: dict[str, list[Alike]]  # by kind of drive
 
 
 def reproduce(drives: int, progress: bool) -> Paper:
     """Sweep the profiles and a number of simulated drives of each kind, and use the recordings that are found."""
     jobs = [(scenario, seed) for scenario in SCENARIOS for seed in range(1, drives + 1)]
+    measured = list(in_parallel(measure, jobs, WORKERS, progress))
     found = Findings(
-        {name: break_points(Drive(name)) for name in PROFILES},
-        list(in_parallel(measure, jobs, WORKERS, progress)),
-        None, None, [],
+        {name: break_points(Drive(name)) for name in PROFILES}, [one.result for one in measured], None, None, [],
+        {kind: [row for one in measured if one.result.kind == kind for row in one.alike] for kind in SCENARIOS},
     )  # fmt: skip
     found = with_recordings(found)
-    tables = [_break_points(found), _detections(found), _random_drives(found), *_systems(found)]
+    tables = [_break_points(found), _detections(found), _random_drives(found), _alike(found), *_systems(found)]
     not_reproduced = (*NOT_REPRODUCED, *_unfitted(found))
     return Paper(
         "motion-conflict", tables, _document(found), FITTED, not_reproduced, found.skipped, _deviations(found),
@@ -95,7 +97,7 @@ def with_recordings(found: Findings) -> Findings:
         found.profiles, drives,
         compare_phone(phone) if phone is not None else None,
         station_speeds(station) if station is not None else None,
-        skipped,
+        skipped, found.alike,
     )  # fmt: skip
 
 
@@ -181,6 +183,26 @@ def _random_drives(found: Findings) -> Table:
     return Table(title, ("", "median [range]", "drives", "reference"), rows)
 
 
+def _alike(found: Findings) -> Table:
+    """Attack that the paper names as remaining: GNSS and odometer falsified by the same factor."""
+    rows = []
+    for kind, runs in found.alike.items():
+        for factor in ALIKE_FACTORS:
+            chosen = [one for one in runs if one.factor == factor]
+            largest, above = (
+                max(one.tachograph.mean for one in chosen),
+                sum(one.tachograph.mean_above for one in chosen),
+            )
+            accused = sum(one.bends is not None for one in chosen)
+            rows.append((
+                f"{kind}, both speeds times {factor:.2f}", f"{largest:.2f} km/h, {above} windows above",
+                f"{accused} of {len(chosen)}", _range([one.bends for one in chosen], 1.0),
+                _range([one.after_s for one in chosen], 1.0),
+            ))  # fmt: skip
+    columns = ("", "tachograph, MT", "centripetal speed: drives accused", "after bends", "after [s]")
+    return Table("GNSS and odometer falsified alike, from the middle of the drive on", columns, rows)
+
+
 def _unfitted(found: Findings) -> list[str]:
     """Published break-points that random drives, which were not fitted, miss by more than the tolerance."""
     texts = []
@@ -241,6 +263,10 @@ def _deviations(found: Findings) -> list[str]:
         nominal = with_scale(Drive(kind), 0.0)
         if max(nominal.mean, nominal.median) > NOMINAL_LIMIT_KM_H:
             texts.append(f"{kind}: statistics of {nominal.mean:.2f} and {nominal.median:.2f} km/h without a fault")
+    for kind, runs in found.alike.items():
+        false = sum(one.bends is not None for one in runs if one.factor == 1.0)
+        if false:
+            texts.append(f"{kind}: {false} drives accused by the centripetal speed without a fault")
     for drive in found.drives:
         nominal = drive.faults["none"]
         if nominal.mean_above or nominal.median_above:
@@ -274,6 +300,17 @@ def _document(found: Findings) -> dict[str, object]:
                 ),
             }
             for kind, drives in kinds.items()
+        },
+        "falsified_alike": {
+            kind: [
+                {
+                    "factor": one.factor, "largest_trimmed_mean_km_h": one.tachograph.mean,
+                    "trimmed_mean_above": one.tachograph.mean_above, "bends": one.bends, "after_s": one.after_s,
+                    "bends_of_the_drive": one.total, "suspect_time_before_it": one.before,
+                }
+                for one in runs
+            ]
+            for kind, runs in found.alike.items()
         },
         "gps_against_galileo": None if found.phone is None else {
             "epochs": found.phone.epochs, "total": found.phone.total,

@@ -28,6 +28,18 @@ def test_the_published_break_points_are_reproduced_and_nothing_is_detected_witho
     assert drives["urban"]["detections"]["delay 10 s"]["median_above"] > 0
 
 
+def test_both_speeds_falsified_alike_pass_the_tachographs_test_and_are_found_in_bends(paper: Paper) -> None:
+    alike = paper.document["falsified_alike"]
+    assert isinstance(alike, dict) and set(alike) == {"highway", "urban"}
+    for runs in alike.values():
+        by_factor = {one["factor"]: one for one in runs}
+        assert by_factor[1.0]["bends"] is None
+        assert all(one["trimmed_mean_above"] == 0 for one in runs), "the difference of both speeds stays as it was"
+    town = {one["factor"]: one for one in alike["urban"]}
+    assert town[1.1]["bends"] <= 5 and town[1.1]["suspect_time_before_it"]
+    assert town[1.03]["bends"] is not None
+
+
 def test_break_points_of_drives_that_were_not_fitted_are_listed_beside_the_published_ones(paper: Paper) -> None:
     assert paper.fitted
     texts = [text for text in paper.not_reproduced if "were not fitted" in text]
