@@ -36,8 +36,7 @@ def start_ns(main: Cursor, since_ns: int) -> int:
     """Time from which a solution without a source begins whose suspect time is known.
 
     What grows slowly has done harm before a window could see it, and some dead reckoning more costs less than a false
-    start of it. A filter that has not converged is no start: the solution begins then, and its covariance is inflated
-    for what the source may have done since the suspect time.
+    start of it. A filter that has not converged is no start: the solution begins when it has.
     """
     started_ns = main.engine.started_ns
     if started_ns is None:
@@ -63,7 +62,7 @@ class Conflict:
     def __init__(self, suspect_ns: int, main: Cursor, earlier: "Conflict | None" = None) -> None:
         since_ns = start_ns(main, suspect_ns)
         snapshot_ns = main.before(since_ns).time_ns
-        contaminated_s = max(0.0, (max(snapshot_ns, since_ns) - suspect_ns) * 1e-9)
+        contaminated_s = max(0.0, (snapshot_ns - since_ns) * 1e-9)
         excluded = GnssExcluded(max(snapshot_ns, since_ns) + 1, min(since_ns, suspect_ns), contaminated_s)
         self.since_ns = since_ns
         self.replay: Cursor | None = main.fork(since_ns, (excluded,))
