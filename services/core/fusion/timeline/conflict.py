@@ -62,7 +62,9 @@ class Conflict:
     def __init__(self, suspect_ns: int, main: Cursor, earlier: "Conflict | None" = None) -> None:
         since_ns = start_ns(main, suspect_ns)
         snapshot_ns = main.before(since_ns).time_ns
-        contaminated_s = max(0.0, (snapshot_ns - since_ns) * 1e-9)
+        # A filter that was restored has used GNSS before its start.
+        restored = suspect_ns < (main.engine.started_ns or suspect_ns)
+        contaminated_s = max(0.0, (snapshot_ns - (suspect_ns if restored else since_ns)) * 1e-9)
         excluded = GnssExcluded(max(snapshot_ns, since_ns) + 1, min(since_ns, suspect_ns), contaminated_s)
         self.since_ns = since_ns
         self.replay: Cursor | None = main.fork(since_ns, (excluded,))
@@ -314,7 +316,11 @@ class Verdicts:
         if conflict is None or conflict.cursor is None:
             return
         apart = distance_n(main.engine, conflict.cursor.engine) or conflict.apart_n
-        left = None if apart is None else self._left(apart, conflict)
+        ratio = conflict.cursor.engine.exclusions.test_ratio
+        came_back = (
+            conflict.published and ratio is not None and ratio <= 1.0
+        )  # GNSS agrees with the solution without it
+        left = None if apart is None or came_back else self._left(apart, conflict)
         spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         if conflict.published or main.engine.counts.resets > conflict.resets:
             conflict.cursor.carry(main)

@@ -10,10 +10,12 @@ import pytest
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna import BaselineHeading
 from services.core.fusion.inertial import error_model as em
+from services.core.fusion.inertial.imu_faults import Sample
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.timeline import conflict as conflicts
 from services.core.fusion.timeline.conflict import PART
+from services.core.fusion.timeline.cursor import Cursor
 from services.core.fusion.timeline.engine import Engine
 from services.core.fusion.timeline.events import GnssExcluded, GnssReadmitted, OdometerExclusion
 from services.sensors.simulator.drive import Drive, simulate
@@ -29,6 +31,7 @@ STAGES_S = (0, 60, 70, 75, 80)  # times of navigators that several tests continu
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the filter of this short drive count as converged before the suspect time."""
     monkeypatch.setattr(conflicts, "CONVERGED_S", 20.0)
+    monkeypatch.setattr(conflicts, "EARLIER_NS", 0)
 
 
 @cache
@@ -87,6 +90,28 @@ def stage(end_s: int) -> Navigator:
 def fault_free(end_s: int) -> Navigator:
     """Copy of a fault-free navigator at one of the stages."""
     return deepcopy(stage(end_s))
+
+
+@pytest.mark.parametrize(
+    ("suspect_s", "started_s", "now_s", "expected_s"),
+    [(200, 20, 220, 160), (70, 20, 80, 50), (30, 20, 80, 50), (30, 20, 45, 30), (60, 20, 45, 50)],
+    ids=[
+        "earlier",
+        "not before it has converged",
+        "suspect before",
+        "nothing has converged",
+        "nor at the suspect time",
+    ],
+)
+def test_a_solution_without_gnss_begins_earlier_than_the_suspect_time_and_after_the_filter_has_converged(
+    suspect_s: int, started_s: int, now_s: int, expected_s: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conflicts, "CONVERGED_S", 30.0)
+    monkeypatch.setattr(conflicts, "EARLIER_NS", 40 * SECOND_NS)
+    engine = Engine(Settings())
+    engine.started_ns = started_s * SECOND_NS
+    engine.last = Sample(now_s * SECOND_NS, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
+    assert conflicts.start_ns(Cursor(engine), suspect_s * SECOND_NS) == expected_s * SECOND_NS
 
 
 def excluded_at(verdict_s: int, suspect_s: int, end_s: float, **changes: float) -> tuple[Navigator, list[Outcome]]:
@@ -299,7 +324,9 @@ def test_a_solution_without_gnss_that_outgrows_its_bound_is_not_published_and_th
     assert solution.protection_level_horizontal >= hypot(*difference[0][:2]) + difference[1][0] - 1e-9 > 15.0
 
 
-def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_its_difference_and_its_level() -> None:
+def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_what_they_differed_by_while_it_was_good() -> (
+    None
+):
     nav = without_aiding(3.0)
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
@@ -307,7 +334,8 @@ def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_its_d
     assert nav.verdicts.conflict is None and "of no use" in nav.verdicts.unresolved
     held_m = nav.engine.aids.error_monitor.held.bound[0]
     solution = nav.solution()
-    assert held_m > 90.0 and solution is not None and solution.protection_level_horizontal > held_m
+    good = conflicts.MOST_LIMITS * nav.settings.vehicle.alert_limit_horizontal_m
+    assert 5.0 < held_m < 2.0 * good and solution is not None and solution.protection_level_horizontal > held_m
     assert solution.gnss_excluded_since_ns is None and solution.gnss_age_s is not None and solution.gnss_age_s < 2.0
     nav.apply_exclusions(None, odometer_excluded=False)
     run(nav, 110.0, 119.0)
