@@ -218,7 +218,7 @@ class Process:
         if facts.conflict_open and not admission.open:
             self._ended_ns = time_ns
         imu = judge_imu(facts)
-        wanted = imu.accused and (imu.decided or self._imu.suspect_since_ns is not None)
+        wanted = imu.accused if self._imu.suspect_since_ns is not None else imu.decided
         of_imu = self._imu.update(
             time_ns, accused=wanted, agrees=imu.agrees, decided=imu.decided,
             contradicted=facts.acts_on(Hypothesis.GNSS), suspect_since_ns=imu.suspect_since_ns, within_s=imu.within_s,

@@ -196,7 +196,7 @@ def judge_imu(facts: Facts) -> Judgement:
     agrees = not accusing and (is_lost(facts) or (other is not None and other.agrees))
     since_ns = next((one.since_ns for one in facts.surviving if one.hypothesis is Hypothesis.IMU), None)
     bounds = _bounds(facts, came_back=False)
-    return Judgement(alone or bool(accusing), alone, not facts.survives(Hypothesis.IMU), agrees, since_ns, bounds)
+    return Judgement(bool(accusing), alone, not facts.survives(Hypothesis.IMU), agrees, since_ns, bounds)
 
 
 def is_lost(facts: Facts) -> bool:

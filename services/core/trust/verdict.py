@@ -158,7 +158,7 @@ def _without_gnss(facts: Facts) -> str | None:
 
 
 def _coasting(facts: Facts) -> str | None:
-    if facts.solution is None:
+    if facts.solution is None or facts.imu_exclusion_confirmed:  # the position without inertial sensors is of GNSS
         return None
     age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s
     if age_s is None:

@@ -36,10 +36,14 @@ def start_ns(main: Cursor, since_ns: int) -> int:
     """Time from which a solution without a source begins whose suspect time is known.
 
     What grows slowly has done harm before a window could see it, and some dead reckoning more costs less than a false
-    start of it. A filter that has not converged is no start either.
+    start of it. A filter that has not converged is no start: the solution begins when it has.
     """
-    converged_ns = (main.engine.started_ns or since_ns) + round(CONVERGED_S * 1e9)
-    return min(since_ns, max(since_ns - EARLIER_NS, converged_ns))
+    started_ns = main.engine.started_ns
+    if started_ns is None:
+        return since_ns
+    converged_ns = started_ns + round(CONVERGED_S * 1e9)
+    earlier_ns = since_ns - EARLIER_NS
+    return max(earlier_ns, converged_ns) if converged_ns <= main.engine.time_ns else min(since_ns, converged_ns)
 
 
 def distance_n(one: Engine, other: Engine) -> Vector | None:
@@ -55,10 +59,11 @@ class Conflict:
     One that begins again with an earlier suspect time goes on with what the `earlier` one had until its replay is over.
     """
 
-    def __init__(self, since_ns: int, main: Cursor, earlier: "Conflict | None" = None) -> None:
+    def __init__(self, suspect_ns: int, main: Cursor, earlier: "Conflict | None" = None) -> None:
+        since_ns = start_ns(main, suspect_ns)
         snapshot_ns = main.before(since_ns).time_ns
         contaminated_s = max(0.0, (snapshot_ns - since_ns) * 1e-9)
-        excluded = GnssExcluded(max(snapshot_ns, since_ns) + 1, since_ns, contaminated_s)
+        excluded = GnssExcluded(max(snapshot_ns, since_ns) + 1, min(since_ns, suspect_ns), contaminated_s)
         self.since_ns = since_ns
         self.replay: Cursor | None = main.fork(since_ns, (excluded,))
         self.converged_s = _converged_s(self.replay.engine, since_ns)
@@ -244,7 +249,7 @@ class Verdicts:
             conflict.cursor.own = (*conflict.cursor.own, GnssExcluded(self.next_ns, since_ns, span_s))
             conflict.since_ns = since_ns
             return
-        self.conflict = Conflict(start_ns(self.main, since_ns), self.main, conflict)
+        self.conflict = Conflict(since_ns, self.main, conflict)
 
     def _decide(self) -> None:
         """Choose which of the two solutions is published, once a second and with every verdict."""

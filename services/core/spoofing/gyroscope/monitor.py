@@ -54,7 +54,9 @@ class GyroscopeMonitor:
         self._to_learn: deque[Second] = deque(maxlen=LEARNING_DELAY_S + 5)
         self._still_since_ns: int | None = None  # since when GNSS has stood
         self._stationary_since_ns: int | None = None  # since when the inertial sensors have been at standstill
-        self._fix_ns: int | None = None
+        self._stamp_ns: int | None = None  # newest of a fix
+        self._fix_ns: int | None = None  # when its velocity was true
+        self._field_s = 0  # second of the newest magnetic heading
         self._exceeded: Counter[int] = Counter()
         self._inconspicuous_ns: dict[int, int] = {}
         self._known: dict[str, Verdict] = {}
@@ -81,33 +83,41 @@ class GyroscopeMonitor:
         self.wheels.add(message.sampled_ns - round(self.settings.long.odometer_delay_s * SECOND_NS), message)
 
     def fix(self, fix: GnssFix, velocity_n: Vector | None, sd_n: Vector | None) -> None:
-        """Use the course of a GNSS velocity [m/s, NED], and the heading of two antennas."""
-        gnss = self.settings.gnss
+        """Use the course of a GNSS velocity [m/s, NED], and the heading of two antennas; stamps must increase."""
+        gnss, since_ns = self.settings.gnss, self._stamp_ns
+        speed = 0.0 if velocity_n is None else hypot(*velocity_n)
+        if (since_ns is not None and fix.sampled_ns <= since_ns) or not speed <= gnss.largest_speed_m_s:
+            return  # counted by the inertial monitor
+        self._stamp_ns = fix.sampled_ns
         if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
             time_ns = fix.sampled_ns - round(gnss.position_delay_s * SECOND_NS)
             sd = max(fix.baseline_heading_sd_rad, 1e-3)
             self._headings[Source.ANTENNA].add(time_ns, fix.baseline_heading_rad, sd**2)
-        if velocity_n is None:
-            self._still_since_ns = None
+        sd = max(max(sd_n[:2]) if sd_n is not None else gnss.velocity_sd_m_s, gnss.velocity_sd_floor_m_s)
+        if velocity_n is None or sd > gnss.largest_velocity_sd_m_s:
             return
         time_ns, speed = fix.sampled_ns - round(gnss.velocity_delay_s * SECOND_NS), hypot(*velocity_n[:2])
-        sd = max(max(sd_n[:2]) if sd_n is not None else gnss.velocity_sd_m_s, gnss.velocity_sd_floor_m_s)
-        if self._fix_ns is None or not 0 < time_ns - self._fix_ns <= 2 * SECOND_NS:
-            self._still_since_ns = None
-        self._fix_ns = time_ns
-        if speed >= STILL_M_S or sd > STILL_M_S:
-            self._still_since_ns = None
-        elif self._still_since_ns is None:
-            self._still_since_ns = time_ns
-        if LEAST_COURSE_M_S <= speed <= gnss.largest_speed_m_s and sd <= gnss.largest_velocity_sd_m_s:
+        self._note_standstill(time_ns, hypot(speed, sd))
+        if speed >= LEAST_COURSE_M_S:
             slip_s = hypot(SIDESLIP * speed, self._ahead_sd_m / speed)
             course = atan2(velocity_n[1], velocity_n[0])
             self._headings[Source.COURSE].add(
                 time_ns, course, (sd / speed) ** 2, ahead_s=self._ahead_m / speed, slip_s=slip_s
             )
 
+    def _note_standstill(self, time_ns: int, largest_m_s: float) -> None:
+        """Note since when GNSS has stood, by velocities that follow each other within 2 s."""
+        if self._fix_ns is None or not 0 < time_ns - self._fix_ns <= 2 * SECOND_NS or largest_m_s >= STILL_M_S:
+            self._still_since_ns = None
+        if largest_m_s < STILL_M_S and self._still_since_ns is None:
+            self._still_since_ns = time_ns
+        self._fix_ns = time_ns
+
     def field(self, time_ns: int, field_b: Vector, solution: NavigationSolution) -> None:
-        """Use the magnetic field in body axes with the tilt of a solution."""
+        """Use the magnetic field in body axes with the tilt of a solution, once a second."""
+        if time_ns // SECOND_NS == self._field_s:
+            return
+        self._field_s = time_ns // SECOND_NS
         tilt = quaternion_from_matrix(ned_from_body(solution.roll_rad, solution.pitch_rad, 0.0))
         ahead, right, _ = rotate(tilt, field_b)
         self._headings[Source.COMPASS].add(time_ns, -atan2(right, ahead), COMPASS_SD**2)

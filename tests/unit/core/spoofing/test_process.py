@@ -231,7 +231,7 @@ def test_bad_input_is_counted_and_changes_no_outcome(
     # Only the monitors get what is bad: fusion has its own tests of it.
     queue = iter(sorted(fused, key=lambda s: s.sampled_ns))
     following = next(queue, None)
-    statements: dict[str, list[TrustMonitor]] = {SHORT: [], LONG: []}
+    statements: dict[str, list[TrustMonitor]] = {}
     for message in spoiled():
         now_ns = message.now_ns if isinstance(message, Tick) else message.received_ns
         while following is not None and following.sampled_ns <= now_ns:
@@ -239,8 +239,8 @@ def test_bad_input_is_counted_and_changes_no_outcome(
             following = next(queue, None)
         for statement in process.handle(message):
             assert isinstance(statement, TrustMonitor)
-            statements[statement.monitor].append(statement)
-    for monitor in (SHORT, LONG):
+            statements.setdefault(statement.monitor, []).append(statement)
+    for monitor in (SHORT, LONG, "gyroscope", "drift"):
         assert [s.outcome for s in statements[monitor]] == [s.outcome for s in clean.statements[monitor]]
     assert process.rejects == {
         "gnss: stamp is not after the one before": 12,

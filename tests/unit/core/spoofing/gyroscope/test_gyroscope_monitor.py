@@ -94,6 +94,11 @@ def test_a_bias_that_the_filter_has_learned_and_all_agree_with_ends_the_accusati
     assert not run.accusing(ONSET_S + 130)
 
 
+def test_nothing_is_learned_from_seconds_that_a_fault_has_called_into_question() -> None:
+    axle = driven(ONSET_S + 90, Faults(rate=after(radians(0.5)))).monitor.rear
+    assert axle.ratio == pytest.approx(0.003, abs=2e-4), "0.5 deg/s would be 0.0011"
+
+
 def test_a_vehicle_that_creeps_around_a_corner_does_not_stand() -> None:
     """Wheels and GNSS are below the limits of a standstill; the inertial sensors are at none."""
 
