@@ -156,8 +156,8 @@ PROCESSES = (
     ProcessRow(
         "core.motion_conflict", Kind.STANDING,
         "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state"),
-        produces=("trust/monitor",),
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale"),
+        produces=("trust/monitor", "trust/inertial_scale"),
         pause_s=0.1,
     ),
     ProcessRow(

@@ -61,7 +61,7 @@ from .messages.toll import (
     TollTransaction,
     UsedCams,
 )
-from .messages.trust import LearnedGrade, TrustEvent, TrustHypotheses, TrustMonitor, TrustState
+from .messages.trust import LearnedGrade, LearnedScale, TrustEvent, TrustHypotheses, TrustMonitor, TrustState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
@@ -161,6 +161,8 @@ TOPICS = (
     Topic("trust/state", TrustState, "whether the position can be used, and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("trust/grade", LearnedGrade, "what this vehicle's drives have taught about its IMU and receiver",
+          qos=1, retain=True, persist=True),
+    Topic("trust/inertial_scale", LearnedScale, "what this vehicle's bends have taught about its IMU's scale",
           qos=1, retain=True, persist=True),
     Topic("trust/event", TrustEvent, "each change of the verdict, with the evidence", qos=1),
     Topic("plaza/description", PlazaDescription, "lanes and lines of the toll plaza", qos=1, retain=True),

@@ -10,7 +10,7 @@ from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
-from shared.messages.trust import LearnedGrade
+from shared.messages.trust import LearnedGrade, LearnedScale
 from shared.runtime.config import VehicleFile
 from shared.runtime.live import arrival_ns
 from shared.runtime.mounting import RecordedAxes
@@ -21,7 +21,7 @@ from ..recordings.device_data import inputs_among
 
 RECEIVER = ("gnss/raw", "gnss/fix")
 TRUTH = "truth/state"
-LEARNED = "trust/grade"  # what earlier drives had taught when this one began
+LEARNED = ("trust/grade", "trust/inertial_scale")  # what earlier drives had taught when this one began
 CONSUMED = tuple(topic.name for topic in measurements() if topic.consumers)
 
 
@@ -37,7 +37,7 @@ class Inputs:
     def __len__(self) -> int:
         return len(self.envelopes)
 
-    def messages(self, vehicle: VehicleFile, topics: Iterable[str] = (*CONSUMED, TRUTH, LEARNED)) -> Iterator[Message]:
+    def messages(self, vehicle: VehicleFile, topics: Iterable[str] = (*CONSUMED, TRUTH, *LEARNED)) -> Iterator[Message]:
         """Decode the messages of the given topics one by one, inertial samples in the axes of a vehicle's file."""
         chosen, axes = frozenset(topics), RecordedAxes(vehicle)
         for place, envelope in enumerate(self.envelopes):
@@ -63,7 +63,7 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
         time of recording are not used, but for what earlier drives had taught.
     """
     found = Inputs()
-    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH, LEARNED)}
+    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH, *LEARNED)}
     for envelope in envelopes:
         found.topics[envelope.topic] += 1
         if envelope.topic in kept:
@@ -73,7 +73,8 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
         if topic in played:
             found.envelopes += kept[topic]
     found.envelopes.sort(key=arrival_of)
-    found.envelopes = learned_before(kept[LEARNED], found.envelopes) + found.envelopes
+    learned = [envelope for topic in LEARNED for envelope in learned_before(kept[topic], found.envelopes)]
+    found.envelopes = learned + found.envelopes
     for envelope in kept[TRUTH]:
         with suppress(BadPayload):
             state = envelope.decode()
@@ -82,14 +83,14 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
     return found
 
 
-def learned_before(grades: list[Envelope], inputs: list[Envelope]) -> list[Envelope]:
-    """The newest grade that was known when a drive began; one that this drive has taught is for the next."""
+def learned_before(learned: list[Envelope], inputs: list[Envelope]) -> list[Envelope]:
+    """The newest lesson of a topic that was known when a drive began; what this drive has taught is for the next."""
     first_ns = next((arrival_of(envelope) for envelope in inputs), 0)
     earlier = []
-    for envelope in grades:
+    for envelope in learned:
         with suppress(BadPayload):
             message = envelope.decode()
-            if isinstance(message, LearnedGrade) and message.sampled_ns <= first_ns:
+            if isinstance(message, LearnedGrade | LearnedScale) and message.sampled_ns <= first_ns:
                 earlier.append(envelope)
     return earlier[-1:]
 

@@ -94,6 +94,24 @@ class LearnedGrade(Message):
         return self
 
 
+Scale = Annotated[float, Field(ge=0.5, le=1.5), unit("1")]
+
+
+class LearnedScale(Message):
+    """What a vehicle's own drives have taught about the scale of its inertial sensors, for core.motion_conflict.
+
+    Scale is the indicated speed over the centripetal speed of accelerometer and gyroscope, over bends.
+    """
+
+    sampled_ns: Nanoseconds
+    imu: Name  # source of the inertial samples
+    bends: Count
+    gnss: Scale
+    gnss_sd: Annotated[float, Field(gt=0.0, le=0.5), unit("1")]
+    odometer: Scale | None = None
+    spread: Annotated[float, Field(gt=0.0, le=100.0), unit("1")] = 1.0  # of bends, measured over stated
+
+
 class TrustLevel(StrEnum):
     """Whether the position can be used."""
 

@@ -10,17 +10,19 @@ from shared.chosen import ChosenSource
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import LearnedScale, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import VehicleFile, vehicle_in
 
 from .calibration import LEARNED_DELAY_SD_S
 from .inertial_speed.monitor import InertialSpeed, geometry_of
+from .inertial_speed.scale_change import LEAST_BENDS, Learned
 from .monitor import MotionMonitor
 from .settings import Settings
 from .statements import ScaleStatement, statements
 
-In = ImuSamples | GnssFix | VehicleSpeed | TrustState | Tick
+In = ImuSamples | GnssFix | VehicleSpeed | TrustState | LearnedScale | Tick
+Out = TrustMonitor | LearnedScale
 # Fixes whose velocity is measured by satellites; dead reckoning of a receiver may come from the same wheels.
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 # Learning stops while the position is in doubt: a spoofed speed must not become the odometer's scale.
@@ -53,7 +55,7 @@ def _delay_of_fusion(vehicle: VehicleFile) -> dict[str, object]:
 
 
 class Process:
-    """Publishes the statements `motion`, `motion_fast` and `coherent_scale` once a second."""
+    """Publishes the statements `motion`, `motion_fast` and `coherent_scale` once a second, and what bends teach."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -66,13 +68,16 @@ class Process:
         self._statement = ScaleStatement()
         self._newest_ns, self._odometer = 0, config.odometer
         self._speed, self._imu = ChosenSource(), ChosenSource()
+        self._imu_source = ""  # of the newest samples
+        self._earlier: LearnedScale | None = None  # of an earlier drive, until the first inertial sample
+        self._taught = 0  # bends in what was published
 
     @property
     def rejects(self) -> Counter[str]:
         """Rejected speeds by reason."""
         return self._monitor.rejected
 
-    def handle(self, message: In) -> Iterator[TrustMonitor]:
+    def handle(self, message: In) -> Iterator[Out]:
         """Use a speed; publish with each tick."""
         match message:
             case ImuSamples() if self._imu.takes(message.source, message.received_ns):
@@ -85,12 +90,41 @@ class Process:
                 self._use_odometer(message)
             case TrustState():
                 self._monitor.calibration.frozen = self.inertial.change.frozen = forbids_learning(message)
+            case LearnedScale() if not self._imu_source:  # later ones are its own
+                self._earlier = message
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
                 yield from statements(self._monitor.verdicts(time_ns), time_ns)
                 yield self._statement.of(self.inertial.verdict(time_ns), time_ns)
+                yield from self._lesson(time_ns)
+
+    def _lesson(self, time_ns: int) -> Iterator[LearnedScale]:
+        """What the bends of this vehicle have taught, once for every five of them."""
+        learned = self.inertial.change.lesson()
+        if learned is None or learned.bends < self._taught + LEAST_BENDS:
+            return
+        self._taught = learned.bends
+        yield LearnedScale(
+            sampled_ns=time_ns, imu=self._imu_source, bends=learned.bends, gnss=learned.mean, gnss_sd=learned.sd,
+            odometer=learned.odometer, spread=learned.spread,
+        )  # fmt: skip
+
+    def _adopt(self, source: str) -> None:
+        """Begin with what an earlier drive has taught, if it had the same inertial sensors."""
+        earlier, self._imu_source = self._earlier, source
+        if earlier is None:
+            return
+        if earlier.imu != source:
+            self.rejects["learned scale of another IMU"] += 1
+            return
+        self._taught = earlier.bends
+        self.inertial.change.adopt(
+            Learned(earlier.gnss, earlier.gnss_sd, earlier.odometer, earlier.bends, earlier.spread)
+        )  # fmt: skip
 
     def _use_samples(self, batch: ImuSamples) -> None:
+        if not self._imu_source:
+            self._adopt(batch.source)
         if batch.saturated:
             self.rejects["imu: saturated"] += 1
             return

@@ -21,6 +21,8 @@ MOST_SUSPECT = 120  # in the window while it is suspicious: what was before a ch
 MOST_REFERENCE = 0.03  # [-] by which the reference may differ from one: what inertial sensors are off
 REFERENCE_WALK = 5e-4  # [-] of the reference for each bend: load, temperature; 1 % over 400 bends
 LEAST_SD = 0.008  # [-] of a bend; in simulation, without slip and with an industrial IMU, 0.009 was measured
+UNLEARNED = 10  # newest bends that are not handed on: a change within them may not be seen yet
+START_WALK = 3e-3  # [-] of the scale from one start to the next: temperature, load
 SPREAD_BENDS = 60  # from whose differences the spread is estimated
 SPREAD_NEEDED = 12
 SPREAD_PRIOR = 6
@@ -53,6 +55,17 @@ class Change:
     def size(self) -> float:
         """Magnitude in standard deviations."""
         return abs(self.difference) / self.sd
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Scale that a vehicle's bends have taught."""
+
+    mean: float  # of GNSS
+    sd: float  # [-]
+    odometer: float | None
+    bends: int
+    spread: float
 
 
 @dataclass
@@ -91,6 +104,27 @@ class ScaleChange:
         self.reference = Reference(1.0, self.common_sd**2)
         self._ratios: deque[float] = deque(maxlen=SPREAD_BENDS)  # |difference| of successive bends, normalised
         self._spread = 1.0
+
+    def adopt(self, learned: Learned) -> None:
+        """Begin with what earlier drives have taught; within the bounds of a reference."""
+        mean = min(max(learned.mean, 1.0 - MOST_REFERENCE), 1.0 + MOST_REFERENCE)
+        variance = min(learned.sd**2 + START_WALK**2, self.common_sd**2)
+        self.reference = Reference(mean, variance, learned.odometer)
+        self.learned, self._spread = learned.bends, learned.spread
+
+    def lesson(self) -> Learned | None:
+        """What the next start may begin with: all bends but the newest; None while anything is suspicious."""
+        if self.frozen or self._is_suspicious():
+            return None
+        bends = list(self.window)[:-UNLEARNED]
+        if self.learned + len(bends) < LEAST_BENDS:
+            return None
+        values = np.array([bend.scale for bend in bends])
+        means, variances = self.reference.with_bends(values, np.array([self._variance(bend) for bend in bends]))
+        mean = min(max(float(means[-1]), 1.0 - MOST_REFERENCE), 1.0 + MOST_REFERENCE)
+        wheels = [bend.odometer for bend in bends if bend.odometer is not None]
+        odometer = self.reference.odometer if not wheels else float(np.median(wheels))
+        return Learned(mean, sqrt(float(variances[-1])), odometer, self.learned + len(bends), self._spread)
 
     def _measure_spread(self) -> None:
         """Measured spread of the bends over the stated one, from differences of successive bends.

@@ -1,12 +1,18 @@
+from collections.abc import Iterator
+from dataclasses import replace
 from math import pi, sin
 
+import numpy as np
 import pytest
 
 from services.core.motion_conflict.process import Config, Process, forbids_learning
+from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import LearnedScale, MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
+from shared.runtime.config import VehicleFile
+from tests.support.drives.spoofing import inputs
 
 SECOND_NS = 1_000_000_000
 KM_H = 1.0 / 3.6
@@ -34,7 +40,7 @@ def drive(process: Process, seconds: range, gnss_m_s: float | None, odometer_m_s
             odometer(k * SECOND_NS, odometer_m_s),
             Tick(now_ns=k * SECOND_NS),
         ):
-            last |= {statement.monitor: statement for statement in process.handle(message)}
+            last |= {one.monitor: one for one in process.handle(message) if isinstance(one, TrustMonitor)}
     return last
 
 
@@ -42,8 +48,12 @@ def test_three_statements_are_published_with_each_tick_and_nothing_between() -> 
     process = Process(Config())
     assert list(process.handle(fix(SECOND_NS, 10.0))) == []
     statements = list(process.handle(Tick(now_ns=SECOND_NS)))
-    assert [statement.monitor for statement in statements] == ["motion", "motion_fast", "coherent_scale"]
-    assert all(statement.outcome is MonitorOutcome.NOT_EVALUATED for statement in statements)
+    assert [one.monitor for one in statements if isinstance(one, TrustMonitor)] == [
+        "motion",
+        "motion_fast",
+        "coherent_scale",
+    ]
+    assert all(one.outcome is MonitorOutcome.NOT_EVALUATED for one in statements if isinstance(one, TrustMonitor))
 
 
 def test_equal_speeds_pass_once_the_window_of_thirty_samples_is_full() -> None:
@@ -96,7 +106,7 @@ def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixT
     for k in range(1, 331):
         reported = fix(k * SECOND_NS, 0.0).model_copy(update={"fix_type": fix_type})
         for message in (reported, odometer(k * SECOND_NS, 14.0), Tick(now_ns=k * SECOND_NS)):
-            last |= {statement.monitor: statement for statement in process.handle(message)}
+            last |= {one.monitor: one for one in process.handle(message) if isinstance(one, TrustMonitor)}
     assert last["motion"].outcome is MonitorOutcome.NOT_EVALUATED
     assert "no GNSS speed" in last["motion"].reason
 
@@ -110,3 +120,60 @@ def test_the_delay_is_learned_unless_the_position_is_unsafe(level: TrustLevel, l
         speed = 12.0 + 6.0 * sin(2.0 * pi * k / 40.0)
         last = drive(process, range(k, k + 1), speed, speed) or last
     assert (last["motion_fast"].outcome is not MonitorOutcome.NOT_EVALUATED) == learned
+
+
+@pytest.fixture(scope="module")
+def town() -> Drive:
+    return simulate("urban", 2, 720.0)
+
+
+def scaled(drive: Drive, factor: float, begin_s: float) -> Drive:
+    """Both speeds times a factor from a time on."""
+    begin_ns = begin_s * SECOND_NS
+    return replace(
+        drive,
+        fix_velocity_n=drive.fix_velocity_n * np.where(drive.fix_ns >= begin_ns, factor, 1.0)[:, None],
+        odometer=drive.odometer * np.where(drive.odometer_ns >= begin_ns, factor, 1.0),
+    )
+
+
+def published(process: Process, drive: Drive) -> Iterator[TrustMonitor | LearnedScale]:
+    """Messages of a drive with an odometer in steps of 1 km/h."""
+    for message in inputs(drive, resolution_m_s=KM_H):
+        yield from process.handle(message)
+
+
+def test_gnss_and_odometer_scaled_alike_are_accused_by_coherent_scale_alone(town: Drive) -> None:
+    last: dict[str, TrustMonitor] = {}
+    for one in published(Process(Config()), scaled(town, 1.1, 400.0)):
+        last |= {one.monitor: one} if isinstance(one, TrustMonitor) else {}
+    assert last["motion"].outcome is last["motion_fast"].outcome is MonitorOutcome.PASS
+    found = last["coherent_scale"]
+    assert found.outcome is MonitorOutcome.ACCUSES and found.accused == ("gnss", "odometer")
+    assert found.suspect_since_ns is not None and found.suspect_since_ns < 400 * SECOND_NS < (found.since_ns or 0)
+    assert found.statistic is not None and found.threshold is not None and found.statistic > found.threshold
+
+
+def test_what_bends_have_taught_is_published_and_used_by_the_next_drive(town: Drive) -> None:
+    process = Process(Config())
+    lessons = [one for one in published(process, town) if isinstance(one, LearnedScale)]
+    assert lessons and lessons[-1].imu == "imu0"
+    assert lessons[-1].gnss == pytest.approx(1.0, abs=0.015) and lessons[-1].gnss_sd < 0.01
+    after = Process(Config())
+    list(after.handle(lessons[-1]))
+    outcomes = [
+        one.outcome for one in published(after, scaled(town, 1.06, 0.0))
+        if isinstance(one, TrustMonitor) and one.monitor == "coherent_scale"
+    ]  # fmt: skip
+    assert outcomes[-1] is MonitorOutcome.ACCUSES, "6 % from the first second on"
+    other = Process(Config())
+    list(other.handle(lessons[-1].model_copy(update={"imu": "another"})))
+    assert not [one for one in published(other, town) if isinstance(one, TrustMonitor) and "odometer" in one.accused]
+    assert other.rejects["learned scale of another IMU"] == 1
+
+
+def test_delay_and_odometer_are_those_of_fusion() -> None:
+    tables = {"core.fusion": {"gnss": {"delay_s": 0.1, "velocity_delay_s": 0.125}, "odometer": {"enabled": False}}}
+    config = VehicleFile("car.toml", "", tables).section("core.motion_conflict", Config)
+    assert config.velocity_delay_s == pytest.approx(0.225)
+    assert not config.odometer

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.core.motion_conflict.inertial_speed.bends import Bend
-from services.core.motion_conflict.inertial_speed.scale_change import LIMIT, MOST_REFERENCE, ScaleChange
+from services.core.motion_conflict.inertial_speed.scale_change import LIMIT, MOST_REFERENCE, Learned, ScaleChange
 
 SECOND_NS = 1_000_000_000
 PERIOD_NS = 40 * SECOND_NS  # between two bends
@@ -130,3 +130,26 @@ def test_the_odometer_shows_the_change_or_not() -> None:
 def test_memory_is_bounded() -> None:
     change = driven([1.0] * 300)
     assert len(change.window) <= 41
+
+
+def test_the_next_start_begins_with_what_bends_have_taught() -> None:
+    first = driven([1.02] * 25)
+    lesson = first.lesson()
+    assert lesson is not None and lesson.bends == 15, "the newest ten may hold a change that is not seen yet"
+    assert lesson.mean == pytest.approx(1.02, abs=0.01)
+    after = ScaleChange(0.02)
+    after.adopt(lesson)
+    driven([1.02 * 1.06] * 8, change=after, seed=2)
+    assert after.accusing
+    unlearned = driven([1.02 * 1.06] * 8, seed=2)
+    assert not unlearned.accusing, "within what inertial sensors are off"
+
+
+def test_nothing_is_taught_while_the_scale_is_suspicious_and_nothing_beyond_the_bound() -> None:
+    change = driven([1.0] * 30)
+    assert change.lesson() is not None
+    driven([1.1] * 5, change=change, first=30, seed=2)
+    assert change.lesson() is None
+    change.adopt(Learned(1.2, 0.001, None, 1000, 1.0))
+    assert change.reference.mean == 1.0 + MOST_REFERENCE
+    assert sqrt(change.reference.variance) > 0.001, "the scale is another one at each start"
