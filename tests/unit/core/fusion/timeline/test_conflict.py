@@ -324,9 +324,7 @@ def test_a_solution_without_gnss_that_outgrows_its_bound_is_not_published_and_th
     assert solution.protection_level_horizontal >= hypot(*difference[0][:2]) + difference[1][0] - 1e-9 > 15.0
 
 
-def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_what_they_differed_by_while_it_was_good() -> (
-    None
-):
+def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_their_last_useful_difference() -> None:
     nav = without_aiding(3.0)
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
