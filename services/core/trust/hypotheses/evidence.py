@@ -66,7 +66,7 @@ def explained_by(statement: Statement, *, odometer_in_use: bool) -> dict[Hypothe
         Hypotheses that explain it; under all others it is a false alarm.
     """
     monitor, named = statement.monitor, set(statement.accused)
-    if monitor is Monitor.COHERENT_SCALE:  # errors of the inertial scale look alike
+    if monitor is Monitor.COHERENT_SCALE and ODOMETER in named:  # errors of the inertial scale look alike
         return {Hypothesis.GNSS_AND_ODOMETER: EXPLAINED, Hypothesis.IMU: PARTLY}
     if monitor is Monitor.HYPOTHESES and len(named) > 1:
         return {Hypothesis.GNSS_AND_ODOMETER: EXPLAINED, Hypothesis.IMU: EXPLAINED}

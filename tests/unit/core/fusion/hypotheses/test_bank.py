@@ -1,0 +1,134 @@
+"""The bank: which solutions it keeps, what they leave out, anchors, suspicion, and the level that reaches to them."""
+
+from functools import cache
+from math import hypot
+
+import numpy as np
+import pytest
+
+from services.core.fusion.hypotheses import bank as banks
+from services.core.fusion.hypotheses.bank import Alternative, separation
+from services.core.fusion.messages import hypotheses_message
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic
+from shared.messages.trust import Hypothesis
+
+SECOND_NS = 1_000_000_000
+EXPECTED = {
+    Hypothesis.GNSS,
+    Hypothesis.IMU,
+    Hypothesis.ODOMETER,
+    Hypothesis.GNSS_AND_ODOMETER,
+    Hypothesis.RECEIVER_TIME,
+}
+
+
+@cache
+def drive() -> Drive:
+    return simulate("urban", 1, 110.0)
+
+
+def run(nav: Navigator, begin_s: float, end_s: float) -> None:
+    d = drive()
+    first, last = (int(np.searchsorted(d.t_ns, s * SECOND_NS, side="right")) for s in (begin_s, end_s))
+    k, j = (int(np.searchsorted(stamps, begin_s * SECOND_NS, side="right")) for stamps in (d.fix_ns, d.odometer_ns))
+    for i in range(first, last):
+        now_ns = int(d.t_ns[i])
+        nav.imu(now_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+        while j < len(d.odometer_ns) and d.odometer_ns[j] <= now_ns:
+            nav.speed(int(d.odometer_ns[j]), abs(float(d.odometer[j])), received_ns=now_ns)
+            j += 1
+        while k < len(d.fix_ns) and d.fix_ns[k] <= now_ns:
+            if d.fix_valid[k]:
+                nav.fix(
+                    int(d.fix_ns[k]), position=Geodetic(*d.fix_position[k].tolist()),
+                    velocity=d.fix_velocity_n[k].tolist(), position_sd=d.fix_position_sd_n[k].tolist(),
+                    velocity_sd=d.fix_velocity_sd_n[k].tolist(), received_ns=now_ns,
+                )  # fmt: skip
+            k += 1
+
+
+def navigator(end_s: float) -> Navigator:
+    nav = Navigator(Settings().with_values({"vehicle.gnss.lever_arm_body_m": tuple(drive().lever_arm_b)}))
+    run(nav, 0.0, end_s)
+    return nav
+
+
+@pytest.fixture(scope="module")
+def driven() -> Navigator:
+    return navigator(100.0)
+
+
+def alternatives(nav: Navigator) -> dict[Hypothesis, Alternative]:
+    return {one.hypothesis: one for one in nav.bank.alternatives() if isinstance(one, Alternative)}
+
+
+def test_every_hypothesis_has_a_solution_that_agrees_on_a_drive_without_a_fault(driven: Navigator) -> None:
+    found = alternatives(driven)
+    assert set(found) == EXPECTED
+    for one in found.values():
+        assert hypot(*one.apart_n[:2]) < one.levels[0], f"{one.hypothesis} is farther away than its own level"
+        assert one.separation is not None and one.separation < banks.SEPARATION_LIMIT
+
+
+def test_before_the_filter_has_converged_each_missing_one_says_why() -> None:
+    nav = navigator(30.0)
+    missing = [one for one in nav.bank.alternatives() if not isinstance(one, Alternative)]
+    assert {hypothesis for hypothesis, _ in missing} >= EXPECTED - {Hypothesis.IMU}
+    assert all(why for _, why in missing)
+    message = hypotheses_message(nav)
+    assert len(message.missing) == len(missing) and message.sampled_ns == nav.engine.time_ns
+
+
+def test_a_solution_without_gnss_uses_none_since_its_anchor_and_two_anchors_are_staggered(driven: Navigator) -> None:
+    mine = [one for one in driven.bank._members if one.kept.hypothesis is Hypothesis.GNSS_AND_ODOMETER]
+    assert len(mine) == 2
+    apart_s = abs(mine[0].anchor_ns - mine[1].anchor_ns) / SECOND_NS
+    assert apart_s == pytest.approx(0.5 * mine[0].kept.longest_s, abs=2.0)
+    for one in mine:
+        exclusions = one.cursor.engine.exclusions
+        assert exclusions.gnss_since_ns is not None and exclusions.odometer
+        assert one.cursor.engine.accepted_ns is not None and one.cursor.engine.accepted_ns <= one.anchor_ns
+
+
+def test_a_suspicion_starts_them_anew_from_before_the_suspect_time_and_its_end_drops_them() -> None:
+    nav = navigator(95.0)
+    suspect_ns = 90 * SECOND_NS
+    nav.believe([Hypothesis.ODOMETER], suspect_ns)
+    run(nav, 95.0, 103.0)
+    mine = [one for one in nav.bank._members if one.kept.hypothesis is Hypothesis.ODOMETER]
+    assert [one.anchor_ns < suspect_ns and not one.is_behind for one in mine] == [True]
+    nav.believe([], None)
+    assert not nav.bank._members
+
+
+@pytest.mark.parametrize("hypothesis", [Hypothesis.ODOMETER, Hypothesis.IMU])
+def test_the_level_reaches_to_the_solution_of_a_hypothesis_that_survives(hypothesis: Hypothesis) -> None:
+    nav = navigator(100.0)
+    before = nav.solution()
+    other = alternatives(nav)[hypothesis]
+    nav._surviving = frozenset([hypothesis])
+    after = nav.solution()
+    assert before is not None and after is not None
+    reached = hypot(*other.apart_n[:2]) + other.levels[0]
+    assert after.protection_level_horizontal == pytest.approx(max(before.protection_level_horizontal, reached))
+
+
+def test_without_inertial_sensors_the_published_position_is_that_of_the_model_of_motion(driven: Navigator) -> None:
+    driven.believe([Hypothesis.IMU], None, imu_excluded=True)
+    published, model = driven.solution(), driven.bank.motion.state(driven.now.time_ns)
+    driven.believe([], None)
+    assert published is not None and model is not None
+    assert published.position == model.position and published.yaw == model.heading
+    assert published.protection_level_horizontal == pytest.approx(driven.bank.levels(model.position_cov)[0])
+
+
+def test_separation_is_the_square_of_the_difference_over_its_covariance() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(3, 3))
+    covariance, apart = root @ root.T + np.eye(3), (3.0, -4.0, 7.0)
+    expected = np.array(apart[:2]) @ np.linalg.solve(covariance[:2, :2], np.array(apart[:2]))
+    assert separation(apart, covariance) == pytest.approx(expected)
+    assert separation(apart, np.zeros((3, 3))) is None
