@@ -150,25 +150,32 @@ SENTENCES = {
     TrustLevel.INITIALISING: "No position yet",
 }
 # Why, by the row of the verdict table of `core.trust` that decided; the state tells rows of earlier releases apart.
+NO_GNSS = "no GNSS is received that can be used"
 WHY = {
     (TrustLevel.INITIALISING, 1): "the first solution is awaited",
     (TrustLevel.NO_FIX, 2): "there is no current solution",
     (TrustLevel.UNSAFE, 3): "its error may be above the alert limit",
-    (TrustLevel.UNSAFE, 4): "GNSS and the inertial sensors disagree",
+    (TrustLevel.UNSAFE, 4): "a source is suspected, and it is not known where the vehicle is without it",
+    (TrustLevel.DEAD_RECKONING, 5): "GNSS is not used, because other sensors contradict it",
+    (TrustLevel.CAUTION, 6): "there are signs that a source may be wrong",
+    (TrustLevel.CAUTION, 7): "no independent check of it is complete",
+    (TrustLevel.CAUTION, 8): "its error may come close to the alert limit",
     (TrustLevel.UNSAFE, 5): "it contains a satellite that is suspected",
     (TrustLevel.UNSAFE, 6): "GNSS and the odometer disagree, and it is not known which of them is wrong",
     (TrustLevel.DEAD_RECKONING, 7): "GNSS is not used, because other sensors contradict it",
-    (TrustLevel.DEAD_RECKONING, 8): "no GNSS is received that can be used",
+    (TrustLevel.DEAD_RECKONING, 8): NO_GNSS,
     (TrustLevel.CAUTION, 10): "there are signs that GNSS may be disturbed",
     (TrustLevel.CAUTION, 11): "a monitor that is required does not report",
     (TrustLevel.CAUTION, 12): "nothing independent checks it yet",
     (TrustLevel.CAUTION, 13): "its error may come close to the alert limit",
 }
-ROW_CONFLICT = 9
+ROWS_CONFLICT = (6, 9)  # 9 of earlier releases
+ROW_WITHOUT_GNSS = 5
 # Rows with a cause of their own, whatever hypotheses survive beside it.
 OTHER_CAUSES = {
     (TrustLevel.UNSAFE, 5),
     (TrustLevel.DEAD_RECKONING, 8),
+    (TrustLevel.CAUTION, 7),
     (TrustLevel.CAUTION, 11),
     (TrustLevel.CAUTION, 12),
 }
@@ -257,17 +264,22 @@ def _which_is_wrong(e: Evidence, trust: TrustState) -> str | None:
         beliefs = tuple(one for one in beliefs if one.acted_on)
     elif trust.state not in JUDGED or (trust.state, trust.row) in OTHER_CAUSES:
         return None
+    elif trust.state is TrustLevel.DEAD_RECKONING and trust.row == ROW_WITHOUT_GNSS and not trust.gnss_excluded:
+        return None
     return sentence_of(beliefs, odometer=e.odometer_age_s is not None and not trust.odometer_excluded)
 
 
 def _why(trust: TrustState) -> str | None:
     """Say why in a few words without figures; None where the state says it all."""
-    if (trust.state, trust.row) == (TrustLevel.CAUTION, ROW_CONFLICT):
+    if trust.state is TrustLevel.DEAD_RECKONING and trust.row == ROW_WITHOUT_GNSS and not trust.gnss_excluded:
+        return NO_GNSS
+    if trust.state is TrustLevel.CAUTION and trust.row in ROWS_CONFLICT:
         if trust.odometer_excluded:
             return "the odometer is not used, because GNSS and the inertial sensors contradict it"
-        if trust.suspect_since_ns is None:
+        if trust.suspect_since_ns is not None:
+            return "GNSS and other sensors disagree, and it is not known which of them is wrong"
+        if trust.row == ROWS_CONFLICT[1]:
             return "GNSS and the odometer disagree"
-        return "GNSS and other sensors disagree, and it is not known which of them is wrong"
     return WHY.get((trust.state, trust.row))
 
 
