@@ -166,11 +166,11 @@ class Process:
                 )  # fmt: skip
 
     def _heard(self, statement: Statement) -> Statement:
-        """Statement as it counts: an accusation from before the end of a conflict reaches back into what has ended."""
+        """Statement as it counts: an accusation whose window began before the end of a conflict is of what has ended."""
         if (
             statement.monitor in REACHING_BACK
             and statement.outcome is Outcome.ACCUSES
-            and (statement.since_ns or statement.stated_ns) <= self._ended_ns
+            and (statement.since_ns or statement.stated_ns) - round((statement.window_s or 0.0) * 1e9) <= self._ended_ns
         ):
             return replace(
                 statement, outcome=Outcome.NOT_EVALUATED, accused=(), statistic=None, suspect_since_ns=None,

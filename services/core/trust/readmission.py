@@ -26,7 +26,7 @@ RETURN_S = (0.0, 5.0)  # after a closure: positions that were apart have come ba
 # whose protection level is above the alert limit: three times the distance.
 SPEAKING = tuple(monitor for monitor in Monitor if monitor not in (Monitor.EVIDENCE, Monitor.HYPOTHESES))
 USEFUL_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be, to decide of a return
-REACHING_BACK = (Monitor.INERTIAL_LONG, Monitor.DRIFT, Monitor.MOTION)
+REACHING_BACK = (Monitor.INERTIAL_LONG, Monitor.DRIFT, Monitor.GYROSCOPE, Monitor.MOTION)
 AGREES, AGREES_ABOVE_LIMIT = 1.0, 9.0
 
 

@@ -10,11 +10,12 @@ from math import exp, log
 
 from shared.messages.trust import Belief, Hypothesis
 
-from ..facts import Facts, Monitor, Outcome, Posterior
+from ..facts import SECOND_NS, Facts, Monitor, Outcome, Posterior
 from .evidence import MOST, Evidence, explained_by
 from .priors import PRIOR, SUSPECTED
 
 CERTAIN = 0.99
+DRIFT_NS = 30 * SECOND_NS  # before the first accusation of a drift: its shortest window
 KEPT = MOST  # sum of logarithms by which a hypothesis that survived a restart is above "nothing is wrong"
 
 
@@ -74,10 +75,17 @@ class Beliefs:
                 if (monitor is Monitor.EVIDENCE) is not (hypothesis is Hypothesis.RECEIVER_TIME):
                     continue
                 since_ns = facts.time_ns if statement.suspect_since_ns is None else statement.suspect_since_ns
-                self._since_ns[hypothesis] = min(self._since_ns.get(hypothesis, since_ns), since_ns)
+                self._suspect(hypothesis, monitor, since_ns, facts.time_ns)
         for monitor, evidence in self._evidence.items():
             evidence.update(facts.statement(monitor), facts, self._since_ns)
         return named
+
+    def _suspect(self, hypothesis: Hypothesis, monitor: Monitor, since_ns: int, time_ns: int) -> None:
+        """Note since when a hypothesis is suspected; a drift grew at some time of its window, and does not say when."""
+        known_ns = self._since_ns.get(hypothesis)
+        if monitor is Monitor.DRIFT:
+            since_ns = max(since_ns, time_ns - DRIFT_NS) if known_ns is None else known_ns
+        self._since_ns[hypothesis] = since_ns if known_ns is None else min(known_ns, since_ns)
 
     def _posteriors(self, risk: float) -> tuple[Posterior, ...]:
         priors = {k: max(prior, SUSPECTED * risk) if k in self._since_ns else prior for k, prior in PRIOR.items()}

@@ -262,16 +262,19 @@ def _which_is_wrong(e: Evidence, trust: TrustState) -> str | None:
     beliefs = trust.beliefs
     if trust.state is TrustLevel.SAFE:
         beliefs = tuple(one for one in beliefs if one.acted_on)
-    elif trust.state not in JUDGED or (trust.state, trust.row) in OTHER_CAUSES:
-        return None
-    elif trust.state is TrustLevel.DEAD_RECKONING and trust.row == ROW_WITHOUT_GNSS and not trust.gnss_excluded:
+    elif trust.state not in JUDGED or (trust.state, trust.row) in OTHER_CAUSES or _without_gnss(trust):
         return None
     return sentence_of(beliefs, odometer=e.odometer_age_s is not None and not trust.odometer_excluded)
 
 
+def _without_gnss(trust: TrustState) -> bool:
+    """Whether GNSS is missing and not excluded."""
+    return (trust.state, trust.row, trust.gnss_excluded) == (TrustLevel.DEAD_RECKONING, ROW_WITHOUT_GNSS, False)
+
+
 def _why(trust: TrustState) -> str | None:
     """Say why in a few words without figures; None where the state says it all."""
-    if trust.state is TrustLevel.DEAD_RECKONING and trust.row == ROW_WITHOUT_GNSS and not trust.gnss_excluded:
+    if _without_gnss(trust):
         return NO_GNSS
     if trust.state is TrustLevel.CAUTION and trust.row in ROWS_CONFLICT:
         if trust.odometer_excluded:
