@@ -115,7 +115,7 @@ def test_without_the_verdict_the_position_error_is_more_than_twenty_times_as_lar
 
 def test_excluded_fixes_are_published_with_the_reason_and_counted(published: list[Message]) -> None:
     states = [one for one in published if isinstance(one, NavigationState) and one.gnss_excluded_since_ns]
-    begin_ns, end_ns = states[20].sampled_ns, states[-1].sampled_ns
+    begin_ns, end_ns = states[5].sampled_ns, states[-1].sampled_ns
     gnss = [
         one
         for one in published

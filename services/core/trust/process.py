@@ -166,7 +166,7 @@ class Process:
                 )  # fmt: skip
 
     def _heard(self, statement: Statement) -> Statement:
-        """Statement as it counts: an accusation whose window began before the end of a conflict is of what has ended."""
+        """Statement as it counts: an accusation whose window begins before the end of a conflict is part of that."""
         if (
             statement.monitor in REACHING_BACK
             and statement.outcome is Outcome.ACCUSES
