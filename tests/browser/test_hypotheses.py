@@ -89,4 +89,4 @@ def test_without_beliefs_and_positions_the_page_trust_says_what_is_missing(
 ) -> None:
     with status_server(tmp_path) as quiet:
         page = open_page(quiet.address, path="trust")
-        expect(page.get_by_role("region", name="Hypotheses")).to_contain_text("No hypothesis is evaluated")
+        expect(page.get_by_role("region", name="Hypotheses")).to_contain_text("no position")

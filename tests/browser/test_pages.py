@@ -26,7 +26,7 @@ WORDS: dict[str, str | re.Pattern[str]] = {
 SENTENCES: dict[str, str | re.Pattern[str]] = {
     "normal": "The position can be used.",
     "stale": "No position: core.fusion is stale: connected, but without heartbeat",
-    "alarm": "The position must not be used: GNSS and the inertial sensors disagree.",
+    "alarm": "The position must not be used: GNSS",
     "empty": re.compile(
         "Nothing is known yet: waiting for the first verdict of core.trust"
         "|Trust is not evaluated: no verdict of core.trust"

@@ -6,20 +6,15 @@ direction of motion: a wrong heading turns it and leaves its length, so that the
 """
 
 from math import hypot
+from statistics import NormalDist
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from shared.maths.quantiles import chi_square_limit
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
 
 from ..facts import GNSS, IMU, ODOMETER, Monitor, Outcome, Statement
 
-FloatArray = npt.NDArray[np.float64]
-
 FALSE_ALARM_RATE = 1e-3  # it decides where another monitor, with its own rate, has found a contradiction
-LIMIT = chi_square_limit(1, FALSE_ALARM_RATE)
+LIMIT = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM_RATE) ** 2  # chi-square with one degree of freedom
 AGREES = 0.25  # of the limit: half of the difference
 CLEARLY = 0.5  # of the difference of the one that contradicts, to which that of the other may come
 LEAST_SPEED_M_S = 2.0
@@ -83,16 +78,17 @@ def _with(
 
 def _along(one: HypothesisSolution, other: HypothesisSolution) -> Apart:
     """Distance of two solutions along the way of the first."""
-    velocity = np.array(one.velocity_ned_m_s[:2])
-    direction = velocity / np.linalg.norm(velocity)
-    apart = np.array(other.apart_ned_m[:2]) - np.array(one.apart_ned_m[:2])
-    distance = float(direction @ apart)
+    vn, ve, _ = one.velocity_ned_m_s
+    speed = hypot(vn, ve)
+    direction = vn / speed, ve / speed
+    north, east = (other.apart_ned_m[k] - one.apart_ned_m[k] for k in (0, 1))
+    distance = direction[0] * north + direction[1] * east
     variance = sum(_variance(solution, direction) for solution in (one, other))
     return Apart(abs(distance), distance**2 / variance if variance > 0.0 else 0.0)
 
 
-def _variance(solution: HypothesisSolution, direction: FloatArray) -> float:
+def _variance(solution: HypothesisSolution, direction: tuple[float, float]) -> float:
     """Variance of a position along a horizontal direction [m²]."""
     nn, ne, _, ee, *_ = solution.position_cov_ned_m2
-    north, east = direction.tolist()
-    return float(nn * north**2 + 2.0 * ne * north * east + ee * east**2)
+    north, east = direction
+    return nn * north**2 + 2.0 * ne * north * east + ee * east**2
