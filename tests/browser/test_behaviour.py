@@ -10,6 +10,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
+from services.core.trust.facts import Monitor
 from shared.messages.operation import Origin, OriginKind
 from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
@@ -516,7 +517,7 @@ def test_without_core_trust_the_page_says_that_trust_is_not_evaluated(
         )
         expect(page.locator(".banner .word")).to_have_text("NO DATA")
         expect(page.get_by_role("region", name="Verdict", exact=True)).to_contain_text("Trust is not evaluated")
-        expect(monitors.locator("tr.old")).to_have_count(6)
+        expect(monitors.locator("tr.old")).to_have_count(len(Monitor))
         expect(monitors.locator(".state.safe, .state.unsafe, .state.off")).to_have_count(0)
         judge_everywhere(page, "without-trust")
 
