@@ -152,13 +152,18 @@ class Facts:
         """Hypotheses of a fault that survive, the most probable first."""
         return tuple(one for one in self.beliefs if one.survives and one.hypothesis is not Hypothesis.NOTHING)
 
+    def survivor(self, hypothesis: Hypothesis) -> Posterior | None:
+        """A hypothesis of a fault if it survives."""
+        return next((one for one in self.surviving if one.hypothesis is hypothesis), None)
+
     def survives(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis survives."""
-        return any(one.hypothesis is hypothesis for one in self.surviving)
+        return self.survivor(hypothesis) is not None
 
     def acts_on(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis alone survives."""
-        return any(one.hypothesis is hypothesis and one.acted_on for one in self.beliefs)
+        found = self.survivor(hypothesis)
+        return found is not None and found.acted_on
 
     @property
     def level_exceeded(self) -> bool:

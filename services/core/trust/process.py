@@ -71,7 +71,6 @@ class Process:
         self._statements: dict[Monitor, Statement] = {}  # of these messages
         self._gnss = Readmission()
         self._imu = Readmission()
-        self._imu_open = False
         self._ended_ns = -(2**62)  # end of the last conflict
         self._odometer_excluded = False
         self._alike_since_ns: int | None = None  # since when solutions without both have shown that they are falsified
@@ -218,14 +217,14 @@ class Process:
         if facts.conflict_open and not admission.open:
             self._ended_ns = time_ns
         imu = judge_imu(facts)
-        wanted = imu.accused if self._imu.suspect_since_ns is not None else imu.decided
+        imu_open = self._imu.suspect_since_ns is not None
+        wanted = imu.accused if imu_open else imu.decided
         of_imu = self._imu.update(
             time_ns, accused=wanted, agrees=imu.agrees, decided=imu.decided,
             contradicted=facts.acts_on(Hypothesis.GNSS), suspect_since_ns=imu.suspect_since_ns, within_s=imu.within_s,
         )  # fmt: skip
-        if self._imu_open and not of_imu.open:
+        if imu_open and not of_imu.open:
             self._ended_ns = time_ns
-        self._imu_open = of_imu.open
         if of_imu.excluded:
             self._gnss.end(time_ns)
             admission = Admission(open=False)

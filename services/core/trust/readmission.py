@@ -107,14 +107,12 @@ class Readmission:
         healthy_s = 0.0 if self._healthy_ns is None else (time_ns - self._healthy_ns) / SECOND_NS
         required_s = min(max(self._required_s(), within_s[0]), within_s[1])
         if self._healthy_ns is not None and healthy_s >= required_s:
-            self._faults.append(self._accused_ns)
-            self._began_ns = self._suspect_ns = self._healthy_ns = None
-            self._decided = self.was_apart = False
+            self.end(self._accused_ns)
             return Admission(open=False)
         return Admission(True, self._decided and not declined, self._suspect_ns, healthy_s, required_s)
 
     def end(self, time_ns: int) -> None:
-        """End the conflict, because another source is found to be wrong."""
+        """End the conflict, if there is one, and count it as a fault that ended at a time."""
         if self._began_ns is not None:
             self._faults.append(time_ns)
             self._began_ns = self._suspect_ns = self._healthy_ns = None
@@ -155,7 +153,7 @@ def judge_gnss(facts: Facts) -> Judgement:
     the solution without GNSS decides in their place.
     """
     accusing = facts.accusing(SPEAKING, GNSS)
-    found = next((one for one in facts.surviving if one.hypothesis is Hypothesis.GNSS), None)
+    found = facts.survivor(Hypothesis.GNSS)
     passing = any(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
     ratio, level_m = facts.excluded_test_ratio, facts.without_gnss_level_m
     # Of a state that was saved during an exclusion there is one solution only.
@@ -194,9 +192,9 @@ def judge_imu(facts: Facts) -> Judgement:
     accusing = facts.accusing((Monitor.INERTIAL_SHORT, Monitor.GYROSCOPE), IMU)
     other = facts.alternatives.get(Hypothesis.IMU)
     agrees = not accusing and (is_lost(facts) or (other is not None and other.agrees))
-    since_ns = next((one.since_ns for one in facts.surviving if one.hypothesis is Hypothesis.IMU), None)
-    bounds = _bounds(facts, came_back=False)
-    return Judgement(bool(accusing), alone, not facts.survives(Hypothesis.IMU), agrees, since_ns, bounds)
+    found = facts.survivor(Hypothesis.IMU)
+    since_ns = None if found is None else found.since_ns
+    return Judgement(bool(accusing), alone, found is None, agrees, since_ns, _bounds(facts, came_back=False))
 
 
 def is_lost(facts: Facts) -> bool:

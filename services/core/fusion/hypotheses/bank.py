@@ -25,7 +25,7 @@ from ..integrity.disagreement import Pair
 from ..integrity.protection_levels import horizontal_level, vertical_level
 from ..settings import Settings
 from ..solution import UncertaintyCache, upper
-from ..timeline.conflict import start_ns
+from ..timeline.conflict import CONVERGED_S, start_ns
 from ..timeline.cursor import Cursor
 from ..timeline.engine import Engine
 from ..timeline.events import Event, GnssExcluded, OdometerExclusion
@@ -35,7 +35,6 @@ from .motion_model import STANDING_M_S, MotionModel
 FloatArray = npt.NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 
-CONVERGED_S = 30.0  # of the filter, before a cursor starts from it
 USEFUL_LIMITS = 30.0  # alert limits beyond which a solution says nothing
 KEPT_NS = 3 * SECOND_NS  # of snapshots beyond the memory of late measurements
 SEPARATION_LIMIT = chi_square_limit(2, 1e-5)
@@ -69,7 +68,7 @@ class Kept(NamedTuple):
     left_out: tuple[str, ...]
     events: Callable[[int], tuple[Event, ...]]  # of a cursor that starts at a time
     longest_s: float  # life of a cursor; two run, half of it apart
-    odometer: bool = False  # it leaves the odometer out, and is the filter itself where there is none
+    odometer: bool = False  # it is the filter itself where there is no odometer
 
 
 def _without_gnss(time_ns: int) -> tuple[Event, ...]:
@@ -85,10 +84,9 @@ def _alone(time_ns: int) -> tuple[Event, ...]:
 
 
 # Inertial sensors alone are of use for a minute; a filter that keeps GNSS does not drift and needs no second anchor.
-ALONE = ("gnss", "odometer")
 KEPT = (
     Kept(Hypothesis.GNSS, ("gnss",), _without_gnss, 120.0),
-    Kept(Hypothesis.GNSS_AND_ODOMETER, ALONE, _alone, 60.0, odometer=True),
+    Kept(Hypothesis.GNSS_AND_ODOMETER, ("gnss", "odometer"), _alone, 60.0),
     Kept(Hypothesis.ODOMETER, ("odometer",), _without_odometer, NEVER_S, odometer=True),
 )
 
@@ -223,9 +221,8 @@ class Bank:
     @staticmethod
     def _is_wanted(kept: Kept, engine: Engine) -> bool:
         """Whether there is an odometer that a hypothesis could leave out."""
-        if not kept.odometer or kept.left_out == ALONE:
-            return True
-        return engine.odometer_age_s is not None and engine.odometer_age_s < ODOMETER_SILENT_S
+        age_s = engine.odometer_age_s
+        return not kept.odometer or (age_s is not None and age_s < ODOMETER_SILENT_S)
 
     def _follow(self) -> None:
         self._timeline.followers = tuple(one.cursor for one in self._members)

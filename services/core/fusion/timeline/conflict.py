@@ -317,9 +317,8 @@ class Verdicts:
             return
         apart = distance_n(main.engine, conflict.cursor.engine) or conflict.apart_n
         ratio = conflict.cursor.engine.exclusions.test_ratio
-        came_back = (
-            conflict.published and ratio is not None and ratio <= 1.0
-        )  # GNSS agrees with the solution without it
+        # GNSS agrees with the solution without it.
+        came_back = conflict.published and ratio is not None and ratio <= 1.0
         left = None if apart is None or came_back else self._left(apart, conflict)
         spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         if conflict.published or main.engine.counts.resets > conflict.resets:

@@ -15,8 +15,14 @@ from .evidence import MOST, Evidence, explained_by
 from .priors import PRIOR, SUSPECTED
 
 CERTAIN = 0.99
+NO_FAULT = 1.0 - sum(PRIOR.values())  # prior of "nothing is wrong"
 DRIFT_NS = 30 * SECOND_NS  # before the first accusation of a drift: its shortest window
 KEPT = MOST  # sum of logarithms by which a hypothesis that survived a restart is above "nothing is wrong"
+
+
+def _suspected_prior(hypothesis: Hypothesis, risk: float) -> float:
+    """Prior of a hypothesis that a monitor has spoken for."""
+    return max(PRIOR[hypothesis], SUSPECTED * risk)
 
 
 class Beliefs:
@@ -32,9 +38,7 @@ class Beliefs:
         for one in saved:
             if one.since_ns is not None and one.survives and one.probability > 0.0:
                 self._since_ns[one.hypothesis] = one.since_ns
-                self._earlier[one.hypothesis] = (
-                    log(one.probability / max(PRIOR[one.hypothesis], SUSPECTED * risk)) + KEPT
-                )
+                self._earlier[one.hypothesis] = log(one.probability / _suspected_prior(one.hypothesis, risk)) + KEPT
 
     def update(self, facts: Facts, open_ones: Collection[Hypothesis]) -> tuple[Posterior, ...]:
         """Use the statements of one time.
@@ -88,16 +92,16 @@ class Beliefs:
         self._since_ns[hypothesis] = since_ns if known_ns is None else min(known_ns, since_ns)
 
     def _posteriors(self, risk: float) -> tuple[Posterior, ...]:
-        priors = {k: max(prior, SUSPECTED * risk) if k in self._since_ns else prior for k, prior in PRIOR.items()}
+        priors = {k: _suspected_prior(k, risk) if k in self._since_ns else prior for k, prior in PRIOR.items()}
         weights = {k: prior * exp(self._sum(k)) for k, prior in priors.items()}
-        weights[Hypothesis.NOTHING] = 1.0 - sum(PRIOR.values())
+        weights[Hypothesis.NOTHING] = NO_FAULT
         total = sum(weights.values())
         shares = {k: weight / total for k, weight in weights.items()}
         surviving = {k for k, share in shares.items() if share > risk and k in self._since_ns}
         found = [
             Posterior(
                 k,
-                PRIOR.get(k, 1.0 - sum(PRIOR.values())),
+                PRIOR.get(k, NO_FAULT),
                 share,
                 k in surviving or (k is Hypothesis.NOTHING and share > risk),
                 surviving == {k} and share > CERTAIN,
