@@ -78,6 +78,7 @@ class Watch:
         self._processes = {name: ProcessWatch(name) for name in PROCESS_ROWS if name in self._configured}
         self._expected = expected_topics(self._configured)
         self._recording: RecordingState | None = None
+        self._doubtful: dict[str, tuple[ProcessHealth, int, bool]] = {}  # last wills that nothing has followed
         self._open: dict[str, _Open] = {}
         self._settling: dict[str, _Open] = {}  # ended less than SETTLE_NS ago
         self._events: list[Outage] = []
@@ -103,9 +104,10 @@ class Watch:
     def take_health(self, health: ProcessHealth, received_ns: int, *, retained: bool = False) -> None:
         """Process a heartbeat, disconnect or last will.
 
-        A process that is not configured is watched from its first message to its disconnect. Last wills are ignored
-        around an outage of the broker: it publishes them for connections that it dropped itself. Our own last will,
-        which we can only receive from a broker that shuts down, begins such an outage.
+        A process that is not configured is watched from its first message to its disconnect. Around an outage of the
+        broker, or of this observer, a last will is doubtful: a broker publishes them for connections that it dropped
+        itself. It counts if no heartbeat follows. Our own last will, which we can only receive from a broker that
+        shuts down, begins such an outage.
         """
         name = health.process
         over = health.state.is_over
@@ -117,7 +119,9 @@ class Watch:
         if name == SELF and health.state is ProcessState.LOST and not retained:
             self._judged_from_ns = received_ns + RETURN_NS
             return
+        self._doubtful.pop(name, None)
         if health.state is ProcessState.LOST and (not self.answering or received_ns < self._judged_from_ns):
+            self._doubtful[name] = (health, received_ns, retained)
             return
         if name not in self._processes:
             if name not in PROCESS_ROWS or retained or over:
@@ -217,6 +221,10 @@ class Watch:
     def _judge_processes(self) -> None:
         for name in self._present():
             status = self._status(name)
+            if status is ProcessStatus.STALE and name in self._doubtful:
+                health, received_ns, retained = self._doubtful.pop(name)
+                self._processes[name].take(health, received_ns, retained=retained)
+                status = self._status(name)
             if not status.down or name in self._open:
                 continue
             watch = self._processes[name]

@@ -420,6 +420,16 @@ def test_an_outage_from_before_a_broker_loss_stays_open_until_it_is_over(unit: U
     assert (end.what, end.affected) == ("sensors.gnss", ("gnss/raw", "gnss/fix"))
 
 
+def test_a_process_killed_while_the_observer_slept_was_lost_and_does_not_hang(unit: Unit) -> None:
+    unit.run(20.0)
+    unit.now_ns += 3 * SECOND
+    unit.watch.step(unit.now_ns, connected=True)
+    unit.kill("core.fusion")
+    events = unit.run(8.0)
+    assert [outage.what for _, outage in events] == ["core.fusion"]
+    assert "was lost" in events[0][1].cause
+
+
 def test_an_observer_that_slept_accuses_nobody(unit: Unit) -> None:
     unit.now_ns += 60 * SECOND
 
