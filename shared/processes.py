@@ -66,16 +66,16 @@ PROCESSES = (
     ProcessRow(
         "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes the commands to it",
         consumes=("gnss/write",),
-        produces=("gnss/raw", "host/clock", "origin/state"),
+        produces=("gnss/raw", "host/clock", "origin/state", "device/state"),
         roles=BOTH,
     ),
     ProcessRow(
         "sensors.imu", Kind.DEVICE_DRIVER, "reads the inertial measurement unit",
-        produces=("imu/raw", "origin/state"),
+        produces=("imu/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
         "sensors.can", Kind.DEVICE_DRIVER, "reads the vehicle's CAN bus and asks for OBD-II speed",
-        produces=("can/raw", "origin/state"),
+        produces=("can/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
         "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
@@ -105,7 +105,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
-        consumes=("gnss/raw", "gnss/configure"),
+        consumes=("gnss/raw", "gnss/configure", "device/state"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
             "gnss/signal_quality", "gnss/receiver", "gnss/configuration",

@@ -35,6 +35,7 @@ from .messages.neighbours import NeighbourStates
 from .messages.operation import (
     Consumed,
     DeadlineReport,
+    DeviceState,
     HostClock,
     ModeState,
     Origin,
@@ -127,6 +128,7 @@ TOPICS = (
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("host/clock", HostClock, "the host's clock beside the OBU time line, and whether NTP holds it"),
+    Topic("device/state", DeviceState, "what a driver has found at its port, and what to do", qos=1),
     Topic("gnss/receiver", GnssReceiver, "kinds of messages that the receiver sends, by its bytes", qos=1, retain=True),
     Topic("gnss/configuration", GnssConfiguration, "configuration of the receiver, as read back", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes",

@@ -25,6 +25,7 @@ from ..messages.operation import Consumed
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .config import Section, VehicleFile, broker_address, state_dir
+from .kinds import Kinds
 
 log = logging.getLogger(__name__)
 
@@ -150,6 +151,8 @@ class LiveReactor:
 
     def __init__(self, process: Reactor, bus: Bus, *, pause_s: float = 0.0) -> None:
         self._process, self._bus, self._pause_s = process, bus, pause_s
+        if isinstance(kinds := getattr(process, "kinds", None), Kinds):
+            bus.tell_kinds = kinds.table
         self._journal = Journal(bus.process, bus.incarnation)
         self._next_tick_ns = (bus.now_ns() // TICK_NS + 1) * TICK_NS
         self._next_journal = time.monotonic() + JOURNAL_S

@@ -7,9 +7,12 @@ from pydantic import Field
 
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfigure, GnssRaw, GnssReceiver, GnssWrite
+from shared.messages.operation import DeviceState
 from shared.runtime.config import Section
+from shared.runtime.kinds import Kinds
 
-from .receiver import Output, Receiver
+from .dialect import Output
+from .receiver import Receiver
 
 MAX_RECEIVERS = 8
 
@@ -27,6 +30,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
+        self.kinds = Kinds()
         self._config = config
         self._receivers: dict[str, Receiver] = {}
         self._now_ns = 0
@@ -40,11 +44,14 @@ class Process:
                     yield from receiver.take(message)
             case GnssConfigure():
                 if receiver := self._receiver(message.source):
-                    yield from receiver.configurator.request(message, self._now_ns)
+                    yield from receiver.configure(message, self._now_ns)
+            case DeviceState():
+                if receiver := self._receiver(message.source):
+                    receiver.rate_baud = message.rate_baud
             case Tick():
                 self._now_ns = message.now_ns
                 for receiver in self._receivers.values():
-                    yield from receiver.configurator.tick()
+                    yield from receiver.tick(self._now_ns)
                     if said := receiver.seen.statement(self._now_ns):
                         yield said
 
@@ -54,6 +61,6 @@ class Process:
                 self.rejects["too_many_sources"] += 1
                 return None
             self._receivers[source] = Receiver(
-                source, minimum_delay_s=self._config.minimum_delay_s, rejects=self.rejects
+                source, minimum_delay_s=self._config.minimum_delay_s, rejects=self.rejects, kinds=self.kinds
             )
         return self._receivers[source]

@@ -160,9 +160,14 @@ def test_a_valid_high_precision_position_is_used() -> None:
     assert fix.position_sd_ned_m == pytest.approx((0.01, 0.01, 0.02), abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "fields", [{"gnssFixOk": 0}, {"fixType": 0, "gnssFixOk": 1}, {"fixType": 5}, {"gnssFixOk": 0, "fixType": 3}]
-)
+def test_a_fix_of_time_alone_states_the_surveyed_position_and_no_motion() -> None:
+    fix = only_fix(pvt(fixType=5) + cov() + eoe())
+    assert fix.fix_type is FixType.TIME_ONLY
+    assert fix.latitude_deg is not None
+    assert (fix.velocity_ned_m_s, fix.ground_speed_m_s, fix.course_rad) == (None,) * 3
+
+
+@pytest.mark.parametrize("fields", [{"gnssFixOk": 0}, {"fixType": 0, "gnssFixOk": 1}, {"gnssFixOk": 0, "fixType": 3}])
 def test_values_not_marked_valid_by_the_receiver_are_none(fields: dict[str, int]) -> None:
     fix = only_fix(pvt(**fields) + cov() + eoe())
     assert (fix.latitude_deg, fix.height_ellipsoid_m, fix.position_cov_ned_m2, fix.position_sd_ned_m) == (None,) * 4
@@ -213,7 +218,7 @@ def test_an_epoch_without_nav_pvt_is_counted_and_the_next_one_is_complete() -> N
     process = Process(Config())
     assert not fixes(feed(process, dop() + cov() + eoe()))
     assert len(fixes(feed(process, pvt(1) + eoe(1), 1.0))) == 1
-    assert process.rejects == {"epoch_without_pvt": 1}
+    assert process.rejects == {"epoch_without_fix": 1}
 
 
 def test_an_invalid_message_is_counted_and_the_rest_of_the_epoch_is_used() -> None:

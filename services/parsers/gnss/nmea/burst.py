@@ -1,6 +1,5 @@
 """Groups the sentences of one navigation epoch, which a receiver sends in a burst, in any order."""
 
-import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -11,21 +10,32 @@ from pynmea2.nmea import NMEASentence, ParseError
 from shared.faults import FOREIGN
 from shared.maths.dates import NS
 
+from ..dialect import ContentError
+
 MOST_GSA = 8  # of one epoch: one or two a constellation
 MOST_GSV = 40  # of one epoch: some for each constellation and signal
 UNTIMED = -1  # time of day of a burst of which no sentence with a time has come yet
 SHORTEST_PAUSE_NS = 20_000_000
 Sentence = Any  # pynmea2 creates the fields at run time; an empty or absent one is None or ""
-_WANTED = re.compile(rb"\$(?!P)(\w\w)(RMC|GGA|GNS|GST|GSA|GSV|VTG|ZDA),")  # any talker; P marks proprietary ones
-# The time of day in ZDA may be that of the next pulse: it gives the date, and is not the mark of an epoch.
-TIMED = ("RMC", "GGA", "GNS", "GST")
-POSITIONS = {"RMC", "GGA", "GNS"}
+# Of any talker. The time of day in ZDA may be that of the next pulse: it gives the date, and does not mark an epoch.
+USED = frozenset(("RMC", "GGA", "GNS", "GST", "GSA", "GSV", "VTG", "ZDA", "HDT", "THS", "PUBX00"))
+TIMED = {"RMC": 0, "GGA": 0, "GNS": 0, "GST": 0, "PUBX00": 2}  # index of the field with the time of day
+POSITIONS = {"RMC", "GGA", "GNS", "PUBX00"}
 NUMBERED = {"GSA": MOST_GSA, "GSV": MOST_GSV}
 _parse: Callable[[str], Sentence] = NMEASentence.parse  # pynmea2 has no type annotations
 
 
-class NmeaError(ValueError):
-    """A sentence with a valid checksum that is not used, or its invalid content; the text is the kind of reject."""
+class NmeaError(ContentError):
+    """Invalid content of a sentence with a valid checksum; the text is the kind of reject."""
+
+
+def kind_of(sentence: bytes) -> str:
+    """Name a sentence without its talker; a proprietary one with its maker, of u-blox and Quectel with its number."""
+    head, _, rest = sentence[1:].partition(b",")
+    name = head.partition(b"*")[0].decode("ascii", "replace")[:12]
+    if not name.startswith("P"):
+        return name[2:] if len(name) == 5 else f"?{name}"
+    return name + rest.partition(b",")[0].decode("ascii", "replace")[:2] if name == "PUBX" else name
 
 
 @dataclass(slots=True)
@@ -74,17 +84,15 @@ class NmeaAssembler:
         self._done = True
 
     def take(self, sentence: bytes, received_ns: int) -> Iterator[NmeaEpoch]:
-        """Process one sentence with a valid checksum; yield the completed epochs.
+        """Process one sentence of `USED` with a valid checksum; yield the completed epochs.
 
         Raises
         ------
         NmeaError
-            The sentence is of no use, or invalid.
+            The sentence is invalid.
         """
-        if (wanted := _WANTED.match(sentence)) is None:
-            raise NmeaError("nmea_unused")
-        kind, parsed = wanted[2].decode(), _read(sentence)
-        time_ns = time_of_day_ns(parsed.data[0]) if kind in TIMED else UNTIMED
+        kind, parsed = kind_of(sentence), _read(sentence)
+        time_ns = time_of_day_ns(_time_of(kind, parsed)) if kind in TIMED else UNTIMED
         behind_a_pause = self._pauses.note(received_ns)
         if self._epoch is None or self._begins(self._epoch, kind, time_ns, behind_a_pause):
             yield from self._finish()
@@ -118,7 +126,9 @@ class NmeaAssembler:
             if pause_end_ns is not None:
                 late = [name for name, ns in before.arrivals_ns.items() if ns >= pause_end_ns and name not in TIMED]
                 for name in late:
-                    epoch.add(name[:3], before.sentences.pop(name), before.arrivals_ns.pop(name))
+                    epoch.add(
+                        name if name in USED else name[:3], before.sentences.pop(name), before.arrivals_ns.pop(name)
+                    )
             self._kinds_before.append(before.kinds)
         return epoch
 
@@ -167,8 +177,15 @@ def time_of_day_ns(text: str) -> int:
     return (hour * 3600 + minute * 60) * NS + round(second * 1000) * (NS // 1000)
 
 
+def _time_of(kind: str, parsed: Sentence) -> str:
+    return str(parsed.data[TIMED[kind]]) if len(parsed.data) > TIMED[kind] else ""
+
+
 def _read(sentence: bytes) -> Sentence:
+    text = sentence.rpartition(b"*")[0].decode("ascii")  # the framer has verified the checksum
+    if text[3:6] == "THS":  # pynmea2 does not know it: HDT with a mode
+        text = f"{text[:3]}HDT{text[6:]}"
     try:
-        return _parse(sentence.rpartition(b"*")[0].decode("ascii"))  # the framer has verified the checksum
+        return _parse(text)
     except (ParseError, *FOREIGN) as error:
         raise NmeaError("nmea_form") from error

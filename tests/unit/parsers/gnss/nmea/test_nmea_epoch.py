@@ -10,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 
-from services.parsers.gnss.framer import Framer, Protocol
-from services.parsers.gnss.nmea_burst import MOST_GSA, NmeaAssembler, NmeaError, time_of_day_ns
-from services.parsers.gnss.nmea_epoch import KNOT_M_S, fix_from_sentences
-from services.parsers.gnss.nmea_satellites import satellites_of
+from services.parsers.gnss.framer import Framer
+from services.parsers.gnss.nmea.burst import MOST_GSA, USED, NmeaAssembler, NmeaError, kind_of, time_of_day_ns
+from services.parsers.gnss.nmea.epoch import KNOT_M_S, fix_from_sentences
+from services.parsers.gnss.nmea.satellites import satellites_of
 from services.parsers.gnss.process import Config, Process
+from services.parsers.gnss.protocols import FRAMINGS
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw
+from shared.messages.operation import MessageUse
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -24,15 +26,10 @@ NS = 1_000_000_000
 def read(data: bytes) -> list[tuple[GnssFix, dict[str, list[str]]]]:
     """Parse an NMEA stream; return each fix with the fields of its sentences."""
     assembler, rejects, found = NmeaAssembler(), Counter[str](), []
-    for frame in Framer().feed(data):
-        if frame.protocol is not Protocol.NMEA:
+    for frame in Framer(FRAMINGS).feed(data):
+        if frame.protocol != "NMEA" or kind_of(frame.data) not in USED:
             continue
-        try:
-            epochs = list(assembler.take(frame.data, 1))
-        except NmeaError as fault:
-            assert str(fault) == "nmea_unused"
-            continue
-        for epoch in epochs:
+        for epoch in assembler.take(frame.data, 1):
             fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=rejects)
             found.append((fix, {kind: parsed.data for kind, parsed in epoch.sentences.items()}))
     assert not rejects
@@ -124,21 +121,39 @@ def test_a_sentence_rejected_by_pynmea2_raises_nmea_form(sentence: bytes) -> Non
         list(NmeaAssembler().take(sentence, 1))
 
 
-@pytest.mark.parametrize("body", ["PGRMC,A", "PUBX,00,000000.00", "GNXYZ,1", "GNHDT,1,T", "GNRMC", "RMC,1", ""])
-def test_sentences_that_are_not_used_are_counted(body: str) -> None:
+@pytest.mark.parametrize(
+    ("body", "kind", "use"),
+    [
+        ("PGRME,A", "PGRME", MessageUse.UNUSED), ("PUBX,04,000000.00", "PUBX04", MessageUse.UNUSED),
+        ("GNTXT,1", "TXT", MessageUse.UNUSED), ("GNXYZ,1", "XYZ", MessageUse.UNKNOWN),
+        ("RMC,1", "?RMC", MessageUse.UNKNOWN), ("", "?", MessageUse.UNKNOWN),
+    ],
+)  # fmt: skip
+def test_sentences_that_are_not_used_are_counted(body: str, kind: str, use: MessageUse) -> None:
     process = Process(Config())
     checksum = functools.reduce(operator.xor, body.encode(), 0)
     data = f"${body}*{checksum:02X}\r\n".encode()
     assert not [m for m in process.handle(GnssRaw(received_ns=1, source="g", data=data)) if isinstance(m, GnssFix)]
-    assert process.rejects == {"nmea_unused": 1}
+    assert not process.rejects
+    (counted,) = process.kinds.table()
+    assert (counted.kind, counted.use, counted.count) == (f"NMEA {kind}", use, 1)
+
+
+@pytest.mark.parametrize("body", ["GNRMC", "GNRMC,1", "PUBX,00"])
+def test_a_used_sentence_without_its_fields_is_rejected_with_its_reason(body: str) -> None:
+    process = Process(Config())
+    checksum = functools.reduce(operator.xor, body.encode(), 0)
+    assert not list(process.handle(GnssRaw(received_ns=1, source="g", data=f"${body}*{checksum:02X}\r\n".encode())))
+    (counted,) = process.kinds.table()
+    assert (counted.rejected, counted.reason) == (1, next(iter(process.rejects)))
 
 
 def test_ubx_messages_that_are_not_used_are_counted() -> None:
     process = Process(Config())
     data = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize() + UBXMessage("TIM", "TIM-TP", 0).serialize()
     list(process.handle(GnssRaw(received_ns=1, source="g", data=data)))
-    assert process.rejects["ubx_unused"] >= 1
-    assert "nmea_unused" not in process.rejects
+    uses = {counted.kind: counted.use for counted in process.kinds.table()}
+    assert uses == {"UBX NAV-EOE": MessageUse.USED, "UBX TIM-TP": MessageUse.UNUSED}
 
 
 @pytest.mark.parametrize("text", ["", "12", "126000.00", "240000.00", "aabbcc.dd", "12345", "123x56"])
@@ -153,12 +168,12 @@ def test_a_time_of_day_is_decoded_to_the_millisecond() -> None:
 
 @given(st.text(st.characters(codec="ascii", exclude_characters="\r\n*$"), max_size=80))
 def test_any_sentence_is_accepted_or_raises_nmea_error(body: str) -> None:
-    for kind in ("GNRMC,", "GNGGA,", "GNGSA,", "GNGST,", ""):
+    for kind in ("GNRMC,", "GNGGA,", "GNGSA,", "GNGST,", "PUBX,00,"):
         try:
             for epoch in NmeaAssembler().take(f"${kind}{body}*00\r\n".encode(), 1):
                 fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=Counter())
         except NmeaError as fault:
-            assert str(fault) == ("nmea_time" if kind else "nmea_unused")
+            assert str(fault) in ("nmea_time", "nmea_form")
 
 
 def test_sentences_without_a_time_of_day_are_kept_in_bounds() -> None:

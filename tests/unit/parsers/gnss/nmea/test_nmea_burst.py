@@ -19,6 +19,7 @@ from shared.messages.gnss import (
     GnssSatellites,
     GnssSignalQuality,
 )
+from shared.messages.operation import MessageUse
 
 NS = 1_000_000_000
 START_NS = 1_795_521_720 * NS  # 2026-11-24 12:02:00 UTC
@@ -135,7 +136,10 @@ def test_a_receiver_that_sends_gns_and_vtg_gives_fixes_with_speed() -> None:
     assert (fix.hdop, fix.height_msl_m, fix.height_ellipsoid_m) == (0.6, 500.0, 546.9)
     assert fix.correction_age_s == 1.0
     assert fix.utc_ns == 1_795_521_600 * NS + 59 * NS, "2026-11-24 12:00:59, by ZDA"
-    assert found.process.rejects == {"nmea_unused": 60}
+    assert not found.process.rejects
+    assert {kind.kind: (kind.use, kind.count) for kind in found.process.kinds.table()} == {
+        f"NMEA {name}": (MessageUse.USED, 60) for name in ("GNS", "VTG", "ZDA", "HDT")
+    }
 
 
 @pytest.mark.parametrize(

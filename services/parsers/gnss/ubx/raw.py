@@ -13,11 +13,10 @@ from math import isfinite
 from shared.maths.dates import NS, WEEK_NS
 from shared.messages.gnss import MAX_NAVIGATION_WORDS, Constellation, RawMeasurement
 
-from .gnss_time import MAXIMUM_LEAP_S
-from .ubx_messages import SIGNALS, UbxError, constellation_of
+from ..gnss_time import MAXIMUM_LEAP_S
+from .messages import SIGNALS, UbxError, constellation_of
 
-RXM = 0x02
-KINDS = {0x13: "SFRBX", 0x15: "RAWX"}
+KINDS = ("SFRBX", "RAWX")  # of RXM
 MAX_PSEUDORANGE_M = 1e8  # satellites in geostationary orbits are 42,000 km away; a receiver's clock adds up to 300 km
 MAX_DOPPLER_HZ = 1e5
 MAX_CYCLES = 1e10

@@ -1,18 +1,34 @@
 """Combines the UBX messages of one navigation epoch into one fix."""
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from shared.maths.dates import DeviceDates
 from shared.messages.base import Symmetric3, Vector3
-from shared.messages.gnss import FixType, GnssFix
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
-from . import ubx_messages
-from .gnss_time import gps_time_ns, utc_ns
+from ..gnss_time import gps_time_ns
+from . import messages
 
 FASTEST_M_S = 600.0  # civil receivers are limited to about 500 m/s
+# Message, and the field of `Epoch` that holds what it says; NAV-EOE says that the epoch is complete.
+DECODERS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
+    "PVT": ("pvt", messages.decode_pvt),
+    "PVAT": ("pvat", messages.decode_pvat),
+    "DOP": ("dop", messages.decode_dop),
+    "COV": ("covariance", messages.decode_covariance),
+    "POSLLH": ("position", messages.decode_position),
+    "HPPOSLLH": ("high_precision", messages.decode_high_precision),
+    "RELPOSNED": ("baseline", messages.decode_baseline),
+    "STATUS": ("status", messages.decode_status),
+    "SOL": ("solution", messages.decode_solution),
+    "VELNED": ("motion", messages.decode_velocity),
+    "TIMEUTC": ("time_utc", messages.decode_time_utc),
+    "TIMEGPS": ("time_gps", messages.decode_time_gps),
+    "PL": ("levels", messages.decode_levels),
+}
 
 
 @dataclass(slots=True)
@@ -22,11 +38,52 @@ class Epoch:
     itow_ms: int
     first_received_ns: int
     last_received_ns: int
-    pvt: ubx_messages.Pvt | None = None
-    dop: ubx_messages.Dop | None = None
-    covariance: ubx_messages.Covariance | None = None
-    high_precision: ubx_messages.HighPrecision | None = None
-    baseline: ubx_messages.Baseline | None = None
+    pvt: messages.Pvt | None = None
+    pvat: messages.Pvt | None = None
+    dop: messages.Dop | None = None
+    covariance: messages.Covariance | None = None
+    position: messages.Position | None = None
+    high_precision: messages.Position | None = None
+    baseline: messages.Baseline | None = None
+    status: messages.Status | None = None
+    solution: messages.Solution | None = None
+    motion: messages.Motion | None = None
+    time_utc: tuple[int | None, bool] | None = None
+    time_gps: tuple[int | None, bool] | None = None
+    levels: messages.Levels | None = None
+
+    def fix(self) -> messages.Pvt | None:
+        """The fix of NAV-PVT or NAV-PVAT, or what NAV-POSLLH, SOL, VELNED, STATUS and TIMEUTC tell together.
+
+        None without a message that says what kind of fix it is, or where none of a position came.
+        """
+        told = self.pvt or self.pvat
+        return told if told is not None else self._of_parts()
+
+    def _of_parts(self) -> messages.Pvt | None:
+        solution = self.solution
+        status = self.status or (solution.status if solution else None)
+        if status is None or (solution is None and self.position is None):
+            return None
+        motion = self.motion or (solution.motion if solution else None)
+        utc, time_valid = self.time_utc if self.time_utc and self.time_utc[1] else self.time_gps or (None, False)
+        return messages.Pvt(
+            itow_ms=self.itow_ms,
+            utc_ns=utc,
+            time_valid=time_valid,
+            fix_type=status.fix_type,
+            fix_ok=status.fix_ok,
+            differential=status.differential,
+            carrier_solution=CarrierSolution.NONE,
+            satellites_used=solution.satellites_used if solution else None,
+            position=self.position or (solution.position if solution else None),
+            velocity_ned_m_s=motion.velocity_ned_m_s if motion else None,
+            speed_sd_m_s=motion.speed_sd_m_s if motion else None,
+            ground_speed_m_s=motion.ground_speed_m_s if motion else None,
+            course_rad=motion.course_rad if motion else None,
+            pdop=solution.pdop if solution else None,
+            correction_age_s=None,
+        )
 
 
 class EpochAssembler:
@@ -34,7 +91,7 @@ class EpochAssembler:
 
     An epoch is complete on NAV-EOE, when every kind of message of the two previous epochs has been received (two, so
     that one corrupted epoch does not truncate the next), or when the next epoch begins.
-    `rejects` counts `ubx_<fault>` for invalid content, and `epoch_without_pvt`.
+    `rejects` counts `ubx_<fault>` for invalid content, and `epoch_without_fix`.
     """
 
     def __init__(self, rejects: Counter[str]) -> None:
@@ -45,9 +102,8 @@ class EpochAssembler:
         self._done = True
 
     def take(self, kind: str, payload: bytes, received_ns: int) -> Iterator[Epoch]:
-        """Process one message; yield the completed epochs."""
-        message = ubx_messages.parse(kind, payload)
-        itow = message.iTOW
+        """Process one message; yield the completed epochs. Raises UbxError for one of which nothing is known."""
+        itow = messages.itow_of(kind, payload)
         if self._epoch is None or itow != self._epoch.itow_ms:
             yield from self._finish()
             self._kinds_before.append(self._kinds)
@@ -59,9 +115,10 @@ class EpochAssembler:
         self._kinds.add(kind)
         self._epoch.last_received_ns = received_ns
         try:
-            _store(self._epoch, kind, message)
-        except ubx_messages.UbxError as fault:
-            self.rejects[f"ubx_{fault}"] += 1
+            field, decode = DECODERS[kind]
+            setattr(self._epoch, field, decode(payload))
+        except messages.UbxError as fault:
+            self.rejects[str(fault)] += 1
         if all(self._kinds_before) and set.union(*self._kinds_before) <= self._kinds:
             yield from self._finish()
 
@@ -69,26 +126,13 @@ class EpochAssembler:
         if self._done or self._epoch is None:
             return
         self._done = True
-        if self._epoch.pvt is None:
-            self.rejects["epoch_without_pvt"] += 1
+        if self._epoch.fix() is None:
+            self.rejects["epoch_without_fix"] += 1
         else:
             yield self._epoch
 
 
-def _store(epoch: Epoch, kind: str, message: Any) -> None:
-    if kind == "PVT":
-        epoch.pvt = ubx_messages.decode_pvt(message)
-    elif kind == "DOP":
-        epoch.dop = ubx_messages.decode_dop(message)
-    elif kind == "COV":
-        epoch.covariance = ubx_messages.decode_covariance(message)
-    elif kind == "HPPOSLLH":
-        epoch.high_precision = ubx_messages.decode_high_precision(message)
-    elif kind == "RELPOSNED":
-        epoch.baseline = ubx_messages.decode_baseline(message)
-
-
-def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, source: str, dates: DeviceDates) -> GnssFix:
+def fix_from_epoch(epoch: Epoch, pvt: messages.Pvt, *, sampled_ns: int, source: str, dates: DeviceDates) -> GnssFix:
     """Combine an epoch into one fix: the most precise position, and only values that the receiver marks valid.
 
     Parameters
@@ -96,7 +140,7 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
     epoch : Epoch
         The messages of the epoch.
     pvt : Pvt
-        Its NAV-PVT.
+        Its `fix`.
     sampled_ns : int
         [ns, OBU time line] Time of validity of the fix.
     source : str
@@ -107,7 +151,8 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
     Returns
     -------
     GnssFix
-        Position, velocity and times are None unless the receiver sets gnssFixOK. The position is that of
+        Position, velocity and times are None unless the receiver sets gnssFixOK. Of a fix of time alone the position
+        is that which was surveyed: `fix_type` says so, and it is not measured. The position is that of
         NAV-HPPOSLLH if valid; covariances are those of NAV-COV, otherwise diagonal, from the accuracies of NAV-PVT.
 
     Notes
@@ -116,16 +161,16 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
 
         sd_north = sd_east = hAcc / √2        sd_velocity_axis = sAcc / √3
     """
-    usable = pvt.fix_ok and pvt.fix_type not in (FixType.NONE, FixType.TIME_ONLY)
-    precise = epoch.high_precision.position if epoch.high_precision else None
-    position = (precise or pvt.position) if usable else None
-    moving = usable and pvt.ground_speed_m_s <= FASTEST_M_S and max(map(abs, pvt.velocity_ned_m_s)) <= FASTEST_M_S
-    stated = epoch.covariance or ubx_messages.Covariance(pvt.itow_ms, None, None)
+    stated_place = pvt.fix_ok and pvt.fix_type is not FixType.NONE
+    usable = stated_place and pvt.fix_type is not FixType.TIME_ONLY
+    position = (epoch.high_precision or pvt.position) if stated_place else None
+    velocity, speed = pvt.velocity_ned_m_s or (), pvt.ground_speed_m_s
+    moving = usable and speed is not None and max(speed, *map(abs, velocity)) <= FASTEST_M_S
+    stated = epoch.covariance or messages.Covariance(None, None)
     position_cov = _covariance(stated.position_ned_m2, _position_sd(position))
     velocity_cov = _covariance(stated.velocity_ned_m2_s2, _velocity_sd(pvt))
-    dop = epoch.dop or ubx_messages.Dop(pvt.itow_ms, pvt.pdop, None, None)
-    known = pvt.time_valid and pvt.fix_ok
-    utc = dates.utc_ns(utc_ns(pvt.calendar, pvt.nanosecond), "ubx_date") if known else None
+    dop = epoch.dop or messages.Dop(pvt.pdop, None, None)
+    utc = dates.utc_ns(pvt.utc_ns, "ubx_date") if pvt.time_valid and pvt.fix_ok else None
     return GnssFix(
         sampled_ns=sampled_ns,
         received_ns=epoch.last_received_ns,
@@ -154,17 +199,19 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
         baseline_heading_rad=epoch.baseline.heading_rad if epoch.baseline else None,
         baseline_heading_sd_rad=epoch.baseline.heading_sd_rad if epoch.baseline else None,
         baseline_length_m=epoch.baseline.length_m if epoch.baseline else None,
+        stated_horizontal_level_m=epoch.levels.horizontal_m if epoch.levels else None,
+        stated_vertical_level_m=epoch.levels.vertical_m if epoch.levels else None,
     )
 
 
-def _position_sd(position: ubx_messages.Position | None) -> Vector3 | None:
+def _position_sd(position: messages.Position | None) -> Vector3 | None:
     if position is None or position.horizontal_sd_m is None or position.vertical_sd_m is None:
         return None
     axis = position.horizontal_sd_m / 2**0.5
     return axis, axis, position.vertical_sd_m
 
 
-def _velocity_sd(pvt: ubx_messages.Pvt) -> Vector3 | None:
+def _velocity_sd(pvt: messages.Pvt) -> Vector3 | None:
     if pvt.speed_sd_m_s is None:
         return None
     axis = pvt.speed_sd_m_s / 3**0.5

@@ -8,11 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
+from pyubx2.ubxtypes_core import UBX_MSGIDS
 
-from services.parsers.gnss import ubx_signal
-from services.parsers.gnss.framer import UBX_SYNC, Framer, Protocol, ubx_checksum
+from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.process import Config, Process
-from services.parsers.gnss.ubx_messages import UbxError
+from services.parsers.gnss.protocols import FRAMINGS
+from services.parsers.gnss.ubx import signal
+from services.parsers.gnss.ubx.framing import SYNC
+from services.parsers.gnss.ubx.messages import UbxError
+from shared.devices.checksums import fletcher
 from shared.messages.gnss import (
     GnssRaw,
     GnssSignalQuality,
@@ -32,7 +36,7 @@ ITOW_MS = 136_819_000
 
 def frame(group: int, number: int, payload: bytes) -> bytes:
     body = struct.pack("<BBH", group, number, len(payload)) + payload
-    return UBX_SYNC + body + ubx_checksum(body)
+    return SYNC + body + fletcher(body)
 
 
 def status(spoofing: int = 1) -> bytes:
@@ -65,7 +69,7 @@ def independently(group: str, kind: str, payload: bytes) -> Any:
 def test_the_spoofing_state_of_nav_status_is_what_pyubx2_reads(spoofing: int, rest: int) -> None:
     payload = struct.pack("<I4B2I", ITOW_MS, 3, 0x0F, 0, rest & 0xE7 | spoofing << 3, 26_000, 90_000)
     read = independently("NAV", "NAV-STATUS", payload)
-    found = ubx_signal.decode("STATUS", payload)
+    found = signal.decode("NAV-STATUS", payload)
     assert found == ReceiverStatus(
         spoofing=list(InterferenceState)[read.spoofDetState],
         time_to_first_fix_s=read.ttff / 1000,
@@ -76,7 +80,7 @@ def test_the_spoofing_state_of_nav_status_is_what_pyubx2_reads(spoofing: int, re
 def test_every_field_of_nav_clock_is_what_pyubx2_reads(bias: int, drift: int, time: int, frequency: int) -> None:
     payload = struct.pack("<I2i2I", ITOW_MS, bias, drift, time, frequency)
     read = independently("NAV", "NAV-CLOCK", payload)
-    found = ubx_signal.decode("CLOCK", payload)
+    found = signal.decode("NAV-CLOCK", payload)
     assert isinstance(found, ReceiverClock)
     assert found.bias_s == pytest.approx(read.clkB * 1e-9) and found.drift_ratio == pytest.approx(read.clkD * 1e-9)
     assert found.bias_sd_s == pytest.approx(read.tAcc * 1e-9)
@@ -87,7 +91,7 @@ def test_every_field_of_nav_clock_is_what_pyubx2_reads(bias: int, drift: int, ti
 def test_every_field_of_mon_rf_is_what_pyubx2_reads(paths: list[bytes]) -> None:
     payload = struct.pack("<2B2x", 0, len(paths)) + b"".join(paths)
     read = independently("MON", "MON-RF", payload)
-    found = ubx_signal.decode("RF", payload)
+    found = signal.decode("MON-RF", payload)
     assert isinstance(found, tuple) and len(found) == read.nBlocks
     for k, path in enumerate(found, 1):
         block = {name: getattr(read, f"{name}_{k:02d}") for name in
@@ -106,7 +110,7 @@ def test_the_flags_of_sec_sig_version_1_are_what_pyubx2_reads(jamming: int, spoo
         list(InterferenceState)[read.jammingState] if read.jamDetEnabled else UNKNOWN,
         (list(InterferenceState) + [UNKNOWN] * 4)[read.spoofingState] if read.spfDetEnabled else UNKNOWN,
     )
-    found = ubx_signal.decode("SIG", payload)
+    found = signal.decode("SEC-SIG", payload)
     assert isinstance(found, SignalFlags) and (found.jamming, found.spoofing) == expected
 
 
@@ -118,7 +122,7 @@ def test_the_flags_of_sec_sig_version_2_are_what_pyubx2_reads(flags: int, freque
         list(InterferenceState)[read.jammingState] if read.jamDetEnabled else UNKNOWN,
         (list(InterferenceState) + [UNKNOWN] * 4)[read.spoofingState] if read.spfDetEnabled else UNKNOWN,
     )
-    found = ubx_signal.decode("SIG", payload)
+    found = signal.decode("SEC-SIG", payload)
     assert isinstance(found, SignalFlags) and (found.jamming, found.spoofing) == expected
 
 
@@ -140,7 +144,7 @@ RAISED: tuple[tuple[tuple[int, int], bytes, str], ...] = (
 def published(payloads: dict[tuple[int, int], bytes]) -> GnssSignalQuality:
     """What one epoch publishes: the parts collected before the next message of a kind arrives."""
     process = Process(Config())
-    data = b"".join(frame(*key, payload) for key, payload in payloads.items())
+    data = b"".join(frame(key[0], key[1], payload) for key, payload in payloads.items())
     first = list(process.handle(GnssRaw(received_ns=NS, source="gnss0", data=data)))
     assert not first
     (message,) = process.handle(GnssRaw(received_ns=2 * NS, source="gnss0", data=frame(1, 3, status())))
@@ -169,41 +173,41 @@ def test_each_flag_raised_alone_changes_exactly_its_own_field(
 @pytest.mark.parametrize(
     ("kind", "payload", "reason"),
     [
-        ("SIG", b"\3" + security()[1:], "version"),
-        ("SIG", b"\0" + security()[1:], "version"),
-        ("RF", b"\1" + radio(1)[1:], "version"),
-        ("RF", b"", "short"),
-        ("SIG", b"", "short"),
-        ("SIG", security()[:11], "short"),
-        ("SIG", b"\2\3", "short"),
-        ("RF", radio(1, 1)[:-1], "short"),
-        ("RF", b"\0\x09\0\0" + bytes(9 * 24), "short"),
-        ("STATUS", status()[:-1], "short"),
-        ("CLOCK", clock()[:-1], "short"),
+        ("SEC-SIG", b"\3" + security()[1:], "version"),
+        ("SEC-SIG", b"\0" + security()[1:], "version"),
+        ("MON-RF", b"\1" + radio(1)[1:], "version"),
+        ("MON-RF", b"", "short"),
+        ("SEC-SIG", b"", "short"),
+        ("SEC-SIG", security()[:11], "short"),
+        ("SEC-SIG", b"\2\3", "short"),
+        ("MON-RF", radio(1, 1)[:-1], "short"),
+        ("MON-RF", b"\0\x09\0\0" + bytes(9 * 24), "short"),
+        ("NAV-STATUS", status()[:-1], "short"),
+        ("NAV-CLOCK", clock()[:-1], "short"),
     ],
 )
 def test_an_unknown_version_or_a_truncated_message_is_rejected_and_counted(
     kind: str, payload: bytes, reason: str
 ) -> None:
     with pytest.raises(UbxError, match=reason):
-        ubx_signal.decode(kind, payload)
-    key = next(key for key, name in ubx_signal.KINDS.items() if name == kind)
+        signal.decode(kind, payload)
+    key = next(key for key, name in UBX_MSGIDS.items() if name == kind)
     process = Process(Config())
-    assert not list(process.handle(GnssRaw(received_ns=NS, source="gnss0", data=frame(*key, payload))))
+    assert not list(process.handle(GnssRaw(received_ns=NS, source="gnss0", data=frame(key[0], key[1], payload))))
     assert process.rejects == Counter({f"ubx_{reason}": 1})
 
 
 def test_a_disabled_detector_is_unknown_for_any_state() -> None:
-    off = ubx_signal.decode("SIG", security(jamming=6, spoofing=6))
+    off = signal.decode("SEC-SIG", security(jamming=6, spoofing=6))
     assert off == SignalFlags(jamming=UNKNOWN, spoofing=UNKNOWN)
 
 
-@given(st.sampled_from(list(ubx_signal.KINDS.values())), st.binary(max_size=240))
+@given(st.sampled_from(list(signal.FIELDS)), st.binary(max_size=240))
 def test_any_payload_is_decoded_or_rejected(kind: str, payload: bytes) -> None:
     try:
-        ubx_signal.decode(kind, payload)
+        signal.decode(kind, payload)
     except UbxError as fault:
-        assert str(fault) in ("short", "version")
+        assert str(fault) in ("ubx_short", "ubx_version")
 
 
 @pytest.mark.recording
@@ -216,15 +220,15 @@ def test_any_payload_is_decoded_or_rejected(kind: str, payload: bytes) -> None:
     ],
 )
 def test_a_recorded_receivers_signal_quality_is_what_pyubx2_reads(folder: str, name: str, least: int) -> None:
-    frames = [one.data for one in Framer().feed((recording(folder) / name).read_bytes()) if
-              one.protocol is Protocol.UBX]  # fmt: skip
+    frames = [one.data for one in Framer(FRAMINGS).feed((recording(folder) / name).read_bytes()) if
+              one.protocol == "UBX"]  # fmt: skip
     found = 0
     for data in frames:
-        kind = ubx_signal.KINDS.get((data[2], data[3]))
-        if kind is None:
+        kind = UBX_MSGIDS.get(data[2:4])
+        if kind not in signal.FIELDS:
             continue
         found += 1
-        part, read = ubx_signal.decode(kind, data[6:-2]), parse_ubx(data)
+        part, read = signal.decode(kind, data[6:-2]), parse_ubx(data)
         match part:
             case SignalFlags():
                 assert part.spoofing is list(InterferenceState)[read.spoofDetState]

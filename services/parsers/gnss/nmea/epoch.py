@@ -14,9 +14,14 @@ from shared.maths.dates import DAY_NS, DeviceDates
 from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
-from .nmea_burst import NmeaEpoch, Sentence, time_of_day_ns
+from .burst import NmeaEpoch, Sentence, time_of_day_ns
 
 KNOT_M_S = 1852 / 3600  # exact
+# Navigation status of PUBX,00: u-blox M8 interface description (UBX-13003221), 31.3.2.
+PUBX_FIXES = {
+    "DR": FixType.DEAD_RECKONING, "G2": FixType.TWO_D, "D2": FixType.TWO_D, "G3": FixType.THREE_D,
+    "D3": FixType.THREE_D, "RK": FixType.GNSS_DEAD_RECKONING, "TT": FixType.TIME_ONLY,
+}  # fmt: skip
 FASTEST_M_S = 600.0
 LARGEST = 1e6  # limit of every numerical field
 NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: absent, no fix, manual input, simulator
@@ -38,19 +43,22 @@ def fix_from_sentences(
 ) -> GnssFix:
     """Combine the sentences of an epoch into one fix; an invalid field is counted as `nmea_field` and omitted.
 
-    NMEA has no vertical velocity: the velocity is ground speed and course, of RMC or else of VTG. Of several GSA, one a
-    constellation, the best mode decides, and gives the dilutions. The accuracy is taken from GST. The ellipsoidal
-    height is the height above the geoid plus the geoid separation. `dates` gives UTC its era (None: as told); an
-    impossible date is counted as `nmea_date`.
+    NMEA has no vertical velocity: the velocity is ground speed and course, of RMC or else of VTG; PUBX,00 of u-blox has
+    one, and accuracies, which GST states better. Of several GSA, one a constellation, the best mode decides, and gives
+    the dilutions. The ellipsoidal height is the height above the geoid plus the geoid separation. HDT or THS is the
+    heading that the receiver states. `dates` gives UTC its era (None: as told); an impossible date is counted as
+    `nmea_date`.
     """
     rmc, gst, vtg = (epoch.sentences.get(kind) or _ABSENT[kind] for kind in ("RMC", "GST", "VTG"))
-    gga, gsa = _position_of(epoch), best_of(epoch.all("GSA"))
-    read = _Reader(rejects)
+    gga, gsa, read = _position_of(epoch), best_of(epoch.all("GSA")), _Reader(rejects)
+    pubx = epoch.sentences.get("PUBX00")
     fix_type = _fix_type(rmc, gga, gsa)
+    if pubx is not None and not epoch.sentences.keys() & {"RMC", "GGA", "GNS"}:
+        fix_type = PUBX_FIXES.get(pubx.nav_stat, FixType.NONE)
     usable = fix_type is not FixType.NONE
-    place = (read.place(gga) or read.place(rmc)) if usable else None
+    place = (read.place(gga) or read.place(rmc) or (read.place(pubx) if pubx else None)) if usable else None
     height_msl_m, separation_m = read.number(gga.altitude), read.number(gga.geo_sep)
-    speed_m_s, course_deg = read.motion(rmc, vtg) if usable else (None, None)
+    speed_m_s, course_deg = read.motion(rmc, vtg, pubx) if usable else (None, None)
     satellites, quality = read.number(gga.num_sats), gga.gps_qual
     return GnssFix(
         sampled_ns=sampled_ns,
@@ -63,13 +71,13 @@ def fix_from_sentences(
         satellites_used=None if satellites is None else int(satellites),
         latitude_deg=place and place[0],
         longitude_deg=place and place[1],
-        height_ellipsoid_m=height_msl_m + separation_m
-        if place and height_msl_m is not None and separation_m is not None
-        else None,
+        height_ellipsoid_m=(read.number(pubx.alt_ref) if pubx else _sum(height_msl_m, separation_m)) if place else None,
         height_msl_m=height_msl_m if place else None,
         ground_speed_m_s=speed_m_s,
         course_rad=None if course_deg is None or speed_m_s is None else math.radians(course_deg % 360),
-        position_sd_ned_m=read.deviations(gst) if place else None,
+        velocity_ned_m_s=read.velocity(pubx, speed_m_s, course_deg) if pubx else None,
+        position_sd_ned_m=(read.deviations(gst) or (read.accuracies(pubx) if pubx else None)) if place else None,
+        stated_heading_rad=read.heading(epoch.sentences.get("HDT") or epoch.sentences.get("THS")),
         pdop=read.number(gsa.pdop),
         hdop=read.number(gsa.hdop) or read.number(gga.horizontal_dil),
         vdop=read.number(gsa.vdop),
@@ -83,6 +91,10 @@ def _fix_type(rmc: Sentence, gga: Sentence, gsa: Sentence) -> FixType:
     if gga.gps_qual == 6 or rmc.mode_indicator == "E":
         return FixType.DEAD_RECKONING
     return FixType.TWO_D if gsa.mode_fix_type == "2" else FixType.THREE_D
+
+
+def _sum(height_m: float | None, separation_m: float | None) -> float | None:
+    return None if height_m is None or separation_m is None else height_m + separation_m
 
 
 def _position_of(epoch: NmeaEpoch) -> Sentence:
@@ -145,9 +157,11 @@ class _Reader:
         self._rejects["nmea_field"] += 1
         return None
 
-    def motion(self, rmc: Sentence, vtg: Sentence) -> tuple[float | None, float | None]:
+    def motion(self, rmc: Sentence, vtg: Sentence, pubx: Sentence | None) -> tuple[float | None, float | None]:
         """Speed [m/s] and course [deg] of RMC; what it lacks is that of VTG, unless that is marked invalid."""
         speed, course_deg = self._speed(rmc.spd_over_grnd, KNOT_M_S), self.number(rmc.true_course)
+        if pubx is not None and speed is None:
+            return self._speed(pubx.sog, 1 / 3.6), self.number(pubx.cog)
         if vtg.faa_mode == "N":
             return speed, course_deg
         if speed is None:
@@ -155,6 +169,29 @@ class _Reader:
         if speed is None:
             speed = self._speed(vtg.spd_over_grnd_kmph, 1 / 3.6)
         return speed, self.number(vtg.true_track) if course_deg is None else course_deg
+
+    def velocity(self, pubx: Sentence, speed_m_s: float | None, course_deg: float | None) -> Vector3 | None:
+        """Velocity [m/s, NED] of the motion over ground with the vertical velocity of PUBX,00."""
+        down_m_s = self.number(pubx.v_vel)
+        if speed_m_s is None or course_deg is None or down_m_s is None or abs(down_m_s) > FASTEST_M_S:
+            return None
+        course = math.radians(course_deg)
+        return speed_m_s * math.cos(course), speed_m_s * math.sin(course), down_m_s
+
+    def accuracies(self, pubx: Sentence) -> Vector3 | None:
+        """Deviations by PUBX,00, whose horizontal accuracy is divided equally among the axes."""
+        horizontal_m, vertical_m = self.number(pubx.h_acc), self.number(pubx.v_acc)
+        if not horizontal_m or not vertical_m or min(horizontal_m, vertical_m) <= 0.0:
+            return None
+        axis_m = horizontal_m / math.sqrt(2.0)
+        return axis_m, axis_m, vertical_m
+
+    def heading(self, sentence: Sentence | None) -> float | None:
+        """Heading [rad] of HDT, or of THS unless its mode says that it is not valid."""
+        if sentence is None or (len(sentence.data) > 1 and sentence.data[1] not in ("T", "A", "E")):
+            return None
+        heading_deg = self.number(sentence.data[0])
+        return None if heading_deg is None else math.radians(heading_deg % 360.0)
 
     def _speed(self, text: str | float | None, unit_m_s: float) -> float | None:
         value = self.number(text)

@@ -7,7 +7,7 @@ from math import radians
 
 from shared.messages.gnss import Constellation, GnssSatellites, Satellite
 
-from .nmea_burst import NmeaEpoch, Sentence
+from .burst import NmeaEpoch, Sentence
 
 MOST = 128
 # Talkers of GSV and GSA, and the system of GSA of version 4.11, whose talker is GN.

@@ -18,10 +18,10 @@ from shared.messages.gnss import (
     SignalFlags,
 )
 
-from .ubx_messages import UbxError
+from .messages import UbxError
 
-KINDS = {(0x01, 0x03): "STATUS", (0x01, 0x22): "CLOCK", (0x0A, 0x38): "RF", (0x27, 0x09): "SIG"}
-FIELDS = {"STATUS": "status", "CLOCK": "clock", "RF": "radio_paths", "SIG": "security"}  # of `GnssSignalQuality`
+# Message, and the field of `GnssSignalQuality` that it fills.
+FIELDS = {"NAV-STATUS": "status", "NAV-CLOCK": "clock", "MON-RF": "radio_paths", "SEC-SIG": "security"}
 AGC_FULL = 8191  # [-] largest count of the gain control
 INDICATOR_FULL = 255
 _STATUS = struct.Struct("<4x3xBI4x")
@@ -35,7 +35,7 @@ Part = SignalFlags | ReceiverClock | tuple[RadioPath, ...]
 
 
 def decode(kind: str, payload: bytes) -> Part:
-    """Decode a message of `KINDS`; raises UbxError for a truncated one or an unknown version."""
+    """Decode a message of `FIELDS`; raises UbxError for a truncated one or an unknown version."""
     return _DECODERS[kind](payload)
 
 
@@ -98,8 +98,8 @@ def _exactly(layout: struct.Struct, payload: bytes) -> tuple[int, ...]:
 
 
 _DECODERS: dict[str, Callable[[bytes], Part]] = {
-    "STATUS": _status,
-    "CLOCK": _clock,
-    "RF": _radio_paths,
-    "SIG": _security,
+    "NAV-STATUS": _status,
+    "NAV-CLOCK": _clock,
+    "MON-RF": _radio_paths,
+    "SEC-SIG": _security,
 }
