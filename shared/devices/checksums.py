@@ -18,6 +18,25 @@ def crc24q(data: bytes) -> int:
     return crc
 
 
+def crc16_ccitt(data: bytes, crc: int = 0) -> int:
+    """CRC-16 of SBF and SPARTN: polynomial 0x1021, from 0."""
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+def crc4(head: bytes) -> int:
+    """CRC of the header of a SPARTN frame (TF006): x⁴ + x + 1, reflected, over TF002 to TF005 and four zero bits."""
+    crc = 0
+    for byte in (head[0], head[1], head[2] & 0xF0):
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x9 if crc & 1 else 0)
+    return crc & 0xF
+
+
 def crc_of_zeros(crc: int, count: int) -> int:
     """Continue a CRC over `count` zero bytes: multiply it by x^(8 count), first 32 bytes at a time, then the rest."""
     many, few = _zeros_tables()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 
-from .checksums import crc24q, fletcher
+from .checksums import crc4, crc16_ccitt, crc24q, fletcher
 
 MOST_BYTES = 8192  # that are looked at
 LEAST_OF_TEXT = 3  # lines of a protocol without a checksum, fewer of which may be chance
@@ -96,27 +96,12 @@ def _xbus_size(match: re.Match[bytes]) -> int:
     return 5 + match[1][0] if match[1][0] < 0xFF else 7 + int.from_bytes(match[1][1:3], "big")
 
 
-def crc16_ccitt(data: bytes, crc: int = 0) -> int:
-    """CRC-16 of SBF: polynomial 0x1021, from 0."""
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
-
-
 def _is_sbf(frame: bytes) -> bool:
     return len(frame) % 4 == 0 and crc16_ccitt(frame[4:]) == int.from_bytes(frame[2:4], "little")
 
 
 def _is_spartn_header(frame: bytes) -> bool:
-    """The CRC-4 of the three bytes behind the preamble: polynomial x^4 + x^3 + x^2 + 1, over 20 bits."""
-    value, crc = int.from_bytes(frame[1:4], "big") & 0xFFFFF0, 0
-    for byte in value.to_bytes(3, "big"):
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x90 if crc & 0x80 else crc << 1) & 0xFF
-    return frame[3] & 15 == crc >> 4
+    return frame[3] & 15 == crc4(frame[1:4])
 
 
 def _crc32(data: bytes) -> int:

@@ -83,7 +83,7 @@ class DeviceState(Message):
     device: Annotated[str, Field(max_length=200)]  # its URL, without user and password
     found: DeviceFound
     protocols: tuple[Name, ...] = ()
-    rate_baud: Annotated[int, Field(gt=0, le=100_000_000)] | None = None  # None of a port without a rate
+    rate_baud: Annotated[int, Field(gt=0, le=100_000_000), unit("Bd")] | None = None  # None of a port without a rate
     sentence: Reason = ""  # what it means, and what to do
 
 

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
-from shared.devices.device import open_device, split_url
+from shared.devices.device import split_url
 from shared.devices.driver import HostClockPublisher, Link, run_driver
+from shared.devices.recognising import Port
 from shared.messages.base import DeviceName
 from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.runtime.config import Section
@@ -29,7 +30,7 @@ class Process:
 
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
-        link = Link(lambda: open_device(self._config.device))
+        link = Link(Port(self._config.device, "gnss").open)
         clock = None if self._recorded else HostClockPublisher()
 
         def handle(envelopes: Sequence[Envelope]) -> None:
@@ -37,7 +38,7 @@ class Process:
             if clock is not None:
                 clock.publish_if_due(bus)
 
-        run_driver(bus, link, self._config.device, self._raw, handle)
+        run_driver(bus, link, self._config.device, self._raw, handle, source=self._config.source)
 
     def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
         return GnssRaw(received_ns=received_ns, source=self._config.source, data=data, recorded=self._recorded)
