@@ -18,6 +18,7 @@ from ..bus import codec
 from ..bus.bus import QUEUE_LENGTH, Bus, Envelope, decoded
 from ..errors import BadPayload
 from ..faults import Faults
+from ..kinds import Kinds
 from ..maths.dates import is_plausible
 from ..messages.base import Message, RawBytes, Stamped, Tick
 from ..messages.imu import ImuSamples
@@ -25,7 +26,6 @@ from ..messages.operation import Consumed
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .config import Section, VehicleFile, broker_address, state_dir
-from .kinds import Kinds
 
 log = logging.getLogger(__name__)
 

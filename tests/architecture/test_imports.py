@@ -23,6 +23,7 @@ PURE_SHARED = {
     "shared.inertial",
     "shared.messages",
     "shared.devices.xbus",
+    "shared.kinds",
     "shared.devices.checksums",
     "shared.devices.framing",
     "shared.devices.recognition",

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
+from shared.kinds import Kinds
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfigure, GnssRaw, GnssReceiver, GnssWrite
 from shared.messages.operation import DeviceState
 from shared.runtime.config import Section
-from shared.runtime.kinds import Kinds
 
 from .dialect import Output
 from .receiver import Receiver

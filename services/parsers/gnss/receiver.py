@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Iterator
 
 from shared.faults import Faults
+from shared.kinds import Kinds
 from shared.maths.dates import DeviceDates
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
 from shared.messages.operation import MessageUse
-from shared.runtime.kinds import Kinds
 
 from .dialect import ContentError, Dialogue, Output, Stream
 from .framer import Frame, Framer

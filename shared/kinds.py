@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from ..messages.operation import MAX_KINDS, MessageKind, MessageUse
+from .messages.operation import MAX_KINDS, MessageKind, MessageUse
 
 OTHERS = "others"  # kinds beyond those that a table holds
 
