@@ -32,6 +32,7 @@ class FrameFinder(ABC, Generic[F]):
     kinds: Mapping[bytes, str]  # of reject, by what `malformed` matches
     most_bytes: int  # of a frame
     cut: str  # kind of reject of an incomplete frame that holds a complete one
+    tail: int = TAIL
 
     def __init__(self, rejects: Counter[str] | None = None) -> None:
         self.rejects: Counter[str] = Counter() if rejects is None else rejects
@@ -62,7 +63,7 @@ class FrameFinder(ABC, Generic[F]):
         found = [*self._ripe(before, end), *self._search(end)]
         front = min(self._scan, self._first_open())
         self._pass_over(front)
-        keep = max(front, end - TAIL)
+        keep = max(front, end - self.tail)
         self._carry(keep - self._summed_from)
         del self._buffer[: front - self._base]
         self._base, self._summed_from = front, keep

@@ -4,11 +4,12 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum, auto
-from functools import cache, reduce
+from functools import reduce
 from itertools import accumulate
 from operator import xor
 
 from shared.devices.framing import FrameFinder, Sums
+from shared.maths.crc import crc_of_zeros, crcs_along
 
 UBX_SYNC = b"\xb5\x62"
 MAX_UBX_PAYLOAD = 4096  # RXM-RAWX of 120 signals is 3856
@@ -65,10 +66,9 @@ class Framer(FrameFinder[Frame]):
         self._s, self._w, self._c = [0], [0], [0]
 
     def _sum(self, data: bytes) -> None:
-        crc, table = self._c[0], _CRC_TABLE
         self._s = list(accumulate(data, initial=self._s[0]))
         self._w = list(accumulate(self._s[1:], initial=self._w[0]))
-        self._c = [crc, *[crc := (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ byte] for byte in data]]
+        self._c = crcs_along(self._c[0], data)
 
     def _sums(self, index: int) -> Sums:
         return self._s[index], self._w[index], self._c[index]
@@ -123,53 +123,3 @@ def ubx_checksum(data: bytes) -> bytes:
     """8-bit Fletcher checksum (RFC 1145): the sums of the bytes and of their running sums, modulo 256."""
     running = list(accumulate(data))
     return bytes(((running[-1] if running else 0) & 0xFF, sum(running) & 0xFF))
-
-
-def crc24q(data: bytes) -> int:
-    """CRC-24Q of RTCM 3 (polynomial 0x1864CFB); 0 over a complete frame."""
-    crc = 0
-    for byte in data:
-        crc = (crc << 8 & 0xFFFFFF) ^ _CRC_TABLE[crc >> 16 ^ byte]
-    return crc
-
-
-def crc_of_zeros(crc: int, count: int) -> int:
-    """Continue a CRC over `count` zero bytes: multiply it by x^(8 count), first 32 bytes at a time, then the rest."""
-    many, few = _zeros_tables()
-    table = many[count >> 5]
-    crc = table[crc >> 16] ^ table[256 | crc >> 8 & 0xFF] ^ table[512 | crc & 0xFF]
-    table = few[count & 31]
-    return table[crc >> 16] ^ table[256 | crc >> 8 & 0xFF] ^ table[512 | crc & 0xFF]
-
-
-@cache
-def _zeros_tables() -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """Tables of 0, 32, 64 ... 1024 zero bytes, and of 0 to 31; made when the first RTCM header comes."""
-    return [_zeros_table(count) for count in range(0, 1025, 32)], [_zeros_table(count) for count in range(32)]
-
-
-def _zeros_table(count: int) -> tuple[int, ...]:
-    """What each of the three bytes of a CRC becomes over so many zero bytes, from the highest byte on.
-
-    The CRC is linear: of a byte it is the sum (exclusive or) of those of its bits.
-    """
-    entries: list[int] = []
-    for shift in (16, 8, 0):
-        table = [0]
-        for bit in range(8):
-            crc = 1 << bit << shift
-            for _ in range(count):
-                crc = (crc << 8 & 0xFFFFFF) ^ _CRC_TABLE[crc >> 16]
-            table += [crc ^ entry for entry in table]
-        entries += table
-    return tuple(entries)
-
-
-def _crc_entry(value: int) -> int:
-    crc = value << 16
-    for _ in range(8):
-        crc = crc << 1 ^ (0x1864CFB if crc & 0x800000 else 0)
-    return crc
-
-
-_CRC_TABLE = tuple(_crc_entry(value) for value in range(256))

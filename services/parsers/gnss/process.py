@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssConfigure, GnssRaw, GnssReceiver, GnssWrite
+from shared.messages.corrections import CorrectionsState
+from shared.messages.gnss import CarrierSolution, GnssConfigure, GnssFix, GnssRaw, GnssReceiver, GnssWrite
 from shared.runtime.config import Section
 
 from .receiver import Output, Receiver
 
 MAX_RECEIVERS = 8
+CORRECTED_NS = 60_000_000_000  # after the last correction: RTK engines use one for at most a minute
 
 
 class Config(Section):
@@ -30,6 +32,7 @@ class Process:
         self._config = config
         self._receivers: dict[str, Receiver] = {}
         self._now_ns = 0
+        self._corrections: CorrectionsState | None = None  # the newest with a source
 
     def handle(self, message: Message) -> Iterator[Output | GnssReceiver | GnssWrite]:
         """Process raw bytes, a configuration request or a tick."""
@@ -37,7 +40,9 @@ class Process:
             case GnssRaw():
                 self._now_ns = message.received_ns
                 if receiver := self._receiver(message.source):
-                    yield from receiver.take(message)
+                    yield from map(self._with_source, receiver.take(message))
+            case CorrectionsState(active=str()):
+                self._corrections = message
             case GnssConfigure():
                 if receiver := self._receiver(message.source):
                     yield from receiver.configurator.request(message, self._now_ns)
@@ -47,6 +52,14 @@ class Process:
                     yield from receiver.configurator.tick()
                     if said := receiver.seen.statement(self._now_ns):
                         yield said
+
+    def _with_source(self, output: Output) -> Output:
+        """Add the source of corrections to a fix that the receiver has made with corrections."""
+        given = self._corrections
+        if given is None or not isinstance(output, GnssFix) or self._now_ns - given.sampled_ns > CORRECTED_NS:
+            return output
+        corrected = output.differential or output.carrier_solution is not CarrierSolution.NONE
+        return output.model_copy(update={"correction_source": given.active}) if corrected else output
 
     def _receiver(self, source: str) -> Receiver | None:
         if source not in self._receivers:

@@ -13,8 +13,9 @@ from pyubx2.ubxhelpers import calc_checksum
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxreader import UBXReader
 
-from services.parsers.gnss.framer import MAX_UBX_PAYLOAD, Framer, Protocol, crc24q, crc_of_zeros, ubx_checksum
+from services.parsers.gnss.framer import MAX_UBX_PAYLOAD, Framer, Protocol, ubx_checksum
 from shared.devices.framing import TAIL
+from shared.maths.crc import crc24q, crc_of_zeros
 from tests.support.data import recording
 
 UBX = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize()
