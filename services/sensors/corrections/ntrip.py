@@ -93,6 +93,10 @@ class NtripDialogue:
         body, self._buffer = self._buffer, b""
         return self._chunks.feed(body) if self._chunks else body
 
+    def answer(self, now_s: float) -> bytes:
+        """Nothing but positions is sent after the request."""
+        return b""
+
     def ended(self, fault: SourceFault) -> SourceFault:
         """Explain the end of the connection by what came before it."""
         if self._table is not None:
@@ -253,8 +257,8 @@ def nearest_mounts(table: bytes, mount: str, location: tuple[float, float] | Non
     places: dict[str, tuple[float, float] | None] = {}
     for line in table.decode("latin-1").splitlines():
         fields = line.split(";")
-        if fields[0] == "STR" and len(fields) > 10 and (name := shown(fields[1], 32)):
-            places[name] = _place(fields[9], fields[10])
+        if fields[0] == "STR" and len(fields) > 1 and (name := shown(fields[1], 32)):
+            places[name] = _place(*fields[9:11]) if len(fields) > 10 else None  # some casters give names only
     by_name = {name.lower(): name for name in places}
     found = [by_name[name] for name in get_close_matches(mount.lower(), by_name, n=NEAREST, cutoff=0.5)]
     if location is not None:

@@ -10,6 +10,7 @@ from .address import Address, password_of
 from .connection import Connection, SerialConnection, TcpConnection, context_of
 from .fault import SourceFault
 from .gga import Position
+from .mqtt import MqttDialogue
 from .ntrip import NtripDialogue
 
 CONNECT_S = 15.0  # for look-up, TCP, TLS and the answer
@@ -35,6 +36,10 @@ class Dialogue(Protocol):
         """Process received bytes; return those of the stream."""
         ...
 
+    def answer(self, now_s: float) -> bytes:
+        """What is to be sent by now."""
+        ...
+
     def ended(self, fault: SourceFault) -> SourceFault:
         """Explain the end of the connection."""
         ...
@@ -52,6 +57,10 @@ class RawDialogue:
     def feed(self, data: bytes) -> bytes:
         """All bytes are of the stream."""
         return data
+
+    def answer(self, now_s: float) -> bytes:
+        """Nothing is sent."""
+        return b""
 
     def ended(self, fault: SourceFault) -> SourceFault:
         """The fault says all."""
@@ -136,6 +145,8 @@ class Source:
             self._heard_s = now_s
         stream = self._dialogue.feed(received) if received else b""
         self._note(stream, now_s)
+        if answer := self._dialogue.answer(now_s):
+            self.connection.write(answer)
         self._tell(now_s, now_ns)
         self._check_silence(now_s)
         return stream
@@ -150,6 +161,8 @@ class Source:
         if address.is_ntrip:
             location = self._position.location(now_ns)
             self._dialogue = NtripDialogue(address, password_of(address), self._version, location)
+        elif address.topics:
+            self._dialogue = MqttDialogue(address, password_of(address))
         self.connection = SerialConnection(address) if address.scheme == "serial" else TcpConnection(
             address, context_of(address)
         )  # fmt: skip
