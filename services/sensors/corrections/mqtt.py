@@ -56,6 +56,8 @@ class MqttDialogue:
             The broker refuses, or does not speak MQTT.
         """
         self._buffer += data
+        if not self.streaming and self._buffer and self._buffer[0] >> 4 != CONNACK:
+            raise self._no_broker()
         return b"".join(self._content(kind, flags, body) for kind, flags, body in self._packets())
 
     def answer(self, now_s: float) -> bytes:

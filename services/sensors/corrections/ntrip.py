@@ -101,6 +101,11 @@ class NtripDialogue:
         """Explain the end of the connection by what came before it."""
         if self._table is not None:
             return self._unknown_mount()
+        if not self.streaming and self._code:
+            try:
+                self._answered()  # some casters send no empty line behind a refusal
+            except SourceFault as found:
+                return found
         if not self.streaming and self._code is None and not self._buffer:
             return SourceFault(f"{fault} without an answer: is it an NTRIP caster?", older=self._version == 2)
         return fault
@@ -260,7 +265,7 @@ def nearest_mounts(table: bytes, mount: str, location: tuple[float, float] | Non
         if fields[0] == "STR" and len(fields) > 1 and (name := shown(fields[1], 32)):
             places[name] = _place(*fields[9:11]) if len(fields) > 10 else None  # some casters give names only
     by_name = {name.lower(): name for name in places}
-    found = [by_name[name] for name in get_close_matches(mount.lower(), by_name, n=NEAREST, cutoff=0.5)]
+    found = [by_name[name] for name in get_close_matches(mount.lower(), by_name, n=NEAREST)]
     if location is not None:
         distances = {name: _distance(place, location) for name, place in places.items() if place is not None}
         found += [name for name in sorted(distances, key=lambda name: distances[name]) if name not in found]

@@ -88,6 +88,7 @@ class Process:
         self._active: str | None = None
         self._stated_s: float | None = None  # when the parser stated it
         self._next_statement_s = 0.0
+        self._phases: tuple[SourcePhase, ...] = ()  # as last stated
         self._logged: dict[str, str] = {}
 
     def run(self, bus: Bus) -> None:
@@ -139,9 +140,10 @@ class Process:
             self._open += 1
 
     def _state(self, bus: Bus, now_s: float) -> None:
-        if now_s < self._next_statement_s:
+        phases = tuple(source.phase for source in self._sources)
+        if now_s < self._next_statement_s and phases == self._phases:
             return
-        self._next_statement_s = now_s + STATEMENT_S
+        self._next_statement_s, self._phases = now_s + STATEMENT_S, phases
         stated = tuple(source.statement(now_s) for source in self._sources)
         bus.publish(CorrectionSources(now_ns=bus.now_ns(), sources=stated))
         for one in stated:

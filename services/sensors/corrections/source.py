@@ -87,7 +87,7 @@ class Source:
         self.fault: str | None = None  # of the last attempt, until bytes come
         self._position, self._jitter = position, jitter
         self._dialogue: Dialogue = RawDialogue()
-        self._phase, self._reason = SourcePhase.IDLE, "not needed yet"
+        self.phase, self._reason = SourcePhase.IDLE, "not needed yet"
         self._received_bytes = self._connections = self._attempts = 0
         self._version = address.version or 2
         self._next_s = 0.0  # time of the next attempt
@@ -118,13 +118,13 @@ class Source:
         """Close the connection, since it is not needed."""
         self._close()
         self.wanted_since_s = self.fault = None
-        self._phase, self._reason = SourcePhase.IDLE, reason
+        self.phase, self._reason = SourcePhase.IDLE, reason
 
     def statement(self, now_s: float) -> CorrectionSource:
         """State what the source is doing."""
-        waits = self._phase in (SourcePhase.WAITING, SourcePhase.REFUSED)
+        waits = self.phase in (SourcePhase.WAITING, SourcePhase.REFUSED)
         return CorrectionSource(
-            source=self.address.name, phase=self._phase, reason=self._reason[:400],
+            source=self.address.name, phase=self.phase, reason=self._reason[:400],
             received_bytes=self._received_bytes, connections=self._connections,
             next_attempt_s=round(max(self._next_s - now_s, 0.0), 1) if waits else None,
         )  # fmt: skip
@@ -156,7 +156,7 @@ class Source:
         self._begun_s = self._heard_s = now_s
         self._asked = self._told = False
         self._streaming_s, self._allowance, self._allowed_s = 0.0, BURST_BYTES, now_s
-        self._phase, self._reason = SourcePhase.CONNECTING, "connecting"
+        self.phase, self._reason = SourcePhase.CONNECTING, "connecting"
         self._dialogue = RawDialogue()
         if address.is_ntrip:
             location = self._position.location(now_ns)
@@ -174,8 +174,8 @@ class Source:
         self._asked = True
         self._connections += 1
         self._heard_s = now_s
-        if self._phase is SourcePhase.CONNECTING:
-            self._phase, self._reason = SourcePhase.CONNECTED, "connected, no data yet"
+        if self.phase is SourcePhase.CONNECTING:
+            self.phase, self._reason = SourcePhase.CONNECTED, "connected, no data yet"
 
     def _note(self, stream: bytes, now_s: float) -> None:
         """Account for bytes of the stream; a source that floods is left."""
@@ -188,7 +188,7 @@ class Source:
         if not stream:
             return
         self._received_bytes += len(stream)
-        self._phase, self._reason, self.fault = SourcePhase.RECEIVING, "receiving", None
+        self.phase, self._reason, self.fault = SourcePhase.RECEIVING, "receiving", None
         self._streaming_s = self._streaming_s or now_s
         if now_s - self._streaming_s >= STEADY_S:
             self._attempts = 0
@@ -208,7 +208,7 @@ class Source:
         self._told, self._gga_due_s = True, now_s + period_s
 
     def _check_silence(self, now_s: float) -> None:
-        if self._phase is SourcePhase.CONNECTING and now_s - self._begun_s > CONNECT_S:
+        if self.phase is SourcePhase.CONNECTING and now_s - self._begun_s > CONNECT_S:
             raise SourceFault(f"cannot connect to {self._where()}: no answer; check the network, host and port")
         waits = self.address.is_ntrip and self.address.gga_period_s and not self._told and not self._streaming_s
         limit_s = UNLOCATED_HANG_S if waits and self._dialogue.streaming else HANG_S
@@ -231,7 +231,7 @@ class Source:
             self._attempts += 1
         self._next_s = now_s + wait_s * (1.0 + SPREAD * (2.0 * self._jitter() - 1.0))
         self.fault = str(fault)
-        self._phase = SourcePhase.REFUSED if fault.refused else SourcePhase.WAITING
+        self.phase = SourcePhase.REFUSED if fault.refused else SourcePhase.WAITING
         self._reason = self.fault
 
     def _close(self) -> None:
