@@ -30,7 +30,7 @@ class Choice:
             self.active, self.since_ns = chosen, now_ns
 
     def _ready(self, stream: Stream, present: Stream | None, now_ns: int) -> bool:
-        delivers_ns = stream.delivers_since(now_ns)
-        if delivers_ns is None:
+        delivered_ns = stream.delivered_ns(now_ns)
+        if delivered_ns is None:
             return False
-        return present is None or stream is present or delivers_ns >= self._settle_ns
+        return present is None or stream is present or delivered_ns >= self._settle_ns

@@ -49,9 +49,9 @@ class Stream:
         """Whether a frame has come within the time after which the source is silent."""
         return self._frames > 0 and 0 <= now_ns - self._last_ns <= self._silent_ns
 
-    def delivers_since(self, now_ns: int) -> int | None:
-        """Time in ns for which frames have come without a gap; None without them."""
-        return now_ns - self._since_ns if self.delivers(now_ns) else None
+    def delivered_ns(self, now_ns: int) -> int | None:
+        """Time from the first to the last of the frames without a gap; None while it is silent."""
+        return self._last_ns - self._since_ns if self.delivers(now_ns) else None
 
     def age_s(self, now_ns: int) -> float | None:
         """Age of the last frame; None without one."""
