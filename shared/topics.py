@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from functools import cached_property
 
 from .messages.base import Message, RawBytes
+from .messages.corrections import CorrectionBytes, CorrectionSources, CorrectionsState, GnssCorrection
 from .messages.gnss import (
     FaultFreeFix,
     GnssConfiguration,
@@ -135,6 +136,12 @@ TOPICS = (
           rate_hz=100.0, silent_after_s=1.0, fast=True),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0, fast=True),
+    Topic("corrections/raw", CorrectionBytes, "bytes from the sources of GNSS corrections"),
+    Topic("corrections/sources", CorrectionSources, "connections to the sources of GNSS corrections",
+          rate_hz=1.0, silent_after_s=5.0),
+    Topic("gnss/correction", GnssCorrection, "whole frames of corrections for the GNSS receiver"),
+    Topic("corrections/state", CorrectionsState, "source of corrections in use, age and kinds of its frames",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
           rate_hz=1.0, silent_after_s=5.0),
     Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms",

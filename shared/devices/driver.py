@@ -62,16 +62,22 @@ class Connection(Generic[D]):
             self._device = self._open()
         return self._device
 
-    def write(self, bus: Bus, data: bytes) -> None:
-        """Send bytes; they are dropped and counted as `write_lost` if the device is absent or does not accept them."""
+    def write(self, bus: Bus, data: bytes) -> bool:
+        """Send bytes; they are dropped and counted as `write_lost` if the device is absent or does not accept them.
+
+        Returns whether the device has accepted them.
+        """
         try:
             if self._device is None:
                 raise DeviceBusy("device not open")
             self._device.write(data)
         except DeviceBusy:
             bus.rejects["write_lost"] += 1
+            return False
         except DeviceLost as error:
             self.lose(bus, error)
+            return False
+        return True
 
     @property
     def fault(self) -> str | None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 
-from .checksums import crc4, crc16_ccitt, crc24q, fletcher
+from ..maths.crc import crc4, crc16_ccitt, crc24q, fletcher
 
 MOST_BYTES = 8192  # that are looked at
 LEAST_OF_TEXT = 3  # lines of a protocol without a checksum, fewer of which may be chance

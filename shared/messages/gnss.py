@@ -90,6 +90,7 @@ class GnssFix(Stamped):
     hdop: Ratio | None = None
     vdop: Ratio | None = None
     correction_age_s: Seconds | None = None
+    correction_source: Name | None = None  # where the corrections come from that this unit gave to the receiver
     baseline_heading_rad: Quantity | None = None  # from the first antenna to the second, clockwise from true north
     baseline_heading_sd_rad: Deviation | None = None
     baseline_length_m: Quantity | None = None

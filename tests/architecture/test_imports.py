@@ -24,7 +24,6 @@ PURE_SHARED = {
     "shared.messages",
     "shared.devices.xbus",
     "shared.kinds",
-    "shared.devices.checksums",
     "shared.devices.framing",
     "shared.devices.recognition",
     "shared.processes",

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from shared.devices.checksums import CRC24Q_TABLE
 from shared.devices.framing import FrameFinder, Sums
+from shared.maths.crc import crcs_along
 
 from .framing import Framing
 
@@ -49,10 +49,9 @@ class Framer(FrameFinder[Frame]):
         self.most_bytes = max(framing.most_bytes for framing in framings)
 
     def _sum(self, data: bytes) -> None:
-        crc, table = self._c[0], CRC24Q_TABLE
         self._s = list(accumulate(data, initial=self._s[0]))
         self._w = list(accumulate(self._s[1:], initial=self._w[0]))
-        self._c = [crc, *[crc := (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ byte] for byte in data]]
+        self._c = crcs_along(self._c[0], data)
 
     def _sums(self, index: int) -> Sums:
         return self._s[index], self._w[index], self._c[index]

@@ -5,8 +5,8 @@ Source: RTCM 10403.3, section 4: the transport layer.
 
 from collections.abc import Callable, Iterator
 
-from shared.devices.checksums import crc_of_zeros
 from shared.devices.framing import Sums
+from shared.maths.crc import crc_of_zeros
 from shared.messages.operation import MessageUse
 
 from .dialect import Dialect, Output

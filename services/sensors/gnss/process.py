@@ -1,4 +1,4 @@
-"""Reads the bytes of the GNSS receiver, writes configuration messages to it, and states the host's clock beside it."""
+"""Reads the GNSS receiver, writes its configuration and corrections to it, and states the host's clock beside it."""
 
 from collections.abc import Sequence
 
@@ -9,8 +9,11 @@ from shared.devices.device import split_url
 from shared.devices.driver import HostClockPublisher, Link, run_driver
 from shared.devices.recognising import Port
 from shared.messages.base import DeviceName
+from shared.messages.corrections import GnssCorrection
 from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.runtime.config import Section
+
+from .correction_writer import CorrectionWriter
 
 
 class Config(Section):
@@ -27,6 +30,7 @@ class Process:
         # An invalid URL is a configuration error, raised at the start.
         self._recorded = True if split_url(config.device)[0].scheme == "file" else None
         self._config = config
+        self._corrections = CorrectionWriter()
 
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
@@ -48,3 +52,6 @@ class Process:
             message = decoded(bus, envelope)
             if isinstance(message, GnssWrite) and message.source == self._config.source:
                 link.write(bus, message.data)
+            elif isinstance(message, GnssCorrection):
+                self._corrections.take(bus, message)
+        self._corrections.write(bus, link)

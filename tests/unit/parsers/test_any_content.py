@@ -18,9 +18,9 @@ from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.imu import process as imu
 from services.parsers.v2x import process as v2x
 from shared.devices import xbus
-from shared.devices.checksums import fletcher
 from shared.errors import TooManyFaults
 from shared.faults import FAULT, RANGE
+from shared.maths.crc import fletcher
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples

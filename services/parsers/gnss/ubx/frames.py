@@ -1,6 +1,6 @@
 """Makes frames of UBX."""
 
-from shared.devices.checksums import fletcher
+from shared.maths.crc import fletcher
 
 from .framing import SYNC
 

@@ -16,8 +16,8 @@ from pyubx2.ubxreader import UBXReader
 from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.protocols import FRAMINGS
 from services.parsers.gnss.ubx.framing import MAX_PAYLOAD
-from shared.devices.checksums import crc24q, crc_of_zeros, fletcher
 from shared.devices.framing import TAIL
+from shared.maths.crc import crc24q, crc_of_zeros, fletcher
 from tests.support.data import recording
 
 UBX = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize()

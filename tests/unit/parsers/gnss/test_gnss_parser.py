@@ -15,6 +15,7 @@ from pyubx2.ubxmessage import UBXMessage
 from services.parsers.gnss.process import Config, Process
 from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.messages.base import Message
+from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import (
     CarrierSolution,
     FixType,
@@ -427,3 +428,24 @@ def test_the_clock_of_an_epoch_whose_fix_was_lost_is_not_that_of_a_later_fix() -
     assert (10, 150) not in biases
     assert biases[0][1] == 100 and biases[-1][1] == 650
     assert process.rejects["ubx_signal_without_fix"] == 1
+
+
+def test_a_fix_made_with_corrections_names_their_source_for_a_minute() -> None:
+    """The state of corrections counts while it is fresh, and only for a fix that has used some."""
+
+    def stated(active: str | None) -> CorrectionsState:
+        return CorrectionsState(sampled_ns=START_NS, active=active, reason="")
+
+    def source(process: Process, quality: int, second: int) -> str | None:
+        return fixes(feed(process, gga(0, quality) + rmc(0), second) + feed(process, gga(1), second + 1))[
+            0
+        ].correction_source
+
+    assert source(Process(Config()), 2, 0) is None
+    for quality, expected in ((1, None), (2, "base"), (4, "base"), (5, "base")):
+        process = Process(Config())
+        assert list(process.handle(stated("base"))) == list(process.handle(stated(None))) == []
+        assert source(process, quality, 0) == expected
+    process = Process(Config())
+    list(process.handle(stated("base")))
+    assert source(process, 4, 30) == "base" and source(process, 4, 90) is None

@@ -5,7 +5,7 @@ import pytest
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.seen import MAX_KINDS
 from services.parsers.gnss.ubx.framing import SYNC
-from shared.devices.checksums import fletcher
+from shared.maths.crc import fletcher
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssRaw, GnssReceiver
 

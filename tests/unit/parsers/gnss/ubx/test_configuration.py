@@ -16,7 +16,7 @@ from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.gnss.ubx.outputs import MESSAGES, messages_of, optional, required
 from services.parsers.gnss.ubx.valset import read_values
 from services.sensors.simulator.gnss.ubx_encoder import mon_ver
-from shared.devices.checksums import fletcher
+from shared.maths.crc import fletcher
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssOutput, GnssRaw, GnssReceiver, GnssWrite
 from shared.messages.operation import DeviceFound, DeviceState

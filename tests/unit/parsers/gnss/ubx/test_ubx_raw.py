@@ -16,7 +16,7 @@ from services.parsers.gnss.protocols import FRAMINGS
 from services.parsers.gnss.ubx import raw
 from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.gnss.ubx.messages import UbxError
-from shared.devices.checksums import fletcher
+from shared.maths.crc import fletcher
 from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.messages.gnss import (
     Constellation,
