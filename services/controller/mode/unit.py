@@ -89,7 +89,7 @@ class Unit:
     def mode_state(self, facts: Facts, before: ModeState | None) -> ModeState:
         """Determine the mode and select the sources."""
         mode, reason = decide(facts)
-        self.has_measured |= mode is Mode.MEASURING
+        self.has_measured |= mode is Mode.MEASURING or facts.is_gnss_only
         return self.describe(mode, reason, before)
 
     def describe(self, mode: Mode, reason: str, before: ModeState | None) -> ModeState:
