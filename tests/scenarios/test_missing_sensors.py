@@ -6,6 +6,7 @@ from math import degrees, hypot, radians
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from services.core.fusion.process import Config, Process
 from services.core.trust.process import Config as TrustConfig
@@ -15,13 +16,14 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference, wrap_angl
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.trust import TrustLevel, TrustState
 from shared.runtime.config import GnssAntenna, Vehicle
 
 EPOCH_NS = 1_790_000_000_000_000_000
 S = 1_000_000_000
 BATCH = 2
+SOLVED = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 
 
 @cache
@@ -65,10 +67,12 @@ def samples(*gaps: tuple[float, float]) -> list[ImuSamples]:
     return found
 
 
-def run(messages: Sequence[GnssFix | ImuSamples]) -> Iterator[Message]:
+def run(messages: Sequence[GnssFix | ImuSamples], last: LastPosition | None = None) -> Iterator[Message]:
     """Outputs of fusion and trust, with a tick of trust each second."""
     vehicle = Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))
     fusion, trust, second = Process(Config(vehicle=vehicle)), Trust(TrustConfig()), 0
+    if last is not None:
+        yield from fusion.handle(last)
     for message in sorted(messages, key=lambda m: m.received_ns):
         now_ns = message.received_ns
         if now_ns // S != second:
@@ -114,3 +118,45 @@ def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
     out = list(run([*fixes(0.0, 40.0), *nothing]))
     assert max(one.sampled_ns for one in solutions(out)) < EPOCH_NS + 40 * S
     assert [one for one in out if isinstance(one, TrustState)][-1].state is TrustLevel.NO_FIX
+
+
+@pytest.mark.parametrize(
+    "gaps",
+    [((35.0, 40.0),), ((50.0, 67.0),), ((50.0, 52.0), (52.5, 54.0), (54.3, 60.0))],
+    ids=["5 s", "17 s", "three in a row"],
+)
+def test_a_gap_of_the_imu_is_survived_by_fixes_and_the_kept_heading(gaps: tuple[tuple[float, float], ...]) -> None:
+    """At 1 Hz two positions are 2 s apart at most, and the filter goes on 1.3 s after the gap at the latest."""
+    found = solutions(list(run([*fixes(), *samples(*gaps)])))
+    times_s = np.array([(one.sampled_ns - EPOCH_NS) / S for one in found])
+    begin_s, end_s = gaps[0][0], gaps[-1][1]
+    assert np.diff(times_s[times_s > begin_s - 0.5]).max() < 2.05
+    during = {one.phase for one, at_s in zip(found, times_s, strict=True) if begin_s + 1.0 < at_s < end_s - 0.05}
+    assert NavigationPhase.GNSS_ONLY in during
+    after = [
+        one
+        for one, at_s in zip(found, times_s, strict=True)
+        if at_s > end_s and one.phase is NavigationPhase.NAVIGATING
+    ]
+    assert (after[0].sampled_ns - EPOCH_NS) / S < end_s + 1.35
+    kept = [one for one in after if (one.sampled_ns - EPOCH_NS) / S < end_s + 5.0]
+    assert max(errors(one)[1] ** 2 / one.attitude_cov_ned_rad2[5] for one in kept) < 9.0
+    assert max(abs(degrees(errors(one)[1])) for one in kept) < 6.0
+    assert all(hypot(*errors(one)[0][:2]) < (one.protection_level_horizontal_m or 0.0) for one in found)
+
+
+def test_a_parked_vehicle_keeps_its_heading_over_a_gap() -> None:
+    """The drive stands for 20 s; a saved heading starts the filter after levelling for 15 s."""
+    begin_s, end_s, stop_s = 16.8, 19.0, 20.4
+    place, attitude = drive().position[0].tolist(), drive().attitude[0].tolist()
+    last = LastPosition(
+        sampled_ns=EPOCH_NS - 10**12, latitude_deg=degrees(place[0]), longitude_deg=degrees(place[1]),
+        height_ellipsoid_m=place[2], yaw_rad=attitude[2], position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
+    )  # fmt: skip
+    received = [one for one in samples((begin_s, end_s)) if one.received_ns < EPOCH_NS + stop_s * S]
+    found = [one for one in solutions(list(run([*fixes(0.0, stop_s), *received], last))) if one.phase in SOLVED]
+    times_s = [(one.sampled_ns - EPOCH_NS) / S for one in found]
+    assert min(times_s) < begin_s, "the filter runs before the gap"
+    assert min(at_s for at_s in times_s if at_s > end_s) < end_s + 1.35
+    assert abs(degrees(errors(found[-1])[1])) < 3.0
+    assert found[-1].attitude_cov_ned_rad2[5] < radians(3.0) ** 2

@@ -46,6 +46,7 @@ class Process:
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample
+        self._published_ns = 0  # stamp of the newest solution
         self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
         self._speed = ChosenSource()
@@ -79,6 +80,7 @@ class Process:
         if self._saved is not None:
             messages.restore(self._navigator, self._saved, batch)
             self._saved = None
+        self._without_imu.interrupted(batch.received_ns, self._navigator.engine.filter)
         self._imu, self._without_imu.heard_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in messages.samples_of(batch):
             due = self._is_due(sampled_ns)
@@ -108,7 +110,8 @@ class Process:
         if not measurements:
             self.rejects["fix without position"] += 1
         found = without.solve(measurements, received_ns, self._navigator.engine.filter)
-        if found is not None and not self._gnss_excluded and found.time_ns > self._sampled_ns:
+        if found is not None and not self._gnss_excluded and found.time_ns > self._published_ns:
+            self._published_ns = found.time_ns
             yield messages.solution_message(found)
         yield from self._silence(received_ns)
 
@@ -181,4 +184,5 @@ class Process:
         if solution is not None and solution.time_ns == sampled_ns:  # otherwise the sample was rejected
             self._last_solution = sampled_ns // self._solution_period_ns
             self._without_imu.end()
+            self._published_ns = sampled_ns
             yield messages.solution_message(solution, self._set_up.turn)

@@ -10,7 +10,8 @@ from .settings import Settings
 from .solution import Solution
 
 NS = 1_000_000_000
-SILENT_NS = 1_100_000_000  # silence of the IMU in use after which another one, or none, is used: 1 s and the bus delay
+# Silence of the IMU in use after which another one, or none, is used; a gap of that length ends the solution.
+SILENT_NS = 1_000_000_000
 NEVER_HEARD_NS = 5 * NS  # from the first fix: inertial units start within a second or two of their driver
 ABANDONED_NS = 30 * NS  # silence after which measurements are no longer kept for the filter, which cannot go on then
 FAULT_FREE_NS = 3 * NS  # time after a fault-free fix in which the receiver's own fixes are not published
@@ -75,6 +76,11 @@ class WithoutImu:
                 continue
             self._model.use(measurement)
         return self._model.take() if self.missing is not None else None
+
+    def interrupted(self, received_ns: int, running: ErrorStateFilter | None) -> None:
+        """Publish fixes alone after a gap between two samples, until the filter has a solution again."""
+        if self.heard_ns is not None and self.missing is None:
+            self._begin(received_ns, running)
 
     def _begin(self, received_ns: int, running: ErrorStateFilter | None) -> None:
         """Begin to publish fixes alone where samples are missing; before it is certain, only learn from fixes."""

@@ -5,26 +5,24 @@ below what is stated: without inertial sensors an error that lasts for minutes c
 course over ground while the vehicle moves, and afterwards that course, which becomes worse with the distance driven.
 """
 
-from dataclasses import dataclass
-from math import atan2, hypot, pi
+from math import hypot
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference, wrap_angle
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
-from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
 
 from ..aids.base import Measurement
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
 from ..aids.odometer import WheelSpeed
-from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..integrity.protection_levels import horizontal_level, vertical_level
 from ..settings import Settings
 from ..solution import Solution, upper
 from ..start.alignment import gnss_error_model
+from ..start.course import STANDING_M_S, UNKNOWN_HEADING_VARIANCE, CourseFollower, course_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -36,22 +34,7 @@ REJECTIONS = 3  # positions in a row, after which the new place is taken and the
 JUMP_HELD_S = 60.0  # a reflection or another constellation in use lasts for about a minute
 NEVER_NS = -(2**62)
 TILT_SD = 0.1  # [rad] roll and pitch of a car on a road: grades and banks of 10 %
-UNKNOWN_HEADING_VARIANCE = pi**2 / 3.0  # [rad²] of a uniform distribution over the circle
 UNKNOWN_HEIGHT_SD = 100.0  # [m] of a position without a height
-TURNING_RADIUS_M = 5.0  # of a car: a metre driven unobserved turns it by at most 0.2 rad
-STANDING_M_S = 0.3  # speed below which the vehicle stands, three times the noise of a receiver's velocity
-FASTEST_REVERSE_M_S = 8.0  # a course against the heading at more than this is not that of a reversing car
-SENSE_VARIANCE = 0.6  # [rad²] of a heading that tells forward from backward motion (44 degrees)
-COURSE_OVER_SD = 3.0  # speed over its standard deviation from which the course is used
-
-
-@dataclass(frozen=True)
-class Course:
-    """Heading of the vehicle at an instant."""
-
-    time_ns: int
-    yaw: float  # [rad]
-    variance: float  # [rad²]
 
 
 class GnssOnly:
@@ -67,11 +50,10 @@ class GnssOnly:
 
     def __init__(self, settings: Settings, lost: ErrorStateFilter | None = None) -> None:
         self._settings = settings
-        self.course: Course | None = None
+        self._heading = CourseFollower(settings)
         self._errors = gnss_error_model(settings) if lost is None else lost.gnss_errors.at_start()
         if lost is not None:
-            yaw = atan2(lost.ned_from_body[1, 0], lost.ned_from_body[0, 0])
-            self.course = Course(lost.time_ns, yaw, float(lost.P[em.ATTITUDE, em.ATTITUDE][2, 2]))
+            self._heading.course = course_of(lost)
         self._velocity: GnssVelocity | None = None
         self._before: GnssPosition | None = None  # newest position that was used
         self._before_velocity = np.zeros(3)
@@ -100,7 +82,7 @@ class GnssOnly:
         if self._velocity is not None and fix.time_ns <= self._velocity.time_ns:
             return
         self._velocity = fix
-        self._follow(fix.time_ns, fix.velocity, float(max(fix.cov[0, 0], fix.cov[1, 1])))
+        self._heading.use_velocity(fix)
 
     def use_position(self, fix: GnssPosition) -> None:
         """Use a position of the antenna, unless it contradicts those before."""
@@ -130,7 +112,7 @@ class GnssOnly:
         way[2] = way[2] if fix.axes == before.axes == 3 else 0.0
         cov = (fix.cov + before.cov) / step_s**2 + np.eye(3) * (0.5 * ACCELERATION_SD * step_s) ** 2
         north, east, down = (way / step_s).tolist()
-        self._follow(fix.time_ns, (north, east, down), float(max(cov[0, 0], cov[1, 1])))
+        self._heading.follow(fix.time_ns, (north, east, down), float(max(cov[0, 0], cov[1, 1])))
         return way / step_s, cov
 
     def _agrees(self, before: GnssPosition, fix: GnssPosition, velocity: FloatArray, velocity_cov: FloatArray) -> bool:
@@ -171,27 +153,10 @@ class GnssOnly:
         cov: FloatArray = fix.cov * np.outer(scale, scale)
         return cov if fix.axes == 3 else cov + np.diag([0.0, 0.0, UNKNOWN_HEIGHT_SD**2])
 
-    def _follow(self, time_ns: int, velocity: Vector, variance: float) -> None:
-        """Follow the heading by a velocity [m/s, NED] with its variance on the ground [m²/s²]."""
-        speed, known = hypot(velocity[0], velocity[1]), self.course
-        if known is not None:
-            span_s = max(0.0, (time_ns - known.time_ns) * 1e-9)
-            moved_m = speed * span_s if speed > STANDING_M_S else 0.0
-            sd = known.variance**0.5 + moved_m / TURNING_RADIUS_M
-            known = Course(time_ns, known.yaw, min(sd**2, UNKNOWN_HEADING_VARIANCE))
-        self.course = known
-        if speed < self._settings.alignment.course_speed_m_s or speed < COURSE_OVER_SD * variance**0.5:
-            return
-        yaw = atan2(velocity[1], velocity[0])
-        if known is not None and known.variance < SENSE_VARIANCE and speed < FASTEST_REVERSE_M_S:
-            is_reverse = abs(wrap_angle(yaw - known.yaw)) > 0.5 * pi
-            yaw = wrap_angle(yaw + pi) if is_reverse else yaw
-        found = variance / speed**2 + self._settings.alignment.course_yaw_sd_rad**2
-        self.course = Course(time_ns, yaw, found)
-
     def _solution(self, fix: GnssPosition, velocity: FloatArray, velocity_cov: FloatArray) -> Solution:
-        yaw = 0.0 if self.course is None else self.course.yaw
-        yaw_variance = UNKNOWN_HEADING_VARIANCE if self.course is None else self.course.variance
+        course = self._heading.course
+        yaw = 0.0 if course is None else course.yaw
+        yaw_variance = UNKNOWN_HEADING_VARIANCE if course is None else course.variance
         ahead, right, down = fix.lever_arm
         c, s = np.cos(yaw), np.sin(yaw)
         arm_n = (float(ahead * c - right * s), float(ahead * s + right * c), down)
