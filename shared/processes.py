@@ -146,7 +146,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "estimates position, velocity and attitude with their covariance",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
+            "navigation/filter_state", "trust/state", "gnss/fault_free_fix", "mode/state",
         ),
         produces=(
             "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding",
@@ -156,7 +156,7 @@ PROCESSES = (
     ProcessRow(
         "core.motion_conflict", Kind.STANDING,
         "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale"),
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state"),
         produces=("trust/monitor", "trust/inertial_scale"),
         pause_s=0.1,
     ),
@@ -164,19 +164,19 @@ PROCESSES = (
         "core.spoofing", Kind.STANDING, "compares GNSS, inertial sensors and wheels over 5 s to 5 minutes",
         consumes=(
             "imu/sample", "gnss/fix", "vehicle/speed", "vehicle/wheel_speed", "navigation/solution",
-            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state",
+            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state", "mode/state",
         ),
         produces=("trust/monitor", "trust/grade"),
         pause_s=0.1,
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours"),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "mode/state"),
         produces=("trust/monitor", "gnss/fault_free_fix", "trust/hypotheses"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
-        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock"),
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock", "mode/state"),
         produces=("trust/monitor",),
     ),
     ProcessRow(

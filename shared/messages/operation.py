@@ -22,8 +22,18 @@ class Mode(StrEnum):
     SHUTTING_DOWN = "shutting_down"
 
 
+class SourceSwitch(Message):
+    """Another device was selected."""
+
+    sampled_ns: Nanoseconds
+    kind: Name  # gnss, imu, speed
+    before: Name
+    after: Name
+    reason: Reason
+
+
 class ModeState(Message):
-    """The mode of the unit, since when and why, and the sources that it chose."""
+    """The mode of the unit, since when and why, and the sources that it chose, which every consumer uses."""
 
     sampled_ns: Nanoseconds
     mode: Mode
@@ -32,6 +42,8 @@ class ModeState(Message):
     gnss_source: Name | None = None
     imu_source: Name | None = None
     speed_source: Name | None = None
+    sources: Annotated[tuple[Name, ...], Field(max_length=64)] = ()  # of all kinds that are received
+    switches: Annotated[tuple[SourceSwitch, ...], Field(max_length=16)] = ()  # the newest of each kind, oldest first
 
 
 class ProcessState(StrEnum):

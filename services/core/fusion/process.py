@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from shared.chosen import ChosenSource
+from shared.chosen import ChosenSource, gnss_choice, imu_choice, receiver_choice, receiver_of, speed_choice
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
@@ -15,6 +15,7 @@ from shared.messages.navigation import (
     NavigationState,
     SetUpState,
 )
+from shared.messages.operation import ModeState
 from shared.messages.trust import TrustHypotheses, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
@@ -24,10 +25,21 @@ from .aids.kinds import measurements_of
 from .navigator import Navigator
 from .set_up.monitor import SetUpMonitor
 from .settings import Settings
-from .without_imu import WithoutImu
+from .without_imu import SILENT_NS, WithoutImu
 
 STATE_PERIOD_NS = 1_000_000_000
-In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | FaultFreeFix | Tick
+In = (
+    ModeState
+    | ImuSamples
+    | GnssFix
+    | LastPosition
+    | FilterState
+    | VehicleSpeed
+    | WheelSpeeds
+    | TrustState
+    | FaultFreeFix
+    | Tick
+)
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
 NO_EXCLUSION: Exclusion = (None, False, ())
 Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState | TrustHypotheses
@@ -49,7 +61,9 @@ class Process:
         self._published_ns = 0  # stamp of the newest solution
         self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
-        self._speed = ChosenSource()
+        self._speed = ChosenSource(speed_choice)
+        self._receiver, self._fixes = ChosenSource(receiver_choice), ChosenSource(gnss_choice)
+        self._imus = ChosenSource(imu_choice, SILENT_NS)
         self._imu: str | None = None  # source in use
         self._without_imu = WithoutImu(config)
         self._gnss_excluded = False  # as core.trust has decided
@@ -59,6 +73,9 @@ class Process:
         match message:
             case ImuSamples():
                 yield from self._inertial(message)
+            case ModeState():
+                for chosen in (self._speed, self._receiver, self._fixes, self._imus):
+                    chosen.follow(message)
             case VehicleSpeed() if not self._speed.takes(message.source, message.received_ns):
                 self.rejects["speed of a second source"] += 1
             case GnssFix() | FaultFreeFix():
@@ -74,7 +91,7 @@ class Process:
                 self._aid(message)
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
-        if batch.source != self._imu and self._is_heard(batch.received_ns):
+        if not self._imus.takes(batch.source, batch.received_ns):
             self.rejects["samples of a second imu"] += 1
             return
         if self._saved is not None:
@@ -106,6 +123,9 @@ class Process:
     def _fix(self, fix: GnssFix | FaultFreeFix) -> Iterator[Out]:
         """Use a fix in the filter, or publish it where inertial samples are missing."""
         without, received_ns = self._without_imu, fix.received_ns
+        if not self._is_chosen(fix):
+            self.rejects["fix of a second receiver"] += 1
+            return
         measurements = self._aid(fix, keep=not without.is_abandoned(received_ns))
         if not measurements:
             self.rejects["fix without position"] += 1
@@ -114,6 +134,12 @@ class Process:
             self._published_ns = found.time_ns
             yield messages.solution_message(found)
         yield from self._silence(received_ns)
+
+    def _is_chosen(self, fix: GnssFix | FaultFreeFix) -> bool:
+        """Whether a fix is of the source in use; one without a position does not take another one's place."""
+        if isinstance(fix, FaultFreeFix):
+            return self._receiver.takes(receiver_of(fix.source), fix.received_ns)
+        return fix.latitude_deg is None or self._fixes.takes(fix.source, fix.received_ns)
 
     def _aid(self, message: Message, *, keep: bool = True) -> list[Measurement]:
         """Use what a message measures, in the checks of the set-up and, to `keep` it, in the navigator."""
@@ -131,11 +157,6 @@ class Process:
     def _is_due(self, sampled_ns: int) -> bool:
         """Whether a sample is the first of a solution period."""
         return sampled_ns // self._solution_period_ns != self._last_solution
-
-    def _is_heard(self, now_ns: int) -> bool:
-        """Whether the IMU in use is received; not after the clock was set back."""
-        heard_ns = self._without_imu.heard_ns
-        return heard_ns is not None and now_ns - heard_ns >= 0 and not self._without_imu.is_silent(now_ns)
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
         """Publish that inertial samples are missing, when a fix arrives long after the last sample."""
