@@ -110,7 +110,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
-        consumes=("gnss/raw", "gnss/configure", "device/state", "corrections/state"),
+        consumes=("gnss/raw", "gnss/configure", "gnss/reset", "device/state", "corrections/state"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
             "gnss/signal_quality", "gnss/receiver", "gnss/configuration",
@@ -143,9 +143,9 @@ PROCESSES = (
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
         consumes=(
             "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
-            "navigation/state",
+            "navigation/state", "mode/command",
         ),
-        produces=("gnss/configure", "mode/state", "navigation/last_position"),
+        produces=("gnss/configure", "gnss/reset", "mode/state", "mode/answer", "navigation/last_position"),
         pause_s=0.1,
     ),
     ProcessRow(
@@ -218,7 +218,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
-        produces=("simulation/attack", "replay/control"), observes_all=True, roles=BOTH,
+        produces=("simulation/attack", "replay/control", "mode/command"), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

@@ -32,6 +32,9 @@ class Unit:
     speed: Sources = field(default_factory=lambda: Sources(SPEED_SILENT_S, "speed", by_name=True))
     fix_ns: int | None = None
     said: GnssReceiver | None = None  # of the receiver that was heard last
+    search_ns: int | None = None  # since when a receiver looks for its first position
+    first_fix_s: float | None = None  # time that it took
+    restarting: bool = False  # a receiver was reset, and has not lost its position yet
     utc_offset_ns: int | None = None  # UTC - OBU time line
     solution: NavigationSolution | None = None
     solution_ns: int | None = None
@@ -103,9 +106,22 @@ class Unit:
             gnss_source=self.gnss.choose(self.now_ns),
             imu_source=self.imu.choose(self.now_ns),
             speed_source=self.speed.choose(self.now_ns),
+            time_to_first_fix_s=self.first_fix_s,
             sources=tuple(name for kind in kinds for name in kind.names(self.now_ns)),
             switches=tuple(sorted((one for kind in kinds for one in kind.switches), key=lambda one: one.sampled_ns)),
         )
+
+    def search_again(self) -> None:
+        """Measure the time to the first position anew: a receiver was reset."""
+        self.search_ns, self.first_fix_s, self.restarting = self.now_ns, None, True
+
+    def _time_first_fix(self, fix: GnssFix) -> None:
+        """Measure the time to the first position, from the first message of a receiver or its reset on."""
+        self.search_ns = self.now_ns if self.search_ns is None else self.search_ns
+        if not has_position(fix):
+            self.restarting = False
+        elif self.first_fix_s is None and not self.restarting:
+            self.first_fix_s = age_s(self.search_ns, self.now_ns)
 
     def _advance(self, stamp_ns: int) -> None:
         self.now_ns = max(self.now_ns, stamp_ns)
@@ -114,6 +130,7 @@ class Unit:
 
     def _note_receiver(self, said: GnssReceiver) -> str | None:
         self._advance(said.received_ns)
+        self.search_ns = self.now_ns if self.search_ns is None else self.search_ns
         self.said = said
         known = bool(said.messages) and self.receivers.note_received(said.source, self.now_ns)
         return said.source if known else None
@@ -134,16 +151,22 @@ class Unit:
 
     def _note_fix(self, fix: GnssFix) -> str | None:
         self._advance(fix.received_ns)
-        if fix.latitude_deg is not None and fix.fix_type is not FixType.TIME_ONLY:
+        self._time_first_fix(fix)
+        if has_position(fix):
             self.fix_ns = self.now_ns
         if fix.utc_ns is not None:
             self.utc_offset_ns = fix.utc_ns - fix.sampled_ns
         self.gnss.note_received(
             fix.source, self.now_ns, rank=fix.source.endswith(NMEA),  # UBX is preferred
-            valid=fix.latitude_deg is not None, sd=_position_sd_m(fix),
+            valid=has_position(fix), sd=_position_sd_m(fix),
         )  # fmt: skip
         receiver = receiver_of(fix.source)
         return receiver if self.receivers.note_received(receiver, self.now_ns) else None
+
+
+def has_position(fix: GnssFix) -> bool:
+    """Whether a fix is a measured position."""
+    return fix.latitude_deg is not None and fix.fix_type is not FixType.TIME_ONLY
 
 
 def _position_sd_m(fix: GnssFix) -> float | None:
