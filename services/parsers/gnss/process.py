@@ -8,12 +8,13 @@ from pydantic import Field
 from shared.kinds import Kinds
 from shared.messages.base import Message, Tick
 from shared.messages.corrections import CorrectionsState
-from shared.messages.gnss import CarrierSolution, GnssConfigure, GnssFix, GnssRaw, GnssReceiver, GnssWrite
+from shared.messages.gnss import CarrierSolution, GnssConfigure, GnssFix, GnssRaw, GnssReceiver, GnssReset, GnssWrite
 from shared.messages.operation import DeviceState
 from shared.runtime.config import Section
 
 from .dialect import Output
 from .receiver import Receiver
+from .ubx.reset import reset
 
 MAX_RECEIVERS = 8
 CORRECTED_NS = 60_000_000_000  # after the last correction: RTK engines use one for at most a minute
@@ -50,6 +51,8 @@ class Process:
             case GnssConfigure():
                 if receiver := self._receiver(message.source):
                     yield from receiver.configure(message, self._now_ns)
+            case GnssReset():
+                yield GnssWrite(received_ns=self._now_ns, source=message.source, data=reset(message.start))
             case DeviceState(process="sensors.gnss"):
                 if receiver := self._receiver(message.source):
                     receiver.rate_baud = message.rate_baud

@@ -245,6 +245,7 @@ export const words = {
       waiting_for_heading: "waiting for a heading",
       navigating: "navigating",
       coasting: "dead reckoning",
+      gnss_only: "GNSS alone",
     },
   },
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from pyrtcm.rtcmtypes_core import RTCM_MSGIDS
-from pyspartn import SPARTNReader
+from pyspartn.spartnreader import SPARTNReader
 
 from services.parsers.corrections.frames import CorrectionFrame, CorrectionFramer
 from services.parsers.corrections.names import name_of
