@@ -113,7 +113,7 @@ PROCESSES = (
         consumes=("gnss/raw", "gnss/configure", "gnss/reset", "device/state", "corrections/state"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
-            "gnss/signal_quality", "gnss/receiver", "gnss/configuration",
+            "gnss/signal_quality", "gnss/receiver", "gnss/configuration", "imu/raw", "vehicle/speed",
         ),
         roles=BOTH,
     ),
