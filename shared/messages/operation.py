@@ -32,6 +32,7 @@ class ModeState(Message):
     gnss_source: Name | None = None
     imu_source: Name | None = None
     speed_source: Name | None = None
+    power_off: bool = False  # the battery is nearly empty: state is saved, recordings are closed
 
 
 class ProcessState(StrEnum):
