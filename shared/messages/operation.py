@@ -32,7 +32,7 @@ class ModeState(Message):
     gnss_source: Name | None = None
     imu_source: Name | None = None
     speed_source: Name | None = None
-    power_off: bool = False  # the battery is nearly empty: state is saved, recordings are closed
+    power_off: bool | None = None  # true: the battery is nearly empty; state is saved, recordings are closed
 
 
 class ProcessState(StrEnum):

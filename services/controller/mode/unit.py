@@ -117,7 +117,7 @@ class Unit:
             gnss_source=self.gnss.choose(self.now_ns),
             imu_source=self.imu.choose(self.now_ns),
             speed_source=self.speed.current(self.now_ns),
-            power_off=power_off,
+            power_off=power_off or None,
         )
 
     def _advance(self, stamp_ns: int) -> None:

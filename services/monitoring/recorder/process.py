@@ -87,9 +87,9 @@ class Process:
             if envelope.topic != "mode/state" or envelope.retained:
                 continue
             mode = decoded(bus, envelope)
-            if not isinstance(mode, ModeState) or mode.power_off is self._power_ends:
+            if not isinstance(mode, ModeState) or bool(mode.power_off) is self._power_ends:
                 continue
-            self._power_ends = mode.power_off
+            self._power_ends = bool(mode.power_off)
             if mode.power_off:
                 try:
                     self._folder.close_on_disk()
