@@ -67,10 +67,25 @@ def samples(*gaps: tuple[float, float]) -> list[ImuSamples]:
     return found
 
 
-def run(messages: Sequence[GnssFix | ImuSamples], last: LastPosition | None = None) -> Iterator[Message]:
+def parked(*, stationary: bool = True) -> LastPosition:
+    """Position and heading that were saved where the drive begins."""
+    place, attitude = drive().position[0].tolist(), drive().attitude[0].tolist()
+    return LastPosition(
+        sampled_ns=EPOCH_NS - 10**12, latitude_deg=degrees(place[0]), longitude_deg=degrees(place[1]),
+        height_ellipsoid_m=place[2], yaw_rad=attitude[2], position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
+        stationary=stationary,
+    )  # fmt: skip
+
+
+def run(
+    messages: Sequence[GnssFix | ImuSamples],
+    last: LastPosition | None = None,
+    settings: dict[str, object] | None = None,
+) -> Iterator[Message]:
     """Outputs of fusion and trust, with a tick of trust each second."""
     vehicle = Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))
-    fusion, trust, second = Process(Config(vehicle=vehicle)), Trust(TrustConfig()), 0
+    fusion = Process(Config(vehicle=vehicle).with_values(settings or {}))
+    trust, second = Trust(TrustConfig()), 0
     if last is not None:
         yield from fusion.handle(last)
     for message in sorted(messages, key=lambda m: m.received_ns):
@@ -148,15 +163,35 @@ def test_a_gap_of_the_imu_is_survived_by_fixes_and_the_kept_heading(gaps: tuple[
 def test_a_parked_vehicle_keeps_its_heading_over_a_gap() -> None:
     """The drive stands for 20 s; a saved heading starts the filter after levelling for 15 s."""
     begin_s, end_s, stop_s = 16.8, 19.0, 20.4
-    place, attitude = drive().position[0].tolist(), drive().attitude[0].tolist()
-    last = LastPosition(
-        sampled_ns=EPOCH_NS - 10**12, latitude_deg=degrees(place[0]), longitude_deg=degrees(place[1]),
-        height_ellipsoid_m=place[2], yaw_rad=attitude[2], position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
-    )  # fmt: skip
     received = [one for one in samples((begin_s, end_s)) if one.received_ns < EPOCH_NS + stop_s * S]
-    found = [one for one in solutions(list(run([*fixes(0.0, stop_s), *received], last))) if one.phase in SOLVED]
+    found = [one for one in solutions(list(run([*fixes(0.0, stop_s), *received], parked()))) if one.phase in SOLVED]
     times_s = [(one.sampled_ns - EPOCH_NS) / S for one in found]
     assert min(times_s) < begin_s, "the filter runs before the gap"
     assert min(at_s for at_s in times_s if at_s > end_s) < end_s + 1.35
     assert abs(degrees(errors(found[-1])[1])) < 3.0
     assert found[-1].attitude_cov_ned_rad2[5] < radians(3.0) ** 2
+
+
+def test_without_gnss_a_parked_vehicle_starts_at_its_saved_position() -> None:
+    """Initialising, then dead reckoning from where it was parked; its errors stay within the level."""
+    received = [one for one in samples() if one.received_ns < EPOCH_NS + 30 * S]
+    out = list(run(received, parked(), {"alignment.without_gnss_s": 17.0}))
+    found = solutions(out)
+    assert {one.phase for one in found} == {NavigationPhase.COASTING}
+    assert 17.0 < (found[0].sampled_ns - EPOCH_NS) / S < 17.5
+    assert all(hypot(*errors(one)[0][:2]) < (one.protection_level_horizontal_m or 0.0) for one in found)
+    states = [one for one in out if isinstance(one, TrustState)]
+    assert states[0].state is TrustLevel.INITIALISING
+    assert TrustLevel.DEAD_RECKONING in {one.state for one in states}
+    assert any("no GNSS fix has been used" in one.reasons[0] for one in states)
+
+
+def test_a_position_saved_on_the_move_is_no_place_to_start_from() -> None:
+    received = [one for one in samples() if one.received_ns < EPOCH_NS + 25 * S]
+    assert not solutions(list(run(received, parked(stationary=False), {"alignment.without_gnss_s": 17.0})))
+
+
+def test_a_vehicle_that_has_moved_is_not_where_it_was_saved() -> None:
+    """It drives off before the time is over."""
+    received = [one for one in samples() if one.received_ns < EPOCH_NS + 35 * S]
+    assert not solutions(list(run(received, parked(), {"alignment.without_gnss_s": 24.0})))
