@@ -18,6 +18,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.trust import TrustLevel, TrustState
+from shared.missing_sensors import NO_GNSS_YET, NO_INERTIAL_UNIT
 from shared.runtime.config import GnssAntenna, Vehicle
 
 EPOCH_NS = 1_790_000_000_000_000_000
@@ -125,7 +126,7 @@ def test_without_an_imu_each_fix_is_published_and_the_verdict_is_caution() -> No
     verdicts = [one for one in out if isinstance(one, TrustState)]
     assert verdicts[0].state is TrustLevel.INITIALISING
     assert verdicts[-1].state is TrustLevel.CAUTION
-    assert "no inertial unit: an attack would not be noticed" in verdicts[-1].reasons[0]
+    assert NO_INERTIAL_UNIT in verdicts[-1].reasons[0]
 
 
 def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
@@ -183,7 +184,7 @@ def test_without_gnss_a_parked_vehicle_starts_at_its_saved_position() -> None:
     states = [one for one in out if isinstance(one, TrustState)]
     assert states[0].state is TrustLevel.INITIALISING
     assert TrustLevel.DEAD_RECKONING in {one.state for one in states}
-    assert any("no GNSS fix has been used" in one.reasons[0] for one in states)
+    assert any(NO_GNSS_YET in one.reasons[0] for one in states)
 
 
 def test_a_position_saved_on_the_move_is_no_place_to_start_from() -> None:
@@ -195,3 +196,19 @@ def test_a_vehicle_that_has_moved_is_not_where_it_was_saved() -> None:
     """It drives off before the time is over."""
     received = [one for one in samples() if one.received_ns < EPOCH_NS + 35 * S]
     assert not solutions(list(run(received, parked(), {"alignment.without_gnss_s": 24.0})))
+
+
+def test_without_gnss_and_imu_excluded_by_trust_nothing_is_published() -> None:
+    """A position of GNSS alone is the excluded one."""
+    process = Process(Config())
+    excluded = TrustState(
+        sampled_ns=EPOCH_NS, state=TrustLevel.DEAD_RECKONING, since_ns=EPOCH_NS, row=5, reasons=("",),
+        gnss_excluded=True, suspect_since_ns=EPOCH_NS - 10 * S, alert_limit_horizontal_m=10.0,
+        alert_limit_vertical_m=20.0,
+    )  # fmt: skip
+    out: list[Message] = [*process.handle(excluded)]
+    out += [one for fix in fixes() for one in process.handle(fix)]
+    assert not solutions(out)
+    states = [one for one in out if isinstance(one, NavigationState)]
+    assert states[-1].phase is NavigationPhase.WAITING_FOR_IMU
+    assert "GNSS is excluded: no position" in states[-1].reason
