@@ -324,16 +324,27 @@ def command(
 
 
 @app.command()
-def doctor(vehicle: VehicleOption = None) -> None:
+def doctor(
+    vehicle: VehicleOption = None,
+    probe: Annotated[
+        bool,
+        typer.Option(
+            "--probe", help="Ask devices that are silent, and look at all serial ports: this writes to the ports."
+        ),
+    ] = False,
+) -> None:
     """Check this machine, its configuration and a running unit, and name the remedy of each fault.
+
+    It listens to each port, at six rates if need be, and says what its device speaks.
 
     Examples:
     [bold]obu doctor[/]
+    [bold]obu doctor --probe[/]   (no device is named yet: what is plugged in?)
     [bold]obu doctor --vehicle deploy/vehicles/pi.toml[/]
     """
     from .doctor import examine
 
-    raise typer.Exit(examine(vehicle))
+    raise typer.Exit(examine(vehicle, probe=probe))
 
 
 @app.command(hidden=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from pyrtcm.rtcmtypes_core import RTCM_MSGIDS
-from pyspartn import SPARTNReader
+from pyspartn.spartnreader import SPARTNReader
 
 from services.parsers.corrections.frames import CorrectionFrame, CorrectionFramer
 from services.parsers.corrections.names import name_of
@@ -72,7 +72,7 @@ def test_a_spartn_frame_inside_of_rxm_pmp_goes_on_once_as_part_of_it() -> None:
     assert [frame.data for frame in found] == [PMP] and not rejects
 
 
-@pytest.mark.parametrize("unit", [b"\xd3\x03\xff\x3f", b"s\x03\xff\xef", b"\xb5\x62\x02\x72\x00\x04", None])
+@pytest.mark.parametrize("unit", [b"\xd3\x03\xff\x3f", b"s\x03\xff\xef", b"\xb5\x62\x02\x72\x10\x02", None])
 def test_bytes_made_to_look_like_headers_cost_no_more_than_others(unit: bytes | None) -> None:
     """Rubbish costs a bounded number of checks: `judged` is at most one for each four bytes."""
     size = 40_000
@@ -91,7 +91,7 @@ def test_recorded_spartn_is_read_as_pyspartn_reads_it_and_every_byte_is_accounte
 ) -> None:
     data = (recording("spartn_logs") / name).read_bytes()
     found, rejects = framed(data, list(range(777, len(data), 777)))
-    theirs = [raw for raw, _ in SPARTNReader(io.BytesIO(data), quitonerror=0, decode=0) if raw]
+    theirs = [raw for raw, _ in SPARTNReader(io.BytesIO(data), quitonerror=0, decode=False) if raw]
     assert [frame.data for frame in found] == theirs
     assert (len(found), sum(len(frame.data) for frame in found)) == (frames, size)
     left = len(data) - size - rejects.pop("garbage_bytes", 0)
