@@ -25,8 +25,8 @@ def solution(time_ns: int, **changes: Any) -> NavigationSolution:
 
 
 def verdict(time_ns: int, state: TrustLevel = TrustLevel.SAFE, **changes: Any) -> TrustState:
-    return TrustState(sampled_ns=time_ns, state=state, since_ns=time_ns, row=1, reasons=(), alert_limit_horizontal_m=10.0,
-                      alert_limit_vertical_m=20.0, **changes)  # fmt: skip
+    return TrustState(sampled_ns=time_ns, state=state, since_ns=time_ns, row=1, reasons=(),
+                      alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0, **changes)  # fmt: skip
 
 
 def fix(time_ns: int, utc_ns: int | None, **changes: Any) -> GnssFix:

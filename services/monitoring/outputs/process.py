@@ -81,21 +81,18 @@ class Process:
         self._newest, self._shared = Newest(), Shared()
         self._slot = -1  # number of the period of the newest report
         self._silent_ns = self._sky_ns = 0  # when the next report without a solution and the next SKY are due
-        self.gpsd: TcpServer | None = None
-        self.nmea: TcpServer | None = None
+        host = config.host or os.environ.get("OBU_OUTPUTS_HOST", "127.0.0.1")
+        self.gpsd = TcpServer((host, config.gpsd_port), lambda: Session(self._shared), GPSD_REMEDY)
+        self.nmea = TcpServer((host, config.nmea_port), Listener, NMEA_REMEDY)
 
     def run(self, bus: Bus) -> None:
         """Receive and serve until the bus stops."""
         config, faults = self._config, Faults(bus.rejects)
-        host = config.host or os.environ.get("OBU_OUTPUTS_HOST", "127.0.0.1")
         servers = Servers(bus.rejects, config.clients_maximum)
         self._shared.started_ns, self._shared.now_ns = bus.now_ns(), bus.now_ns
-        if config.gpsd_port:
-            self.gpsd = TcpServer((host, config.gpsd_port), lambda: Session(self._shared), GPSD_REMEDY)
-            servers.add(self.gpsd)
-        if config.nmea_port:
-            self.nmea = TcpServer((host, config.nmea_port), Listener, NMEA_REMEDY)
-            servers.add(self.nmea)
+        for port, server in ((config.gpsd_port, self.gpsd), (config.nmea_port, self.nmea)):
+            if port:
+                servers.add(server)
         datagrams = UdpSender(tuple(map(host_and_port, config.nmea_udp)), bus.rejects)
         fault: str | None = None
         try:
@@ -145,8 +142,9 @@ class Process:
         report = self._newest.report(now_ns)
         objects = {"TPV": gpsd_reports.tpv(report), "ATT": gpsd_reports.att(report)}
         if now_ns >= self._sky_ns:
-            self._sky_ns = now_ns + SKY_PERIOD_NS
             objects["SKY"] = gpsd_reports.sky(report)
+            if objects["SKY"] is not None:
+                self._sky_ns = now_ns + SKY_PERIOD_NS
         self._shared.newest.update(objects)
         servers.send(b"".join(gpsd_reports.encoded(o) for o in objects.values() if o is not None), _wants_json)
         sentences = burst(report, self._config.sentences)
