@@ -10,20 +10,28 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from services.parsers.gnss.framer import Frame, Framer
+from services.parsers.gnss.protocols import FRAMINGS
 from shared.devices.framing import FrameFinder
 from shared.devices.xbus import XbusMessage, XbusReader
 
 RESULTS = Path(__file__).parent / "results"
 GOAL_MB_S = 1.0
+
+
+def receiver() -> FrameFinder[Frame]:
+    """Frames of all protocols of GNSS receivers."""
+    return Framer(FRAMINGS)
+
+
 PATTERNS: tuple[tuple[Callable[[], FrameFinder[Frame] | FrameFinder[XbusMessage]], bytes], ...] = (
-    (Framer, bytes.fromhex("d303ff")),  # a header of RTCM every three bytes, each of 1029 bytes
-    (Framer, bytes.fromhex("d303ffff")),  # the same with a message number that is possible
-    (Framer, bytes.fromhex("b5620107f00f")),  # a header of UBX every six bytes, each of 4088 bytes
-    (Framer, bytes.fromhex("b56201")),
-    (Framer, bytes.fromhex("b562")),
-    (Framer, b"$GPGSA,*00\n"),
-    (Framer, b"$"),
-    (Framer, bytes(16)),
+    (receiver, bytes.fromhex("d303ff")),  # a header of RTCM every three bytes, each of 1029 bytes
+    (receiver, bytes.fromhex("d303ffff")),  # the same with a message number that is possible
+    (receiver, bytes.fromhex("b5620107f00f")),  # a header of UBX every six bytes, each of 4088 bytes
+    (receiver, bytes.fromhex("b56201")),
+    (receiver, bytes.fromhex("b562")),
+    (receiver, b"$GPGSA,*00\n"),
+    (receiver, b"$"),
+    (receiver, bytes(16)),
     (XbusReader, bytes.fromhex("faff36ff07ff")),
     (XbusReader, bytes.fromhex("faff36f0")),
     (XbusReader, bytes.fromhex("faff")),

@@ -25,8 +25,9 @@ from shared.runtime.live import load_process
 from shared.topics import TOPICS
 
 from .demo.local import reaches_broker, start_of_broker
+from .doctor_corrections import corrections, corrections_set_up
 
-HEARD = ("health/+", "gnss/fix", "gnss/receiver", "gnss/configuration", "mode/state")
+HEARD = ("health/+", "gnss/fix", "gnss/receiver", "gnss/configuration", "mode/state", "corrections/state")
 PATIENCE_S = 1.0
 BUSY = "another program has it open"
 DRIVERS: dict[str, type[GnssDriver | ImuDriver | CanDriver]] = {
@@ -78,6 +79,7 @@ def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
     yield Finding(os.access(folder, os.W_OK), f"{folder} is writable", f"change the owner of {folder} or set OBU_STATE")
     yield from _devices(vehicle)
     yield from _v2x(vehicle)
+    yield from (Finding(*one) for one in corrections_set_up(vehicle))
     yield from _broker_stores(folder)
     broker = _broker()
     yield broker
@@ -174,6 +176,7 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
             yield Finding(not health.last_error, f"{name} runs", f"last error: {health.last_error}")
     if {"sensors.gnss", "sensors.simulator"} & set(vehicle.processes):
         yield from receiver(heard, configured=vehicle.section("controller.mode", Controller).configure_gnss)
+    yield from (Finding(*one) for one in corrections(vehicle, heard))
 
 
 def receiver(heard: Sequence[Message], *, configured: bool) -> Iterator[Finding]:

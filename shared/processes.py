@@ -65,23 +65,28 @@ class ProcessRow:
 PROCESSES = (
     ProcessRow(
         "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes the commands to it",
-        consumes=("gnss/write",),
-        produces=("gnss/raw", "host/clock", "origin/state"),
+        consumes=("gnss/write", "gnss/correction"),
+        produces=("gnss/raw", "host/clock", "origin/state", "device/state"),
         roles=BOTH,
     ),
     ProcessRow(
         "sensors.imu", Kind.DEVICE_DRIVER, "reads the inertial measurement unit",
-        produces=("imu/raw", "origin/state"),
+        produces=("imu/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
         "sensors.can", Kind.DEVICE_DRIVER, "reads the vehicle's CAN bus and asks for OBD-II speed",
-        produces=("can/raw", "origin/state"),
+        produces=("can/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
         "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
         consumes=("v2x/send",),
         produces=("v2x/raw",),
         roles=BOTH,
+    ),
+    ProcessRow(
+        "sensors.corrections", Kind.DEVICE_DRIVER, "receives GNSS corrections over NTRIP, TCP, MQTT or a serial port",
+        consumes=("gnss/fix", "trust/state", "corrections/state"),
+        produces=("corrections/raw", "corrections/sources"),
     ),
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
@@ -105,7 +110,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
-        consumes=("gnss/raw", "gnss/configure"),
+        consumes=("gnss/raw", "gnss/configure", "device/state", "corrections/state"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
             "gnss/signal_quality", "gnss/receiver", "gnss/configuration",
@@ -127,6 +132,12 @@ PROCESSES = (
         consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
         produces=("v2x/cam", "v2x/send"),
         roles=BOTH,
+    ),
+    ProcessRow(
+        "parsers.corrections", Kind.OPTIONAL,
+        "passes whole frames of corrections on to the receiver, from the best source that delivers",
+        consumes=("corrections/raw", "corrections/sources"),
+        produces=("gnss/correction", "corrections/state"),
     ),
     ProcessRow(
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from functools import cached_property
 
 from .messages.base import Message, RawBytes
+from .messages.corrections import CorrectionBytes, CorrectionSources, CorrectionsState, GnssCorrection
 from .messages.gnss import (
     FaultFreeFix,
     GnssConfiguration,
@@ -35,6 +36,7 @@ from .messages.neighbours import NeighbourStates
 from .messages.operation import (
     Consumed,
     DeadlineReport,
+    DeviceState,
     HostClock,
     ModeState,
     Origin,
@@ -127,12 +129,19 @@ TOPICS = (
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("host/clock", HostClock, "the host's clock beside the OBU time line, and whether NTP holds it"),
+    Topic("device/state", DeviceState, "what a driver has found at its port, and what to do", qos=1),
     Topic("gnss/receiver", GnssReceiver, "kinds of messages that the receiver sends, by its bytes", qos=1, retain=True),
     Topic("gnss/configuration", GnssConfiguration, "configuration of the receiver, as read back", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes",
           rate_hz=100.0, silent_after_s=1.0, fast=True),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0, fast=True),
+    Topic("corrections/raw", CorrectionBytes, "bytes from the sources of GNSS corrections"),
+    Topic("corrections/sources", CorrectionSources, "connections to the sources of GNSS corrections",
+          rate_hz=1.0, silent_after_s=5.0),
+    Topic("gnss/correction", GnssCorrection, "whole frames of corrections for the GNSS receiver"),
+    Topic("corrections/state", CorrectionsState, "source of corrections in use, age and kinds of its frames",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
           rate_hz=1.0, silent_after_s=5.0),
     Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms",

@@ -10,7 +10,7 @@ import select
 import socket
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -22,7 +22,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from ..errors import BadPayload
 from ..messages.base import Message, Sender
-from ..messages.operation import Carried, ProcessHealth, ProcessState
+from ..messages.operation import Carried, MessageKind, ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.last_end import LastEnd
@@ -36,6 +36,7 @@ __all__ = ["Bus", "Envelope", "decoded"]
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5
+KINDS_EVERY = 4  # heartbeats
 HUNG_S = 20.0  # without a heartbeat, after which the process ends itself; longer than a slow disk takes
 KEEP_ALIVE_S = 5
 CONNECT_S = 1.0  # timeout; shorter than the time between SIGTERM and SIGKILL
@@ -72,6 +73,7 @@ class Bus:
         self.connected = False
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
+        self.tell_kinds: Callable[[], tuple[MessageKind, ...]] = tuple  # messages of its devices by kind
         self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
         if self._clock.not_stored is not None:
@@ -84,7 +86,7 @@ class Bus:
         self._waiting: deque[tuple[str, bytes, Topic]] = deque()
         self._last: mqtt.MQTTMessageInfo | None = None  # of QoS 1
         self._next_heartbeat = self._next_attempt = 0.0
-        self._attempts = self._brief = 0
+        self._attempts = self._brief = self._tables = 0
         self._connected_s = 0.0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer, self._guarded = observer, False
@@ -195,6 +197,7 @@ class Bus:
             messages_out=self.messages_out,
             dropped=self.dropped,
             rejects=dict(self.rejects),
+            kinds=self._kinds(),
             reconnections=self.reconnections,
             cpu_s=time.process_time(),
             rss_bytes=resident_bytes(),
@@ -206,6 +209,11 @@ class Bus:
             ),
             received=tuple(_received(name, count, newest) for name, (count, newest) in self._received.items()),
         )
+
+    def _kinds(self) -> tuple[MessageKind, ...]:
+        """Every fourth time, since a table may have 64 rows."""
+        self._tables += 1
+        return self.tell_kinds() if self._tables % KINDS_EVERY == 1 else ()
 
     def guard(self) -> None:
         """End the program if `receive` is not called for `HUNG_S`; its next run tells where it hung."""
@@ -320,7 +328,7 @@ class Bus:
         if time.monotonic() - self._connected_s < STEADY_S:
             self._brief += 1
         else:
-            self._attempts = self._brief = 0
+            self._attempts = self._brief = self._tables = 0
         self.last_error = f"connection to the broker lost: {reason}"
         self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
         hint = f"; does another {self.process} run on this broker?" if self._brief > 1 and not self._observer else ""

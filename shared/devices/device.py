@@ -101,6 +101,7 @@ class SerialDevice:
         self._name = _port_of(name)
         self._port = Serial(self._name, baud, timeout=0, exclusive=True)  # type: ignore[no-untyped-call]  # no types
         self._descriptor = int(self._port.fd or 0)
+        self.rate_baud = baud
         with contextlib.suppress(termios.error):
             termios.tcflush(self._descriptor, termios.TCIFLUSH)  # the arrival time of buffered bytes is unknown
 
@@ -126,6 +127,14 @@ class SerialDevice:
                     raise DeviceBusy(f"{self._name} accepts no bytes")
                 data = data[os.write(self._descriptor, data) :]
         except (OSError, ValueError) as error:
+            raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
+
+    def set_rate(self, baud: int) -> None:
+        """Change the rate, and forget what came at the former one."""
+        try:
+            self._port.baudrate = self.rate_baud = baud
+            termios.tcflush(self._descriptor, termios.TCIFLUSH)
+        except (OSError, ValueError, termios.error) as error:
             raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
 
     def close(self) -> None:

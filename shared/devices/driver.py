@@ -9,9 +9,11 @@ from urllib.parse import urlsplit
 
 from ..bus.bus import Bus, Envelope
 from ..messages.base import Message
-from ..messages.operation import HostClock, Origin, OriginKind
+from ..messages.operation import DeviceFound, DeviceState, HostClock, Origin, OriginKind
 from ..runtime.clock import maximum_error_s
 from .device import Device, DeviceBusy, DeviceLost
+from .recognising import Recognising
+from .search import Search
 
 log = logging.getLogger(__name__)
 
@@ -20,6 +22,7 @@ WAIT_S = 0.02  # timeout of the first byte of a chunk
 CHUNK_BYTES = 16384
 ORIGIN_S = 2.0
 HOST_CLOCK_S = 10.0
+FAULTY = (DeviceFound.SILENT, DeviceFound.NOISE, DeviceFound.OTHER)
 
 
 class Writable(Protocol):
@@ -51,6 +54,7 @@ class Connection(Generic[D]):
         self._attempts = 0
         self._next_attempt = 0.0
         self._fault: str | None = None
+        self._reported: str | None = None
 
     def opened(self) -> D | None:
         """The device, opened when an attempt is due, otherwise None; raises `DeviceLost`."""
@@ -58,16 +62,34 @@ class Connection(Generic[D]):
             self._device = self._open()
         return self._device
 
-    def write(self, bus: Bus, data: bytes) -> None:
-        """Send bytes; they are dropped and counted as `write_lost` if the device is absent or does not accept them."""
+    def write(self, bus: Bus, data: bytes) -> bool:
+        """Send bytes; they are dropped and counted as `write_lost` if the device is absent or does not accept them.
+
+        Returns whether the device has accepted them.
+        """
         try:
             if self._device is None:
                 raise DeviceBusy("device not open")
             self._device.write(data)
         except DeviceBusy:
             bus.rejects["write_lost"] += 1
+            return False
         except DeviceLost as error:
             self.lose(bus, error)
+            return False
+        return True
+
+    @property
+    def fault(self) -> str | None:
+        """Why the device is absent."""
+        return self._fault
+
+    def report(self, bus: Bus, sentence: str | None) -> None:
+        """Make what is wrong with an open device the last error of the process; None: nothing is."""
+        if sentence is not None and self._reported != sentence:
+            log.warning("%s", sentence)
+        if bus.last_error is None or bus.last_error == self._reported:
+            bus.last_error = self._reported = sentence
 
     @property
     def present(self) -> bool:
@@ -108,6 +130,11 @@ class Link(Connection[Device]):
         super().__init__(open_it)
         self._gap_s, self._chunk_s = gap_s, chunk_s
 
+    @property
+    def search(self) -> Search | None:
+        """What is known of the open device; None while it is absent."""
+        return self._device.search if isinstance(self._device, Recognising) else None
+
     def read(self, bus: Bus, wait_s: float) -> tuple[bytes, int]:
         """Return one chunk and the arrival time of its last byte; empty without data or without a device."""
         chunk, received_ns = b"", 0
@@ -124,6 +151,36 @@ class Link(Connection[Device]):
         except DeviceLost as error:
             self.lose(bus, error)
         return chunk, received_ns
+
+
+class DevicePublisher:
+    """Publishes what was found at a port: when it changes, and every two seconds."""
+
+    def __init__(self, process: str, source: str, url: str) -> None:
+        self._process, self._source, self._url = process, source, url
+        self._next = 0.0
+        self._said: tuple[DeviceFound, tuple[str, ...], int | None] | None = None
+
+    def publish_if_due(self, bus: Bus, link: Link) -> None:
+        """Publish the state if it is due; faults that the driver does not notice otherwise are its last error."""
+        search = link.search
+        present = DeviceFound.WORKING if link.present else DeviceFound.ABSENT
+        found = present if search is None else search.found
+        said = found, search.protocols if search else (), search.rate_baud if search else None
+        if said == self._said and time.monotonic() < self._next:
+            return
+        sentence = (link.fault or "") if search is None else search.sentence()
+        if search is not None and said != self._said and found is not DeviceFound.SEARCHING:
+            log.info("%s: %s", self._source, sentence)
+        self._next, self._said = time.monotonic() + ORIGIN_S, said
+        if search is not None:
+            link.report(bus, sentence if found in FAULTY else None)
+        bus.publish(
+            DeviceState(
+                sampled_ns=bus.now_ns(), source=self._source, process=self._process, device=self._url[:200],
+                found=found, protocols=said[1], rate_baud=said[2], sentence=sentence[:400],
+            )
+        )  # fmt: skip
 
 
 class OriginPublisher:
@@ -167,12 +224,14 @@ def run_driver(
     url: str,
     make_raw: Callable[[bytes, int], Message],
     handle: Callable[[Sequence[Envelope]], None] = lambda envelopes: None,
+    *,
+    source: str = "device",
 ) -> None:
     """Read a device until the bus stops.
 
     `make_raw` creates the message of a chunk and its time stamp; `handle` processes the messages received from the bus.
     """
-    origin = OriginPublisher(url)
+    origin, found = OriginPublisher(url), DevicePublisher(bus.process, source, url)
     while not bus.stopping and not bus.connected:  # data published before would be lost
         bus.receive(0.1)
     while not bus.stopping:
@@ -181,4 +240,5 @@ def run_driver(
             bus.publish(make_raw(data, received_ns))
         handle(bus.receive(0.0 if link.present else 0.1))
         origin.publish_if_due(bus)
+        found.publish_if_due(bus, link)
     link.close()

@@ -32,6 +32,7 @@ class FrameFinder(ABC, Generic[F]):
     kinds: Mapping[bytes, str]  # of reject, by what `malformed` matches
     most_bytes: int  # of a frame
     cut: str  # kind of reject of an incomplete frame that holds a complete one
+    tail: int = TAIL
 
     def __init__(self, rejects: Counter[str] | None = None) -> None:
         self.rejects: Counter[str] = Counter() if rejects is None else rejects
@@ -41,6 +42,7 @@ class FrameFinder(ABC, Generic[F]):
         # after each call), of the first one not searched for candidates, and of the first one whose sums are needed.
         self._base = self._position = self._scan = self._summed_from = 0
         self._waiting: dict[int, list[Candidate]] = {}  # by the offset up to which data must arrive to judge them
+        self._valid: dict[int, F] = {}  # by their start: frames that wait until no other is open around them
         self._open: deque[tuple[int, int]] = deque()  # start and end of the incomplete candidates, by start
         self._longest_end = self._end = 0  # of any incomplete candidate, and of the data
         self._faults: list[tuple[int, str]] = []  # a heap of offset and kind of what may be inside a frame
@@ -62,7 +64,7 @@ class FrameFinder(ABC, Generic[F]):
         found = [*self._ripe(before, end), *self._search(end)]
         front = min(self._scan, self._first_open())
         self._pass_over(front)
-        keep = max(front, end - TAIL)
+        keep = max(front, end - self.tail)
         self._carry(keep - self._summed_from)
         del self._buffer[: front - self._base]
         self._base, self._summed_from = front, keep
@@ -91,7 +93,7 @@ class FrameFinder(ABC, Generic[F]):
             scan = start + 1
             stop = start + size
             if stop > end:
-                self._wait(start, stop, stop)
+                self._wait(stop, (start, stop, self._sums(start - self._summed_from)))
                 self._open.append((start, stop))
                 self._longest_end = max(self._longest_end, stop)
             elif size and (frame := self._judge(start, stop, None)) is not None:
@@ -99,8 +101,7 @@ class FrameFinder(ABC, Generic[F]):
                 yield frame
         self._scan = scan
 
-    def _wait(self, start: int, stop: int, until: int) -> None:
-        candidate = start, stop, self._sums(start - self._summed_from)
+    def _wait(self, until: int, candidate: Candidate) -> None:
         if until in self._waiting:
             self._waiting[until].append(candidate)
         else:
@@ -108,15 +109,18 @@ class FrameFinder(ABC, Generic[F]):
 
     def _judge(self, start: int, stop: int, sums: Sums | None) -> F | None:
         """The frame of a complete candidate, None if it is invalid, inside another frame, or to be judged later."""
+        frame = self._valid.pop(start, None)
         if start < self._position:
             return None
-        self.judged += 1
-        frame = self._frame(start - self._base, stop - self._base, sums)
+        if frame is None:
+            self.judged += 1
+            frame = self._frame(start - self._base, stop - self._base, sums)
         if frame is None:
             return None
         if self._first_open() < start:
             if not self._sure(start - self._base, stop - self._base):
-                self._wait(start, stop, self._longest_end)  # then no other is open around it
+                self._valid[start] = frame  # the sums at its ends are not kept so long
+                self._wait(self._longest_end, (start, stop, ()))  # then no other is open around it
                 return None
             self.rejects[self.cut] += 1
         self._pass_over(start)

@@ -4,13 +4,16 @@ Angles are in radians, positions are (latitude, longitude, ellipsoidal height). 
 sample use plain floats; functions of a whole track use NumPy.
 """
 
-from math import atan2, cos, hypot, pi, remainder, sin, sqrt, tan
-from typing import NamedTuple
+from math import cos, pi, remainder, sin, sqrt, tan
 
 import numpy as np
 import numpy.typing as npt
 
+from . import ellipsoid
 from .ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS, SEMI_MINOR_AXIS, curvature_radii
+
+Geodetic = ellipsoid.Geodetic  # it needs no NumPy, nor does the next
+geodetic_from_ecef = ellipsoid.geodetic_from_ecef
 
 FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -21,14 +24,6 @@ EQUATORIAL_GRAVITY = 9.7803253359  # [m/s²] NIMA TR8350.2, table 3.4
 SOMIGLIANA_CONSTANT = 0.00193185265241  # [-] NIMA TR8350.2, table 3.4
 STANDARD_GRAVITY = 9.80665  # [m/s²] exact, by definition (3rd CGPM, 1901)
 GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GRAVITATIONAL_CONSTANT
-
-
-class Geodetic(NamedTuple):
-    """A position: latitude and longitude [rad], height above the ellipsoid [m]."""
-
-    latitude: float
-    longitude: float
-    height: float
 
 
 def wrap_angle(angle: float) -> float:
@@ -149,47 +144,6 @@ def ecef_from_geodetic(point: Geodetic) -> Vector:
     equatorial = (transverse + height) * cos(latitude)
     polar = (transverse * (1.0 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
     return equatorial * cos(longitude), equatorial * sin(longitude), polar
-
-
-def geodetic_from_ecef(ecef: Vector) -> Geodetic:
-    """Geodetic position of a point in Cartesian ECEF coordinates.
-
-    Parameters
-    ----------
-    ecef : tuple of float
-        [m, ECEF] More than 50 km from the Earth's centre.
-
-    Returns
-    -------
-    Geodetic
-        On the polar axis the longitude is 0.
-
-    Notes
-    -----
-    Bowring's fixed-point iteration on the reduced latitude u; near the surface it converges to rounding in two or
-    three iterations::
-
-        tan L = (z + e'² b sin³u) / (p - e² a cos³u),    tan u = (1 - f) tan L
-
-    References
-    ----------
-    B. Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23 (181), 1976.
-    """
-    x, y, z = ecef
-    p = hypot(x, y)
-    second = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED)
-    reduced = atan2(z, (1.0 - FLATTENING) * p)
-    latitude = 0.0
-    for _ in range(5):
-        latitude = atan2(
-            z + second * SEMI_MINOR_AXIS * sin(reduced) ** 3,
-            p - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * cos(reduced) ** 3,
-        )
-        reduced = atan2((1.0 - FLATTENING) * sin(latitude), cos(latitude))
-    transverse = curvature_radii(latitude)[1]
-    along_normal = p * cos(latitude) + z * sin(latitude)
-    height = along_normal - transverse * (1.0 - ECCENTRICITY_SQUARED * sin(latitude) ** 2)
-    return Geodetic(latitude, atan2(y, x), height)
 
 
 def ned_from_ecef(latitude: float, longitude: float) -> FloatArray:

@@ -90,9 +90,13 @@ class GnssFix(Stamped):
     hdop: Ratio | None = None
     vdop: Ratio | None = None
     correction_age_s: Seconds | None = None
+    correction_source: Name | None = None  # where the corrections come from that this unit gave to the receiver
     baseline_heading_rad: Quantity | None = None  # from the first antenna to the second, clockwise from true north
     baseline_heading_sd_rad: Deviation | None = None
     baseline_length_m: Quantity | None = None
+    stated_heading_rad: Quantity | None = None  # of the vehicle, by the receiver's own filter
+    stated_horizontal_level_m: Deviation | None = None  # the receiver's own protection levels
+    stated_vertical_level_m: Deviation | None = None
 
 
 class Constellation(StrEnum):
@@ -263,14 +267,30 @@ class GnssSignalQuality(Stamped):
     time_step_s: Seconds | None = None  # by which the receiver's time jumped ahead against the OBU time line
 
 
+class GnssOutput(StrEnum):
+    """What a receiver is to tell, whatever the messages by which it does."""
+
+    FIX = "fix"
+    DILUTION = "dilution"
+    COVARIANCE = "covariance"
+    SATELLITES = "satellites"
+    RAW_MEASUREMENTS = "raw_measurements"
+    NAVIGATION_BITS = "navigation_bits"
+    INTERFERENCE = "interference"
+    CLOCK = "clock"
+    SIGNALS = "signals"
+    INERTIAL = "inertial"
+    WHEEL_TICKS = "wheel_ticks"
+
+
 class GnssConfigure(Message):
     """What the controller wants of a receiver."""
 
     request_id: Annotated[Integer, unit("1")]
     source: Name
     navigation_period_s: Seconds
-    messages: tuple[Name, ...]  # UBX names to be sent every epoch, such as NAV-PVT
-    optional_messages: tuple[Name, ...] = ()  # those that a receiver may refuse, such as RXM-RAWX
+    outputs: tuple[GnssOutput, ...] = ()
+    dynamic_model: Name | None = None  # such as automotive; None: as it is
 
 
 class GnssReceiver(Message):
@@ -279,6 +299,8 @@ class GnssReceiver(Message):
     received_ns: Nanoseconds
     source: Name
     messages: tuple[Name, ...] = ()  # kinds of the last ten seconds: `UBX NAV-PVT`, `NMEA GGA`, `RTCM 1005`
+    gives_position: bool = False  # whether a fix can be made of these
+    other_protocols: tuple[Name, ...] = ()  # recognised in the other bytes, which are not read
     received_bytes: Bytes  # since the last statement
     other_bytes: Bytes  # of these, in no message: many at a wrong rate of the port
 
@@ -294,6 +316,7 @@ class GnssConfiguration(Message):
     reason: Reason | None = None
     # None of what a receiver does not state
     model: Name | None = None
+    protocol: Name | None = None  # and its version, such as `UBX 18.00`
     firmware: Name | None = None
     dynamic_model: Name | None = None  # such as automotive
     elevation_mask_rad: Quantity | None = None  # below it the receiver does not use a satellite

@@ -5,8 +5,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import Bytes, Count, Integer, Message, Name, Nanoseconds, Quantity, Ratio, Reason, Seconds, unit
+from .base import Bytes, Count, DeviceName, Integer, Message, Name, Nanoseconds, Quantity, Ratio, Reason, Seconds, unit
 
+MAX_KINDS = 64  # of messages of the devices of one process
 Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a process on the OBU time line
 
 
@@ -62,6 +63,48 @@ class Carried(Message):
 CarriedTopics = Annotated[tuple[Carried, ...], Field(max_length=64)]
 
 
+class DeviceFound(StrEnum):
+    """What a driver has found at its port."""
+
+    ABSENT = "absent"  # it cannot be opened
+    SEARCHING = "searching"  # the rate of the port is being found out
+    SILENT = "silent"  # no bytes at any rate
+    NOISE = "noise"  # bytes that are no messages at any rate
+    OTHER = "other"  # messages of a protocol that the unit does not read
+    WORKING = "working"
+
+
+class DeviceState(Message):
+    """What a driver has found at its port: when it changes, and every ten seconds."""
+
+    sampled_ns: Nanoseconds
+    source: DeviceName
+    process: Name
+    device: Annotated[str, Field(max_length=200)]  # its URL, without user and password
+    found: DeviceFound
+    protocols: tuple[Name, ...] = ()
+    rate_baud: Annotated[int, Field(gt=0, le=100_000_000), unit("Bd")] | None = None  # None of a port without a rate
+    sentence: Reason = ""  # what it means, and what to do
+
+
+class MessageUse(StrEnum):
+    """What the unit does with a kind of message of a device."""
+
+    USED = "used"
+    UNUSED = "unused"  # known, and nothing follows from it
+    UNKNOWN = "unknown"
+
+
+class MessageKind(Message):
+    """How often a kind of message of a device came since the start of its parser."""
+
+    kind: Name  # `UBX NAV-PVT`, `NMEA GGA`, `Xbus MTData2`, `CAN 0x7E8`
+    use: MessageUse
+    count: Count
+    rejected: Count = 0  # of these
+    reason: Name | None = None  # of the newest reject, as in `rejects`
+
+
 class ProcessHealth(Message):
     """Start, heartbeat, disconnect or last will of one process."""
 
@@ -73,6 +116,7 @@ class ProcessHealth(Message):
     messages_out: Count = 0
     dropped: Count = 0  # by a full queue
     rejects: dict[str, Count] = Field(default_factory=dict)  # bad input by kind
+    kinds: Annotated[tuple[MessageKind, ...], Field(max_length=MAX_KINDS)] = ()  # of messages of its devices
     reconnections: Count = 0
     cpu_s: Seconds = 0.0
     rss_bytes: Bytes = 0

@@ -1,5 +1,6 @@
 """Writes a recording: MCAP in compressed chunks, each written in one go."""
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Protocol, cast
@@ -82,6 +83,14 @@ class _WholeChunks:
         return bool(data)
 
 
+_USER = re.compile(r"""(?<=://)[^/@\s"']+@""")
+
+
+def without_users(text: str) -> str:
+    """Remove users and passwords from the URLs of a vehicle's file: recordings are passed on to others."""
+    return _USER.sub("", text)
+
+
 class RecordingWriter:
     """A recording being written.
 
@@ -113,7 +122,7 @@ class RecordingWriter:
             self._mcap.add_metadata("obu", {"vehicle": vehicle})
             if provenance is not None:
                 self._mcap.add_metadata("provenance", dict(provenance))
-            self._mcap.add_attachment(0, 0, VEHICLE_FILE, "application/toml", vehicle_toml.encode())
+            self._mcap.add_attachment(0, 0, VEHICLE_FILE, "application/toml", without_users(vehicle_toml).encode())
             self._commit()
         except OSError:
             self.abandon()

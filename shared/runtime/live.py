@@ -18,6 +18,7 @@ from ..bus import codec
 from ..bus.bus import QUEUE_LENGTH, Bus, Envelope, decoded
 from ..errors import BadPayload
 from ..faults import Faults
+from ..kinds import Kinds
 from ..maths.dates import is_plausible
 from ..messages.base import Message, RawBytes, Stamped, Tick
 from ..messages.imu import ImuSamples
@@ -150,6 +151,8 @@ class LiveReactor:
 
     def __init__(self, process: Reactor, bus: Bus, *, pause_s: float = 0.0) -> None:
         self._process, self._bus, self._pause_s = process, bus, pause_s
+        if isinstance(kinds := getattr(process, "kinds", None), Kinds):
+            bus.tell_kinds = kinds.table
         self._journal = Journal(bus.process, bus.incarnation)
         self._next_tick_ns = (bus.now_ns() // TICK_NS + 1) * TICK_NS
         self._next_journal = time.monotonic() + JOURNAL_S

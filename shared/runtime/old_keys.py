@@ -76,6 +76,8 @@ PRESENT_KEYS: Mapping[str, str] = {
 # Old dotted keys without a successor, and what does their work.
 REMOVED: Mapping[str, str] = {
     "core.fusion.estimate_delays": "a delay of GNSS that the check of the set-up finds is corrected without a setting",
+    "controller.mode.gnss_messages": "[controller.mode] gnss_outputs says what the receiver is asked to tell",
+    "controller.mode.optional_gnss_messages": "[controller.mode] gnss_outputs says what the receiver is asked to tell",
 }
 EMPTIED = "core.fusion.dual_antenna"  # section whose only key has moved
 

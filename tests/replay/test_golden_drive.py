@@ -8,7 +8,8 @@ from math import isclose
 
 import pytest
 
-from services.parsers.gnss.framer import Framer, Protocol
+from services.parsers.gnss.framer import Framer
+from services.parsers.gnss.protocols import FRAMINGS
 from tests.support.drives.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
 from tests.support.gnss.ublox import parse_nmea, parse_ubx
 
@@ -60,9 +61,9 @@ def test_as_many_messages_of_each_type_are_published_as_stored(computed: list[Ro
 
 
 def test_independent_readers_find_as_many_epochs_in_the_stored_bytes_as_the_unit() -> None:
-    frames = list(Framer().feed((FOLDER / "gnss.ubx").read_bytes()))
-    ubx = [parse_ubx(frame.data) for frame in frames if frame.protocol is Protocol.UBX]
-    nmea = [parse_nmea(frame.data) for frame in frames if frame.protocol is Protocol.NMEA]
+    frames = list(Framer(FRAMINGS).feed((FOLDER / "gnss.ubx").read_bytes()))
+    ubx = [parse_ubx(frame.data) for frame in frames if frame.protocol == "UBX"]
+    nmea = [parse_nmea(frame.data) for frame in frames if frame.protocol == "NMEA"]
     epochs = sum(message.identity == "NAV-PVT" for message in ubx)
     assert epochs == sum(sentence.sentence_type == "RMC" for sentence in nmea) == 29
     assert epochs == sum(row["type"] == "GnssFix" for row in stored_rows())

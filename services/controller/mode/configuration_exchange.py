@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
-from shared.messages.gnss import GnssConfiguration, GnssConfigure
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssOutput
 
 NS = 1_000_000_000
 BACK_OFF_S = (2.0, 4.0, 8.0)  # delay before each further attempt
-TIMEOUT_S = 6.0  # the parser responds within 3 s, even if the receiver does not
+TIMEOUT_S = 30.0  # the parser responds within 3 s, or to a receiver of generation 8 within 25 s, in any case
 
 
 class ConfigurationExchange:
@@ -15,10 +15,10 @@ class ConfigurationExchange:
     `configuring` describes the request in progress, `fault` the reason why the last attempt failed; otherwise None.
     """
 
-    def __init__(self, source: str, period_s: float, messages: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
+    def __init__(self, source: str, period_s: float, outputs: tuple[GnssOutput, ...], model: str | None) -> None:
         self.configuring: str | None = None
         self.fault: str | None = None
-        self._source, self._period_s, self._messages, self._optional = source, period_s, messages, optional
+        self._source, self._period_s, self._outputs, self._model = source, period_s, outputs, model
         self._request_id: int | None = None  # of the request that waits for a response
         self._due_ns = 0  # time of the next request, or timeout of the response
         self._attempts = 0
@@ -56,8 +56,8 @@ class ConfigurationExchange:
             f" (attempt {self._attempts} of {len(BACK_OFF_S) + 1})"
         )
         return GnssConfigure(
-            request_id=now_ns, source=self._source, navigation_period_s=self._period_s, messages=self._messages,
-            optional_messages=self._optional,
+            request_id=now_ns, source=self._source, navigation_period_s=self._period_s, outputs=self._outputs,
+            dynamic_model=self._model,
         )  # fmt: skip
 
     def _fail(self, reason: str, now_ns: int) -> None:

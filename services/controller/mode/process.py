@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssReceiver
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssOutput, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationSolution
 from shared.messages.operation import Mode, ModeState
@@ -27,13 +27,18 @@ class Config(Section):
     navigation_period_s: float = Field(
         default=1.0, gt=0.0, description="navigation period requested from the GNSS receiver"
     )
-    gnss_messages: tuple[str, ...] = Field(
-        default=("NAV-PVT", "NAV-DOP", "NAV-COV", "NAV-SAT", "NAV-EOE"),
-        description="UBX messages requested from the GNSS receiver",
-    )
-    optional_gnss_messages: tuple[str, ...] = Field(
-        default=("RXM-RAWX", "RXM-SFRBX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG", "NAV-SIG"),
-        description="UBX messages requested besides; a receiver that rejects one of them sends the others all the same",
+    gnss_outputs: tuple[GnssOutput, ...] = Field(
+        default=(
+            GnssOutput.FIX, GnssOutput.DILUTION, GnssOutput.COVARIANCE, GnssOutput.SATELLITES,
+            GnssOutput.RAW_MEASUREMENTS, GnssOutput.NAVIGATION_BITS, GnssOutput.INTERFERENCE, GnssOutput.CLOCK,
+            GnssOutput.SIGNALS,
+        ),
+        description="what the GNSS receiver is asked to tell; it sends the rest even if it has not all of it",
+    )  # fmt: skip
+    gnss_dynamic_model: str = Field(
+        default="automotive",
+        max_length=64,
+        description="motion that the GNSS receiver is told to expect, as automotive or stationary; empty: as it is",
     )
     last_position_period_s: float = Field(
         default=10.0, gt=0.0, description="period at which the last position is stored"
@@ -87,8 +92,8 @@ class Process:
             ConfigurationExchange(
                 source,
                 self._config.navigation_period_s,
-                self._config.gnss_messages,
-                self._config.optional_gnss_messages,
+                self._config.gnss_outputs,
+                self._config.gnss_dynamic_model or None,
             ),
         )
 

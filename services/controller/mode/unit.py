@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from shared.chosen import ChosenSource
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssFix, GnssReceiver
+from shared.messages.gnss import FixType, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
@@ -17,7 +17,6 @@ NS = 1_000_000_000
 NMEA = "/nmea"
 RECEIVER_SILENT_S = 6.0  # a statement comes every two seconds
 LISTED = 6
-FIXES = {"UBX NAV-PVT", "NMEA GGA", "NMEA RMC", "NMEA GNS"}  # messages of which fixes are made
 
 
 @dataclass(slots=True)
@@ -120,16 +119,18 @@ class Unit:
         said = self.said
         if said is None or (age_s(said.received_ns, self.now_ns) or 0.0) > RECEIVER_SILENT_S:
             return None
+        if not said.messages and said.other_protocols:
+            return f"{said.source} speaks {', '.join(said.other_protocols)}, which is not read: switch NMEA or UBX on"
         if not said.messages:
             return f"{said.source} sends bytes that are no messages: check the baud rate of its device"
         listed = ", ".join(said.messages[:LISTED]) + (", ..." if len(said.messages) > LISTED else "")
-        if FIXES.isdisjoint(said.messages):
+        if not said.gives_position:
             return f"{said.source} sends no message that gives a position, but {listed}"
         return f"{said.source} has no position yet: give its antenna a view of the sky (it sends {listed})"
 
     def _note_fix(self, fix: GnssFix) -> str | None:
         self._advance(fix.received_ns)
-        if fix.latitude_deg is not None:
+        if fix.latitude_deg is not None and fix.fix_type is not FixType.TIME_ONLY:
             self.fix_ns = self.now_ns
         if fix.utc_ns is not None:
             self.utc_offset_ns = fix.utc_ns - fix.sampled_ns

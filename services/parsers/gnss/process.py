@@ -5,13 +5,18 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
+from shared.kinds import Kinds
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssConfigure, GnssRaw, GnssReceiver, GnssWrite
+from shared.messages.corrections import CorrectionsState
+from shared.messages.gnss import CarrierSolution, GnssConfigure, GnssFix, GnssRaw, GnssReceiver, GnssWrite
+from shared.messages.operation import DeviceState
 from shared.runtime.config import Section
 
-from .receiver import Output, Receiver
+from .dialect import Output
+from .receiver import Receiver
 
 MAX_RECEIVERS = 8
+CORRECTED_NS = 60_000_000_000  # after the last correction: RTK engines use one for at most a minute
 
 
 class Config(Section):
@@ -27,9 +32,11 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
+        self.kinds = Kinds()
         self._config = config
         self._receivers: dict[str, Receiver] = {}
         self._now_ns = 0
+        self._corrections: CorrectionsState | None = None  # the newest with a source
 
     def handle(self, message: Message) -> Iterator[Output | GnssReceiver | GnssWrite]:
         """Process raw bytes, a configuration request or a tick."""
@@ -37,16 +44,32 @@ class Process:
             case GnssRaw():
                 self._now_ns = message.received_ns
                 if receiver := self._receiver(message.source):
-                    yield from receiver.take(message)
+                    yield from map(self._with_source, receiver.take(message))
+            case CorrectionsState(active=str()):
+                self._corrections = message
             case GnssConfigure():
                 if receiver := self._receiver(message.source):
-                    yield from receiver.configurator.request(message, self._now_ns)
+                    yield from receiver.configure(message, self._now_ns)
+            case DeviceState(process="sensors.gnss"):
+                if receiver := self._receiver(message.source):
+                    receiver.rate_baud = message.rate_baud
             case Tick():
                 self._now_ns = message.now_ns
-                for receiver in self._receivers.values():
-                    yield from receiver.configurator.tick()
-                    if said := receiver.seen.statement(self._now_ns):
-                        yield said
+                yield from self._tick()
+
+    def _tick(self) -> Iterator[Output | GnssReceiver | GnssWrite]:
+        for receiver in self._receivers.values():
+            yield from receiver.tick(self._now_ns)
+            if said := receiver.seen.statement(self._now_ns):
+                yield said
+
+    def _with_source(self, output: Output | GnssWrite) -> Output | GnssWrite:
+        """Add the source of corrections to a fix that the receiver has made with corrections."""
+        given = self._corrections
+        if given is None or not isinstance(output, GnssFix) or self._now_ns - given.sampled_ns > CORRECTED_NS:
+            return output
+        corrected = output.differential or output.carrier_solution is not CarrierSolution.NONE
+        return output.model_copy(update={"correction_source": given.active}) if corrected else output
 
     def _receiver(self, source: str) -> Receiver | None:
         if source not in self._receivers:
@@ -54,6 +77,6 @@ class Process:
                 self.rejects["too_many_sources"] += 1
                 return None
             self._receivers[source] = Receiver(
-                source, minimum_delay_s=self._config.minimum_delay_s, rejects=self.rejects
+                source, minimum_delay_s=self._config.minimum_delay_s, rejects=self.rejects, kinds=self.kinds
             )
         return self._receivers[source]

@@ -49,7 +49,7 @@ class Process:
                 self._next_request = time.monotonic() + config.obd_period_s
                 link.write(bus, SPEED_REQUEST)
 
-        run_driver(bus, link, config.device, self._raw, request_speed)
+        run_driver(bus, link, config.device, self._raw, request_speed, source=config.source)
 
     def _raw(self, data: bytes, received_ns: int) -> CanRaw:
         return CanRaw(received_ns=received_ns, source=self._config.source, data=data)

@@ -1,15 +1,19 @@
-"""Reads the bytes of the GNSS receiver, writes configuration messages to it, and states the host's clock beside it."""
+"""Reads the GNSS receiver, writes its configuration and corrections to it, and states the host's clock beside it."""
 
 from collections.abc import Sequence
 
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
-from shared.devices.device import open_device, split_url
+from shared.devices.device import split_url
 from shared.devices.driver import HostClockPublisher, Link, run_driver
+from shared.devices.recognising import Port
 from shared.messages.base import DeviceName
+from shared.messages.corrections import GnssCorrection
 from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.runtime.config import Section
+
+from .correction_writer import CorrectionWriter
 
 
 class Config(Section):
@@ -26,10 +30,11 @@ class Process:
         # An invalid URL is a configuration error, raised at the start.
         self._recorded = True if split_url(config.device)[0].scheme == "file" else None
         self._config = config
+        self._corrections = CorrectionWriter()
 
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
-        link = Link(lambda: open_device(self._config.device))
+        link = Link(Port(self._config.device, "gnss").open)
         clock = None if self._recorded else HostClockPublisher()
 
         def handle(envelopes: Sequence[Envelope]) -> None:
@@ -37,7 +42,7 @@ class Process:
             if clock is not None:
                 clock.publish_if_due(bus)
 
-        run_driver(bus, link, self._config.device, self._raw, handle)
+        run_driver(bus, link, self._config.device, self._raw, handle, source=self._config.source)
 
     def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
         return GnssRaw(received_ns=received_ns, source=self._config.source, data=data, recorded=self._recorded)
@@ -47,3 +52,6 @@ class Process:
             message = decoded(bus, envelope)
             if isinstance(message, GnssWrite) and message.source == self._config.source:
                 link.write(bus, message.data)
+            elif isinstance(message, GnssCorrection):
+                self._corrections.take(bus, message)
+        self._corrections.write(bus, link)

@@ -3,8 +3,9 @@
 from pydantic import Field
 
 from shared.bus.bus import Bus
-from shared.devices.device import open_device, split_url
+from shared.devices.device import split_url
 from shared.devices.driver import Link, run_driver
+from shared.devices.recognising import Port
 from shared.messages.base import DeviceName
 from shared.messages.imu import ImuRaw
 from shared.runtime.config import Section
@@ -26,7 +27,8 @@ class Process:
 
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
-        run_driver(bus, Link(lambda: open_device(self._config.device)), self._config.device, self._raw)
+        link = Link(Port(self._config.device, "imu").open)
+        run_driver(bus, link, self._config.device, self._raw, source=self._config.source)
 
     def _raw(self, data: bytes, received_ns: int) -> ImuRaw:
         return ImuRaw(received_ns=received_ns, source=self._config.source, data=data)

@@ -136,7 +136,7 @@ def test_the_bus_reconnects_after_the_broker_and_counts_lost_messages(
     broker.stop()
     wait_for(lambda: not (sensor.connected or parser.connected or controller.connected), sensor, parser, controller)
     sensor.publish(raw(sensor, b"lost"))
-    controller.publish(GnssConfigure(request_id=7, source="gnss", navigation_period_s=1.0, messages=()))
+    controller.publish(GnssConfigure(request_id=7, source="gnss", navigation_period_s=1.0))
     broker.restart()
     wait_for(lambda: parser.connected, parser)
     pump(0.2, parser)
@@ -310,7 +310,7 @@ def test_a_mistyped_setting_is_an_error_of_one_sentence(tmp_path: Path) -> None:
 
 
 def filler(bus: Bus, number: int) -> GnssConfigure:
-    return GnssConfigure(request_id=number, source="gnss", navigation_period_s=1.0, messages=())
+    return GnssConfigure(request_id=number, source="gnss", navigation_period_s=1.0)
 
 
 def test_messages_of_qos_1_wait_for_the_broker_in_a_bounded_queue_that_drops_the_oldest(

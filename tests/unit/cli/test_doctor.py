@@ -10,8 +10,10 @@ import pytest
 
 from cli import doctor
 from cli.demo.local import free_port, start_of_broker
+from cli.doctor_corrections import corrections, corrections_set_up
 from shared.messages.base import Message
-from shared.messages.gnss import FixType, GnssConfiguration, GnssFix, GnssReceiver
+from shared.messages.corrections import CorrectionsState, CorrectionStream, SourcePhase
+from shared.messages.gnss import CarrierSolution, FixType, GnssConfiguration, GnssFix, GnssReceiver
 from shared.messages.operation import Mode, ModeState
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from tests.support.bus import brokers
@@ -171,3 +173,48 @@ def test_up_without_a_broker_says_one_line_and_waits_and_the_broker_command_ends
             unit.communicate(timeout=30.0)
             broker.send_signal(signal.SIGTERM)
             broker.communicate(timeout=10.0)
+
+
+CORRECTIONS = '[sensors.corrections]\nsources = ["ntrip://me@127.0.0.1/M"]\n'
+
+
+@pytest.mark.parametrize(
+    ("sections", "passed"),
+    [
+        ("", []),
+        (CORRECTIONS + "[parsers.corrections]\n", [True]),
+        (CORRECTIONS, [False]),
+        ("[parsers.corrections]\n", [False]),
+    ],
+)
+def test_sections_of_corrections_that_do_not_fit_together_are_reported(sections: str, passed: list[bool]) -> None:
+    checks = list(corrections_set_up(parse_vehicle(sections)))
+    assert [ok for ok, _, _ in checks] == passed and all(
+        "add the section" in remedy for ok, _, remedy in checks if not ok
+    )
+
+
+def corrections_state(active: str | None, *streams: CorrectionStream) -> CorrectionsState:
+    return CorrectionsState(sampled_ns=1, active=active, reason="why", frame_age_s=1.0, streams=streams)
+
+
+def corrected(carrier: CarrierSolution, *, differential: bool) -> GnssFix:
+    return GnssFix(
+        sampled_ns=1, received_ns=1, source="gnss0", fix_type=FixType.THREE_D, carrier_solution=carrier,
+        differential=differential,
+    )  # fmt: skip
+
+
+def test_corrections_that_arrive_and_are_used_are_told_with_their_source_and_others_with_a_remedy() -> None:
+    vehicle = parse_vehicle(CORRECTIONS + "[parsers.corrections]\n")
+    refused = CorrectionStream(source="b", phase=SourcePhase.REFUSED, reason="wrong password")
+    heard = [corrections_state("a", refused), corrected(CarrierSolution.FIXED, differential=True)]
+    found = list(corrections(vehicle, heard))
+    assert [(ok, what) for ok, what, _ in found] == [
+        (True, "corrections arrive from a, the last frame 1 s ago"), (False, "corrections from b"),
+        (True, "the receiver uses corrections: RTK fixed"),
+    ]  # fmt: skip
+    unused = list(corrections(vehicle, [corrections_state("a"), corrected(CarrierSolution.NONE, differential=False)]))
+    assert [ok for ok, _, _ in unused] == [True, False] and "RTCM 3" in unused[-1][2]
+    assert list(corrections(vehicle, [corrections_state(None)])) == [(False, "corrections arrive", "why")]
+    assert "see its log" in next(iter(corrections(vehicle, [])))[2] and not list(corrections(parse_vehicle(""), []))

@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from services.parsers.can import process as can
 from services.parsers.can.standards import StandardSpeeds
 from services.parsers.gnss import process as gnss
-from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
+from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.imu import process as imu
 from services.parsers.v2x import process as v2x
 from shared.devices import xbus
 from shared.errors import TooManyFaults
 from shared.faults import FAULT, RANGE
+from shared.maths.crc import fletcher
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
@@ -39,7 +40,7 @@ WORDS = st.sampled_from(
 
 def ubx(kind: tuple[int, int], payload: bytes) -> bytes:
     body = struct.pack("<BBH", *kind, len(payload)) + payload
-    return UBX_SYNC + body + ubx_checksum(body)
+    return SYNC + body + fletcher(body)
 
 
 def sentence(kind: str, fields: Sequence[str]) -> bytes:
@@ -213,9 +214,9 @@ def test_a_fault_of_one_frame_leaves_those_beside_it(kind: str, monkeypatch: pyt
 def _three_items(kind: str) -> tuple[gnss.Process | can.Process | imu.Process, Message, tuple[object, str]]:
     if kind == "gnss":
         data = b"".join(good_sentences(second) for second in (1, 2, 3))
-        from services.parsers.gnss.receiver import Receiver
+        from services.parsers.gnss.nmea.dialect import NmeaDialect
 
-        return gnss.Process(gnss.Config()), GnssRaw(received_ns=NOW_NS, source="g", data=data), (Receiver, "_nmea_fix")
+        return gnss.Process(gnss.Config()), GnssRaw(received_ns=NOW_NS, source="g", data=data), (NmeaDialect, "_fix")
     if kind == "can":
         data = b"(1795000000.000000) can0 7E8#03410D32AAAAAAAA\n" * 3
         return (

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from math import degrees
 
+from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import Constellation, GnssSignal, Satellite, SignalQuality
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustState
 
@@ -33,7 +34,11 @@ def gnss(state: State, now_ns: int) -> Json:
     monitor = next((m for m in trust.monitors if m.monitor == "satellites"), None) if trust else None
     tests = {test.name: test for test in monitor.tests} if monitor else {}
     receivers = sorted(state.gnss.receivers.values(), key=lambda r: -max(r.updated_ns.values(), default=0))
-    return {"now_ns": now_ns, "receivers": [_receiver(receiver, tests, now_ns) for receiver in receivers]}
+    return {
+        "now_ns": now_ns,
+        "receivers": [_receiver(receiver, tests, now_ns) for receiver in receivers],
+        "corrections": _corrections(state, now_ns),
+    }
 
 
 def tracks(state: State) -> Json:
@@ -79,7 +84,7 @@ def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_n
         "fix": None if fix is None else fix.model_dump(
             mode="json",
             include={"fix_type", "carrier_solution", "differential", "satellites_used", "pdop", "hdop", "vdop",
-                     "correction_age_s", "utc_ns", "baseline_heading_rad", "baseline_length_m"},
+                     "correction_age_s", "correction_source", "utc_ns", "baseline_heading_rad", "baseline_length_m"},
         ),
         "satellites": _satellites(receiver, tests, mask_rad),
         "quality": None if quality is None else quality.model_dump(mode="json", exclude={"sampled_ns", "received_ns"}),
@@ -90,6 +95,16 @@ def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_n
             for name, changes in (("fix", receiver.fixes), ("correction", receiver.corrections))
         },
     }  # fmt: skip
+
+
+def _corrections(state: State, now_ns: int) -> Json | None:
+    """Where corrections come from, with age and kinds; None of a unit without sources of corrections."""
+    stated = state.newest(CorrectionsState, "corrections/state", now_ns, live=True)
+    if stated is None:
+        return None
+    return stated.model_dump(
+        mode="json", include={"active", "reason", "protocol", "frame_age_s", "forwarded_bytes", "types", "streams"}
+    )
 
 
 def _first_fix_s(receiver: ReceiverHistory) -> float | None:

@@ -7,7 +7,7 @@ from services.controller.mode.configuration_exchange import ConfigurationExchang
 from services.controller.mode.process import Config, Process
 from services.controller.mode.sources import MAX_SOURCES, Sources
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import FixType, GnssConfiguration, GnssConfigure, GnssFix, GnssReceiver
+from shared.messages.gnss import FixType, GnssConfiguration, GnssConfigure, GnssFix, GnssOutput, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
@@ -135,10 +135,10 @@ def test_the_reason_in_a_tunnel_is_the_missing_gnss_fix() -> None:
 
 
 def test_a_receiver_is_configured_with_the_configured_period_and_messages() -> None:
-    process = Process(Config(navigation_period_s=0.2, gnss_messages=("NAV-PVT",), optional_gnss_messages=("RXM-RAWX",)))
+    process = Process(Config(navigation_period_s=0.2, gnss_outputs=(GnssOutput.FIX,), gnss_dynamic_model=""))
     (request,) = requests(feed(process, [fix(0.0)]))
-    assert (request.source, request.navigation_period_s, request.messages) == ("gnss0", 0.2, ("NAV-PVT",))
-    assert request.optional_messages == ("RXM-RAWX",)
+    assert (request.source, request.navigation_period_s, request.outputs) == ("gnss0", 0.2, (GnssOutput.FIX,))
+    assert request.dynamic_model is None
 
 
 def test_a_receiver_with_ubx_and_nmea_output_is_configured_once() -> None:
@@ -173,15 +173,15 @@ def test_a_rejected_configuration_is_retried_three_times_with_back_off_and_then_
 
 
 def test_a_missing_response_is_handled_as_a_rejection() -> None:
-    exchange = ConfigurationExchange("gnss0", 1.0, ("NAV-PVT",))
-    sent = [*exchange.start(at(0))] + [request for k in range(120) for request in exchange.tick(at(k))]
+    exchange = ConfigurationExchange("gnss0", 1.0, (GnssOutput.FIX,), None)
+    sent = [*exchange.start(at(0))] + [request for k in range(200) for request in exchange.tick(at(k))]
     assert len(sent) == 4
     assert exchange.fault == "no response from parsers.gnss"
     assert exchange.configuring is None
 
 
 def test_a_response_to_an_earlier_request_is_ignored() -> None:
-    exchange = ConfigurationExchange("gnss0", 1.0, ("NAV-PVT",))
+    exchange = ConfigurationExchange("gnss0", 1.0, (GnssOutput.FIX,), None)
     (request,) = exchange.start(at(0))
     exchange.response(configuration(request.request_id - 1), at(0))
     assert exchange.configuring is not None
@@ -278,7 +278,12 @@ def test_equal_messages_give_equal_outputs() -> None:
 
 def sends(second: float, *messages: str, other: int = 0) -> GnssReceiver:
     return GnssReceiver(
-        received_ns=at(second), source="gnss0", messages=messages, received_bytes=500, other_bytes=other
+        received_ns=at(second),
+        source="gnss0",
+        messages=messages,
+        received_bytes=500,
+        other_bytes=other,
+        gives_position=bool({"NMEA GGA", "UBX NAV-PVT"} & set(messages)),
     )
 
 
@@ -288,7 +293,7 @@ def test_a_receiver_without_a_fix_is_configured_by_its_bytes_and_once() -> None:
         process, [Tick(now_ns=at(0.0)), imu(0.5), sends(1.0, "UBX NAV-POSLLH"), sends(3.0, "UBX NAV-POSLLH")]
     )
     [request] = [message for message in outputs if isinstance(message, GnssConfigure)]
-    assert request.source == "gnss0" and "NAV-PVT" in request.messages
+    assert request.source == "gnss0" and GnssOutput.FIX in request.outputs
     assert newest(outputs).mode is Mode.CONFIGURING
     again = feed(process, [fix(4.0, good=False), sends(5.0, "UBX NAV-PVT")])
     assert not [message for message in again if isinstance(message, GnssConfigure)], "it is the same receiver"

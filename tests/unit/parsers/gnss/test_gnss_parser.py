@@ -15,6 +15,7 @@ from pyubx2.ubxmessage import UBXMessage
 from services.parsers.gnss.process import Config, Process
 from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.messages.base import Message
+from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import (
     CarrierSolution,
     FixType,
@@ -160,9 +161,14 @@ def test_a_valid_high_precision_position_is_used() -> None:
     assert fix.position_sd_ned_m == pytest.approx((0.01, 0.01, 0.02), abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "fields", [{"gnssFixOk": 0}, {"fixType": 0, "gnssFixOk": 1}, {"fixType": 5}, {"gnssFixOk": 0, "fixType": 3}]
-)
+def test_a_fix_of_time_alone_states_the_surveyed_position_and_no_motion() -> None:
+    fix = only_fix(pvt(fixType=5) + cov() + eoe())
+    assert fix.fix_type is FixType.TIME_ONLY
+    assert fix.latitude_deg is not None
+    assert (fix.velocity_ned_m_s, fix.ground_speed_m_s, fix.course_rad) == (None,) * 3
+
+
+@pytest.mark.parametrize("fields", [{"gnssFixOk": 0}, {"fixType": 0, "gnssFixOk": 1}, {"gnssFixOk": 0, "fixType": 3}])
 def test_values_not_marked_valid_by_the_receiver_are_none(fields: dict[str, int]) -> None:
     fix = only_fix(pvt(**fields) + cov() + eoe())
     assert (fix.latitude_deg, fix.height_ellipsoid_m, fix.position_cov_ned_m2, fix.position_sd_ned_m) == (None,) * 4
@@ -213,7 +219,7 @@ def test_an_epoch_without_nav_pvt_is_counted_and_the_next_one_is_complete() -> N
     process = Process(Config())
     assert not fixes(feed(process, dop() + cov() + eoe()))
     assert len(fixes(feed(process, pvt(1) + eoe(1), 1.0))) == 1
-    assert process.rejects == {"epoch_without_pvt": 1}
+    assert process.rejects == {"epoch_without_fix": 1}
 
 
 def test_an_invalid_message_is_counted_and_the_rest_of_the_epoch_is_used() -> None:
@@ -422,3 +428,24 @@ def test_the_clock_of_an_epoch_whose_fix_was_lost_is_not_that_of_a_later_fix() -
     assert (10, 150) not in biases
     assert biases[0][1] == 100 and biases[-1][1] == 650
     assert process.rejects["ubx_signal_without_fix"] == 1
+
+
+def test_a_fix_made_with_corrections_names_their_source_for_a_minute() -> None:
+    """The state of corrections counts while it is fresh, and only for a fix that has used some."""
+
+    def stated(active: str | None) -> CorrectionsState:
+        return CorrectionsState(sampled_ns=START_NS, active=active, reason="")
+
+    def source(process: Process, quality: int, second: int) -> str | None:
+        return fixes(feed(process, gga(0, quality) + rmc(0), second) + feed(process, gga(1), second + 1))[
+            0
+        ].correction_source
+
+    assert source(Process(Config()), 2, 0) is None
+    for quality, expected in ((1, None), (2, "base"), (4, "base"), (5, "base")):
+        process = Process(Config())
+        assert list(process.handle(stated("base"))) == list(process.handle(stated(None))) == []
+        assert source(process, quality, 0) == expected
+    process = Process(Config())
+    list(process.handle(stated("base")))
+    assert source(process, 4, 30) == "base" and source(process, 4, 90) is None

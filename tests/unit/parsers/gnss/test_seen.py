@@ -2,9 +2,10 @@
 
 import pytest
 
-from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.seen import MAX_KINDS
+from services.parsers.gnss.ubx.framing import SYNC
+from shared.maths.crc import fletcher
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssRaw, GnssReceiver
 
@@ -14,7 +15,7 @@ START_NS = 1_795_000_000 * NS
 
 def ubx(kind: int, number: int, payload: bytes = b"") -> bytes:
     body = bytes((kind, number)) + len(payload).to_bytes(2, "little") + payload
-    return UBX_SYNC + body + ubx_checksum(body)
+    return SYNC + body + fletcher(body)
 
 
 def nmea(text: str) -> bytes:
@@ -50,7 +51,7 @@ def test_the_first_message_of_a_protocol_is_said_with_the_next_tick_and_the_rest
     ("data", "kind"),
     [
         (ubx(0x77, 0x01), "UBX 77-01"),
-        (nmea("PUBX,00"), "NMEA PUBX"),
+        (nmea("PUBX,00"), "NMEA PUBX00"),
         (nmea("GPHDT,274.1,T"), "NMEA HDT"),
         (bytes.fromhex("d300133ed7d30202980edeef34b4bd62ac0941986f33360b98"), "RTCM 1005"),
     ],

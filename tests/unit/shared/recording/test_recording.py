@@ -19,6 +19,7 @@ from shared.messages.imu import ImuRaw
 from shared.messages.operation import Mode, ModeState
 from shared.recording import Recording, RecordingWriter
 from shared.recording.index import chosen
+from shared.recording.writer import without_users
 from tests.support.bus.envelopes import sent, sent_bytes
 from tests.support.rewritten import chunk, file_of, rewrite
 
@@ -413,3 +414,8 @@ def test_a_chunk_beyond_the_limit_is_not_unpacked_and_said(tmp_path: Path) -> No
     (tmp_path / "a.mcap").write_bytes(file_of(chunk(b"zstd", 40 << 20, data), chunk(b"zstd", 3 << 30, data)))
     found, problems = read(tmp_path / "a.mcap")
     assert not found and "a chunk that unpacks to 42 MB is not read: 16 MB at most" in problems
+
+
+def test_users_and_passwords_in_urls_of_the_vehicles_file_are_not_recorded() -> None:
+    text = 'sources = ["ntrip://me:hunter2@caster.example.org/M", "tcp://a.example.org:5"]\nmail = "a@b.example.org"\n'
+    assert without_users(text) == text.replace("me:hunter2@", "")

@@ -202,7 +202,7 @@ function StateBand({ title, changes, names, group }) {
     <ul class="legend">${present.map((name) => html`<li><span class="bar-key ${group}-${name}"></span>${names[name] ?? name}</li>`)}</ul></div>`;
 }
 
-function FixCard({ receiver }) {
+function FixCard({ receiver, corrections }) {
   const { fix, bands } = receiver;
   const p = words.position;
   const stale = freshness("gnss/fix", receiver.updated_ns.fix) === "stale";
@@ -214,6 +214,7 @@ function FixCard({ receiver }) {
     <dl class="rows ${stale ? "old" : ""}">
       <${Row} label=${w.dop} value=${[["PDOP", fix.pdop], ["HDOP", fix.hdop], ["VDOP", fix.vdop]].map(([n, v]) => `${n} ${fixed(v, 1)}`).join("  ")} />
       <${Row} label=${w.correctionAge} value=${fix.correction_age_s === null ? p.correctionNone : `${fixed(fix.correction_age_s, 1)} s`} extra=${fix.correction_age_s === null ? null : w.correctionNote} />
+      ${corrections && html`<${Row} label=${w.correctionSource} value=${corrections.active ?? p.correctionNone} extra=${corrections.active ? [p.carrier[fix.carrier_solution], w.correctionFrames(Object.values(corrections.types).reduce((a, b) => a + b, 0))].filter(Boolean).join(", ") : corrections.reason} />`}
       <${Row} label=${w.firstFix} value=${receiver.first_fix_s === null ? w.notKnown : seconds(receiver.first_fix_s)} extra=${receiver.first_fix_s === null ? null : w.firstFixNote} />
       ${fix.baseline_heading_rad !== null && html`<${Row} label=${w.baseline} value=${`${fixed((degrees(fix.baseline_heading_rad) + 360) % 360, 1)}°`} extra=${fix.baseline_length_m === null ? null : `${fixed(fix.baseline_length_m, 2)} m`} />`}
     </dl>
@@ -275,7 +276,7 @@ export function GnssPage() {
   if (!receiver) return html`<div class="page gnss-page"><${Card} title=${w.title} id="no-receiver" class="whole"><${Empty} title=${w.empty} why=${w.emptyWhy} what=${html`<a href="#/system?node=parsers.gnss">${w.emptyLink}</a>`} /></${Card}></div>`;
   return html`<div class="page gnss-page">
     ${sources.length > 1 && html`<div class="toolbar whole" role="group" aria-label=${w.receivers}>${sources.map((name) => html`<button key=${name} aria-pressed=${name === receiver.source} onClick=${() => setChosen(name)}>${name}</button>`)}</div>`}
-    <div class="stack"><${SkyCard} receiver=${receiver} tracks=${tracks[receiver.source] ?? {}} /><${FixCard} receiver=${receiver} /></div>
+    <div class="stack"><${SkyCard} receiver=${receiver} tracks=${tracks[receiver.source] ?? {}} /><${FixCard} receiver=${receiver} corrections=${answer.corrections} /></div>
     <div class="stack"><${SignalsCard} receiver=${receiver} /><${InterferenceCard} receiver=${receiver} /><${ReceiverCard} receiver=${receiver} /></div>
   </div>`;
 }

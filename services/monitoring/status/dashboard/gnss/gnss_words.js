@@ -46,6 +46,8 @@ export const gnssWords = {
   dop: "Dilution of precision",
   correctionAge: "Age of corrections",
   correctionNote: "at most, as the receiver classes it",
+  correctionSource: "Source of corrections",
+  correctionFrames: (n) => `${n} frames given to the receiver`,
   firstFix: "Time to first fix",
   firstFixNote: "after the receiver's start",
   baseline: "Heading of the baseline",

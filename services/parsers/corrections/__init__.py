@@ -1,0 +1,1 @@
+"""Layer 2, corrections: frames of RTCM 3, SPARTN and UBX, and the choice of a source."""

@@ -1,0 +1,1 @@
+"""NMEA 0183: framing, and sentences to fixes and satellites."""
