@@ -99,6 +99,8 @@ def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> 
     clock = ClockKind.UTC
     if first is not None:
         epochs.now_ns = epochs.time_of(first)
+        # Frames before the one with the date may tell an earlier time.
+        epochs.now_ns = next((told for _, mark in frames if (told := epochs.time_of(mark)) is not None), None)
     elif week_of_ns is not None and any(mark.week_ns is not None for _, mark in frames):
         epochs.now_ns, epochs.week_starts_ns = week_of_ns, _week_start(week_of_ns)
     elif any(mark.day_ns is not None for _, mark in frames):
