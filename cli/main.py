@@ -16,6 +16,7 @@ import typer
 
 from shared import VERSION
 from shared.errors import UserError
+from shared.messages.operation import OperatorCommand
 from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
@@ -289,16 +290,61 @@ def tail(
 
 
 @app.command()
-def doctor(vehicle: VehicleOption = None) -> None:
+def command(
+    what: Annotated[OperatorCommand, typer.Argument(help="What the unit shall do.")],
+    *,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Device, as mode/state lists it; default: the receiver in use. select_source without a name leaves "
+            "the choice to the unit.",
+        ),
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option(min=0.04, max=10.0, metavar="SECONDS", help="Period of fixes, of navigation_rate.")
+    ] = None,
+    vehicle: VehicleOption = None,
+    wait: Annotated[bool, typer.Option(help="Wait until it is done; otherwise until it is accepted.")] = True,
+) -> None:
+    """Send a command to the unit that runs on this computer, and print whether it is accepted, done or failed.
+
+    The exit code is 0 if it is done, and 1 if it has failed.
+
+    Examples:
+    [bold]obu command cold_start[/]
+    [bold]obu command navigation_rate --period 0.2 --source gnss0[/]
+    [bold]obu command select_source --source imu1[/]
+    [bold]obu command calibrate_at_rest[/]
+    """
+    from .command import send
+
+    _end_on_sigterm()
+    raise typer.Exit(send(what, load_vehicle(vehicle), source=source, period_s=period, wait=wait))
+
+
+@app.command()
+def doctor(
+    vehicle: VehicleOption = None,
+    probe: Annotated[
+        bool,
+        typer.Option(
+            "--probe", help="Ask devices that are silent, and look at all serial ports: this writes to the ports."
+        ),
+    ] = False,
+) -> None:
     """Check this machine, its configuration and a running unit, and name the remedy of each fault.
+
+    It listens to each port, at six rates if need be, and says what its device speaks.
 
     Examples:
     [bold]obu doctor[/]
+    [bold]obu doctor --probe[/]   (no device is named yet: what is plugged in?)
     [bold]obu doctor --vehicle deploy/vehicles/pi.toml[/]
     """
     from .doctor import examine
 
-    raise typer.Exit(examine(vehicle))
+    raise typer.Exit(examine(vehicle, probe=probe))
 
 
 @app.command(hidden=True)

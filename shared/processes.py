@@ -110,10 +110,10 @@ PROCESSES = (
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
-        consumes=("gnss/raw", "gnss/configure", "device/state", "corrections/state"),
+        consumes=("gnss/raw", "gnss/configure", "gnss/reset", "device/state", "corrections/state"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
-            "gnss/signal_quality", "gnss/receiver", "gnss/configuration",
+            "gnss/signal_quality", "gnss/receiver", "gnss/configuration", "imu/raw", "vehicle/speed",
         ),
         roles=BOTH,
     ),
@@ -143,9 +143,9 @@ PROCESSES = (
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
         consumes=(
             "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
-            "navigation/state",
+            "navigation/state", "mode/command",
         ),
-        produces=("gnss/configure", "mode/state", "navigation/last_position"),
+        produces=("gnss/configure", "gnss/reset", "mode/state", "mode/answer", "navigation/last_position"),
         pause_s=0.1,
     ),
     ProcessRow(
@@ -157,7 +157,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "estimates position, velocity and attitude with their covariance",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
+            "navigation/filter_state", "trust/state", "gnss/fault_free_fix", "mode/state",
         ),
         produces=(
             "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding",
@@ -167,7 +167,7 @@ PROCESSES = (
     ProcessRow(
         "core.motion_conflict", Kind.STANDING,
         "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale"),
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state"),
         produces=("trust/monitor", "trust/inertial_scale"),
         pause_s=0.1,
     ),
@@ -175,19 +175,19 @@ PROCESSES = (
         "core.spoofing", Kind.STANDING, "compares GNSS, inertial sensors and wheels over 5 s to 5 minutes",
         consumes=(
             "imu/sample", "gnss/fix", "vehicle/speed", "vehicle/wheel_speed", "navigation/solution",
-            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state",
+            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state", "mode/state",
         ),
         produces=("trust/monitor", "trust/grade"),
         pause_s=0.1,
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours"),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "mode/state"),
         produces=("trust/monitor", "gnss/fault_free_fix", "trust/hypotheses"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
-        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock"),
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock", "mode/state"),
         produces=("trust/monitor",),
     ),
     ProcessRow(
@@ -222,7 +222,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
-        produces=("simulation/attack", "replay/control"), observes_all=True, roles=BOTH,
+        produces=("simulation/attack", "replay/control", "mode/command"), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

@@ -17,6 +17,7 @@ from .messages.gnss import (
     GnssRaw,
     GnssRawEpoch,
     GnssReceiver,
+    GnssReset,
     GnssSatellites,
     GnssSignalQuality,
     GnssSignals,
@@ -38,6 +39,8 @@ from .messages.operation import (
     DeadlineReport,
     DeviceState,
     HostClock,
+    ModeAnswer,
+    ModeCommand,
     ModeState,
     Origin,
     Outage,
@@ -81,6 +84,7 @@ class Topic:
     the newest message is stale, `persist` says that the newest message outlives a power-off, and `personal` that
     it describes other road users: a road-side unit does not record it. A `fast` one may come more than ten times a
     second: heartbeats tell how much of it was sent and received, so that observers need not wake for each message.
+    Consumers of an `advisory` one go on without it: they have a rule of their own.
     """
 
     name: str
@@ -93,6 +97,7 @@ class Topic:
     persist: bool = False
     personal: bool = False
     fast: bool = False
+    advisory: bool = False
 
     @cached_property
     def per_process(self) -> bool:
@@ -151,8 +156,11 @@ TOPICS = (
     Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
     Topic("v2x/send", V2xSend, "frames to be sent by the V2X radio"),
     Topic("gnss/configure", GnssConfigure, "configuration wanted of the receiver", qos=1),
-    Topic("mode/state", ModeState, "operating mode of the unit",
-          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("gnss/reset", GnssReset, "lets a receiver start anew", qos=1),
+    Topic("mode/command", ModeCommand, "commands of the operator", qos=1),
+    Topic("mode/answer", ModeAnswer, "how far a command of the operator has come", qos=1),
+    Topic("mode/state", ModeState, "operating mode of the unit, and the sources in use",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, advisory=True),
     Topic("navigation/last_position", LastPosition, "last known position of the vehicle",
           qos=1, retain=True, persist=True),
     Topic("navigation/solution", NavigationSolution, "position, velocity and attitude, with covariance",
@@ -248,14 +256,15 @@ def measurements() -> tuple[Topic, ...]:
 
 
 def needs(process: str) -> tuple[Topic, ...]:
-    """List the topics with a rate that a process needs: feedback of processes that follow it in the table is not."""
+    """List the topics with a rate that a process needs: not advice, nor feedback of processes that follow it."""
     order = list(PROCESS_ROWS)
     if process not in order or PROCESS_ROWS[process].observes_all:
         return ()
     place = order.index(process)
     return tuple(
         topic for topic in subscriptions(process)
-        if topic.rate_hz is not None and any(order.index(name) < place for name in topic.producers)
+        if topic.rate_hz is not None and not topic.advisory
+        and any(order.index(name) < place for name in topic.producers)
     )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ COLUMNS: dict[str, str] = {
     "gnss_age_s": "time since the last used fix; empty before the first",
 }
 NAMES = tuple(COLUMNS)
-VALID = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+VALID = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
 DIAGONAL = (0, 3, 5)  # indices in an upper triangle stored row by row
 
 

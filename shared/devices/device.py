@@ -98,8 +98,8 @@ class SerialDevice:
     def __init__(self, name: str, baud: int) -> None:
         from serial.serialposix import Serial
 
-        self._name = _port_of(name)
-        self._port = Serial(self._name, baud, timeout=0, exclusive=True)  # type: ignore[no-untyped-call]  # no types
+        self.name = _port_of(name)
+        self._port = Serial(self.name, baud, timeout=0, exclusive=True)  # type: ignore[no-untyped-call]  # no types
         self._descriptor = int(self._port.fd or 0)
         self.rate_baud = baud
         with contextlib.suppress(termios.error):
@@ -114,9 +114,9 @@ class SerialDevice:
         except BlockingIOError:
             return b""
         except (OSError, ValueError) as error:
-            raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
+            raise DeviceLost(f"lost {self.name}: {error}; check its cable") from error
         if not data:  # readable without data: the port was unplugged
-            raise DeviceLost(f"lost {self._name}; check its cable")
+            raise DeviceLost(f"lost {self.name}; check its cable")
         return data
 
     def write(self, data: bytes) -> None:
@@ -124,10 +124,10 @@ class SerialDevice:
         try:
             while data:
                 if not select.select([], [self._descriptor], [], WRITE_S)[1]:
-                    raise DeviceBusy(f"{self._name} accepts no bytes")
+                    raise DeviceBusy(f"{self.name} accepts no bytes")
                 data = data[os.write(self._descriptor, data) :]
         except (OSError, ValueError) as error:
-            raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
+            raise DeviceLost(f"lost {self.name}: {error}; check its cable") from error
 
     def set_rate(self, baud: int) -> None:
         """Change the rate, and forget what came at the former one."""
@@ -135,7 +135,7 @@ class SerialDevice:
             self._port.baudrate = self.rate_baud = baud
             termios.tcflush(self._descriptor, termios.TCIFLUSH)
         except (OSError, ValueError, termios.error) as error:
-            raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
+            raise DeviceLost(f"lost {self.name}: {error}; check its cable") from error
 
     def close(self) -> None:
         """Close the port, so that its name is free when the device is reconnected."""

@@ -57,21 +57,19 @@ class Port:
         self._link: Path | None = None  # stable name of the port that worked
         self.opened_as: str | None = None
 
-    def open(self) -> Recognising:
-        """Open the device; raises `DeviceLost`."""
+    def open(self, *, may_write: bool = True) -> Recognising:
+        """Open the device, which may be asked what it is; raises `DeviceLost`."""
         parts = urlsplit(self.url)
-        if parts.scheme != "serial" or parts.netloc:
-            self.opened_as = self.url
-            return Recognising(open_device(self.url), Search(self._kind, None, may_write=parts.scheme != "file"))
+        named = parts.scheme == "serial" and not parts.netloc
         path = Path(parts.path)
-        if not path.exists() and self._link is not None and self._link.exists():
+        if named and not path.exists() and self._link is not None and self._link.exists():
             path = self._link
-        url = parts._replace(path=str(path)).geturl()
-        device = open_device(url)
-        self.opened_as = url
-        self._link = self._stable_name(path) or self._link
-        rate = device.rate_baud if isinstance(device, SerialDevice) and has_rate(path) else None
-        return Recognising(device, Search(self._kind, rate, may_write=True))
+        self.opened_as = parts._replace(path=str(path)).geturl() if named else self.url
+        device = open_device(self.opened_as)
+        if named:
+            self._link = self._stable_name(path) or self._link
+        rate = device.rate_baud if isinstance(device, SerialDevice) and has_rate(Path(device.name)) else None
+        return Recognising(device, Search(self._kind, rate, may_write=may_write and parts.scheme != "file"))
 
     def _stable_name(self, path: Path) -> Path | None:
         """The link of udev that leads to a port."""

@@ -19,6 +19,10 @@ from .framing import FrameFinder, Sums
 HEADER = b"\xfa\xff"
 LONG = 0xFF  # in place of the length, which follows in two bytes
 MTDATA2 = 0x36
+KNOWN = {
+    0x00: "0x00", 0x01: "DeviceID", 0x0D: "ProductCode", 0x13: "FirmwareRev", 0x31: "GotoConfigAck",
+    0x11: "GotoMeasurementAck", 0x32: "MTData", 0x3E: "WakeUp", 0x42: "Error", 0xC1: "OutputConfiguration",
+}  # fmt: skip
 MAX_PAYLOAD_BYTES = 2048
 MOST_FIELDS = 64  # of a measurement
 # A header whose length is possible, or the beginning of one at the end of the data.

@@ -293,6 +293,22 @@ class GnssConfigure(Message):
     dynamic_model: Name | None = None  # such as automotive; None: as it is
 
 
+class GnssStart(StrEnum):
+    """What a receiver knows when it starts anew."""
+
+    HOT = "hot"  # everything
+    WARM = "warm"  # not the ephemerides
+    COLD = "cold"  # nothing
+
+
+class GnssReset(Message):
+    """Lets a receiver start anew; it does not answer, but loses its position for a time."""
+
+    request_id: Name
+    source: Name
+    start: GnssStart
+
+
 class GnssReceiver(Message):
     """What a receiver sends, by its bytes and whether or not it has a position: every two seconds."""
 

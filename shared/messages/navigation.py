@@ -41,6 +41,7 @@ class NavigationPhase(StrEnum):
     WAITING_FOR_HEADING = "waiting_for_heading"
     NAVIGATING = "navigating"
     COASTING = "coasting"
+    GNSS_ONLY = "gnss_only"  # no inertial samples: each fix is published, attitude and rates are not measured
 
 
 class NavigationSolution(Message):

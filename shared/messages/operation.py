@@ -23,8 +23,18 @@ class Mode(StrEnum):
     SHUTTING_DOWN = "shutting_down"
 
 
+class SourceSwitch(Message):
+    """Another device was selected."""
+
+    sampled_ns: Nanoseconds
+    kind: Name  # gnss, imu, speed
+    before: Name
+    after: Name
+    reason: Reason
+
+
 class ModeState(Message):
-    """The mode of the unit, since when and why, and the sources that it chose."""
+    """The mode of the unit, since when and why, and the sources that it chose, which every consumer uses."""
 
     sampled_ns: Nanoseconds
     mode: Mode
@@ -33,6 +43,46 @@ class ModeState(Message):
     gnss_source: Name | None = None
     imu_source: Name | None = None
     speed_source: Name | None = None
+    time_to_first_fix_s: Seconds | None = None  # from the first message of a receiver, or its last reset, on
+    sources: Annotated[tuple[Name, ...], Field(max_length=64)] = ()  # of all kinds that are received
+    switches: Annotated[tuple[SourceSwitch, ...], Field(max_length=16)] = ()  # the newest of each kind, oldest first
+
+
+class OperatorCommand(StrEnum):
+    """What an operator can ask of a unit."""
+
+    COLD_START = "cold_start"  # of a GNSS receiver, without anything that it knows
+    WARM_START = "warm_start"  # without its ephemerides
+    NAVIGATION_RATE = "navigation_rate"  # of a GNSS receiver
+    SELECT_SOURCE = "select_source"  # use a device; without a name, leave the choice to the unit
+    CALIBRATE_AT_REST = "calibrate_at_rest"  # measure the biases of the gyroscopes at standstill
+
+
+class ModeCommand(Message):
+    """A command of the operator."""
+
+    request_id: Name
+    command: OperatorCommand
+    source: Name | None = None  # device; of a receiver None: the one in use
+    navigation_period_s: Annotated[float, Field(ge=0.04, le=10.0)] | None = None  # of NAVIGATION_RATE
+
+
+class CommandStage(StrEnum):
+    """How far a command has come."""
+
+    ACCEPTED = "accepted"
+    DONE = "done"
+    FAILED = "failed"
+
+
+class ModeAnswer(Message):
+    """How far a command of the operator has come."""
+
+    sampled_ns: Nanoseconds
+    request_id: Name
+    command: OperatorCommand
+    stage: CommandStage
+    reason: Reason = ""  # why it failed, or what it led to
 
 
 class ProcessState(StrEnum):

@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
+from shared.messages.operation import DeviceFound
 from tests.browser.test_pages import judge_everywhere
-from tests.support.dashboard.status_server import Running
+from tests.support.dashboard.status_server import Running, status_server
 
 PAGE_BYTES = 120_000
 FIRST_HEADING = {
@@ -83,8 +85,29 @@ def test_signals_fix_interference_and_settings_of_the_receiver_are_shown(
     interference = page.get_by_role("region", name="Jamming and spoofing")
     expect(interference).to_contain_text("none indicated UBX-SEC-SIG")
     receiver = page.get_by_role("region", name="Receiver", exact=True)
-    for text in ("ZED-F9P", "HPG 1.32", "automotive", "10°", "UBX-NAV-PVT, UBX-NAV-SAT", "as requested, read back"):
+    for text in ("ZED-F9P", "HPG 1.32", "automotive", "10°", "UBX NAV-PVT, UBX NAV-SAT", "as requested, read back"):
         expect(receiver).to_contain_text(text)
+
+
+def test_the_port_and_what_became_of_each_kind_of_message_are_shown(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address, path="gnss")
+        receiver = page.get_by_role("region", name="Receiver", exact=True)
+        expect(receiver).to_contain_text("UBX, NMEA at 38400 baud, not at the 115200 of the vehicle file")
+        expect(receiver).to_contain_text("NMEA GGA, UBX NAV-PVT, UBX NAV-SAT")
+        rows = receiver.locator("table.kinds tbody tr")
+        expect(rows).to_have_count(3)
+        expect(rows.nth(0)).to_contain_text("2 (ubx_date)")
+        expect(rows.nth(1)).to_contain_text("known, not used")
+        expect(rows.nth(2)).to_contain_text("not known")
+        server.unit.port = server.unit.port.model_copy(
+            update={"found": DeviceFound.NOISE, "sentence": "bytes that are no message"}
+        )
+        expect(receiver).to_contain_text("no messages in its bytes", timeout=8000)
+        expect(receiver).to_contain_text("bytes that are no message")
 
 
 def test_without_a_receiver_the_page_says_what_to_connect(

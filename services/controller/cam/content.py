@@ -19,7 +19,7 @@ import numpy.typing as npt
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference, wrap_angle
 from shared.maths.rotation import cross, ned_from_body
 from shared.messages.base import Symmetric3, Vector3
-from shared.messages.navigation import NavigationSolution
+from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.messages.trust import TrustLevel, TrustState
 from shared.messages.v2x import (
     DriveDirection,
@@ -136,7 +136,8 @@ def own_cam(
     major_m, minor_m, orientation = confidence_ellipse(_matrix(solution.position_cov_ned_m2)[:2, :2])
     point, velocity_n = _reference_point(solution, vehicle), _reference_velocity(solution, vehicle)
     speed, heading, direction = _speed_heading_direction(solution, velocity_n)
-    yaw_rate = -heading_rate(solution)
+    measured = solution.phase is not NavigationPhase.GNSS_ONLY  # the rates of GNSS alone are zero
+    yaw_rate = -heading_rate(solution) if measured else None
     return OwnCam(
         sampled_ns=solution.sampled_ns,
         its_time_ms=its_time_ms,
@@ -158,7 +159,7 @@ def own_cam(
         vehicle_length_m=vehicle.length_m,
         vehicle_width_m=vehicle.width_m,
         longitudinal_acceleration_m_s2=motion.longitudinal_acceleration_m_s2,
-        curvature=yaw_rate / speed if speed >= SLOWEST_COURSE_M_S else None,
+        curvature=yaw_rate / speed if yaw_rate is not None and speed >= SLOWEST_COURSE_M_S else None,
         yaw_rate_rad_s=yaw_rate,
         low_frequency=(
             LowFrequencyContainer(vehicle_role=vehicle.role, path=path.points(solution.sampled_ns, point))

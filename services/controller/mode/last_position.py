@@ -7,6 +7,7 @@ from shared.maths.dates import is_plausible
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution
 
 NS = 1_000_000_000
+MEASURED = (NavigationPhase.NAVIGATING, NavigationPhase.GNSS_ONLY)  # phases in which positions are measured
 
 
 class LastPositionWriter:
@@ -20,13 +21,13 @@ class LastPositionWriter:
 
     def take(self, solution: NavigationSolution, utc_offset_ns: int | None) -> Iterator[LastPosition]:
         """Process a solution; yield its position if it is due to be stored."""
-        if solution.phase not in (NavigationPhase.NAVIGATING, NavigationPhase.COASTING):
+        if solution.phase not in MEASURED and solution.phase is not NavigationPhase.COASTING:
             return
         self._newest = solution
         stopped = solution.stationary and not self._was_stationary
         self._was_stationary = solution.stationary
         due = self._kept_ns is None or not 0 <= solution.sampled_ns - self._kept_ns < self._period_ns
-        if solution.phase is NavigationPhase.NAVIGATING and (stopped or due):
+        if solution.phase in MEASURED and (stopped or due):
             yield from self.last(utc_offset_ns)
 
     def last(self, utc_offset_ns: int | None) -> Iterator[LastPosition]:

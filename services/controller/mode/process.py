@@ -5,17 +5,18 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from shared.messages.base import Message, Tick
-from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssOutput, GnssReceiver
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssOutput, GnssReceiver, GnssReset
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationSolution
-from shared.messages.operation import Mode, ModeState
+from shared.messages.operation import Mode, ModeAnswer, ModeCommand, ModeState
 from shared.runtime.config import Section
 
+from .commands import Commands
 from .configuration_exchange import ConfigurationExchange
 from .last_position import LastPositionWriter
 from .unit import Unit
 
-Output = ModeState | GnssConfigure | LastPosition
+Output = ModeState | ModeAnswer | GnssConfigure | GnssReset | LastPosition
 
 
 class Config(Section):
@@ -53,6 +54,7 @@ class Process:
         self._unit = Unit()
         self._exchanges: dict[str, ConfigurationExchange] = {}
         self._last_position = LastPositionWriter(config.last_position_period_s)
+        self._commands = Commands(self._unit, self._exchange_at)
         self._state: ModeState | None = None
 
     def handle(self, message: Message) -> Iterator[Output]:
@@ -66,9 +68,12 @@ class Process:
                     exchange.response(message, self._unit.now_ns)
             case NavigationSolution():
                 yield from self._last_position.take(message, self._unit.utc_offset_ns)
+            case ModeCommand():
+                yield from self._commands.take(message)
             case Tick():
                 for exchange in self._exchanges.values():
                     yield from exchange.tick(self._unit.now_ns)
+        yield from self._commands.note(message)
         known = isinstance(message, ImuSamples) and self._state is not None and self._state.imu_source is not None
         if self._unit.started_ns is not None and not known:  # IMU samples at 100 Hz need no decision each
             yield from self._decide(at_once=isinstance(message, Tick))
@@ -85,6 +90,13 @@ class Process:
         self._state = state
         if at_once or before is None or _essence(before) != _essence(state):
             yield state
+
+    def _exchange_at(self, source: str, period_s: float) -> ConfigurationExchange:
+        """Exchange with another navigation period, in place of the one before."""
+        config = self._config
+        made = ConfigurationExchange(source, period_s, config.gnss_outputs, config.gnss_dynamic_model or None)
+        self._exchanges[source] = made
+        return made
 
     def _exchange(self, source: str) -> ConfigurationExchange:
         return self._exchanges.setdefault(

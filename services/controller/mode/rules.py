@@ -29,7 +29,12 @@ class Facts:
     phase_reason: str = ""
     configuring: str | None = None  # request to a receiver in progress
     configuration_fault: str | None = None  # reason why the configuration failed
-    has_measured: bool = False
+    has_measured: bool = False  # there has been a position
+
+    @property
+    def is_gnss_only(self) -> bool:
+        """Whether fixes alone are published."""
+        return self.phase is NavigationPhase.GNSS_ONLY and not _older(self.solution_age_s, SOLUTION_SILENT_S)
 
 
 Rule = Callable[[Facts], str | None]
@@ -53,9 +58,7 @@ def decide(facts: Facts) -> tuple[Mode, str]:
 def _measuring(facts: Facts) -> str | None:
     if facts.phase is not NavigationPhase.NAVIGATING or _older(facts.solution_age_s, SOLUTION_SILENT_S):
         return None
-    if facts.configuration_fault:
-        return f"navigating; receiver not configured: {facts.configuration_fault}"
-    return "navigating"
+    return f"navigating{_not_configured(facts)}"
 
 
 def _booting(facts: Facts) -> str | None:
@@ -77,10 +80,19 @@ def _configuring(facts: Facts) -> str | None:
     return facts.configuring if not facts.has_measured else None
 
 
+def _gnss_only(facts: Facts) -> str | None:
+    """Reason while fixes alone are published."""
+    if not facts.is_gnss_only:
+        return None
+    missing = f"no IMU samples{_for(facts.imu_age_s)}" if _older(facts.imu_age_s, IMU_SILENT_S) else "IMU not aligned"
+    return f"position of GNSS alone: {missing}{_not_configured(facts)}"
+
+
 def _no_imu(facts: Facts) -> str | None:
     if not _older(facts.imu_age_s, IMU_SILENT_S):
         return None
-    return f"no IMU samples{_for(facts.imu_age_s)}"
+    gnss = f", and no GNSS fix{_for(facts.fix_age_s)}: no position" if _older(facts.fix_age_s, FIX_LOST_S) else ""
+    return f"no IMU samples{_for(facts.imu_age_s)}{gnss}"
 
 
 def _no_fusion(facts: Facts) -> str | None:
@@ -110,6 +122,10 @@ def _aligning(facts: Facts) -> str:
     return "waiting for the navigation filter"
 
 
+def _not_configured(facts: Facts) -> str:
+    return f"; receiver not configured: {facts.configuration_fault}" if facts.configuration_fault else ""
+
+
 def _older(age_s: float | None, limit_s: float) -> bool:
     return age_s is None or age_s > limit_s
 
@@ -118,11 +134,12 @@ def _for(age_s: float | None) -> str:
     return "" if age_s is None else f" for {age_s:.0f} s"
 
 
-SOLVING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+SOLVING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
 # SHUTTING_DOWN has no rule: the process publishes it on a stop request.
 RULES: tuple[tuple[Mode, Rule], ...] = (
     (Mode.MEASURING, _measuring),
     (Mode.BOOT, _booting),
+    (Mode.DEGRADED, _gnss_only),
     (Mode.DETECTING, _detecting),
     # Root cause first: without an IMU there is no solution either.
     (Mode.DEGRADED, _no_imu),

@@ -1,8 +1,9 @@
 """The newest messages of the unit, and the facts for the mode decision derived from them."""
 
+import math
 from dataclasses import dataclass, field
 
-from shared.chosen import ChosenSource
+from shared.chosen import NMEA, SILENT_NS, receiver_of
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
@@ -14,7 +15,7 @@ from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT
 from .sources import Sources, age_s
 
 NS = 1_000_000_000
-NMEA = "/nmea"
+SPEED_SILENT_S = SILENT_NS / NS
 RECEIVER_SILENT_S = 6.0  # a statement comes every two seconds
 LISTED = 6
 
@@ -26,11 +27,14 @@ class Unit:
     now_ns: int = 0
     started_ns: int | None = None
     receivers: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))
-    gnss: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))  # UBX and NMEA of one receiver are two
-    imu: Sources = field(default_factory=lambda: Sources(IMU_SILENT_S))
-    speed: ChosenSource = field(default_factory=ChosenSource)
+    gnss: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S, "gnss"))  # UBX and NMEA of a receiver are two
+    imu: Sources = field(default_factory=lambda: Sources(IMU_SILENT_S, "imu"))
+    speed: Sources = field(default_factory=lambda: Sources(SPEED_SILENT_S, "speed", by_name=True))
     fix_ns: int | None = None
     said: GnssReceiver | None = None  # of the receiver that was heard last
+    search_ns: int | None = None  # since when a receiver looks for its first position
+    first_fix_s: float | None = None  # time that it took
+    restarting: bool = False  # a receiver was reset, and has not lost its position yet
     utc_offset_ns: int | None = None  # UTC - OBU time line
     solution: NavigationSolution | None = None
     solution_ns: int | None = None
@@ -45,10 +49,10 @@ class Unit:
                 self._advance(message.now_ns)
             case ImuSamples():
                 self._advance(message.received_ns)
-                self.imu.note_received(message.source, self.now_ns)
+                self.imu.note_received(message.source, self.now_ns, valid=not message.saturated)
             case VehicleSpeed():
                 self._advance(message.received_ns)
-                self.speed.takes(message.source, self.now_ns)
+                self.speed.note_received(message.source, self.now_ns)
             case GnssFix():
                 return self._note_fix(message)
             case GnssReceiver() if self.started_ns is not None:  # one that the broker kept may be of yesterday
@@ -88,11 +92,12 @@ class Unit:
     def mode_state(self, facts: Facts, before: ModeState | None) -> ModeState:
         """Determine the mode and select the sources."""
         mode, reason = decide(facts)
-        self.has_measured |= mode is Mode.MEASURING
+        self.has_measured |= mode is Mode.MEASURING or facts.is_gnss_only
         return self.describe(mode, reason, before)
 
     def describe(self, mode: Mode, reason: str, before: ModeState | None) -> ModeState:
         """Create the message of a mode; `since_ns` is kept from the previous state if the mode is unchanged."""
+        kinds = self.gnss, self.imu, self.speed
         return ModeState(
             sampled_ns=self.now_ns,
             mode=mode,
@@ -100,8 +105,23 @@ class Unit:
             reason=reason[:400],
             gnss_source=self.gnss.choose(self.now_ns),
             imu_source=self.imu.choose(self.now_ns),
-            speed_source=self.speed.current(self.now_ns),
+            speed_source=self.speed.choose(self.now_ns),
+            time_to_first_fix_s=self.first_fix_s,
+            sources=tuple(name for kind in kinds for name in kind.names(self.now_ns)),
+            switches=tuple(sorted((one for kind in kinds for one in kind.switches), key=lambda one: one.sampled_ns)),
         )
+
+    def search_again(self) -> None:
+        """Measure the time to the first position anew: a receiver was reset."""
+        self.search_ns, self.first_fix_s, self.restarting = self.now_ns, None, True
+
+    def _time_first_fix(self, fix: GnssFix) -> None:
+        """Measure the time to the first position, from the first message of a receiver or its reset on."""
+        self.search_ns = self.now_ns if self.search_ns is None else self.search_ns
+        if not has_position(fix):
+            self.restarting = False
+        elif self.first_fix_s is None and not self.restarting:
+            self.first_fix_s = age_s(self.search_ns, self.now_ns)
 
     def _advance(self, stamp_ns: int) -> None:
         self.now_ns = max(self.now_ns, stamp_ns)
@@ -110,6 +130,7 @@ class Unit:
 
     def _note_receiver(self, said: GnssReceiver) -> str | None:
         self._advance(said.received_ns)
+        self.search_ns = self.now_ns if self.search_ns is None else self.search_ns
         self.said = said
         known = bool(said.messages) and self.receivers.note_received(said.source, self.now_ns)
         return said.source if known else None
@@ -130,10 +151,26 @@ class Unit:
 
     def _note_fix(self, fix: GnssFix) -> str | None:
         self._advance(fix.received_ns)
-        if fix.latitude_deg is not None and fix.fix_type is not FixType.TIME_ONLY:
+        self._time_first_fix(fix)
+        if has_position(fix):
             self.fix_ns = self.now_ns
         if fix.utc_ns is not None:
             self.utc_offset_ns = fix.utc_ns - fix.sampled_ns
-        self.gnss.note_received(fix.source, self.now_ns, rank=fix.source.endswith(NMEA))  # UBX is preferred
-        receiver = fix.source.removesuffix(NMEA)
+        self.gnss.note_received(
+            fix.source, self.now_ns, rank=fix.source.endswith(NMEA),  # UBX is preferred
+            valid=has_position(fix), sd=_position_sd_m(fix),
+        )  # fmt: skip
+        receiver = receiver_of(fix.source)
         return receiver if self.receivers.note_received(receiver, self.now_ns) else None
+
+
+def has_position(fix: GnssFix) -> bool:
+    """Whether a fix is a measured position."""
+    return fix.latitude_deg is not None and fix.fix_type is not FixType.TIME_ONLY
+
+
+def _position_sd_m(fix: GnssFix) -> float | None:
+    """Horizontal standard deviation that a fix states."""
+    if fix.position_cov_ned_m2 is not None:
+        return math.sqrt(max(fix.position_cov_ned_m2[0] + fix.position_cov_ned_m2[3], 0.0))
+    return math.hypot(*fix.position_sd_ned_m[:2]) if fix.position_sd_ned_m is not None else None

@@ -9,10 +9,12 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from shared.chosen import ChosenSource, receiver_choice
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.base import Symmetric3, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.neighbours import Neighbour, NeighbourStates
+from shared.messages.operation import ModeState
 from shared.messages.trust import TrustHypotheses, TrustMonitor
 from shared.runtime.config import VehicleSettings
 
@@ -28,7 +30,7 @@ from .v2x.bank import BankSettings
 from .v2x.monitor import CooperativeMonitor, CooperativeSettings
 from .v2x.neighbours import NeighbourReport
 
-In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | Tick
+In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | ModeState | Tick
 Out = TrustMonitor | FaultFreeFix | TrustHypotheses
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
 MOST_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
@@ -97,7 +99,7 @@ class Process:
         self._store = EphemerisStore()
         self._rejected: Counter[str] = Counter()
         self._gps_minus_obu_ns: int | None = None
-        self._source: str | None = None
+        self._receivers = ChosenSource(receiver_choice)
         self._epoch_ns: int | None = None  # stamp of the newest epoch that was evaluated
         self._since = Since()
 
@@ -116,6 +118,8 @@ class Process:
             case GnssFix():
                 if message.gps_time_ns is not None:
                     self._gps_minus_obu_ns = message.gps_time_ns - message.sampled_ns
+            case ModeState():
+                self._receivers.follow(message)
             case NeighbourStates():
                 self._use_neighbours(message)
             case Tick():
@@ -126,11 +130,9 @@ class Process:
                     yield self._hypotheses(None, why, message.now_ns)
 
     def _use_epoch(self, message: GnssRawEpoch) -> Iterator[Out]:
-        if message.source != self._source:
-            if not self._is_silent(message.sampled_ns):
-                self._rejected["second_receiver"] += 1
-                return
-            self._source = message.source
+        if not self._receivers.takes(message.source, message.received_ns):
+            self._rejected["second_receiver"] += 1
+            return
         self._gps_minus_obu_ns = message.gps_time_ns - message.sampled_ns
         if self._epoch_ns is not None and 0 <= message.sampled_ns - self._epoch_ns < PERIOD_NS:
             return

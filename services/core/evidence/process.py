@@ -3,17 +3,17 @@
 from collections import Counter
 from collections.abc import Iterator
 
+from shared.chosen import ChosenSource, receiver_choice, receiver_of
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix, GnssSatellites, GnssSignalQuality
-from shared.messages.operation import HostClock
+from shared.messages.operation import HostClock, ModeState
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
 from .monitor import EvidenceMonitor
 from .settings import Settings
 
-In = GnssSignalQuality | GnssSatellites | GnssFix | HostClock | Tick
+In = GnssSignalQuality | GnssSatellites | GnssFix | HostClock | ModeState | Tick
 RESTART_NS = 5_000_000_000  # by which an arrival is earlier than the newest one where a time line starts again
-SILENT_NS = 5_000_000_000  # after which another receiver takes the place of one that is silent
 OWN_TESTS = ("spoofing_flag", "jamming_flag", "gain", "cn0_level", "cn0_spread", "clock")
 NOTHING = "the receiver sends no UBX-NAV-STATUS, NAV-CLOCK, NAV-SAT, MON-RF or SEC-SIG"
 
@@ -32,7 +32,8 @@ class Process:
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
         self._config, self._monitor = config, EvidenceMonitor(config)
-        self._source: tuple[str, int] | None = None  # receiver that is used, with its last time of arrival
+        self._receivers = ChosenSource(receiver_choice)
+        self._newest_ns: int | None = None  # arrival of the newest message of the receiver in use
 
     def handle(self, message: In) -> Iterator[TrustMonitor]:
         """Use a message of the receiver; publish with each tick."""
@@ -40,7 +41,9 @@ class Process:
             yield self._statement(message.now_ns)
         elif isinstance(message, HostClock):
             self._monitor.host_clock(message)
-        elif self._is_chosen(message.source.removesuffix("/nmea"), message.received_ns):
+        elif isinstance(message, ModeState):
+            self._receivers.follow(message)
+        elif self._is_chosen(receiver_of(message.source), message.received_ns):
             match message:
                 case GnssSignalQuality():
                     self._monitor.quality(message)
@@ -50,14 +53,13 @@ class Process:
                     self._monitor.time(message.received_ns, message.utc_ns)
 
     def _is_chosen(self, source: str, now_ns: int) -> bool:
-        chosen, last_ns = self._source or (source, now_ns)
-        if source != chosen and 0 <= now_ns - last_ns <= SILENT_NS:
+        if not self._receivers.takes(source, now_ns):
             self.rejects["second receiver"] += 1
             return False
-        if now_ns < last_ns - RESTART_NS:
+        if self._newest_ns is not None and now_ns < self._newest_ns - RESTART_NS:
             self.rejects["time line started again"] += 1
             self._monitor = EvidenceMonitor(self._config)
-        self._source = source, now_ns
+        self._newest_ns = now_ns
         return True
 
     def _statement(self, now_ns: int) -> TrustMonitor:

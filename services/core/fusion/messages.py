@@ -35,11 +35,13 @@ from .settings import Settings
 from .solution import Solution
 from .start.heading import Prior
 from .start.warm_start import SavedState, fingerprint
+from .without_imu import Missing
 
 FloatArray = npt.NDArray[np.float64]
 
 HELD_NUMBERS = 7  # of a disagreement in a saved state
 REASON_LENGTH = 400  # of a message
+ALIGNING = (NavigationPhase.LEVELLING, NavigationPhase.WAITING_FOR_GNSS, NavigationPhase.WAITING_FOR_HEADING)
 
 
 InertialSample = tuple[int, Vector3, Vector3]
@@ -254,10 +256,26 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
     )
 
 
-def state_message(
-    navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None, *, delay_known: bool
-) -> NavigationState:
-    """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then.
+def waiting_for_imu(state: NavigationState, since_ns: int) -> NavigationState:
+    """State while inertial samples are missing since a time, and nothing is published in their place."""
+    phase = NavigationPhase.WAITING_FOR_IMU
+    return state.model_copy(update={"phase": phase, "since_ns": since_ns, "reason": "no inertial samples"})
+
+
+def without_imu(state: NavigationState, missing: Missing, *, excluded: bool) -> NavigationState:
+    """State while fixes alone are published, and what the alignment of the filter waits for."""
+    if excluded:
+        return waiting_for_imu(state, missing.since_ns).model_copy(
+            update={"reason": f"{missing.reason}, and GNSS is excluded: no position"}
+        )
+    waiting = f"; {state.reason}" if state.phase in ALIGNING else ""
+    reason = f"{missing.reason}: position and velocity of GNSS alone{waiting}"[:REASON_LENGTH]
+    phase = NavigationPhase.GNSS_ONLY
+    return state.model_copy(update={"phase": phase, "since_ns": missing.since_ns, "reason": reason})
+
+
+def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -> NavigationState:
+    """State of the navigator as a message.
 
     While the delay of GNSS is not known, what turns show is no error of the lever arm.
     """
@@ -265,12 +283,11 @@ def state_message(
     conflict, difference, held = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor.held
     position_s, velocity_s = navigator.found_delays
     declined = verdicts.unresolved or (conflict.declined if conflict else "")
-    silent = silent_since_ns is not None
     return NavigationState(
         sampled_ns=sampled_ns,
-        phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,
-        since_ns=silent_since_ns if silent_since_ns is not None else navigator.since_ns,
-        reason="no inertial samples" if silent else navigator.reason,
+        phase=navigator.phase,
+        since_ns=navigator.since_ns,
+        reason=navigator.reason,
         fixes_used=counts.fixes_used,
         fixes_rejected=counts.fixes_rejected,
         samples_used=navigator.samples_used,

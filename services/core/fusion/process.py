@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from shared.chosen import ChosenSource
+from shared.chosen import ChosenSource, gnss_choice, imu_choice, receiver_choice, receiver_of, speed_choice
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
@@ -15,18 +15,31 @@ from shared.messages.navigation import (
     NavigationState,
     SetUpState,
 )
+from shared.messages.operation import ModeState
 from shared.messages.trust import TrustHypotheses, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
+from .aids.base import Measurement
 from .aids.kinds import measurements_of
 from .navigator import Navigator
 from .set_up.monitor import SetUpMonitor
 from .settings import Settings
+from .without_imu import SILENT_NS, WithoutImu
 
 STATE_PERIOD_NS = 1_000_000_000
-SILENT_NS = 1_100_000_000  # silence of the IMU in use after which another one is used: 1 s and the bus delay
-In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | FaultFreeFix | Tick
+In = (
+    ModeState
+    | ImuSamples
+    | GnssFix
+    | LastPosition
+    | FilterState
+    | VehicleSpeed
+    | WheelSpeeds
+    | TrustState
+    | FaultFreeFix
+    | Tick
+)
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
 NO_EXCLUSION: Exclusion = (None, False, ())
 Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState | TrustHypotheses
@@ -45,26 +58,32 @@ class Process:
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample
+        self._published_ns = 0  # stamp of the newest solution
         self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
-        self._speed = ChosenSource()
+        self._speed = ChosenSource(speed_choice)
+        self._receiver, self._fixes = ChosenSource(receiver_choice), ChosenSource(gnss_choice)
+        self._imus = ChosenSource(imu_choice, SILENT_NS)
         self._imu: str | None = None  # source in use
-        self._imu_received_ns: int | None = None
+        self._without_imu = WithoutImu(config)
+        self._gnss_excluded = False  # as core.trust has decided
 
     def handle(self, message: In) -> Iterator[Out]:
         """Handle one message; the clock is that of the inertial samples."""
         match message:
             case ImuSamples():
                 yield from self._inertial(message)
+            case ModeState():
+                for chosen in (self._speed, self._receiver, self._fixes, self._imus):
+                    chosen.follow(message)
             case VehicleSpeed() if not self._speed.takes(message.source, message.received_ns):
                 self.rejects["speed of a second source"] += 1
-            case GnssFix():
-                if not self._aid(message):
-                    self.rejects["fix without position"] += 1
-                yield from self._silence(message.received_ns)
+            case GnssFix() | FaultFreeFix():
+                yield from self._fix(message)
             case LastPosition():
                 self._navigator.use_prior(messages.prior_from_last_position(message))
             case TrustState():
+                self._gnss_excluded = message.gnss_excluded
                 messages.use_trust_state(self._navigator, message)
             case FilterState() if self._imu is None:  # later states are of this process
                 self._saved = message
@@ -72,13 +91,14 @@ class Process:
                 self._aid(message)
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
-        if batch.source != self._imu and not self._is_silent(batch.received_ns):
+        if not self._imus.takes(batch.source, batch.received_ns):
             self.rejects["samples of a second imu"] += 1
             return
         if self._saved is not None:
             messages.restore(self._navigator, self._saved, batch)
             self._saved = None
-        self._imu, self._imu_received_ns = batch.source, batch.received_ns
+        self._without_imu.interrupted(batch.received_ns, self._navigator.engine.filter)
+        self._imu, self._without_imu.heard_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in messages.samples_of(batch):
             due = self._is_due(sampled_ns)
             self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
@@ -100,13 +120,35 @@ class Process:
             yield messages.set_up_message(self._set_up, self._sampled_ns)
         self._aid(batch)
 
-    def _aid(self, message: Message) -> bool:
-        """Use what a message measures, in the navigator and in the checks of the set-up; False if it is nothing."""
+    def _fix(self, fix: GnssFix | FaultFreeFix) -> Iterator[Out]:
+        """Use a fix in the filter, or publish it where inertial samples are missing."""
+        without, received_ns = self._without_imu, fix.received_ns
+        if not self._is_chosen(fix):
+            self.rejects["fix of a second receiver"] += 1
+            return
+        measurements = self._aid(fix, keep=not without.is_abandoned(received_ns))
+        if not measurements:
+            self.rejects["fix without position"] += 1
+        found = without.solve(measurements, received_ns, self._navigator.engine.filter)
+        if found is not None and not self._gnss_excluded and found.time_ns > self._published_ns:
+            self._published_ns = found.time_ns
+            yield messages.solution_message(found)
+        yield from self._silence(received_ns)
+
+    def _is_chosen(self, fix: GnssFix | FaultFreeFix) -> bool:
+        """Whether a fix is of the source in use; one without a position does not take another one's place."""
+        if isinstance(fix, FaultFreeFix):
+            return self._receiver.takes(receiver_of(fix.source), fix.received_ns)
+        return fix.latitude_deg is None or self._fixes.takes(fix.source, fix.received_ns)
+
+    def _aid(self, message: Message, *, keep: bool = True) -> list[Measurement]:
+        """Use what a message measures, in the checks of the set-up and, to `keep` it, in the navigator."""
         measurements = measurements_of(message, self._navigator.settings)
         for measurement in measurements:
             self._set_up.see(measurement)
-            self._navigator.measure(measurement)
-        return bool(measurements)
+            if keep:
+                self._navigator.measure(measurement)
+        return measurements
 
     def finish(self) -> Iterator[AidingUpdate]:
         """Use everything up to the newest sample, at the end of a recording; yields the last outcomes."""
@@ -116,19 +158,21 @@ class Process:
         """Whether a sample is the first of a solution period."""
         return sampled_ns // self._solution_period_ns != self._last_solution
 
-    def _is_silent(self, now_ns: int) -> bool:
-        return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
-
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
         """Publish that inertial samples are missing, when a fix arrives long after the last sample."""
-        current = (NavigationPhase.WAITING_FOR_IMU, "", NO_EXCLUSION, received_ns // STATE_PERIOD_NS)
-        silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
-        if silent and current != self._last_state:
+        without = self._without_imu
+        if not without.is_silent(received_ns) and without.missing is None:
+            return
+        phase = NavigationPhase.WAITING_FOR_IMU if without.missing is None else NavigationPhase.GNSS_ONLY
+        current = (phase, "", NO_EXCLUSION, received_ns // STATE_PERIOD_NS)
+        if current != self._last_state:
             self._last_state = current
-            yield self._state_message(received_ns, self._imu_received_ns or received_ns)
+            yield self._state_message(received_ns, silent=True)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Publish the state when it changes, and every second."""
+        if self._without_imu.missing is not None:  # said with each fix, until the filter has a solution
+            return
         navigator, exclusions = self._navigator, self._navigator.engine.exclusions
         exclusion = exclusions.gnss_since_ns, exclusions.odometer, exclusions.satellites
         current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
@@ -136,9 +180,14 @@ class Process:
             self._last_state = current
             yield self._state_message(sampled_ns)
 
-    def _state_message(self, time_ns: int, silent_since_ns: int | None = None) -> NavigationState:
-        known = self._set_up.delay_known
-        return messages.state_message(self._navigator, time_ns, silent_since_ns, delay_known=known)
+    def _state_message(self, time_ns: int, *, silent: bool = False) -> NavigationState:
+        state = messages.state_message(self._navigator, time_ns, delay_known=self._set_up.delay_known)
+        without = self._without_imu
+        if without.missing is not None:
+            return messages.without_imu(state, without.missing, excluded=self._gnss_excluded)
+        if silent:
+            return messages.waiting_for_imu(state, without.heard_ns or time_ns)
+        return state
 
     def _filter_state(self, imu: str) -> Iterator[FilterState]:
         """Publish the state for a later process, while a filter runs."""
@@ -155,4 +204,6 @@ class Process:
         solution = self._navigator.solution()
         if solution is not None and solution.time_ns == sampled_ns:  # otherwise the sample was rejected
             self._last_solution = sampled_ns // self._solution_period_ns
+            self._without_imu.end()
+            self._published_ns = sampled_ns
             yield messages.solution_message(solution, self._set_up.turn)

@@ -6,10 +6,11 @@ from math import hypot
 
 from pydantic import ValidationInfo, model_validator
 
-from shared.chosen import ChosenSource
+from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
+from shared.messages.operation import ModeState
 from shared.messages.trust import LearnedScale, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import VehicleFile, vehicle_in
@@ -21,7 +22,7 @@ from .monitor import MotionMonitor
 from .settings import Settings
 from .statements import ScaleStatement, statements
 
-In = ImuSamples | GnssFix | VehicleSpeed | TrustState | LearnedScale | Tick
+In = ImuSamples | GnssFix | VehicleSpeed | TrustState | LearnedScale | ModeState | Tick
 Out = TrustMonitor | LearnedScale
 # Fixes whose velocity is measured by satellites; dead reckoning of a receiver may come from the same wheels.
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
@@ -67,7 +68,7 @@ class Process:
         )  # fmt: skip
         self._statement = ScaleStatement()
         self._newest_ns, self._odometer = 0, config.odometer
-        self._speed, self._imu = ChosenSource(), ChosenSource()
+        self._speed, self._imu, self._fix = (ChosenSource(one) for one in (speed_choice, imu_choice, gnss_choice))
         self._imu_source = ""  # of the newest samples
         self._earlier: LearnedScale | None = None  # of an earlier drive, until the first inertial sample
         self._taught = 0  # bends in what was published
@@ -82,7 +83,10 @@ class Process:
         match message:
             case ImuSamples() if self._imu.takes(message.source, message.received_ns):
                 self._use_samples(message)
-            case GnssFix():
+            case ModeState():
+                for chosen in (self._speed, self._imu, self._fix):
+                    chosen.follow(message)
+            case GnssFix() if self._fix.takes(message.source, message.received_ns):
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._use_fix(message)
             case VehicleSpeed() if self._odometer and self._speed.takes(message.source, message.received_ns):

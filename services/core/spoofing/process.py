@@ -9,13 +9,14 @@ from typing import cast
 
 from pydantic import ValidationError, ValidationInfo, model_validator
 
-from shared.chosen import ChosenSource
+from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.errors import ConfigError
 from shared.maths.earth import Geodetic
 from shared.messages.base import Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingUpdate, FilterState, NavigationPhase, NavigationSolution
+from shared.messages.operation import ModeState
 from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Table, VehicleFile, vehicle_in
@@ -33,7 +34,7 @@ from .statements import statement, statements
 from .windows.position_step import UNKNOWN_SD_M
 
 Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
-In = Measured | NavigationSolution | AidingUpdate | FilterState | LearnedGrade | TrustState | Tick
+In = Measured | NavigationSolution | AidingUpdate | FilterState | LearnedGrade | TrustState | ModeState | Tick
 Out = TrustMonitor | LearnedGrade
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
@@ -152,9 +153,9 @@ class Process:
         self._lesson = Lesson(self._settings.profile)
         self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
-        self._speed, self._wheels = ChosenSource(), ChosenSource()
+        self._speed, self._wheels = ChosenSource(speed_choice), ChosenSource()
+        self._imus, self._fixes = ChosenSource(imu_choice, SILENT_NS), ChosenSource(gnss_choice, SILENT_NS)
         self._solution: NavigationSolution | None = None  # newest with a heading
-        self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
         self._imu, self._gnss = Rate(), Rate()
         self._warning: str | None = None  # of a profile for another unit; None until it has been compared
 
@@ -182,6 +183,8 @@ class Process:
                     self.rejects["filter state of another layout"] += 1
             case LearnedGrade() if not self._newest_ns:  # later ones are its own
                 self._adopt(message)
+            case ModeState():
+                self._follow(message)
             case TrustState():
                 self._lesson.heed(message)
                 self.monitor.heed(
@@ -191,6 +194,11 @@ class Process:
                 self.drift.quiet = message.suspect_since_ns is None
             case Tick():
                 yield from self._evaluated(max(self._newest_ns, message.now_ns))
+
+    def _follow(self, mode: ModeState) -> None:
+        """Use the sources that `controller.mode` has chosen."""
+        for chosen in (self._imus, self._fixes, self._speed):
+            chosen.follow(mode)
 
     def _measure(self, message: Measured) -> None:
         """Use a measurement of the source in use."""
@@ -274,13 +282,11 @@ class Process:
 
     def _is_chosen(self, message: ImuSamples | GnssFix) -> bool:
         """Whether a message comes from the one source of its kind that is used."""
-        kind, now_ns = type(message), message.received_ns
-        chosen, last_ns = self._sources.get(kind, (message.source, now_ns))
-        if message.source != chosen and 0 <= now_ns - last_ns <= SILENT_NS:
-            self.rejects[f"{kind.__name__} of a second source"] += 1
-            return False
-        self._sources[kind] = (message.source, now_ns)
-        return True
+        chosen = self._imus if isinstance(message, ImuSamples) else self._fixes
+        if chosen.takes(message.source, message.received_ns):
+            return True
+        self.rejects[f"{type(message).__name__} of a second source"] += 1
+        return False
 
     def _use_samples(self, batch: ImuSamples) -> None:
         if batch.saturated:

@@ -88,13 +88,14 @@ class Solution:
     """Newest solution of fusion."""
 
     sampled_ns: int
-    navigating: bool  # phase is navigating or coasting
+    navigating: bool  # phase is navigating, coasting or GNSS only
     phase: str
     protection_level_horizontal_m: float | None
     protection_level_vertical_m: float | None
     gnss_age_s: float | None  # since the last fix that was used
     gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
     risk: float = 1e-3  # at which its levels hold
+    gnss_only: bool = False  # without inertial sensors
 
     @property
     def protection_levels_m(self) -> tuple[float | None, float | None]:

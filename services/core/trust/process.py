@@ -30,7 +30,7 @@ from .verdict import verdict
 In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | Tick
 Out = TrustState | TrustEvent
 MONITORS = frozenset(Monitor)
-WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
 REASON_LENGTH = 400  # of a message
 ALTERNATIVES_NS = 5_000_000_000  # age at which solutions of the bank are no longer used
@@ -329,6 +329,7 @@ def _solution(message: NavigationSolution) -> Solution:
         message.gnss_age_s,
         message.gnss_excluded_since_ns,
         message.integrity_risk or DEFAULT_RISK,
+        gnss_only=message.phase is NavigationPhase.GNSS_ONLY,
     )
 
 

@@ -9,7 +9,7 @@ row   condition                                                                 
 4     a hypothesis survives to whose solution the level does not reach                    UNSAFE
 5     no GNSS in the position: excluded and confirmed by fusion, or missing for too long  DEAD_RECKONING
 6     a hypothesis survives, a source is excluded, or a monitor doubts                    CAUTION
-7     no independent check of the position, or a required monitor is silent               CAUTION
+7     no inertial unit, no independent check, or a required monitor is silent             CAUTION
 8     protection level above 0.8 of the alert limit                                       CAUTION
 9     otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
@@ -238,6 +238,8 @@ def _not_checked(facts: Facts) -> str | None:
     """Row 7: the position needs one independent check, of which there are two kinds, and monitors that are alive."""
     checks = (*INERTIAL, Monitor.SATELLITES)
     found = []
+    if facts.solution is not None and facts.solution.gnss_only:
+        found.append("no inertial unit: an attack would not be noticed")
     if all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in checks):
         reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
         found.append(f"no independent check of the position is evaluated: {reasons}")

@@ -6,7 +6,7 @@ from itertools import pairwise
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
-from shared.messages.operation import Carried, Consumed, Freshness, ProcessHealth
+from shared.messages.operation import Carried, Consumed, Freshness, MessageKind, ProcessHealth
 from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.runtime.tally import Tally
 from shared.topics import Topic
@@ -168,6 +168,7 @@ class ProcessFlow:
         self.in_hz: float | None = None
         self.out_hz: float | None = None
         self.last_error: str | None = None
+        self.kinds: tuple[MessageKind, ...] = ()  # messages of its devices
         self._past: deque[ProcessHealth] = deque(maxlen=HEARTBEATS)
 
     @property
@@ -187,6 +188,8 @@ class ProcessFlow:
             return
         if not same_life:
             self._past.clear()
+            self.kinds = ()
+        self.kinds = health.kinds or self.kinds  # not every heartbeat holds the table
         self.health = health
         self._past.append(health)
         first = self._past[0]

@@ -26,6 +26,7 @@ from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.command import CommandApi
 from .web.map.map import MapApi
 from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
@@ -97,12 +98,12 @@ class Process:
         lock = threading.Lock()
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
-        simulation = SimulationApi(state, lock, now_ns)
+        simulation, operator = SimulationApi(state, lock, now_ns), CommandApi(state, lock, now_ns)
         replay = ReplayApi(feed, lock, bus.now_ns)
         library, job = Library(recordings_folder(bus)), Job((bus.state_dir / "jobs").resolve())
         allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
         recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
-        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings))
+        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings, operator))
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
@@ -122,7 +123,7 @@ class Process:
             records = state.unsaved()
             if kept:
                 kept.append(records)
-            for commands in (simulation.commands, replay.commands):
+            for commands in (simulation.commands, replay.commands, operator.commands):
                 while not commands.empty():
                     bus.publish(commands.get_nowait())
             if not thread.is_alive():
@@ -139,7 +140,7 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
-        apis: tuple[SimulationApi, ReplayApi, RecordingsApi],
+        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         clients = self._config.clients_maximum

@@ -17,9 +17,11 @@ from shared.messages.gnss import (
     GnssSatellites,
     GnssSignalQuality,
     GnssSignals,
+    GnssStart,
 )
 from shared.messages.imu import ImuRaw
 from shared.messages.operation import MessageUse
+from shared.messages.vehicle import VehicleSpeed
 
 Output = (
     GnssFix
@@ -30,6 +32,7 @@ Output = (
     | GnssSignalQuality
     | GnssConfiguration
     | ImuRaw
+    | VehicleSpeed
 )
 PREFERRED_NS = 5_000_000_000  # time without a fix of a better protocol after which those of another are published
 
@@ -47,6 +50,8 @@ class Stream:
     dates: DeviceDates
     faults: Faults
     minimum_delay_s: float
+    uses_imu: bool = False  # whether the inertial sensors of the receiver are those of the vehicle
+    metres_per_wheel_tick: float = 0.0
     fix_ns: int | None = None  # newest fix of a protocol that tells more than the others
 
     def has_better(self, received_ns: int) -> bool:
@@ -67,6 +72,10 @@ class Dialogue(ABC):
     @abstractmethod
     def take(self, kind: str, payload: bytes) -> Iterator[bytes | GnssConfiguration]:
         """Process a message of the receiver, which may be an answer; yield the next bytes, or the result."""
+
+    @abstractmethod
+    def restart(self, start: GnssStart) -> bytes:
+        """What lets the receiver start anew; it does not answer."""
 
     @abstractmethod
     def tick(self) -> Iterator[bytes | GnssConfiguration]:

@@ -1,12 +1,9 @@
 """Decoding state of one GNSS receiver."""
 
-from collections import Counter
 from collections.abc import Iterator
 
-from shared.faults import Faults
 from shared.kinds import Kinds
-from shared.maths.dates import DeviceDates
-from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssStart, GnssWrite
 from shared.messages.operation import MessageUse
 
 from .dialect import ContentError, Dialogue, Output, Stream
@@ -18,18 +15,18 @@ from .seen import Seen
 class Receiver:
     """Decodes the bytes of one receiver to fixes, satellites, signals and configuration results."""
 
-    def __init__(self, source: str, *, minimum_delay_s: float, rejects: Counter[str], kinds: Kinds) -> None:
+    def __init__(self, stream: Stream, kinds: Kinds) -> None:
         self.rate_baud: int | None = None  # of its port
-        self._rejects, self._kinds = rejects, kinds
-        self._framer, self._faults = Framer(FRAMINGS, rejects), Faults(rejects)
-        self._stream = Stream(source, rejects, DeviceDates(rejects), self._faults, minimum_delay_s)
+        rejects = stream.rejects
+        self._rejects, self._kinds, self._stream = rejects, kinds, stream
+        self._framer, self._faults = Framer(FRAMINGS, rejects), stream.faults
         self._dialects = {row.framing.protocol: row.dialect(self._stream) for row in PROTOCOLS}
         positions = (
             frozenset(f"{dialect.name} {kind}" for kind in kinds)
             for dialect in self._dialects.values()
             for kinds in dialect.positions
         )
-        self.seen = Seen(source, tuple(positions))
+        self.seen = Seen(stream.source, tuple(positions))
 
     def take(self, raw: GnssRaw) -> Iterator[Output | GnssWrite]:
         """Process the next bytes; yield the completed messages."""
@@ -45,6 +42,11 @@ class Receiver:
         for dialogue in self._dialogues():
             yield from self._written(dialogue.request(wanted, self.rate_baud), now_ns)
             return
+
+    def restart(self, start: GnssStart, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
+        """Let the receiver start anew."""
+        for dialogue in self._dialogues():
+            yield from self._written(iter((dialogue.restart(start),)), now_ns)
 
     def tick(self, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
         """A second has passed."""

@@ -1,19 +1,24 @@
-"""Decodes Xbus bytes to inertial samples in body axes."""
+"""Decodes the bytes of inertial measurement units to samples in body axes."""
 
 from collections import Counter
 from collections.abc import Iterator
 
 from pydantic import Field
 
+from shared.devices.recognition import recognise
 from shared.errors import ConfigError
+from shared.kinds import Kinds
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.runtime.config import VehicleSettings, vehicle_in
 from shared.runtime.old_keys import MOUNTING, in_section
 
-from .xsens import Tracker
+from .decoder import Decoder, Stream
+from .lines import LineForm, LineImu
+from .protocols import PROTOCOLS, USUAL
 
-MAX_TRACKERS = 8
+MAX_SOURCES = 8
+ENOUGH_BYTES = 4096  # without a protocol that is known
 
 
 class Config(VehicleSettings):
@@ -21,6 +26,9 @@ class Config(VehicleSettings):
 
     minimum_delay_s: float = Field(
         default=0.003, ge=0.0, description="minimum delay from an inertial sample to its arrival"
+    )
+    line: LineForm | None = Field(
+        default=None, description="form of the lines of an IMU that sends text; absent: its bytes are recognised"
     )
 
     def model_post_init(self, context: object) -> None:
@@ -35,29 +43,41 @@ class Config(VehicleSettings):
 
 
 class Process:
-    """One `Tracker` per source; time is taken from the stamps of the messages only."""
+    """One decoder per source; time is taken from the stamps of the messages only."""
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
+        self.kinds = Kinds()
         self._config = config
-        self._trackers: dict[str, Tracker] = {}
+        self._decoders: dict[str, Decoder] = {}
+        self._unknown: dict[str, bytes] = {}  # first bytes of sources that are not recognised yet
 
     def handle(self, message: Message) -> Iterator[ImuSamples]:
         """Process raw IMU bytes; other messages are ignored."""
-        if isinstance(message, ImuRaw) and (tracker := self._tracker(message.source)):
-            samples = tracker.take(message)
-            if samples is not None:
-                yield samples
-
-    def _tracker(self, source: str) -> Tracker | None:
-        if source not in self._trackers:
-            if len(self._trackers) >= MAX_TRACKERS:
+        if not isinstance(message, ImuRaw):
+            return
+        source = message.source
+        if source not in self._decoders:
+            if source not in self._unknown and len(self._unknown) + len(self._decoders) >= MAX_SOURCES:
                 self.rejects["too_many_sources"] += 1
-                return None
-            self._trackers[source] = Tracker(
-                source,
-                body_from_sensor=self._config.vehicle.imu.body_from_sensor,
-                minimum_delay_s=self._config.minimum_delay_s,
-                rejects=self.rejects,
-            )
-        return self._trackers[source]
+                return
+            data = self._unknown.pop(source, b"") + message.data
+            if (decoder := self._recognised(source, data)) is None:
+                self._unknown[source] = data
+                return
+            self._decoders[source] = decoder
+            message = message.model_copy(update={"data": data})
+        if (samples := self._decoders[source].take(message)) is not None:
+            yield samples
+
+    def _recognised(self, source: str, data: bytes) -> Decoder | None:
+        """The decoder of a source by its first bytes; None while they may be the beginning of any."""
+        stream = Stream(
+            source, self._config.vehicle.imu.body_from_sensor, self._config.minimum_delay_s, self.rejects, self.kinds
+        )
+        names = [name for name in recognise(data).names if name in PROTOCOLS]
+        if names:
+            return PROTOCOLS[names[0]](stream)
+        if self._config.line is not None:
+            return LineImu(stream, self._config.line)
+        return PROTOCOLS[USUAL](stream) if len(data) >= ENOUGH_BYTES else None

@@ -1,81 +1,70 @@
-"""Decoding state of one Xsens motion tracker."""
+"""Xsens motion trackers: MTData2 to samples.
+
+Source: Xsens, "MT Low Level Communication Protocol Documentation", chapters 2 and 5.3.
+"""
 
 import math
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 from shared.devices import xbus
-from shared.faults import Faults
-from shared.maths.clock_mapping import ClockMapping
-from shared.messages.base import Vector3
 from shared.messages.imu import ImuRaw, ImuSamples
-from shared.runtime.config import Matrix3
+from shared.messages.operation import MessageUse
 
+from .decoder import Batch, Decoder, SampleError, Stream, check, rotate
+
+MEASUREMENT = "Xbus MTData2"
 TICK_NS = 100_000  # resolution of the field SampleTimeFine
 TICK_WRAP = 1 << 32
 COUNTER_WRAP = 1 << 16
 LOST_AT_MOST = 1000  # a larger gap of the packet counter is a restart of the tracker
-STRONGEST_M_S2 = 1000.0  # plausibility limit; accelerometer ranges are at most 16 to 50 g
-FASTEST_RAD_S = 100.0  # plausibility limit; gyroscope ranges are at most 2000 to 4000 deg/s
 STRONGEST_FIELD = 1000.0  # plausibility limit, in units of the Earth's field
 CELSIUS_K = 273.15
 SLOW = ((xbus.TEMPERATURE, CELSIUS_K), (xbus.BARO_PRESSURE, 1e6))  # greatest value [°C, Pa]
 INERTIAL = frozenset((xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V, xbus.DELTA_Q))
 
 
-class SampleError(ValueError):
-    """A measurement that is rejected; the text is the kind of reject."""
-
-
-@dataclass(slots=True)
-class _Batch:
-    """The samples of one chunk of bytes."""
-
-    device_ns: list[int] = field(default_factory=list)  # time of the tracker's clock
-    forces: list[Vector3] = field(default_factory=list)
-    rates: list[Vector3] = field(default_factory=list)
-    saturated: bool = False
-
-
-class Tracker:
-    """Decodes the bytes of one tracker to samples in body axes, stamped in the OBU time line.
+class Tracker(Decoder):
+    """A tracker that sends MTData2.
 
     `rejects` counts the rejects of the reader, and `packet_gap` (lost measurements), `counter_restart`,
-    `no_sample_time`, `no_inertial_data`, `repeated_sample`, `not_finite`, `out_of_range`.
+    `no_sample_time`, `no_acceleration`, `no_rate_of_turn`, `no_acceleration_and_rate_of_turn`, `repeated_sample`,
+    `not_finite`, `out_of_range`.
     """
 
-    def __init__(
-        self, source: str, *, body_from_sensor: Matrix3, minimum_delay_s: float, rejects: Counter[str]
-    ) -> None:
-        self._source = source
-        self._body_from_sensor = body_from_sensor
-        self._rejects = rejects
-        self._reader, self._faults = xbus.XbusReader(rejects), Faults(rejects)
-        self._clock = ClockMapping(minimum_delay_s)
+    def __init__(self, stream: Stream) -> None:
+        super().__init__(stream)
+        self._rejects = stream.rejects
+        self._reader = xbus.XbusReader(stream.rejects)
         self._counter: int | None = None
         self._ticks: int | None = None  # unwrapped
         self._newest: dict[int, tuple[float, ...]] = {}  # newest values since the last message, by data identifier
 
     def take(self, raw: ImuRaw) -> ImuSamples | None:
         """Process the next bytes; return one message with all completed samples, or None."""
-        batch = _Batch()
+        batch = Batch()
         for message in self._reader.feed(raw.data):
             if message.mid == xbus.MTDATA2:
-                with self._faults.decoding(raw.received_ns):
+                with self.faults.decoding(raw.received_ns):
                     self._take_measurement(batch, message.payload)
+            else:
+                use = MessageUse.UNUSED if message.mid in xbus.KNOWN else MessageUse.UNKNOWN
+                self.count(f"Xbus {xbus.KNOWN.get(message.mid, f'0x{message.mid:02X}')}", use)
         return self._message(batch, raw.received_ns) if batch.device_ns else None
 
-    def _take_measurement(self, batch: _Batch, payload: bytes) -> None:
+    def _take_measurement(self, batch: Batch, payload: bytes) -> None:
         try:
             self._add(batch, xbus.decode_mtdata2(payload, self._rejects))
         except SampleError as fault:
-            self._rejects[str(fault)] += 1
+            self.count(MEASUREMENT, MessageUse.USED, fault)
+        else:
+            self.count(MEASUREMENT, MessageUse.USED)
 
-    def _add(self, batch: _Batch, values: dict[int, tuple[float, ...]]) -> None:
+    def _add(self, batch: Batch, values: dict[int, tuple[float, ...]]) -> None:
         self._count_gap(values)
         self._newest.update(values)
         if not values.keys() & INERTIAL:
+            if self._ticks is None:
+                raise SampleError("no_acceleration_and_rate_of_turn")
             return  # slow quantities may be sent in messages of their own
         batch.saturated |= bool(int(values.get(xbus.STATUS_WORD, (0,))[0]) & xbus.CLIPPED)
         if xbus.SAMPLE_TIME_FINE not in values:
@@ -85,11 +74,7 @@ class Tracker:
             raise SampleError("repeated_sample")
         self._ticks = ticks
         force, rate = inertial_data(values, interval_s)
-        check(force, STRONGEST_M_S2)
-        check(rate, FASTEST_RAD_S)
-        batch.device_ns.append(ticks * TICK_NS)
-        batch.forces.append(rotate(self._body_from_sensor, force))
-        batch.rates.append(rotate(self._body_from_sensor, rate))
+        self.add(batch, ticks * TICK_NS, force, rate)
 
     def _interval_s(self, ticks: int) -> tuple[float | None, int]:
         """Time since the last sample [s] (None for the first, or after a restart), and the unwrapped ticks."""
@@ -109,7 +94,7 @@ class Tracker:
             self._rejects["counter_restart" if restarted else "packet_gap"] += 1 if restarted else lost
         self._counter = counter
 
-    def _message(self, batch: _Batch, received_ns: int) -> ImuSamples:
+    def _message(self, batch: Batch, received_ns: int) -> ImuSamples:
         newest, self._newest = self._newest, {}
         celsius, pressure_pa = (self._slow(newest.get(kind), most) for kind, most in SLOW)
         field_sensor = newest.get(xbus.MAGNETIC_FIELD)
@@ -119,16 +104,12 @@ class Tracker:
             except SampleError as fault:
                 self._rejects[str(fault)] += 1
                 field_sensor = None
-        return ImuSamples(
-            received_ns=received_ns,
-            source=self._source,
-            sampled_ns=self._clock.stamp_all(batch.device_ns, received_ns),
-            specific_force_body_m_s2=tuple(batch.forces),
-            angular_rate_body_rad_s=tuple(batch.rates),
-            saturated=batch.saturated,
+        return self.samples(
+            batch,
+            received_ns,
             temperature_k=None if celsius is None else celsius + CELSIUS_K,
             pressure_pa=pressure_pa or None,  # 0: not measured yet
-            magnetic_field_body=rotate(self._body_from_sensor, field_sensor) if field_sensor else None,
+            magnetic_field_body=rotate(self.stream.body_from_sensor, field_sensor) if field_sensor else None,
         )
 
     def _slow(self, values: Sequence[float] | None, most: float) -> float | None:
@@ -177,21 +158,7 @@ def inertial_data(values: dict[int, tuple[float, ...]], interval_s: float | None
         sine = math.hypot(*axis)
         angle = 2 * math.atan2(math.copysign(sine, w), abs(w))
         rate = tuple(part * (angle / sine if sine else 2.0) / interval_s for part in axis)
+    missing = [name for name, value in (("acceleration", force), ("rate_of_turn", rate)) if value is None]
     if force is None or rate is None:
-        raise SampleError("no_inertial_data")
+        raise SampleError(f"no_{'_and_'.join(missing)}")
     return force, rate
-
-
-def check(vector: Sequence[float], limit: float) -> None:
-    """Raise SampleError for a vector with a component that is not finite or exceeds the limit."""
-    if not all(map(math.isfinite, vector)):
-        raise SampleError("not_finite")
-    if max(map(abs, vector)) > limit:
-        raise SampleError("out_of_range")
-
-
-def rotate(matrix: Matrix3, vector: Sequence[float]) -> Vector3:
-    """Product of a matrix and a vector, in plain floats (faster than an array of three numbers)."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix
-    x, y, z = vector
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z

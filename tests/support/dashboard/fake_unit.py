@@ -26,6 +26,7 @@ from shared.messages.gnss import (
     GnssFix,
     GnssRaw,
     GnssRawEpoch,
+    GnssReceiver,
     GnssSatellites,
     GnssSignal,
     GnssSignalQuality,
@@ -53,6 +54,10 @@ from shared.messages.navigation import (
 )
 from shared.messages.operation import (
     Carried,
+    DeviceFound,
+    DeviceState,
+    MessageKind,
+    MessageUse,
     Mode,
     ModeState,
     Origin,
@@ -182,6 +187,19 @@ def heartbeat(process: str, now_ns: int) -> ProcessHealth:
     return ProcessHealth(process=process, state=ProcessState.READY, incarnation=LIFE, sent_ns=now_ns)
 
 
+KINDS = (
+    MessageKind(kind="UBX NAV-PVT", use=MessageUse.USED, count=812, rejected=2, reason="ubx_date"),
+    MessageKind(kind="UBX HNR-PVT", use=MessageUse.UNUSED, count=40),
+    MessageKind(kind="UBX 77-01", use=MessageUse.UNKNOWN, count=3),
+)
+PORT = DeviceState(
+    sampled_ns=0, source="gnss0", process="sensors.gnss", device="serial:///dev/obu-gnss?baud=115200",
+    found=DeviceFound.WORKING, protocols=("UBX", "NMEA"), rate_baud=38400,
+    sentence="UBX, NMEA at 38400 baud, not at the 115200 of the vehicle file: write baud=38400 in the device's URL to "
+    "find it at once",
+)  # fmt: skip
+
+
 class FakeUnit:
     """Publishes the messages of a whole unit at their rates; attributes inject faults."""
 
@@ -198,6 +216,7 @@ class FakeUnit:
         self.suspected_ns: int | None = None  # since when positions under the hypotheses are published
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
         self.attacks: list[AttackRun] = []
+        self.port = PORT  # what was found at the port of the receiver
         self._due: dict[str, int] = {}
         self._plans: list[tuple[int, Callable[[], object]]] = []
         bus.unit = self
@@ -596,8 +615,17 @@ class FakeUnit:
         yield (
             "parsers.gnss",
             GnssConfiguration(
-                request_id=1, source="gnss0", accepted=True, navigation_period_s=1.0, messages=("NAV-PVT", "NAV-SAT"),
+                request_id=1, source="gnss0", accepted=True, navigation_period_s=1.0,
+                messages=("UBX NAV-PVT", "UBX NAV-SAT"),
                 model="ZED-F9P", firmware="HPG 1.32", dynamic_model="automotive", elevation_mask_rad=math.radians(10),
+            ),
+        )  # fmt: skip
+        yield "sensors.gnss", self.port.model_copy(update={"sampled_ns": now_ns})
+        yield (
+            "parsers.gnss",
+            GnssReceiver(
+                received_ns=now_ns, source="gnss0", messages=("NMEA GGA", "UBX NAV-PVT", "UBX NAV-SAT"),
+                gives_position=True, received_bytes=900, other_bytes=0,
             ),
         )  # fmt: skip
 
@@ -616,6 +644,7 @@ class FakeUnit:
                     cpu_s=elapsed_s * (0.02 + 0.013 * index),
                     rss_bytes=(31 + 3 * index) * 1_000_000,
                     rejects={"checksum": 3} if name == "parsers.gnss" else {},
+                    kinds=KINDS if name == "parsers.gnss" else (),
                     published=self.bus.carried(name),
                 ),
             )

@@ -1,20 +1,35 @@
 """`obu doctor` reports faults with their remedies."""
 
 import os
+import pty
 import signal
 import subprocess
 import sys
+import threading
+import tty
 from pathlib import Path
 
 import pytest
 
 from cli import doctor
 from cli.demo.local import free_port, start_of_broker
-from cli.doctor_corrections import corrections, corrections_set_up
+from cli.doctor.corrections import corrections, corrections_set_up
+from cli.doctor.devices import devices, socketcan_fault
+from cli.doctor.host import host
+from cli.doctor.unit import found, messages, receiver
 from shared.messages.base import Message
 from shared.messages.corrections import CorrectionsState, CorrectionStream, SourcePhase
 from shared.messages.gnss import CarrierSolution, FixType, GnssConfiguration, GnssFix, GnssReceiver
-from shared.messages.operation import Mode, ModeState
+from shared.messages.operation import (
+    DeviceFound,
+    DeviceState,
+    MessageKind,
+    MessageUse,
+    Mode,
+    ModeState,
+    ProcessHealth,
+    ProcessState,
+)
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from tests.support.bus import brokers
 
@@ -104,13 +119,13 @@ def test_a_store_that_the_broker_set_aside_is_reported(
     ],
 )
 def test_a_device_is_opened_as_its_driver_does_and_the_reason_of_its_failure_is_told(section: str, reason: str) -> None:
-    [finding] = doctor._devices(parse_vehicle(section))
+    [finding] = devices(parse_vehicle(section), probe=False)
     assert not finding.ok and reason in f"{finding.what} {finding.remedy}"
 
 
 def test_a_device_that_can_be_opened_is_ok(tmp_path: Path) -> None:
     (tmp_path / "receiver.ubx").write_bytes(b"\xb5\x62")
-    [finding] = doctor._devices(parse_vehicle(f'[sensors.gnss]\ndevice = "file://{tmp_path}/receiver.ubx"'))
+    [finding] = devices(parse_vehicle(f'[sensors.gnss]\ndevice = "file://{tmp_path}/receiver.ubx"'), probe=False)
     assert finding.ok
 
 
@@ -141,10 +156,10 @@ ANSWER = GnssConfiguration(request_id=1, source="gnss0", accepted=True)
 def test_a_receiver_without_a_position_or_a_configuration_is_not_healthy(
     heard: list[Message], results: list[bool], remedies: str
 ) -> None:
-    findings = list(doctor.receiver(heard, configured=True))
+    findings = list(receiver(heard, configured=True))
     assert [finding.ok for finding in findings] == results
     assert remedies in " ".join(finding.remedy for finding in findings)
-    assert [finding.ok for finding in doctor.receiver(heard, configured=False)] == results[:1]
+    assert [finding.ok for finding in receiver(heard, configured=False)] == results[:1]
 
 
 def test_the_command_that_starts_the_broker_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,3 +233,88 @@ def test_corrections_that_arrive_and_are_used_are_told_with_their_source_and_oth
     assert [ok for ok, _, _ in unused] == [True, False] and "RTCM 3" in unused[-1][2]
     assert list(corrections(vehicle, [corrections_state(None)])) == [(False, "corrections arrive", "why")]
     assert "see its log" in next(iter(corrections(vehicle, [])))[2] and not list(corrections(parse_vehicle(""), []))
+
+
+def pipe(tmp_path: Path) -> tuple[int, str]:
+    """A port with a far end: a pseudo-terminal in place of hardware; return the far end and the URL."""
+    far, near = pty.openpty()
+    tty.setraw(near)
+    link = tmp_path / "port"
+    link.symlink_to(os.ttyname(near))
+    os.close(near)
+    return far, f"serial://{link}?baud=9600"
+
+
+def test_a_receiver_without_a_fix_is_recognised_by_listening(tmp_path: Path) -> None:
+    far, url = pipe(tmp_path)
+    stop = threading.Event()
+
+    def speak() -> None:
+        while not stop.wait(0.1):
+            os.write(far, b"$GNRMC,,V,,,,,,,,,,N*4D\r\n")
+
+    speaker = threading.Thread(target=speak)
+    speaker.start()
+    try:
+        [finding] = devices(parse_vehicle(f'[sensors.gnss]\ndevice = "{url}"'), probe=False)
+    finally:
+        stop.set()
+        speaker.join()
+        os.close(far)
+    assert finding.ok, finding
+    assert "NMEA at 9600 baud" in finding.what and "messages a second" in finding.what
+
+
+def test_an_interface_of_the_kernel_is_named_with_the_command_that_starts_it(tmp_path: Path) -> None:
+    assert "there is no interface can0" in (socketcan_fault("can0", tmp_path) or "")
+    (tmp_path / "can0").mkdir()
+    (tmp_path / "can0" / "flags").write_text("0x40080\n")
+    assert "sudo ip link set can0 up type can bitrate" in (socketcan_fault("can0", tmp_path) or "")
+    (tmp_path / "can0" / "flags").write_text("0x40081\n")
+    assert socketcan_fault("can0", tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("temperature", "throttled", "faults"),
+    [
+        ("45000", "0", []),
+        ("85000", "0x0", ["the processor has 85 °C"]),
+        ("45000", "0x1", ["the supply voltage is too low"]),
+        ("45000", "0x50000", ["the supply voltage was too low since the start"]),
+        ("x", "x", []),
+    ],
+)
+def test_heat_and_low_voltage_are_told(temperature: str, throttled: str, faults: list[str], tmp_path: Path) -> None:
+    zone, firmware = tmp_path / "sys/class/thermal/thermal_zone0", tmp_path / "sys/devices/platform/soc/soc:firmware"
+    zone.mkdir(parents=True)
+    firmware.mkdir(parents=True)
+    (zone / "temp").write_text(temperature)
+    (firmware / "get_throttled").write_text(throttled)
+    failed = [one for one in host(tmp_path, tmp_path) if not one.ok and "clock" not in one.what]
+    assert [one.what for one in failed if "GB free" not in one.what] == faults
+    assert all(one.remedy for one in failed)
+
+
+def test_what_drivers_found_and_what_became_of_messages_is_told() -> None:
+    state = DeviceState(
+        sampled_ns=1, source="gnss0", process="sensors.gnss", device="serial:///dev/obu-gnss", found=DeviceFound.NOISE,
+        rate_baud=9600, sentence="bytes that are no message",
+    )  # fmt: skip
+    [finding] = found([state])
+    assert not finding.ok and finding.remedy == "bytes that are no message"
+
+    def health(second: int, count: int) -> ProcessHealth:
+        kinds = (
+            MessageKind(kind="UBX NAV-PVT", use=MessageUse.USED, count=count, rejected=count // 2, reason="ubx_date"),
+            MessageKind(kind="UBX HNR-PVT", use=MessageUse.UNUSED, count=count),
+            MessageKind(kind="UBX 77-01", use=MessageUse.UNKNOWN, count=1),
+        )
+        return ProcessHealth(
+            process="parsers.gnss", state=ProcessState.READY, incarnation=1, sent_ns=second * 10**9, kinds=kinds
+        )
+
+    told = list(messages("parsers.gnss", [health(0, 10), health(2, 20)]))
+    assert [one.ok for one in told] == [True, True, True, False]
+    text = " ".join(one.what for one in told)
+    assert "used: UBX NAV-PVT 5.0/s" in text and "unused: UBX HNR-PVT 5.0/s" in text and "unknown: UBX 77-01" in text
+    assert "10 of 20 UBX NAV-PVT rejected (ubx_date)" in text

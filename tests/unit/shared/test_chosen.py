@@ -2,7 +2,16 @@ from itertools import permutations
 
 import pytest
 
-from shared.chosen import SILENT_NS, ChosenSource
+from shared.chosen import (
+    DECISION_NS,
+    SILENT_NS,
+    ChosenSource,
+    imu_choice,
+    receiver_choice,
+    receiver_of,
+    speed_choice,
+)
+from shared.messages.operation import Mode, ModeState
 
 NAMES = ("can0/j1939/00", "can0/j1939/0B", "can1/obd")
 STEP_NS = 100_000_000
@@ -22,3 +31,29 @@ def test_another_device_takes_the_place_of_one_that_is_silent_and_gives_it_back(
     assert chosen.current(SILENT_NS + 1) is None
     assert chosen.takes("b", SILENT_NS + 1) and chosen.current(SILENT_NS + 1) == "b"
     assert chosen.takes("a", SILENT_NS + 2) and not chosen.takes("b", SILENT_NS + 3)
+
+
+def mode(at_ns: int, **chosen: str) -> ModeState:
+    return ModeState.model_validate(
+        {"sampled_ns": at_ns, "mode": Mode.MEASURING, "since_ns": 0, "reason": "navigating"} | chosen
+    )
+
+
+def test_the_choice_of_the_controller_is_obeyed_until_it_is_old() -> None:
+    chosen = ChosenSource(speed_choice)
+    assert chosen.takes("a", 0) and not chosen.takes("b", 1)
+    chosen.follow(mode(2, speed_source="b", gnss_source="a"))
+    assert chosen.takes("b", 3) and not chosen.takes("a", 4)
+    late_ns = 3 + DECISION_NS
+    assert chosen.takes("a", late_ns), "without a controller the rule holds again"
+    assert not chosen.takes("b", late_ns + 1)
+
+
+def test_without_a_choice_of_its_kind_the_rule_holds() -> None:
+    chosen = ChosenSource(imu_choice)
+    chosen.follow(mode(0, speed_source="b"))
+    assert chosen.takes("a", 1) and not chosen.takes("b", 2)
+
+
+def test_talkers_of_one_receiver_are_one_receiver() -> None:
+    assert receiver_choice(mode(0, gnss_source="gnss0/nmea")) == receiver_of("gnss0") == "gnss0"

@@ -6,6 +6,7 @@ from math import cos, hypot, radians, sin
 import numpy as np
 import numpy.typing as npt
 
+from shared.copies import shallow
 from shared.inertial.strapdown import InertialState, rotate
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
@@ -42,6 +43,7 @@ MOTION_AGE_S = 0.5  # largest age of a velocity that is used with a fix
 STANDSTILL_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] error of the rate that makes the lever-arm velocity
 UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
+KEPT_SD_LIMIT = radians(30.0)  # largest standard deviation of a heading from before with which a filter starts
 BASELINE_AGE_S = 2.0  # largest age of a two-antenna heading that is used with a fix
 
 
@@ -57,6 +59,8 @@ class Alignment:
     kept : Heading, optional
         Correction of its heading, with the standard deviation; without it the attitude is not reused. If the correction
         is not zero, biases and parameters are not reused.
+    tilt_variance : float
+        [rad²] Of an attitude that is reused.
     first : bool
         Whether no filter ran before; `gnss.zero_error_at_start` holds for the first fix only.
     """
@@ -67,6 +71,7 @@ class Alignment:
         lost: ErrorStateFilter | None = None,
         kept: Heading | None = None,
         *,
+        tilt_variance: float = 1.0,
         first: bool = True,
     ) -> None:
         self.method = ""  # of the heading that started the filter
@@ -76,7 +81,7 @@ class Alignment:
         self._saved: Prior | None = None
         self._kept = kept
         self.levelling = (
-            Levelling(settings, lost.inertial.quaternion, lost.imu.gyroscope_bias)
+            Levelling(settings, lost.inertial.quaternion, lost.imu.gyroscope_bias, tilt_variance)
             if lost and kept
             else Levelling(settings)
         )
@@ -95,6 +100,17 @@ class Alignment:
         made = copy(self)
         made.levelling = copy(self.levelling)
         return made
+
+    def carried(self, time_ns: int) -> ErrorStateFilter | None:
+        """Filter that was lost, with its attitude at a time; None if none is kept."""
+        if self._lost is None or self._kept is None:
+            return None
+        carried, drift = shallow(self._lost), drift_sd(self.levelling)
+        quaternion = self.levelling.quaternion
+        carried.inertial = self._lost.inertial._replace(time_ns=time_ns, quaternion=quaternion)
+        carried.P = self._lost.P.copy()
+        carried.P[em.ATTITUDE.stop - 1, em.ATTITUDE.stop - 1] = (self._kept.sd + drift) ** 2
+        return carried
 
     def use_prior(self, prior: Prior) -> None:
         """Use a position and heading saved before the unit was switched off; only the first is used."""
@@ -153,6 +169,7 @@ class Alignment:
         drift = drift_sd(self.levelling)
         kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
+        kept = kept if kept and kept.sd < KEPT_SD_LIMIT else None
         known = [one for one in (kept, saved) if one and not self.comparison.contradicts(one.turn)]
         course = self._course and forwards_or_backwards(self._course, self.comparison)
         matched = heading_of_accelerations(self.comparison, self.levelling)

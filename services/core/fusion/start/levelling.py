@@ -112,10 +112,16 @@ class Levelling:
         Level frame from body, if the attitude is known.
     bias : tuple of float
         [rad/s, body] Gyroscope bias, if the attitude is known.
+    tilt_variance : float
+        [rad²] Of roll and pitch.
     """
 
     def __init__(
-        self, settings: Settings, quaternion: Quaternion | None = None, bias: Vector = (0.0, 0.0, 0.0)
+        self,
+        settings: Settings,
+        quaternion: Quaternion | None = None,
+        bias: Vector = (0.0, 0.0, 0.0),
+        tilt_variance: float = 1.0,
     ) -> None:
         self.quaternion = quaternion or (1.0, 0.0, 0.0, 0.0)  # level frame from body
         self.ready = quaternion is not None
@@ -131,7 +137,7 @@ class Levelling:
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] last sample, minus `rate_bias`
         self._started, self._bias_before = self.ready, bias
         self.yaw_rate_sd = 0.0 if quaternion else settings.imu.gyroscope_bias_sd_rad_s  # [rad/s] of an unmeasured bias
-        self.covariance = LevellingCovariance(bias=self.yaw_rate_sd**2)
+        self.covariance = LevellingCovariance(tilt=tilt_variance, bias=self.yaw_rate_sd**2)
         self._longest_standstill_s = 0.0
         self._motion_s = 0.0  # time of all blocks without standstill
         self._gnss_moving_s = 0.0  # remaining time for which a GNSS speed excludes a standstill

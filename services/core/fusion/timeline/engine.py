@@ -23,7 +23,6 @@ from ..aids.zero_velocity import Standstill
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, mean
 from ..inertial.imu_gaps import (
-    LONGEST_ATTITUDE_S,
     LONGEST_BRIDGED_S,
     SUSPECT_PERIOD_S,
     inflate_for_gap,
@@ -34,6 +33,7 @@ from ..inertial.standstill import is_standstill
 from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
+from ..start import after_gap
 from ..start.alignment import Alignment
 from ..start.heading import Heading, Prior
 from ..start.warm_start import SavedState, restored
@@ -244,15 +244,37 @@ class Engine:
         gap_s = (sample.time_ns - self.time_ns) * 1e-9
         self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
         if gap_s > LONGEST_BRIDGED_S:
-            kept = KEPT_HEADING if gap_s <= LONGEST_ATTITUDE_S else None
-            self.last = sample
-            self._end_solution(f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
-            return []
+            return self._interrupt(sample, measurements, intervals, gap_s)
         self.attempt(partial(inflate_for_gap, span_s=gap_s))
         row = *mean(self.last.force, sample.force), *mean(self.last.rate, sample.rate)
         bridge = samples_of([sample.time_ns], [row], {0: sample.fault} if sample.fault else {})
         outcomes = self._process(bridge, 0, measurements, intervals._replace(gap_s=inf))
         self.attempt(ErrorStateFilter.propagate_covariance)
+        self.last = sample
+        return outcomes
+
+    def _interrupt(
+        self, sample: Sample, measurements: Sequence[Measurement], intervals: Intervals, gap_s: float
+    ) -> list[Outcome]:
+        """End the solution at a long gap before a sample, and start again at the newest fix if that is recent.
+
+        Attitude and biases are kept over all but the longest gaps.
+        """
+        reason = f"no inertial sample for {gap_s:.1f} s"
+        self.attempt(ErrorStateFilter.propagate_covariance)
+        lost = self._alignment.carried(self.time_ns) if self._alignment is not None else self.filter
+        if lost is None or gap_s > after_gap.LONGEST_S:
+            self.last = sample
+            self._end_solution(reason, None, lost)
+            return []
+        kept = after_gap.kept_over_gap(self._settings, lost, sample.time_ns, measurements)
+        recent = [one for one in measurements if (sample.time_ns - one.time_ns) * 1e-9 <= after_gap.RECENT_S]
+        begin_ns = recent[0].time_ns if recent else sample.time_ns
+        self.last = sample._replace(time_ns=begin_ns)
+        self._end_solution(reason, kept.heading, kept.filter, kept.tilt_variance)
+        row = samples_of([sample.time_ns], [[*sample.force, *sample.rate]], {0: sample.fault} if sample.fault else {})
+        outcomes = self._process(row, 0, recent, intervals._replace(gap_s=inf)) if recent else []
+        self.attempt(partial(inflate_for_gap, span_s=(sample.time_ns - begin_ns) * 1e-9))
         self.last = sample
         return outcomes
 
@@ -445,9 +467,11 @@ class Engine:
         if kept and self._alignment is not None:  # not after a gap, in which the level frame may have turned
             self._alignment.comparison = self.aids.gate.comparison.interrupted()
 
-    def _end_solution(self, reason: str, kept: Heading | None, lost: ErrorStateFilter | None) -> None:
+    def _end_solution(
+        self, reason: str, kept: Heading | None, lost: ErrorStateFilter | None, tilt_variance: float = 1.0
+    ) -> None:
         """Begin another alignment, with the attitude and the biases of the lost filter where they are kept."""
-        self._alignment = Alignment(self._settings, lost, kept, first=False)
+        self._alignment = Alignment(self._settings, lost, kept, tilt_variance=tilt_variance, first=False)
         self.filter, self._lost_reason, self._rejections = None, reason, 0
         self._enter(self._alignment.phase, self.time_ns, self._with_loss(self._alignment.reason))
 

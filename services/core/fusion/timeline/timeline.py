@@ -208,7 +208,8 @@ class Timeline:
                 self._rejects["measurement from the future"] += 1  # on the clock of the inertial samples
                 continue
             measurement = self._as_found(measurement)
-            if measurement.time_ns <= self._oldest_ns:
+            # What is ahead of the horizon needs no memory: after a gap of the samples that may be long ago.
+            if measurement.time_ns <= min(self._oldest_ns, self.verdicts.main.engine.time_ns):
                 self._rejects["measurement older than the memory"] += 1
                 continue
             self.horizon.see(measurement.time_ns, measurement.received_ns)

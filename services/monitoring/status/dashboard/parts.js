@@ -128,6 +128,15 @@ export const Empty = ({ title, why, what }) => html`<div class="empty">
 </div>`;
 
 // A modal drawer: the browser's own dialog keeps the focus inside and gives it back.
+// What became of each kind of message of a device: used, known and not used, not known, rejected with its reason.
+export function KindsTable({ kinds }) {
+  const w = words.system;
+  if (kinds.length === 0) return null;
+  return html`<h3 class="divide">${w.kinds}</h3><div class="scroll" tabindex="0" role="group" aria-label=${w.kinds}><table class="plain kinds">
+    <thead><tr><th scope="col">${w.kind}</th><th scope="col">${w.use}</th><th scope="col" class="number">${w.count}</th><th scope="col" class="number">${w.rejected}</th></tr></thead>
+    <tbody>${kinds.map((k) => html`<tr key=${k.kind}><th scope="row">${k.kind}</th><td>${w.uses[k.use]}</td><td class="number">${k.count}</td><td class="number">${k.rejected > 0 ? `${k.rejected} (${k.reason})` : "0"}</td></tr>`)}</tbody></table></div>`;
+}
+
 export function Drawer({ title, onClose, children, head, wide }) {
   const ref = useRef(null);
   useEffect(() => {

@@ -15,14 +15,24 @@ from shared.messages.gnss import (
     GnssConfiguration,
     GnssFix,
     GnssRawEpoch,
+    GnssReceiver,
     GnssSatellites,
     GnssSignalQuality,
     GnssSignals,
 )
+from shared.messages.operation import DeviceState
 from shared.topics import BY_NAME
 
 NS = 1_000_000_000
-OfReceiver = GnssFix | GnssSatellites | GnssSignals | GnssRawEpoch | GnssSignalQuality | GnssConfiguration
+OfReceiver = (
+    GnssFix | GnssSatellites | GnssSignals | GnssRawEpoch | GnssSignalQuality | GnssConfiguration | GnssReceiver
+    | DeviceState
+)  # fmt: skip
+DRIVER = "sensors.gnss"
+PLAIN: dict[type[Message], str] = {  # field of a receiver that keeps the newest
+    GnssSignals: "signals", GnssRawEpoch: "epoch", GnssSignalQuality: "quality", GnssConfiguration: "configuration",
+    GnssReceiver: "said", DeviceState: "device",
+}  # fmt: skip
 SOURCES_MAXIMUM, SATELLITES_MAXIMUM, CHANGES_MAXIMUM = 8, 160, 500
 TRACK_STEP_NS, TRACK_POINTS = 30 * NS, 120  # one hour
 PlaceInSky = tuple[str, int, float, float]  # constellation, number, elevation and azimuth in degrees
@@ -86,6 +96,8 @@ class ReceiverHistory:
     epoch: GnssRawEpoch | None = None
     quality: GnssSignalQuality | None = None
     configuration: GnssConfiguration | None = None
+    said: GnssReceiver | None = None  # which messages it sends
+    device: DeviceState | None = None  # what was found at its port
     updated_ns: dict[str, int] = field(default_factory=dict)  # arrival of each of these
     fixes: Changes = field(default_factory=Changes)
     corrections: Changes = field(default_factory=Changes)
@@ -166,6 +178,8 @@ class GnssHistory:
 
     def note(self, message: Message, received_ns: int) -> list[KeptFix | KeptSky]:
         """Take one message and return what a restart must know; what is not of a receiver is ignored."""
+        if isinstance(message, DeviceState) and message.process != DRIVER:
+            return []
         if not isinstance(message, OfReceiver) or (receiver := self._receiver(message.source)) is None:
             return []
         kept: list[KeptFix | KeptSky] = []
@@ -176,18 +190,10 @@ class GnssHistory:
             case GnssSatellites():
                 kept += receiver.note_satellites(message, received_ns)
                 receiver.updated_ns["satellites"] = received_ns
-            case GnssSignals():
-                receiver.signals = message
-                receiver.updated_ns["signals"] = received_ns
-            case GnssRawEpoch():
-                receiver.epoch = message
-                receiver.updated_ns["epoch"] = received_ns
-            case GnssSignalQuality():
-                receiver.quality = message
-                receiver.updated_ns["quality"] = received_ns
-            case GnssConfiguration():
-                receiver.configuration = message
-                receiver.updated_ns["configuration"] = received_ns
+            case _:
+                name = PLAIN[type(message)]
+                setattr(receiver, name, message)
+                receiver.updated_ns[name] = received_ns
         return kept
 
     def _receiver(self, source: str) -> ReceiverHistory | None:

@@ -141,6 +141,7 @@ WAITING = {
     NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
     NavigationPhase.WAITING_FOR_HEADING: "the heading is not known: drive a few metres",
 }
+NOT_CHECKED = (TrustLevel.CAUTION, 7)  # state and row without an independent check
 SENTENCES = {
     TrustLevel.SAFE: "The position can be used",
     TrustLevel.CAUTION: "Use the position with caution",
@@ -243,6 +244,8 @@ def no_verdict(age_s: float | None) -> str | None:
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
     waiting = WAITING.get(e.phase) if e.phase else None
     known = {TrustLevel.NO_FIX: e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    if (trust.state, trust.row) == NOT_CHECKED and e.phase is NavigationPhase.GNSS_ONLY:
+        known = "no inertial unit: an attack would not be noticed"
     why = known or _which_is_wrong(e, trust) or _why(trust)
     conflict = trust.suspect_since_ns is not None or suspected(trust.beliefs)
     above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and not conflict
@@ -365,6 +368,7 @@ def _phase_check(e: Evidence) -> Check:
     if e.phase is None:
         return Check("phase", "Filter", Trust.STALE, "does not publish its state", link=link)
     text = e.phase.replace("_", " ").replace("imu", "IMU").replace("gnss", "GNSS")
+    text = text.replace("GNSS only", "GNSS only: no inertial unit")
     if e.phase is NavigationPhase.NAVIGATING:
         return Check("phase", "Filter", Trust.SAFE, text, link=link)
     return Check("phase", "Filter", Trust.CAUTION, f"{text}: {e.filter_says}" if e.filter_says else text, link=link)

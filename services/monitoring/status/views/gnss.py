@@ -12,6 +12,7 @@ from ..state import State
 from .plain_words import plain
 
 Json = dict[str, object]
+PARSER = "parsers.gnss"
 LETTERS = {
     Constellation.GPS: "G", Constellation.GALILEO: "E", Constellation.GLONASS: "R", Constellation.BEIDOU: "C",
     Constellation.QZSS: "J", Constellation.SBAS: "S", Constellation.NAVIC: "I", Constellation.UNKNOWN: "X",
@@ -38,6 +39,7 @@ def gnss(state: State, now_ns: int) -> Json:
         "now_ns": now_ns,
         "receivers": [_receiver(receiver, tests, now_ns) for receiver in receivers],
         "corrections": _corrections(state, now_ns),
+        "kinds": [kind.model_dump(mode="json") for kind in state.processes[PARSER].kinds],
     }
 
 
@@ -89,6 +91,12 @@ def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_n
         "satellites": _satellites(receiver, tests, mask_rad),
         "quality": None if quality is None else quality.model_dump(mode="json", exclude={"sampled_ns", "received_ns"}),
         "configuration": None if configuration is None else configuration.model_dump(mode="json"),
+        "device": None if receiver.device is None else receiver.device.model_dump(
+            mode="json", include={"device", "found", "protocols", "rate_baud", "sentence"}
+        ),
+        "said": None if receiver.said is None else receiver.said.model_dump(
+            mode="json", include={"messages", "gives_position", "other_protocols", "received_bytes", "other_bytes"}
+        ),
         "first_fix_s": _first_fix_s(receiver),
         "bands": {
             name: [{"since_ns": ns, "state": state} for ns, state in changes.until(now_ns)]

@@ -16,6 +16,7 @@ from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
 from shared.library.library import Library
+from shared.messages.operation import ModeCommand
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
 from shared.topics import BY_NAME
@@ -40,6 +41,7 @@ from .answers import (
     reference_to,
     schemas,
 )
+from .command import CommandApi
 from .looking import look_at
 from .map.map import MapApi
 from .pages import Pages
@@ -63,6 +65,7 @@ TAGS = {
     "unit": "Processes, topics, outages",
     "streams": "Connections that stay open",
     "simulation": "Attacks on a simulated vehicle",
+    "command": "Commands of the operator",
     "replay": "Controls of a replay",
     "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
 }
@@ -211,7 +214,7 @@ class Described(FastAPI):
         if self.openapi_schema is None:
             found = super().openapi()
             found.setdefault("components", {}).setdefault("schemas", {}).update(
-                schemas(SimulationAttack, ReplayControl, Command)
+                schemas(SimulationAttack, ReplayControl, Command, ModeCommand)
             )
         return super().openapi()
 
@@ -297,7 +300,8 @@ def openapi() -> dict[str, Any]:
     watching = Watching(Stream(state, lock, now_ns, 1, replay), Events(state, lock, now_ns, 1))
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
-    apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, maps)
+    commands = CommandApi(state, lock, now_ns)
+    apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, commands, maps)
     return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 

@@ -8,12 +8,13 @@ from collections.abc import Iterator
 
 from pyubx2.ubxmessage import UBXMessage
 
-from shared.messages.gnss import GnssConfiguration, GnssConfigure
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssStart
 
 from ..dialect import Dialogue
 from .exchange import NO_RESPONSE, Exchange, Result
 from .frames import ubx_frame
 from .legacy import LegacyExchange
+from .reset import reset
 from .valset import RAM, ValsetExchange
 
 MON, VER, CFG, PRT = 0x0A, 0x04, 0x06, 0x00
@@ -53,6 +54,10 @@ class UbxDialogue(Dialogue):
             yield from self._said(self._exchange.begin())
         elif self._exchange is not None and kind in ANSWERS:
             yield from self._said(self._exchange.take(kind, payload))
+
+    def restart(self, start: GnssStart) -> bytes:
+        """UBX-CFG-RST."""
+        return reset(start)
 
     def tick(self) -> Iterator[bytes | GnssConfiguration]:
         """Ask again, with UBX switched on; end a pending request after the timeout."""

@@ -14,13 +14,16 @@ from shared.messages.gnss import (
     GnssSignalQuality,
     GnssSignals,
 )
+from shared.messages.imu import ImuRaw
 from shared.messages.operation import MessageUse
+from shared.messages.vehicle import VehicleSpeed
 
 from ..dialect import Dialect, Output, Stream
 from ..gnss_time import MS, Unwrapper
 from . import messages, raw, signal
 from .configuration import ANSWERS, UbxDialogue
 from .epoch import DECODERS, Epoch, EpochAssembler, fix_from_epoch
+from .wheel_ticks import WheelTicks
 
 PART_AGE_NS = 1_500_000_000  # between a part of the signal quality and the next fix; at 1 Hz it is up to one second
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
@@ -47,6 +50,7 @@ class UbxDialect(Dialect):
         super().__init__(stream)
         self.dialogue = UbxDialogue(stream.source)
         self._epochs = EpochAssembler(stream.rejects)
+        self._wheels = WheelTicks(stream.metres_per_wheel_tick)
         self._week, self._clock = Unwrapper(WEEK_NS), ClockMapping(stream.minimum_delay_s)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[OfEpoch], tuple[int, OfEpoch]] = {}
@@ -64,7 +68,8 @@ class UbxDialect(Dialect):
 
     def use(self, kind: str) -> MessageUse:
         """Unknown is what the interface description does not list."""
-        if kind in USED:
+        of_vehicle = (kind == "ESF-RAW" and self.stream.uses_imu) or kind == "ESF-MEAS"
+        if kind in USED or of_vehicle:
             return MessageUse.USED
         return MessageUse.UNUSED if kind in _known() else MessageUse.UNKNOWN
 
@@ -80,6 +85,8 @@ class UbxDialect(Dialect):
             itow = messages.itow_ms(payload)
             decoded = self._satellites(payload, received_ns) if name == "SAT" else self._signals(payload, received_ns)
             yield from self._stamped(itow, decoded)
+        elif group == "ESF":
+            yield from self._take_vehicle(name, frame, received_ns)
         elif group == "NAV" and name in messages.SIZES:
             for epoch in tuple(self._epochs.take(name, payload, received_ns)):
                 with self.stream.faults.decoding(received_ns):  # a fault in one costs not the present message
@@ -98,6 +105,16 @@ class UbxDialect(Dialect):
             if _same_epoch(itow, epoch.itow_ms):
                 del self._waiting[kind]
                 yield message.model_copy(update={"sampled_ns": sampled_ns})
+
+    def _take_vehicle(self, kind: str, frame: bytes, received_ns: int) -> Iterator[Output]:
+        """Pass inertial data on to the parser of the IMU, and turn wheel ticks into the speed of the vehicle."""
+        stream = self.stream
+        if kind == "RAW":
+            yield ImuRaw(received_ns=received_ns, source=f"{stream.source}/imu", data=frame)
+        elif (speed_m_s := self._wheels.take(self.payload(frame))) is not None:
+            yield VehicleSpeed(
+                sampled_ns=received_ns, received_ns=received_ns, source=f"{stream.source}/wheels", speed_m_s=speed_m_s
+            )
 
     def _satellites(self, payload: bytes, received_ns: int) -> GnssSatellites:
         return GnssSatellites(

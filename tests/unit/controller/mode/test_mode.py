@@ -325,3 +325,41 @@ def test_a_receiver_whose_bytes_arrive_is_named_by_them_and_its_cable_is_not_sus
 
 def test_a_statement_that_the_broker_kept_of_an_earlier_run_starts_nothing() -> None:
     assert feed(Process(Config()), [sends(-3600.0, "UBX NAV-PVT")]) == []
+
+
+def test_a_receiver_without_a_position_gives_way_to_one_that_has_it() -> None:
+    """Both send all the time: silence would never decide."""
+    process = Process(Config(configure_gnss=False))
+    out: list[Message] = []
+    for k in range(40):
+        messages = [fix(k, good=k < 10), fix(k + 0.1, source="gnss1"), Tick(now_ns=at(k + 0.5))]
+        out += feed(process, messages)
+    chosen = [one.gnss_source for one in out if isinstance(one, ModeState)]
+    assert chosen[8] == "gnss0" and chosen[-1] == "gnss1"
+    (switch,) = newest(out).switches
+    assert (switch.kind, switch.before, switch.after) == ("gnss", "gnss0", "gnss1")
+    assert "no valid message of gnss0 for 3 s" in switch.reason
+    assert switch.sampled_ns < at(14)
+
+
+def test_a_selection_does_not_follow_single_standard_deviations() -> None:
+    sources = Sources(5.0, "gnss")
+    for k in range(100):
+        sources.note_received("a", k * NS, sd=2.0)
+        sources.note_received("b", k * NS, sd=0.5 if k % 5 else 1.5)
+        assert sources.choose(k * NS) == "a"
+    for k in range(100, 120):
+        sources.note_received("a", k * NS, sd=2.0)
+        sources.note_received("b", k * NS, sd=0.5)
+        sources.choose(k * NS)
+    assert sources.chosen == "b"
+    assert len(sources.switches) == 1
+
+
+def test_what_the_operator_wants_is_used_while_it_is_valid() -> None:
+    sources = Sources(5.0, "imu")
+    for k in range(20):
+        sources.note_received("a", k * NS)
+        sources.note_received("b", k * NS, valid=k < 10)
+        sources.wanted = "b" if k >= 3 else None
+        assert sources.choose(k * NS) == ("a" if k < 3 or k > 12 else "b")

@@ -41,6 +41,11 @@ YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELL
          "coasting: its fixes are rejected"),
         (replace(HEALTHY, imu_age_s=4.0, solution_age_s=4.0, fusion_age_s=4.0), Mode.DEGRADED,
          "no IMU samples for 4 s"),
+        (replace(HEALTHY, imu_age_s=9.0, phase=P.GNSS_ONLY), Mode.DEGRADED,
+         "position of GNSS alone: no IMU samples for 9 s"),
+        (replace(YOUNG, imu_age_s=None, phase=P.GNSS_ONLY, solution_age_s=1.0), Mode.DEGRADED,
+         "position of GNSS alone: no IMU samples"),
+        (replace(HEALTHY, phase=P.GNSS_ONLY), Mode.DEGRADED, "position of GNSS alone: IMU not aligned"),
         (replace(HEALTHY, solution_age_s=4.0), Mode.DEGRADED, "no navigation solution for 4 s"),
         (replace(HEALTHY, solution_age_s=40.0, fusion_age_s=40.0), Mode.DEGRADED,
          "no message from core.fusion for 40 s"),
@@ -56,11 +61,12 @@ def test_the_mode_and_its_reason_follow_from_the_facts(facts: Facts, mode: Mode,
 
 
 def test_the_reason_is_the_root_cause() -> None:
-    """Without an IMU there is no solution, no state and no fix in use: the IMU is the root cause."""
+    """Without IMU and GNSS there is no position; with GNSS alone there is one."""
     everything_stopped = replace(
         HEALTHY, imu_age_s=60.0, solution_age_s=60.0, fusion_age_s=60.0, fix_age_s=60.0, gnss_age_s=60.0
     )
-    assert decide(everything_stopped) == (Mode.DEGRADED, "no IMU samples for 60 s")
+    both = "no IMU samples for 60 s, and no GNSS fix for 60 s: no position"
+    assert decide(everything_stopped) == (Mode.DEGRADED, both)
 
 
 AGES = st.none() | st.floats(0, 1e6)

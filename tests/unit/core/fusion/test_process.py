@@ -302,12 +302,14 @@ def test_fixes_without_a_position_are_counted() -> None:
     assert process.rejects["fix without position"] == 2
 
 
-def test_without_inertial_samples_the_phase_is_waiting_for_imu() -> None:
-    out = run(fixes()[:5])
-    assert [m.phase for m in out if isinstance(m, NavigationState)] == [NavigationPhase.WAITING_FOR_IMU] * 5
+def test_without_inertial_samples_the_phase_is_waiting_for_imu_and_then_gnss_only() -> None:
+    out = run(fixes()[:8])
+    waiting, alone = NavigationPhase.WAITING_FOR_IMU, NavigationPhase.GNSS_ONLY
+    assert [m.phase for m in out if isinstance(m, NavigationState)] == [waiting] * 5 + [alone] * 3
+    assert [m.phase for m in out if isinstance(m, NavigationSolution)] == [alone] * 3
     stopped = run([saved(), *(m for m in samples() if m.received_ns < EPOCH_NS + 30 * 10**9), *fixes()])
     last = [m for m in stopped if isinstance(m, NavigationState)][-1]
-    assert last.phase is NavigationPhase.WAITING_FOR_IMU
+    assert last.phase is NavigationPhase.GNSS_ONLY
     assert (last.since_ns - EPOCH_NS) * 1e-9 == pytest.approx(30.0, abs=0.02)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from pyrtcm.rtcmtypes_core import RTCM_MSGIDS
-from pyspartn import SPARTNReader
+from pyspartn.spartnreader import SPARTNReader
 
 from services.parsers.corrections.frames import CorrectionFrame, CorrectionFramer
 from services.parsers.corrections.names import name_of
@@ -91,7 +91,7 @@ def test_recorded_spartn_is_read_as_pyspartn_reads_it_and_every_byte_is_accounte
 ) -> None:
     data = (recording("spartn_logs") / name).read_bytes()
     found, rejects = framed(data, list(range(777, len(data), 777)))
-    theirs = [raw for raw, _ in SPARTNReader(io.BytesIO(data), quitonerror=0, decode=0) if raw]
+    theirs = [raw for raw, _ in SPARTNReader(io.BytesIO(data), quitonerror=0, decode=False) if raw]
     assert [frame.data for frame in found] == theirs
     assert (len(found), sum(len(frame.data) for frame in found)) == (frames, size)
     left = len(data) - size - rejects.pop("garbage_bytes", 0)

@@ -2,7 +2,7 @@
 // of fix and the age of its corrections over time, and how the receiver is set.
 import { useEffect, useState } from "preact/hooks";
 import { clock, freshness, nowMs, paused, remember, settings, state } from "../store.js";
-import { Age, Card, Empty, Row, StateIcon, degrees, duration, fixed, html, percent, rate, seconds } from "../parts.js";
+import { Age, Card, Empty, KindsTable, Row, StateIcon, degrees, duration, fixed, html, percent, rate, seconds } from "../parts.js";
 import { gnssWords as w } from "./gnss_words.js";
 import { words } from "../words.js";
 
@@ -247,20 +247,27 @@ function InterferenceCard({ receiver }) {
 
 const worst = (paths) => ["severe", "indicated", "none", "unknown"].find((name) => paths.some((p) => p.jamming === name)) ?? "unknown";
 
-function ReceiverCard({ receiver }) {
+const PORT_STATE = { working: "safe", searching: "unknown", absent: "unsafe", silent: "unsafe", noise: "unsafe", other: "caution" };
+
+function ReceiverCard({ receiver, kinds }) {
   const c = receiver.configuration;
+  const d = receiver.device;
+  const said = receiver.said;
   const flows = TOPICS.map((name) => [name, state.value.topics[name]]).filter(([, flow]) => flow?.updated_ns != null);
   return html`<${Card} title=${w.receiver} note=${receiver.source} id="receiver" class="receiver-card">
     <dl class="rows">
+      ${d && html`<${Row} label=${w.port} value=${html`<${StateIcon} state=${PORT_STATE[d.found]} word="" /> ${w.found[d.found]}`} extra=${d.sentence || d.device} />`}
+      ${said && html`<${Row} label=${w.sends} value=${said.messages.length > 0 ? said.messages.join(", ") : w.noMessages} extra=${said.other_protocols.length > 0 ? w.other(said.other_protocols.join(", ")) : said.gives_position ? null : w.noPosition} />`}
       <${Row} label=${w.model} value=${c?.model ?? w.notStated} />
       <${Row} label=${w.firmware} value=${c?.firmware ?? w.notStated} />
       ${c && html`<${Row} label=${w.settings} value=${html`<${StateIcon} state=${c.accepted ? "safe" : "caution"} word="" /> ${c.accepted ? w.accepted : w.rejected}`} extra=${c.reason} />
       <${Row} label=${w.period} value=${c.navigation_period_s === null ? w.notStated : seconds(c.navigation_period_s)} />
       <${Row} label=${w.dynamic} value=${c.dynamic_model ?? w.notStated} />
       <${Row} label=${w.maskRow} value=${c.elevation_mask_rad === null ? w.notStated : `${Math.round(degrees(c.elevation_mask_rad))}°`} />
-      <${Row} label=${w.messages} value=${c.messages.length > 0 ? c.messages.map((m) => `UBX-${m}`).join(", ") : w.notStated} />`}
+      <${Row} label=${w.messages} value=${c.messages.length > 0 ? c.messages.join(", ") : w.notStated} />`}
       ${!c && html`<${Row} label=${w.settings} value=${w.notRead} extra=${w.notReadWhy} />`}
     </dl>
+    <${KindsTable} kinds=${kinds} />
     ${flows.length > 0 && html`<h3 class="divide">${w.received}</h3><ul class="tags">${flows.map(([name, flow]) => html`<li><a href=${`#/system?topic=${name}`}>${name} ${rate(flow.rate_hz)}/s</a></li>`)}</ul>`}
   </${Card}>`;
 }
@@ -277,6 +284,6 @@ export function GnssPage() {
   return html`<div class="page gnss-page">
     ${sources.length > 1 && html`<div class="toolbar whole" role="group" aria-label=${w.receivers}>${sources.map((name) => html`<button key=${name} aria-pressed=${name === receiver.source} onClick=${() => setChosen(name)}>${name}</button>`)}</div>`}
     <div class="stack"><${SkyCard} receiver=${receiver} tracks=${tracks[receiver.source] ?? {}} /><${FixCard} receiver=${receiver} corrections=${answer.corrections} /></div>
-    <div class="stack"><${SignalsCard} receiver=${receiver} /><${InterferenceCard} receiver=${receiver} /><${ReceiverCard} receiver=${receiver} /></div>
+    <div class="stack"><${SignalsCard} receiver=${receiver} /><${InterferenceCard} receiver=${receiver} /><${ReceiverCard} receiver=${receiver} kinds=${answer.kinds} /></div>
   </div>`;
 }

@@ -2,7 +2,7 @@
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
-  Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
+  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
 } from "../parts.js";
 import { TopicDrawer } from "./inspector.js";
 import { words } from "../words.js";
@@ -167,6 +167,7 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.dropped} value=${p.dropped ?? 0} extra=${w.droppedNote} />
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
     </dl>
+    <${KindsTable} kinds=${p.kinds ?? []} />
     <h3>${w.publishes}</h3>${list([...published, `health/${name}`])}
     <h3>${w.subscribes}</h3>${row.observes_all ? html`<p>${w.everything}</p>` : list(subscribed)}
   </${Drawer}>`;

@@ -1,0 +1,194 @@
+"""Commands of the operator: accepted or not, done or failed, and why."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import degrees
+
+from shared.chosen import receiver_of
+from shared.messages.base import Message
+from shared.messages.gnss import GnssConfigure, GnssFix, GnssReset, GnssStart
+from shared.messages.navigation import NavigationSolution
+from shared.messages.operation import CommandStage, ModeAnswer, ModeCommand, OperatorCommand
+
+from .configuration_exchange import ConfigurationExchange
+from .sources import Sources
+from .unit import Unit, has_position
+
+NS = 1_000_000_000
+MOST_PENDING = 8  # commands that are in progress
+RESTART_S = 10.0  # within which a receiver loses its position after a reset
+FIRST_FIX_S = 300.0  # a cold start without assistance takes 30 s in the open, some minutes under trees
+SELECT_S = 5.0  # within which a device that the operator wants sends a valid message
+REST_S = 10.0  # of standstill: biases of the gyroscopes are averaged over it
+STAND_WITHIN_S = 60.0
+# Output that a pending command gives at a message: an answer, and with it its end; None while it goes on.
+Step = Callable[[Message], tuple[CommandStage, str] | None]
+Output = ModeAnswer | GnssConfigure | GnssReset
+
+
+@dataclass
+class Pending:
+    """A command in progress."""
+
+    command: ModeCommand
+    step: Step
+    until_ns: int
+    late: str  # why it has failed at that time
+
+
+class Refused(Exception):
+    """A command that cannot be accepted; its text says why."""
+
+
+class Commands:
+    """Carries out commands by messages to other processes, and answers with what they lead to.
+
+    Parameters
+    ----------
+    unit : Unit
+        Devices and newest messages.
+    exchange : callable
+        Begins to configure a receiver with another navigation period [s].
+    """
+
+    def __init__(self, unit: Unit, exchange: Callable[[str, float], ConfigurationExchange]) -> None:
+        self._unit, self._exchange = unit, exchange
+        self._pending: dict[str, Pending] = {}
+
+    def take(self, command: ModeCommand) -> Iterator[Output]:
+        """Accept or refuse a command; one that was taken before is not taken again."""
+        if command.request_id in self._pending:
+            return
+        try:
+            if len(self._pending) >= MOST_PENDING:
+                raise Refused(f"{MOST_PENDING} commands are in progress; wait for one of them")
+            begin = BEGIN[command.command]
+            pending, outputs = begin(self, command)
+        except Refused as why:
+            yield self._answer(command, CommandStage.FAILED, str(why))
+            return
+        yield self._answer(command, CommandStage.ACCEPTED, "")
+        yield from outputs
+        if pending is not None:
+            self._pending[command.request_id] = pending
+        else:
+            yield self._answer(command, CommandStage.DONE, "")
+
+    def note(self, message: Message) -> Iterator[ModeAnswer]:
+        """Let pending commands see a message."""
+        for key, pending in list(self._pending.items()):
+            ended = pending.step(message)
+            if ended is None and self._unit.now_ns >= pending.until_ns:
+                ended = CommandStage.FAILED, pending.late
+            if ended is not None:
+                del self._pending[key]
+                yield self._answer(pending.command, *ended)
+
+    def _answer(self, command: ModeCommand, stage: CommandStage, reason: str) -> ModeAnswer:
+        return ModeAnswer(
+            sampled_ns=self._unit.now_ns, request_id=command.request_id, command=command.command, stage=stage,
+            reason=reason[:400],
+        )  # fmt: skip
+
+    def _until(self, span_s: float) -> int:
+        return self._unit.now_ns + round(span_s * NS)
+
+    def _receiver(self, command: ModeCommand) -> str:
+        """Receiver that a command names, or the one in use."""
+        unit = self._unit
+        known = unit.receivers.names(unit.now_ns)
+        if command.source is not None:
+            if receiver_of(command.source) not in known:
+                raise Refused(f"no receiver {command.source} is received; received are: {', '.join(known) or 'none'}")
+            return receiver_of(command.source)
+        chosen = unit.gnss.chosen
+        if chosen is None and len(known) != 1:
+            raise Refused("no receiver is in use; name one with its source" if known else "no receiver is received")
+        return receiver_of(chosen) if chosen is not None else known[0]
+
+    def _reset(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+        unit, receiver, start_ns = self._unit, self._receiver(command), self._unit.now_ns
+        said = unit.said
+        if said is not None and said.source == receiver and not any(one.startswith("UBX") for one in said.messages):
+            raise Refused(f"{receiver} sends no UBX, and takes no such command: switch it off and on instead")
+        unit.search_again()
+        is_lost = False
+
+        def step(message: Message) -> tuple[CommandStage, str] | None:
+            nonlocal is_lost
+            if not isinstance(message, GnssFix) or receiver_of(message.source) != receiver:
+                return None
+            span_s = (unit.now_ns - start_ns) / NS
+            if not has_position(message):
+                is_lost = True
+            elif is_lost:
+                return CommandStage.DONE, f"position after {span_s:.0f} s"
+            elif span_s > RESTART_S:
+                return CommandStage.FAILED, f"{receiver} did not restart: it goes on with its position"
+            return None
+
+        reset = GnssReset(request_id=command.request_id, source=receiver, start=STARTS[command.command])
+        late = f"{receiver} has no position {FIRST_FIX_S:.0f} s after its start: give its antenna a view of the sky"
+        return Pending(command, step, self._until(FIRST_FIX_S), late), [reset]
+
+    def _rate(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+        if command.navigation_period_s is None:
+            raise Refused("name the period of fixes")
+        exchange = self._exchange(self._receiver(command), command.navigation_period_s)
+
+        def step(_: Message) -> tuple[CommandStage, str] | None:
+            if exchange.fault is not None:
+                return CommandStage.FAILED, exchange.fault
+            return (CommandStage.DONE, "") if exchange.configuring is None else None
+
+        outputs = list(exchange.start(self._unit.now_ns))
+        return Pending(command, step, self._until(FIRST_FIX_S), "the receiver did not answer"), [*outputs]
+
+    def _select(self, command: ModeCommand) -> tuple[Pending | None, list[Output]]:
+        unit = self._unit
+        kinds = unit.gnss, unit.imu, unit.speed
+        if command.source is None:
+            for sources in kinds:
+                sources.wanted = None
+            return None, []
+        wanted: Sources | None = next((one for one in kinds if command.source in one.names(unit.now_ns)), None)
+        if wanted is None:
+            known = ", ".join(name for one in kinds for name in one.names(unit.now_ns)) or "none"
+            raise Refused(f"no device {command.source} is received; received are: {known}")
+        wanted.wanted = command.source
+
+        def step(_: Message) -> tuple[CommandStage, str] | None:
+            return (CommandStage.DONE, "") if wanted.choose(unit.now_ns) == command.source else None
+
+        late = f"{command.source} sends no valid message; it is used as soon as it does"
+        return Pending(command, step, self._until(SELECT_S), late), []
+
+    def _calibrate(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+        """The filter measures the biases at each standstill; wait until one was long enough."""
+        since_ns: int | None = None
+
+        def step(message: Message) -> tuple[CommandStage, str] | None:
+            nonlocal since_ns
+            if not isinstance(message, NavigationSolution):
+                return None
+            if not message.stationary or message.gyroscope_bias_sd_rad_s is None:
+                since_ns = None
+                return None
+            since_ns = message.sampled_ns if since_ns is None else since_ns
+            if message.sampled_ns - since_ns < REST_S * NS:
+                return None
+            sd = max(message.gyroscope_bias_sd_rad_s)
+            return CommandStage.DONE, f"gyroscope biases known to {degrees(sd):.2g} degrees a second"
+
+        late = f"the vehicle did not stand for {REST_S:.0f} s within {STAND_WITHIN_S:.0f} s, or no inertial unit runs"
+        return Pending(command, step, self._until(STAND_WITHIN_S), late), []
+
+
+STARTS = {OperatorCommand.COLD_START: GnssStart.COLD, OperatorCommand.WARM_START: GnssStart.WARM}
+BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[Pending | None, list[Output]]]] = {
+    OperatorCommand.COLD_START: Commands._reset,
+    OperatorCommand.WARM_START: Commands._reset,
+    OperatorCommand.NAVIGATION_RATE: Commands._rate,
+    OperatorCommand.SELECT_SOURCE: Commands._select,
+    OperatorCommand.CALIBRATE_AT_REST: Commands._calibrate,
+}

@@ -1,0 +1,80 @@
+"""Commands of the operator over the web, from this computer alone."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from ipaddress import ip_address
+from queue import Full, Queue
+from typing import Any
+from uuid import uuid4
+
+from fastapi import FastAPI, HTTPException, Request, Response
+from pydantic import ValidationError
+from pydantic_core import from_json, to_json
+
+from shared.messages.operation import ModeCommand
+
+from ..state import State
+from . import body, hosts
+from .answers import Accepted, Refusal, described, reference_to
+
+WAITING = 8  # commands that are not yet published
+BODY = {"content": {"application/json": {"schema": reference_to(ModeCommand)}}, "required": True}
+
+
+class CommandApi:
+    """Checks commands and queues them for the bus; the answers of `controller.mode` are `mode/answer`."""
+
+    def __init__(self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int]) -> None:
+        self._state, self._lock, self._now_ns = state, lock, now_ns
+        self.commands: Queue[ModeCommand] = Queue(WAITING)
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the route."""
+        taken: dict[int | str, dict[str, Any]] = {202: described(Accepted, "Published")}
+        taken |= {
+            status: described(Refusal, text)
+            for status, text in (
+                (403, "From another computer, or a page from elsewhere"), (413, "Too long"), (422, "Not a command"),
+                (503, "Commands are waiting"),
+            )
+        }  # fmt: skip
+        app.add_api_route(
+            "/api/command", self.command, methods=["POST"], status_code=202, response_class=Response,
+            tags=["command"], responses=taken, openapi_extra={"requestBody": BODY},
+        )  # fmt: skip
+
+    async def command(self, request: Request) -> Response:
+        """Publish a command; 202 with the request ID that `mode/answer` will carry."""
+        if not hosts.same_origin(request.headers.get("origin"), request.headers.get("host")):
+            raise HTTPException(403, "this page is not from here")
+        if request.client is None or not _is_loopback(request.client.host):
+            raise HTTPException(403, "commands are taken from this computer alone; run obu command on the unit")
+        command = _command(await body.read(request))
+        try:
+            self.commands.put_nowait(command)
+        except Full as error:
+            raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
+        return Response(
+            to_json({"request_id": command.request_id}), 202, {"Cache-Control": "no-store"}, "application/json"
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _command(data: bytes) -> ModeCommand:
+    """Read a command; what is wrong with it is the answer."""
+    try:
+        given = from_json(data, allow_inf_nan=False)
+        if not isinstance(given, dict):
+            raise ValueError('a command is an object such as {"command": "cold_start", "source": "gnss0"}')
+        return ModeCommand.model_validate_json(to_json({"request_id": uuid4().hex[:12], **given}))
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    except ValueError as error:
+        raise HTTPException(422, str(error)) from error
