@@ -118,7 +118,9 @@ def messages(process: str, healths: Sequence[ProcessHealth]) -> Iterator[Finding
         if kind.rejected:
             few = kind.rejected <= TOLERATED * kind.count
             what = f"{process}: {kind.rejected} of {kind.count} {kind.kind} rejected"
-            yield Finding(few, f"{what} ({kind.reason})", f"the reason is {kind.reason}: docs/reference/failures.md")
+            yield Finding(
+                few, f"{what} ({kind.reason})", f"the reason is {kind.reason}: docs/how-to/connect-devices.md"
+            )
 
 
 def _rate(kind: MessageKind, before: dict[str, int], span_s: float) -> str:

@@ -238,7 +238,7 @@ class Process:
 
     def _why_silent(self, now_ns: int) -> str:
         if self._epoch_ns is None:
-            return "no raw measurements: the receiver has sent no UBX-RXM-RAWX"
+            return "no raw measurements: the receiver has sent none"
         return f"no raw measurements for {abs(now_ns - self._epoch_ns) / 1e9:.0f} s"
 
     def _remembered(self, published: TrustMonitor) -> TrustMonitor:

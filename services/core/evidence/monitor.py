@@ -99,12 +99,12 @@ class EvidenceMonitor:
         self.tests = {
             name: EvidenceTest(name, missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
             for name, missing, count, latency_s in (
-                ("spoofing_flag", "no spoofing state of UBX-NAV-STATUS or SEC-SIG", 1, 0.0),
-                ("jamming_flag", "no jamming state of UBX-MON-RF or SEC-SIG", 1, 0.0),
-                ("gain", "no gain of UBX-MON-RF, or its mean is still being learned", PERSISTENT, 0.0),
+                ("spoofing_flag", "the receiver states nothing of spoofing", 1, 0.0),
+                ("jamming_flag", "the receiver states nothing of jamming", 1, 0.0),
+                ("gain", "no gain of a radio path, or its mean is still being learned", PERSISTENT, 0.0),
                 ("cn0_level", "no C/N0 of enough satellites", PERSISTENT, 0.0),
                 ("cn0_spread", "no C/N0 of enough satellites at different elevations", PERSISTENT, 0.0),
-                ("clock", "no two successive UBX-NAV-CLOCK", 1, 0.0),
+                ("clock", "no two successive statements of the receiver's clock", 1, 0.0),
                 ("gnss_time", "no UTC of the receiver over 20 s", 1, RECENT_S),
                 ("host_time", "no UTC of the receiver, or nothing holds the clock of the host", PERSISTENT, RECENT_S),
             )
@@ -115,9 +115,10 @@ class EvidenceMonitor:
         time_ns = message.sampled_ns
         if message.status or message.security or message.radio_paths or message.clock:
             self.newest_ns = max(self.newest_ns or time_ns, time_ns)
-        flags = [(name, part) for name, part in (("NAV-STATUS", message.status), ("SEC-SIG", message.security)) if part]
+        stated = ("navigation status", message.status), ("signal security", message.security)
+        flags = [(name, part) for name, part in stated if part]
         self._flag(time_ns, "spoofing", [(name, part.spoofing) for name, part in flags])
-        paths = [(f"MON-RF path {path.number}", path.jamming) for path in message.radio_paths]
+        paths = [(f"radio path {path.number}", path.jamming) for path in message.radio_paths]
         self._flag(time_ns, "jamming", [*((name, part.jamming) for name, part in flags), *paths])
         self._use_gains(time_ns, message.radio_paths)
         if message.clock is not None:
@@ -172,7 +173,7 @@ class EvidenceMonitor:
         known = [(SEVERITY[state], who, state) for who, state in states if state in SEVERITY]
         if known:
             severity, who, state = max(known, key=lambda one: one[0])
-            reason = f"UBX-{who}: {name} {state}"
+            reason = f"{who}: {name} {state}"
             self.tests[f"{name}_flag"].evaluated(Finding(time_ns, severity, FLAG_LIMIT, "-", reason))
 
     def _use_gains(self, time_ns: int, paths: Sequence[RadioPath]) -> None:

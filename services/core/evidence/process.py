@@ -15,7 +15,7 @@ from .settings import Settings
 In = GnssSignalQuality | GnssSatellites | GnssFix | HostClock | ModeState | Tick
 RESTART_NS = 5_000_000_000  # by which an arrival is earlier than the newest one where a time line starts again
 OWN_TESTS = ("spoofing_flag", "jamming_flag", "gain", "cn0_level", "cn0_spread", "clock")
-NOTHING = "the receiver sends no UBX-NAV-STATUS, NAV-CLOCK, NAV-SAT, MON-RF or SEC-SIG"
+NOTHING = "the receiver states nothing of its status, clock, satellites, radio paths or signal security"
 
 
 class Config(Settings):

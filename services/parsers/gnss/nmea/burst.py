@@ -92,6 +92,8 @@ class NmeaAssembler:
             The sentence is invalid.
         """
         kind, parsed = kind_of(sentence), _read(sentence)
+        if kind in TIMED and len(parsed.data) > TIMED[kind] and not _time_of(kind, parsed):
+            return  # a receiver that has no time yet
         time_ns = time_of_day_ns(_time_of(kind, parsed)) if kind in TIMED else UNTIMED
         behind_a_pause = self._pauses.note(received_ns)
         if self._epoch is None or self._begins(self._epoch, kind, time_ns, behind_a_pause):

@@ -1,17 +1,14 @@
 import math
 import struct
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
-from pyubx2.ubxreader import UBXReader
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.ubx.configuration import protocol_version, read_version
-from services.parsers.gnss.ubx.frames import ubx_frame
 from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.gnss.ubx.outputs import MESSAGES, messages_of, optional, required
 from services.parsers.gnss.ubx.valset import read_values
@@ -20,6 +17,7 @@ from shared.maths.crc import fletcher
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssOutput, GnssRaw, GnssReceiver, GnssWrite
 from shared.messages.operation import DeviceFound, DeviceState
+from tests.support.gnss.generation8 import Generation8, acknowledge, parse_ubx_command
 from tests.support.gnss.ublox import valset
 
 NS = 1_000_000_000
@@ -45,11 +43,6 @@ def feed(process: Process, data: bytes) -> list[Message]:
 
 def tick(process: Process, second: int) -> list[Message]:
     return [one for one in process.handle(Tick(now_ns=second * NS)) if not isinstance(one, GnssReceiver)]
-
-
-def acknowledge(message_id: int, *, good: bool = True) -> bytes:
-    name = "ACK-ACK" if good else "ACK-NAK"
-    return bytes(UBXMessage("ACK", name, 0, clsID=6, msgID=message_id).serialize())
 
 
 def values(**changes: int) -> bytes:
@@ -290,46 +283,6 @@ def test_any_response_is_decoded_without_error(payload: bytes) -> None:
     read_values(payload)
     body = bytes((6, 0x8B)) + len(payload).to_bytes(2, "little") + payload
     feed(process, SYNC + body + fletcher(body))
-
-
-def parse_ubx_command(frame: bytes) -> Any:
-    """Parse what is sent to a receiver."""
-    return UBXReader.parse(frame, msgmode=1)
-
-
-class Generation8:
-    """A u-blox M8 as its interface description says it: settings in volatile memory, each acknowledged."""
-
-    def __init__(self, *, protver: str = "PROTVER=18.00", refuses: tuple[str, ...] = (), mute: bool = False) -> None:
-        self.protver, self.refuses, self.mute = protver, refuses, mute
-        self.period_ms, self.model, self.rates = 1000, 0, dict[str, int]()
-        self.commands: list[Any] = []
-
-    def answer(self, frame: bytes) -> bytes:
-        """Answer one command, and note it."""
-        command = parse_ubx_command(frame)
-        kind = command.identity
-        if kind == "MON-VER":
-            lines = [b"FWVER=SPG 3.01", self.protver.encode(), b"MOD=NEO-M8N-0"]
-            texts = b"EXT CORE 3.01 (107888)".ljust(30, b"\0") + b"00080000".ljust(10, b"\0")
-            return ubx_frame(0x0A, 0x04, texts + b"".join(line.ljust(30, b"\0") for line in lines))
-        if self.mute:
-            return b""
-        payload = frame[6:-2]
-        self.commands.append(command)
-        if kind == "CFG-RATE" and not payload:
-            return ubx_frame(6, 8, struct.pack("<HHH", self.period_ms, 1, 1))
-        if kind == "CFG-NAV5" and not payload:
-            return bytes(UBXMessage("CFG", "CFG-NAV5", 0, dynModel=self.model, minElev=5).serialize())
-        name = UBX_MSGIDS.get(payload[:2], "") if kind == "CFG-MSG" else kind
-        good = name not in self.refuses and kind in ("CFG-RATE", "CFG-NAV5", "CFG-MSG")
-        if good and kind == "CFG-RATE":
-            self.period_ms = command.measRate
-        elif good and kind == "CFG-NAV5":
-            self.model = command.dynModel
-        elif good and kind == "CFG-MSG":
-            self.rates[name] = payload[2]
-        return acknowledge(frame[3], good=good)
 
 
 def configure(receiver: Generation8, request: GnssConfigure) -> GnssConfiguration:
