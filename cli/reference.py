@@ -69,7 +69,10 @@ def metrics_page() -> str:
     stamps = [
         ("`sampled_ns`", "time of validity on the time line of the recording, ns"),
         ("`time_s`", "time since the first row"),
-        ("`phase`", "`navigating`, `coasting` if no position was used recently, or `gnss_only` without an IMU"),
+        (
+            "`phase`",
+            "`navigating`, `coasting` if no position was used recently, or `gnss_only` without inertial samples",
+        ),
     ]
     verdict = ("`verdict`", "verdict of `core.trust`: " + ", ".join(f"`{level}`" for level in TrustLevel))
     columns = table(

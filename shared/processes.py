@@ -227,6 +227,10 @@ PROCESSES = (
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
+        "monitoring.outputs", Kind.OPTIONAL, "gives the position to other programs, as gpsd and NMEA 0183",
+        consumes=("gnss/fix", "gnss/satellites", "navigation/solution", "trust/state", "origin/state"),
+    ),
+    ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
         produces=("simulation/attack", "replay/control", "mode/command"), observes_all=True, roles=BOTH,
     ),

@@ -6,7 +6,6 @@ import heapq
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -16,23 +15,19 @@ import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table as Printed
 
-from shared.bus.bus import Envelope
-from shared.bus.codec import encode, signed, topic_name
 from shared.errors import UserError
-from shared.messages.base import Message, Sender
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
 from shared.messages.vehicle import VehicleSpeed
-from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
 from shared.unpacked import compression_of
 
 from ..progress import progress_on
-from .conversion.convert import Accelerometer, Converted, Imported, convert, wanted_columns
+from .conversion.convert import Accelerometer, Converted, convert, wanted_columns
+from .devices.device_files import import_devices, kind_of, shifts_of
 from .estimates.agreement import Motion, motion_of, told
 from .estimates.clocks import offset_of, shifted
 from .estimates.delay import Delay, delay_of_fixes, delay_of_reference
@@ -40,6 +35,7 @@ from .estimates.mounting import mounting_of, rotated
 from .mapping import units
 from .mapping.mapping import Mapping, parse_mapping
 from .mapping.schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
+from .output import Part, arrival_ns, print_summary, stamps_of, write
 from .readers.arrays import FORMATS, arrays_of
 from .readers.dates import checked_dates, is_day, is_time_of_day
 from .readers.gnss_logger import contents, is_log, messages_of, read_log
@@ -53,13 +49,15 @@ def import_drive(
     mapping: Annotated[
         Path,
         typer.Argument(
-            help="TOML file that defines the columns, a log of Android's GnssLogger, or a solution of RTKLIB (.pos)."
+            help="TOML file that defines the columns, a log of Android's GnssLogger, a solution of RTKLIB (.pos), or a "
+            "file that a device wrote: UBX, NMEA, RTCM 3, Xbus, a candump or ASC log."
         ),
     ],
     folder: Annotated[
         Path | None,
         typer.Argument(
-            help="Folder with the files named in the mapping, or one file for all tables; none with a log or solution."
+            help="Folder with the files named in the mapping, or one file for all tables; with device files, the next "
+            "one of the same drive."
         ),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Output recording.")] = Path(
@@ -77,14 +75,26 @@ def import_drive(
             "vehicle, of a GnssLogger log; default: flat, top ahead.",
         ),
     ] = "y,x,-z",
+    shift: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE=SECONDS",
+            help="Seconds to add to the stamps of a device file, in place of an estimate; may be repeated.",
+        ),
+    ] = None,
+    more: Annotated[
+        list[Path] | None, typer.Argument(help="Further device files of the same drive.", show_default=False)
+    ] = None,
 ) -> int:
-    """Convert a folder of files (IMU, GNSS, speed, truth; CSV, text, NumPy .npz or MATLAB .mat) to a recording.
+    """Convert files of devices or tables (CSV, text, NumPy .npz, MATLAB .mat) of a drive to a recording.
 
     Examples:
     [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
     [bold]obu import benchmarks/recordings/mappings/phone_drives_1hz.toml 2023-08-09_16-37-41.csv -o phone.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt -o phone.mcap[/]
     [bold]obu import rover.pos -o fixes.mcap[/]
+    [bold]obu import rover.ubx mti.bin candump.log --vehicle car.toml -o drive.mcap[/]
+    [bold]obu import rover.nmea mti.bin --shift mti.bin=12.5 -o drive.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt --axes "z,-x,-y" -o phone.mcap[/]
     """
     if output.exists():
@@ -92,16 +102,26 @@ def import_drive(
     beginning = [] if mapping.suffix == ".toml" else _beginning(mapping)
     if is_log(beginning):
         return _import_log(mapping, output, vehicle, body_from_phone(axes))
-    if (header := header_of(beginning)) is not None:
+    files = [mapping, *([folder] if folder else []), *(more or [])]
+    if (header := header_of(beginning)) is None and mapping.suffix != ".toml" and kind_of(mapping) is not None:
+        return import_devices(files, output, vehicle, shifts_of(shift or (), files))
+    if more or shift:
+        raise UserError("several files, or --shift, go with files of devices only; see `obu import --help`")
+    if header is not None:
         folder = folder or mapping.parent
         text = mapping_of(header, next(iter(beginning[header.lines :]), ""), mapping.name)
     elif folder is None:
         raise UserError(
-            f"{mapping} is neither a log of GnssLogger nor a solution of RTKLIB; give a mapping (TOML) and the folder "
-            "of its files: `obu import --help`"
+            f"{mapping} is no file of a device that is known, no log of GnssLogger and no solution of RTKLIB; give a "
+            "mapping (TOML) and the folder of its files: `obu import --help`"
         )
     else:
         text = _text(mapping)
+    return _import_tables(mapping, text, folder, output, vehicle)
+
+
+def _import_tables(mapping: Path, text: str, folder: Path, output: Path, vehicle: Path | None) -> int:
+    """Convert the files that a mapping describes."""
     spec = parse_mapping(text, str(mapping))
     file = _vehicle(spec, mapping, vehicle)
     tables = list(spec.files())
@@ -117,26 +137,12 @@ def import_drive(
         tables = [table for table, _, _ in read]
         parts = _converted(read, spec.start_utc_s)
         parts = _corrected(tables, parts, file, progress)
-        _write(output, parts, file, _provenance(spec, text, parts), progress)
-    _print_summary(output, parts)
+        write(output, parts, file, _provenance(spec, text, parts), progress)
+    print_summary(output, parts)
     notes = [note for part in parts for note in part.converted.notes]
     for sentence in (*notes, *(part.correction for part in parts if part.correction), *_clocks(parts), *spec.made()):
         print(sentence)
     return 0
-
-
-@dataclass(frozen=True)
-class Part:
-    """One converted file of the drive."""
-
-    name: str
-    sha256: str
-    converted: Converted
-    correction: str = ""  # what was estimated of its clock or axes
-
-    def corrected(self, messages: Sequence[Imported], correction: str) -> "Part":
-        """Replace the messages, and state how they were corrected."""
-        return replace(self, converted=replace(self.converted, messages=messages), correction=correction)
 
 
 def _beginning(path: Path) -> list[str]:
@@ -184,8 +190,8 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
         "made": "",
     }  # fmt: skip
     with progress_on(Console(stderr=True)) as progress:
-        _write(output, parts, file, provenance, progress)
-    _print_summary(output, parts)
+        write(output, parts, file, provenance, progress)
+    print_summary(output, parts)
     return 0
 
 
@@ -197,7 +203,7 @@ def _corrected(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleF
     for place, table in enumerate(tables):
         if isinstance(table, Positioned) and table.estimate_delay:
             if isinstance(table, Gnss):
-                merged = heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns)
+                merged = heapq.merge(*(part.converted.messages for part in parts), key=arrival_ns)
                 inputs = [message for message in merged if not isinstance(message, TruthState)]
                 shown = progress.track(inputs, description=f"estimating the delay of {table.file}")
                 delay, against = delay_of_fixes(shown, vehicle), "IMU"
@@ -227,7 +233,7 @@ def _in_body_axes(part: Part, fixes: Sequence[GnssFix]) -> Part:
 def _without_delay(part: Part, delay: Delay, against: str) -> Part:
     step_ns = round(delay.seconds * 1e9)
     return part.corrected(
-        [m.model_copy(update={"sampled_ns": _stamps(m)[0] - step_ns}) for m in part.converted.messages],
+        [m.model_copy(update={"sampled_ns": stamps_of(m)[0] - step_ns}) for m in part.converted.messages],
         f"The stamps of {part.name} are late by {delay.seconds:.3f} s relative to the {against} (estimated, standard "
         f"deviation {delay.sd_s:.3f} s) and were corrected. To fix the value: stamps_late_s = {delay.seconds:.3f}.",
     )
@@ -253,15 +259,6 @@ def _text(path: Path) -> str:
         ) from error
 
 
-def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
-    """Read the vehicle file, which is stored in the recording."""
-    if vehicle is not None:
-        return load_vehicle(vehicle)
-    if spec.vehicle_file is not None:
-        return load_vehicle(mapping.parent / spec.vehicle_file)
-    return parse_vehicle("", "<no vehicle file>")
-
-
 def _clocks(parts: Sequence[Part]) -> list[str]:
     """Compare the clocks of the files: with that of the IMU, or else of the first one."""
     motions: dict[str, Motion] = {}
@@ -270,6 +267,15 @@ def _clocks(parts: Sequence[Part]) -> list[str]:
             kind = BY_MESSAGE[type(part.converted.messages[0])].name
             motions[f"{part.name} ({kind})" if part.name in motions else part.name] = motion
     return told(motions)
+
+
+def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
+    """Read the vehicle file, which is stored in the recording."""
+    if vehicle is not None:
+        return load_vehicle(vehicle)
+    if spec.vehicle_file is not None:
+        return load_vehicle(mapping.parent / spec.vehicle_file)
+    return parse_vehicle("", "<no vehicle file>")
 
 
 def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[TableFile, str, Table]:
@@ -361,10 +367,6 @@ def _rows(spec: TableFile, lines: Iterator[str]) -> Iterator[list[str]]:
     return csv.reader(lines, delimiter=spec.separator, skipinitialspace=True)
 
 
-def _arrival_ns(message: Imported) -> int:
-    return message.sampled_ns if isinstance(message, TruthState) else message.received_ns
-
-
 def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
     """Origin of the messages, and the reference that `obu solve` uses as truth."""
     held = spec.truth.quantities if spec.truth else spec.truth_quantities
@@ -377,57 +379,3 @@ def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
         "truth_at": spec.truth.at if spec.truth else "imu",
         "made": " ".join(spec.made()),
     }
-
-
-def _write(
-    output: Path, parts: list[Part], vehicle: VehicleFile, provenance: dict[str, str], progress: Progress
-) -> None:
-    firsts = [_arrival_ns(part.converted.messages[0]) for part in parts if part.converted.messages]
-    if min(firsts, default=0) < 0:
-        raise UserError("the times of the files are before 1970; add `start_utc_s = 1e9` or later to the mapping")
-    messages = heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns)
-    task = progress.add_task(f"writing {output.name}", total=sum(len(part.converted.messages) for part in parts))
-    draft = output.with_name(output.name + ".part")
-    sequence: dict[str, int] = {}
-    try:
-        draft.unlink(missing_ok=True)
-        writer = RecordingWriter(draft, vehicle=vehicle.name, vehicle_toml=vehicle.text, provenance=provenance)
-        for message in messages:
-            writer.write(_envelope(message, sequence))
-            progress.advance(task)
-        writer.close()
-        draft.rename(output)
-    except OSError as error:
-        raise UserError(f"cannot write {output}: {error.strerror}; choose another path with --output") from error
-    finally:
-        draft.unlink(missing_ok=True)  # after an error, or Ctrl-C
-
-
-def _envelope(message: Imported, sequence: dict[str, int]) -> Envelope:
-    name = topic_name(message)
-    producer = BY_MESSAGE[type(message)].producers[0]
-    sequence[producer] = sequence.get(producer, 0) + 1
-    sender = Sender(process=producer, incarnation=0, sequence=sequence[producer])
-    return Envelope.of(name, signed(encode(message), sender), _arrival_ns(message))
-
-
-def _print_summary(output: Path, parts: list[Part]) -> None:
-    table = Printed(box=None, pad_edge=False)
-    for title in ("file", "rows", "samples", "rate", "span", "rejected"):
-        table.add_column(title, justify="left" if title in ("file", "rejected") else "right")
-    for part in parts:
-        stamps = [stamp for message in part.converted.messages for stamp in _stamps(message)]
-        span_s = (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
-        rate = f"{(len(stamps) - 1) / span_s:.2f} Hz" if span_s > 0.0 else "-"
-        rejected = ", ".join(f"{count} {reason}" for reason, count in part.converted.rejects.items()) or "none"
-        count = str(len(stamps)) if stamps else "-"
-        table.add_row(part.name, str(part.converted.rows), count, rate, f"{span_s:.1f} s", rejected)
-    console = Console()
-    console.print(table)
-    console.print(f"wrote {output} ({output.stat().st_size / 1e6:.1f} MB); next: obu solve {output}", soft_wrap=True)
-
-
-def _stamps(message: Message) -> tuple[int, ...]:
-    if isinstance(message, ImuSamples):
-        return message.sampled_ns
-    return (getattr(message, "sampled_ns"),)  # noqa: B009  # every other imported message has one stamp

@@ -121,7 +121,7 @@ class LogDevice:
         until_s = (self._next[0] + self._offset_ns - self._now_ns()) / NS if self._next else wait_s
         time.sleep(min(max(until_s, 0.0), wait_s))
         while self._next and len(lines) < MOST_FRAMES and self._next[0] + self._offset_ns <= self._now_ns():
-            lines.append(_stamped(self._next[0] + self._offset_ns, self._next[1]))
+            lines.append(stamped_line(self._next[0] + self._offset_ns, self._next[1]))
             self._next = self._scan()
         return b"".join(lines)
 
@@ -135,14 +135,14 @@ class LogDevice:
     def _scan(self) -> tuple[int, str] | None:
         """Time stamp [ns] and remainder of the next valid line; None at the end."""
         for line in self._file:
-            if found := _frame_of(line):
+            if found := frame_of(line):
                 time_ns, rest = found
                 self._last_ns = self._last_ns + WITHOUT_STAMPS_NS if time_ns is None else time_ns
                 return self._last_ns, rest
         return None
 
 
-def _frame_of(line: str) -> tuple[int | None, str] | None:
+def frame_of(line: str) -> tuple[int | None, str] | None:
     """Time stamp [ns], if there is one, and frame of a line, as in a log; None if it is none of candump."""
     if match := _LINE.match(line):
         return _time_ns(match), f"{match['bus']} {match['frame']}"
@@ -173,8 +173,9 @@ def candump_line(time_ns: int, channel: str, frame: can.Message) -> bytes:
         data = "R"
     elif frame.is_fd:
         data = f"#{frame.bitrate_switch + 2 * frame.error_state_indicator:X}{data}"
-    return _stamped(time_ns, f"{channel} {name}#{data}")
+    return stamped_line(time_ns, f"{channel} {name}#{data}")
 
 
-def _stamped(time_ns: int, rest: str) -> bytes:
+def stamped_line(time_ns: int, rest: str) -> bytes:
+    """Join a time stamp, and interface and frame, to a line of a candump log."""
     return f"({time_ns // NS}.{time_ns % NS // 1000:06d}) {rest}\n".encode()

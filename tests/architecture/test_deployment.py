@@ -126,17 +126,23 @@ def test_no_container_may_more_than_it_must(simulated: dict[str, Service], vehic
     assert not any(service.keys() & forbidden for services in (simulated, vehicle) for service in services.values())
 
 
-def test_only_the_dashboard_publishes_a_port_and_only_to_this_machine_unless_told(
+def test_only_dashboard_and_outputs_publish_ports_and_only_to_this_machine_unless_told(
     simulated: dict[str, Service], vehicle: dict[str, Service]
 ) -> None:
-    assert {name for name, service in simulated.items() if "ports" in service} == {"monitoring-status"}
+    assert {name for name, service in simulated.items() if "ports" in service} == {
+        "monitoring-status", "monitoring-outputs",
+    }  # fmt: skip
     assert not any("ports" in service for service in vehicle.values())
     assert simulated["monitoring-status"]["ports"] == ["${OBU_HTTP_BIND:-127.0.0.1}:${OBU_HTTP_PORT:-8080}:8080"]
+    assert simulated["monitoring-outputs"]["ports"] == [
+        "${OBU_OUTPUTS_BIND:-127.0.0.1}:${OBU_GPSD_PORT:-2947}:2947",
+        "${OBU_OUTPUTS_BIND:-127.0.0.1}:${OBU_NMEA_PORT:-10110}:10110",
+    ]
 
 
-def test_only_the_dashboard_reaches_beyond_the_bus(simulated: dict[str, Service]) -> None:
+def test_only_dashboard_and_outputs_reach_beyond_the_bus(simulated: dict[str, Service]) -> None:
     beyond = {name for name, service in simulated.items() if service["networks"] != ["bus"]}
-    assert beyond == {"monitoring-status"}
+    assert beyond == {"monitoring-status", "monitoring-outputs"}
     document = yaml.load((ROOT / "docker-compose.yml").read_text(), ComposeLoader)
     assert document["networks"]["bus"]["internal"] is True
 

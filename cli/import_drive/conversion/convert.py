@@ -9,10 +9,11 @@ import numpy as np
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray
-from shared.messages.gnss import GnssFix, GnssRawEpoch, GnssSatellites
-from shared.messages.imu import ImuSamples
+from shared.messages.corrections import CorrectionBytes
+from shared.messages.gnss import GnssFix, GnssRaw, GnssRawEpoch, GnssSatellites
+from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import TruthState
-from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
+from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 
 from ..mapping import units
 from ..mapping.schema import Force, Gnss, Gyroscope, Imu, Rate, Speed, TableFile, Truth, Velocity, Wheels
@@ -27,7 +28,10 @@ LONGEST_STEPS = 3.0  # median intervals of an accelerometer, over which its spec
 GRAVITY_RANGE_M_S2 = (7.0, 13.0)  # plausible median magnitude of a vehicle's specific force
 SCALARS = ("column", "arrival_column", "date_column", "week_column", "satellites_used", "front_left", "front_right",
            "rear_left", "rear_right", "hdop", "vdop")  # fmt: skip
-Imported: TypeAlias = ImuSamples | GnssFix | GnssRawEpoch | GnssSatellites | VehicleSpeed | WheelSpeeds | TruthState
+Imported: TypeAlias = (
+    ImuSamples | GnssFix | GnssRawEpoch | GnssSatellites | VehicleSpeed | WheelSpeeds | TruthState
+    | GnssRaw | ImuRaw | CanRaw | CorrectionBytes
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.vehicle import VehicleSpeed
 from tests.support.data import recording
+from tests.support.gnss.ublox import parse_ubx
 
 NS = 1_000_000_000
 START_NS = 1_795_000_000 * NS
@@ -168,7 +169,7 @@ def test_any_bytes_are_read_without_an_error(chunks: list[bytes], form: LineForm
 def esf_meas(tag_ms: int, *fields: tuple[int, int]) -> bytes:
     words = b"".join(struct.pack("<I", kind << 24 | field) for kind, field in fields)
     payload = struct.pack("<IHH", tag_ms, len(fields) << 11, 0) + words
-    read = UBXReader.parse(ubx_frame(0x10, 0x02, payload))
+    read = parse_ubx(ubx_frame(0x10, 0x02, payload))
     assert (read.numMeas, read.dataType_01, read.dataField_01) == (len(fields), *fields[0])
     return payload
 

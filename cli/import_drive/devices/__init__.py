@@ -1,0 +1,1 @@
+"""Files that devices write: bytes of receivers and inertial sensors, logs of CAN buses."""

@@ -1,0 +1,269 @@
+"""Stamps the bytes of a GNSS receiver by the times that its own messages tell.
+
+A frame without a time has that of the frame before it. Until a date is known, times of week or of day wait for it; a
+file without any date keeps its time of day. Sources: u-blox F9 HPG 1.32 (UBX-22008968) and M8 (UBX-13003221); NMEA 0183
+4.11; RTCM 10403.3, tables 3.5-1 and 3.5-78.
+"""
+
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime
+
+import numpy as np
+
+from services.parsers.gnss.framer import Frame, Framer
+from services.parsers.gnss.protocols import FRAMINGS
+from shared.maths.dates import DAY_NS, GPS_EPOCH_UTC_NS, WEEK_NS, is_plausible
+
+from ..conversion.scales import utc_of
+from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
+
+MS = 1_000_000
+MOST_PORTION = 8192  # bytes; a message on the bus may hold 512 KB
+BACK_NS = 10 * NS  # by which a time may go back within the messages of an epoch
+SURE = 20  # frames in a row that tell an earlier time, after which the later ones before them were wrong
+NAV, RXM = 0x01, 0x02
+# Offset of the time of week [ms] in messages of the class NAV that do not begin with it; None where there is none.
+TOW_AT: dict[int, int | None] = {
+    0x09: 4, 0x10: None, 0x13: 4, 0x14: 4, 0x39: 0, 0x3B: 4, 0x3C: 4, 0x3D: None, 0x62: None,
+}  # fmt: skip
+TIME_AT = {b"RMC": 1, b"GGA": 1, b"GNS": 1, b"GST": 1, b"ZDA": 1, b"GBS": 1, b"GLL": 5}
+TIME_OF_DAY = re.compile(rb"([0-2]\d)([0-5]\d)([0-6]\d)(?:\.(\d{1,9}))?")
+# RTCM 3 messages whose header has the time of week [ms] of GPS, Galileo, SBAS, QZSS or NavIC in bits 24 to 53
+RTCM_WITH_TOW = {
+    1001, 1002, 1003, 1004, *range(1071, 1078), *range(1091, 1098), *range(1101, 1108), *range(1111, 1118),
+    *range(1131, 1138),
+}  # fmt: skip
+RTCM_BEIDOU = set(range(1121, 1128))  # 14 s behind
+BEIDOU_NS = 14 * NS
+
+
+@dataclass
+class Mark:
+    """What a frame says of time: UTC, else the time of the GPS week or of the UTC day."""
+
+    utc_ns: int | None = None
+    week_ns: int | None = None  # time of week, GPS
+    day_ns: int | None = None
+
+
+@dataclass
+class _Epochs:
+    """Turns marks into times of one clock."""
+
+    now_ns: int | None = None  # UTC
+    week_starts_ns: int | None = None  # UTC at which the time of week was 0, leap seconds removed
+    back: int = 0  # frames in a row that tell an earlier time
+    rejects: Counter[str] = field(default_factory=Counter)
+
+    def time_of(self, mark: Mark) -> int | None:
+        """UTC of a mark near the newest time; None if nothing is known yet."""
+        if mark.utc_ns is not None:
+            if mark.week_ns is not None:
+                self.week_starts_ns = mark.utc_ns - mark.week_ns
+            return mark.utc_ns
+        if mark.week_ns is not None and self.week_starts_ns is not None:
+            return self._nearest(self.week_starts_ns + mark.week_ns, WEEK_NS)
+        if mark.day_ns is not None and self.now_ns is not None:
+            return self._nearest(self.now_ns // DAY_NS * DAY_NS + mark.day_ns, DAY_NS)
+        return None
+
+    def _nearest(self, time_ns: int, period_ns: int) -> int:
+        now_ns = time_ns if self.now_ns is None else self.now_ns
+        return time_ns + (now_ns - time_ns + period_ns // 2) // period_ns * period_ns
+
+
+def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> Stamped:
+    """Read the bytes of a receiver, or corrections for one.
+
+    Parameters
+    ----------
+    chunks : iterable of bytes
+        The file.
+    week_of_ns : int or None
+        [ns since 1970, UTC] A time of the same drive, for a file that tells times of week without a date.
+
+    Returns
+    -------
+    Stamped
+        Its clock is UTC, the time of day without a date, or free where no frame tells a time. `rejects` are those of
+        the framing, and `time_goes_back` counts frames that tell an earlier time than those before them.
+    """
+    rejects: Counter[str] = Counter()
+    frames = [(frame, _mark(frame)) for frame in _frames(chunks, rejects)]
+    first = _first_known(frames)
+    epochs = _Epochs(rejects=rejects)
+    clock = ClockKind.UTC
+    if first is not None:
+        epochs.now_ns = epochs.time_of(first)
+        # Frames before the one with the date may tell an earlier time.
+        epochs.now_ns = next((told for _, mark in frames if (told := epochs.time_of(mark)) is not None), None)
+    elif week_of_ns is not None and any(mark.week_ns is not None for _, mark in frames):
+        epochs.now_ns, epochs.week_starts_ns = week_of_ns, _week_start(week_of_ns)
+    elif any(mark.day_ns is not None for _, mark in frames):
+        epochs.now_ns = WITHOUT_DATE_NS + next(mark.day_ns for _, mark in frames if mark.day_ns is not None)
+        clock = ClockKind.DAY
+    else:
+        epochs.now_ns, clock = WITHOUT_DATE_NS, ClockKind.FREE
+    of_rtcm = sum(frame.protocol == "RTCM" for frame, _ in frames)
+    kind = FileKind.CORRECTIONS if frames and of_rtcm == len(frames) else FileKind.RECEIVER
+    return Stamped(kind, clock, _portions(frames, epochs), len(frames), rejects)
+
+
+def _frames(chunks: Iterable[bytes], rejects: Counter[str]) -> Iterator[Frame]:
+    framer = Framer(FRAMINGS, rejects)
+    for chunk in chunks:
+        yield from framer.feed(chunk)
+
+
+def _first_known(frames: list[tuple[Frame, Mark]]) -> Mark | None:
+    """The first UTC, with the time of week of the same frame if it has one."""
+    with_week = (mark for _, mark in frames if mark.utc_ns is not None and mark.week_ns is not None)
+    return next(with_week, None) or next((mark for _, mark in frames if mark.utc_ns is not None), None)
+
+
+def _portions(frames: list[tuple[Frame, Mark]], epochs: _Epochs) -> list[Portion]:
+    """Portions whose times never go back; what told a later time before a clock was set is left out."""
+    portions: list[Portion] = []
+    parts: list[bytes] = []
+    size, at_ns = 0, epochs.now_ns or 0
+    for frame, mark in frames:
+        time_ns = _accepted(epochs, mark, portions)
+        if time_ns is None:
+            continue
+        if parts and (time_ns != at_ns or size + len(frame.data) > MOST_PORTION):
+            portions.append(Portion(at_ns, b"".join(parts)))
+            parts, size = [], 0
+        parts.append(frame.data)
+        size, at_ns = size + len(frame.data), time_ns
+    if parts:
+        portions.append(Portion(at_ns, b"".join(parts)))
+    return portions
+
+
+def _accepted(epochs: _Epochs, mark: Mark, portions: list[Portion]) -> int | None:
+    """Time of a frame, at least that of the one before; None for one that tells a much earlier time."""
+    told_ns, now_ns = epochs.time_of(mark), epochs.now_ns or 0
+    if told_ns is None or now_ns - BACK_NS <= told_ns <= now_ns:
+        if told_ns is not None:
+            epochs.back = 0
+        return now_ns
+    if told_ns < now_ns:
+        epochs.back += 1
+        epochs.rejects["time_goes_back"] += 1
+        if epochs.back < SURE:
+            return None
+        while portions and portions[-1].time_ns > told_ns:
+            portions.pop()
+            epochs.rejects["before_the_clock_was_set"] += 1
+    epochs.back, epochs.now_ns = 0, told_ns
+    return told_ns
+
+
+def _mark(frame: Frame) -> Mark:
+    if frame.protocol == "UBX":
+        return _mark_of_ubx(frame.data[2], frame.data[3], frame.data[6:-2])
+    if frame.protocol == "NMEA":
+        return _mark_of_nmea(frame.data)
+    return _mark_of_rtcm(frame.data)
+
+
+def _mark_of_ubx(kind: int, number: int, payload: bytes) -> Mark:
+    if kind == RXM and number == 0x15 and len(payload) >= 16:
+        return _mark_of_rawx(payload)
+    if kind != NAV:
+        return Mark()
+    if number == 0x07 and len(payload) >= 84:
+        return _mark_of_pvt(payload)
+    if number == 0x20 and len(payload) >= 16:
+        tow_ms, fraction_ns, week, leap, valid = struct.unpack_from("<IihbB", payload)
+        return _mark_of_week(week, tow_ms * MS + fraction_ns, leap) if valid & 7 == 7 else Mark()
+    if number == 0x06 and len(payload) >= 52:
+        tow_ms, _, week, _, flags = struct.unpack_from("<IihBB", payload)
+        return _mark_of_week(week, tow_ms * MS, None) if flags & 0x0C == 0x0C else _tow(payload, 0)
+    at = TOW_AT.get(number, 0)
+    return Mark() if at is None else _tow(payload, at)
+
+
+def _tow(payload: bytes, at: int) -> Mark:
+    if len(payload) < at + 4:
+        return Mark()
+    tow_ns = int.from_bytes(payload[at : at + 4], "little") * MS
+    return Mark(week_ns=tow_ns) if tow_ns < WEEK_NS else Mark()
+
+
+def _mark_of_pvt(payload: bytes) -> Mark:
+    tow_ms, year, month, day, hour, minute, second, valid = struct.unpack_from("<IHBBBBBB", payload)
+    (nano,) = struct.unpack_from("<i", payload, 16)
+    if valid & 3 != 3:  # date and time
+        return _tow(payload, 0)
+    utc_ns = _utc_ns(year, month, day, (hour * 3600 + minute * 60 + second) * NS + nano)
+    if utc_ns is None:
+        return Mark()
+    # `nano` holds the receiver's clock error as well: the epoch is the time of week, which is in whole ms.
+    return Mark(utc_ns=round(utc_ns / MS) * MS, week_ns=tow_ms * MS)
+
+
+def _mark_of_rawx(payload: bytes) -> Mark:
+    tow_s, week, leap, _, status = struct.unpack_from("<dHbBB", payload)
+    if not 0.0 <= tow_s < WEEK_NS / NS or not week:
+        return Mark()
+    return _mark_of_week(week, round(tow_s * 1000) * MS, leap if status & 1 else None)
+
+
+def _mark_of_week(week: int, tow_ns: int, leap: int | None) -> Mark:
+    gps_ns = GPS_EPOCH_UTC_NS + week * WEEK_NS + tow_ns
+    utc_ns = gps_ns - _leap_ns(gps_ns) if leap is None else gps_ns - leap * NS
+    return Mark(utc_ns=utc_ns, week_ns=tow_ns) if is_plausible(utc_ns) else Mark()
+
+
+def _mark_of_nmea(sentence: bytes) -> Mark:
+    fields = sentence.split(b"*")[0].split(b",")
+    name = fields[0][-3:]
+    place = TIME_AT.get(name)
+    match = TIME_OF_DAY.fullmatch(fields[place]) if place is not None and place < len(fields) else None
+    if match is None:
+        return Mark()
+    fraction_ns = int((match[4] or b"0").ljust(9, b"0"))
+    day_ns = (int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3])) * NS + fraction_ns
+    digits = fields[9] if name == b"RMC" and len(fields) > 9 else b"".join(fields[2:5]) if name == b"ZDA" else b""
+    if not digits.isdigit() or len(digits) not in (6, 8):
+        return Mark(day_ns=day_ns)
+    day, month, year = int(digits[:2]), int(digits[2:4]), int(digits[4:])
+    if len(digits) == 6:
+        year += 1900 if year >= 80 else 2000
+    return Mark(utc_ns=_utc_ns(year, month, day, day_ns), day_ns=day_ns)
+
+
+def _mark_of_rtcm(frame: bytes) -> Mark:
+    number = frame[3] << 4 | frame[4] >> 4
+    if len(frame) < 13 or number not in RTCM_WITH_TOW | RTCM_BEIDOU:
+        return Mark()
+    tow_ns = (int.from_bytes(frame[3:11], "big") >> 10 & 0x3FFFFFFF) * MS  # bits 24 to 53 of the message
+    if number in RTCM_BEIDOU:
+        tow_ns += BEIDOU_NS
+    return Mark(week_ns=tow_ns % WEEK_NS) if tow_ns < WEEK_NS + BEIDOU_NS else Mark()
+
+
+def _utc_ns(year: int, month: int, day: int, day_ns: int) -> int | None:
+    try:
+        midnight = datetime.combine(date(year, month, day), datetime.min.time(), UTC)
+    except ValueError:
+        return None
+    utc_ns = round(midnight.timestamp()) * NS + day_ns
+    return utc_ns if is_plausible(utc_ns) else None
+
+
+def _leap_ns(gps_ns: int) -> int:
+    """GPS time less UTC at a time of the GPS scale [ns since 1970 without leap seconds]."""
+    seconds = gps_ns / NS
+    return round(seconds - float(utc_of(np.array([seconds]), "gps")[0])) * NS
+
+
+def _week_start(utc_ns: int) -> int:
+    """UTC at which the GPS week of a time began."""
+    gps_ns = utc_ns + _leap_ns(utc_ns)
+    return gps_ns - (gps_ns - GPS_EPOCH_UTC_NS) % WEEK_NS - _leap_ns(utc_ns)

@@ -1,0 +1,152 @@
+"""Bytes of a receiver are stamped by the times that its messages tell."""
+
+import struct
+from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cli.import_drive.devices.receiver import read_receiver
+from cli.import_drive.devices.stamped import WITHOUT_DATE_NS, ClockKind, FileKind, Stamped
+from services.parsers.gnss.process import Config, Process
+from shared.maths.crc import crc24q, fletcher
+from shared.messages.gnss import GnssFix, GnssRaw
+from tests.support.data import recording
+
+NS = 1_000_000_000
+NOON = datetime(2024, 5, 4, 12, 0, 0, tzinfo=UTC)
+NOON_NS = round(NOON.timestamp()) * NS
+TOW_MS = (6 * 86_400 + 12 * 3600 + 18) * 1000  # of that noon, a Saturday, 18 leap seconds ahead
+
+
+def ubx(kind: int, number: int, payload: bytes) -> bytes:
+    body = struct.pack("<BBH", kind, number, len(payload)) + payload
+    return b"\xb5\x62" + body + fletcher(body)
+
+
+def pvt(seconds: int, valid: int = 3, year: int = 2024, nano: int = -123) -> bytes:
+    payload = struct.pack("<IHBBBBBBIi", TOW_MS + seconds * 1000, year, 5, 4, 12, 0, seconds, valid, 0, nano)
+    return ubx(1, 7, payload.ljust(92, b"\0"))
+
+
+def dop(seconds: float) -> bytes:
+    return ubx(1, 4, struct.pack("<I", TOW_MS + round(seconds * 1000)).ljust(18, b"\0"))
+
+
+def sentence(body: str) -> bytes:
+    return f"${body}*{reduce(xor, body.encode()):02X}\r\n".encode()
+
+
+def times(stamped: Stamped) -> list[float]:
+    return [(portion.time_ns - NOON_NS) / NS for portion in stamped.portions]
+
+
+def test_times_of_week_before_the_first_date_are_known_afterwards() -> None:
+    found = read_receiver([dop(0.0), dop(0.5), pvt(1), dop(1.5)])
+    assert (found.kind, found.clock, found.rows) == (FileKind.RECEIVER, ClockKind.UTC, 4)
+    assert times(found) == [0.0, 0.5, 1.0, 1.5]
+
+
+def test_a_frame_without_a_time_has_that_of_the_frame_before_it_and_no_byte_is_lost() -> None:
+    data = pvt(1) + ubx(2, 0x13, b"\0" * 24) + pvt(2)
+    found = read_receiver([data[:50], data[50:]])
+    assert times(found) == [1.0, 2.0]
+    assert b"".join(portion.data for portion in found.portions) == data
+
+
+def test_raw_measurements_tell_their_week() -> None:
+    payload = struct.pack("<dHbBB", TOW_MS / 1000.0, 2312, 18, 0, 1).ljust(16, b"\0")
+    assert times(read_receiver([ubx(2, 0x15, payload)])) == [0.0]
+
+
+def test_without_leap_seconds_of_the_receiver_they_are_those_of_the_date() -> None:
+    payload = struct.pack("<IihBB", TOW_MS, 0, 2312, 3, 0x0F).ljust(52, b"\0")
+    assert times(read_receiver([ubx(1, 6, payload)])) == [0.0]
+
+
+def test_a_week_ends_within_a_file() -> None:
+    """NAV-DOP alone goes on over the end of the week after one date."""
+    week_ms = 604_800_000
+    before, after = (
+        ubx(1, 4, struct.pack("<I", tow).ljust(18, b"\0")) for tow in (week_ms - 500, 500)
+    )  # fmt: skip
+    end = struct.pack("<IHBBBBBBIi", week_ms - 1000, 2024, 5, 4, 23, 59, 41, 3, 0, 0).ljust(92, b"\0")
+    found = read_receiver([ubx(1, 7, end), before, after])
+    assert [times(found)[i] - times(found)[0] for i in range(3)] == [0.0, 0.5, 1.5]
+
+
+@pytest.mark.parametrize("first", [pvt(0, valid=0), pvt(0, year=2300), pvt(0, year=1970)])
+def test_a_date_that_is_not_valid_is_no_date(first: bytes) -> None:
+    assert times(read_receiver([first, pvt(1)]))[-1] == 1.0
+
+
+def test_sentences_take_the_date_of_rmc_or_zda() -> None:
+    rmc = sentence("GNRMC,120001.00,A,4807.0,N,01131.0,E,0.0,0.0,040524,,,A")
+    zda = sentence("GNZDA,120001.00,04,05,2024,00,00")
+    gga = sentence("GNGGA,120000.00,4807.0,N,01131.0,E,1,08,0.9,500.0,M,46.0,M,,")
+    for dated in (rmc, zda):
+        assert times(read_receiver([gga + dated])) == [0.0, 1.0]
+
+
+def test_midnight_within_sentences() -> None:
+    rmc = sentence("GNRMC,235959.00,A,4807.0,N,01131.0,E,0.0,0.0,040524,,,A")
+    gga = sentence("GNGGA,000000.50,4807.0,N,01131.0,E,1,08,0.9,500.0,M,46.0,M,,")
+    found = times(read_receiver([rmc + gga]))
+    assert found[1] - found[0] == 1.5
+
+
+def test_without_any_date_a_file_keeps_its_time_of_day() -> None:
+    gga = sentence("GNGGA,000010.00,4807.0,N,01131.0,E,1,08,0.9,500.0,M,46.0,M,,")
+    found = read_receiver([gga])
+    assert found.clock is ClockKind.DAY
+    assert found.portions[0].time_ns == WITHOUT_DATE_NS + 10 * NS
+
+
+def test_one_wrong_time_costs_itself_and_a_clock_that_is_set_costs_what_was_before() -> None:
+    good = b"".join(pvt(second) for second in range(20))
+    found = read_receiver([good + pvt(21) + pvt(2, year=2023) + pvt(22)])
+    assert found.rejects["time_goes_back"] == 1 and times(found)[-1] == 22.0
+    late = b"".join(pvt(second, year=2031) for second in range(3))
+    found = read_receiver([late + b"".join(pvt(second) for second in range(30))])
+    assert found.rejects["before_the_clock_was_set"] > 0
+    assert times(found)[0] > 0.0 and times(found)[-1] == 29.0
+
+
+def rtcm(number: int, tow_ms: int) -> bytes:
+    bits = number << 148 | 7 << 136 | tow_ms << 106
+    body = bits.to_bytes(20, "big")
+    frame = b"\xd3\x00" + bytes([len(body)]) + body
+    return frame + crc24q(frame).to_bytes(3, "big")
+
+
+def test_corrections_take_the_week_of_another_file() -> None:
+    found = read_receiver([rtcm(1077, TOW_MS) + rtcm(1097, TOW_MS + 1000)], week_of_ns=NOON_NS - 3600 * NS)
+    assert (found.kind, times(found)) == (FileKind.CORRECTIONS, [0.0, 1.0])
+    assert times(read_receiver([rtcm(1127, TOW_MS - 14_000)], week_of_ns=NOON_NS)) == [0.0]
+
+
+@given(st.lists(st.one_of(st.binary(max_size=60), st.sampled_from([pvt(1), pvt(5), dop(3.0), pvt(0, 0)])), max_size=30))
+def test_whatever_bytes_come_times_never_go_back(parts: list[bytes]) -> None:
+    found = read_receiver(parts)
+    stamps = [portion.time_ns for portion in found.portions]
+    assert stamps == sorted(stamps)
+
+
+def test_the_parser_of_the_unit_finds_the_times_of_a_recorded_file() -> None:
+    config = Config()
+    parser = Process(config)
+    found = read_receiver([(recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log").read_bytes()])
+    fixes = [
+        message
+        for portion in found.portions
+        for message in parser.handle(
+            GnssRaw(received_ns=portion.time_ns + round(config.minimum_delay_s * NS), source="gnss0", data=portion.data,
+                    recorded=True)
+        )
+        if isinstance(message, GnssFix)
+    ]  # fmt: skip
+    assert len(fixes) >= 25
+    assert max(abs(fix.sampled_ns - (fix.utc_ns or 0)) for fix in fixes) < 1_000_000
