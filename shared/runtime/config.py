@@ -68,12 +68,22 @@ class GnssAntenna(Section):
         description="standard deviation of the lever arm on each axis, which the protection levels hold until the "
         "check of the set-up agrees; if not given, 0.35 m, or 0.5 m where the lever arm is zero",
     )
+    lever_arms_body_m: dict[str, Vector3] = Field(
+        default={},
+        max_length=8,
+        description="lever arms of further receivers by their source, as { gnss1 = [0.3, 0.0, -1.2] }; of another one "
+        "`lever_arm_body_m` holds",
+    )
     baseline_yaw_body_rad: float = Field(
         default=0.0,
         ge=-pi,
         le=pi,
         description="direction from the first to the second antenna in body axes, clockwise from forward",
     )
+
+    def lever_arm_of(self, receiver: str) -> Vector3:
+        """Lever arm of the antenna of a receiver [m, body]."""
+        return self.lever_arms_body_m.get(receiver, self.lever_arm_body_m)
 
 
 class Vehicle(Section):

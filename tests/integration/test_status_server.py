@@ -26,7 +26,7 @@ from services.monitoring.status.web import answers
 from services.monitoring.status.web.stream.patch import merge
 from shared.errors import UserError
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.operation import Origin, OriginKind
+from shared.messages.operation import ModeCommand, OperatorCommand, Origin, OriginKind
 from shared.messages.simulation import AttackName
 from shared.recording.folder import RecordingFolder
 from shared.runtime.config import ADDRESS_FILE
@@ -293,7 +293,7 @@ def test_the_page_of_the_api_loads_no_external_resources(server: Running) -> Non
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
         "/api/series", "/api/fields/{name}", "/api/gnss", "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
-        "/api/hypotheses",
+        "/api/hypotheses", "/api/command",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
     }  # fmt: skip
 
@@ -574,6 +574,32 @@ def test_a_command_that_cannot_be_executed_is_rejected(server: Running, body: ob
 
 def test_a_command_of_another_origin_is_rejected(server: Running) -> None:
     assert command(server, {"command": "stop"}, Origin="http://evil.example").status_code == 403
+
+
+def test_a_command_of_the_operator_is_published_as_it_was_given(server: Running) -> None:
+    given = {"request_id": "r7", "command": "select_source", "source": "gnss1"}
+    answer = httpx.post(server.address + "/api/command", json=given, timeout=5.0)
+    assert (answer.status_code, answer.json()) == (202, {"request_id": "r7"})
+    eventually(lambda: any(isinstance(one, ModeCommand) for one in server.bus.published))
+    (published,) = [one for one in server.bus.published if isinstance(one, ModeCommand)]
+    assert (published.command, published.source) == (OperatorCommand.SELECT_SOURCE, "gnss1")
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "headers"),
+    [
+        ({"command": "explode"}, 422, {}),
+        ([], 422, {}),
+        ({"command": "navigation_rate", "navigation_period_s": 0.0}, 422, {}),
+        ({"command": "cold_start", "source": "x" * 3000}, 413, {}),
+        ({"command": "cold_start"}, 403, {"Origin": "http://elsewhere.example"}),
+    ],
+)
+def test_what_is_no_command_of_the_operator_is_rejected(
+    server: Running, body: object, status: int, headers: dict[str, str]
+) -> None:
+    answer = httpx.post(server.address + "/api/command", json=body, headers=headers, timeout=5.0)
+    assert answer.status_code == status
 
 
 def test_a_unit_that_is_not_simulated_rejects_attacks(tmp_path: Path) -> None:

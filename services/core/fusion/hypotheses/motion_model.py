@@ -76,7 +76,7 @@ class MotionModel:
 
     def use_position(self, fix: GnssPosition) -> None:
         """Use a position of the antenna."""
-        self._position, self._gnss_cov = fix, fix.cov
+        self._position, self._gnss_cov, self._arm = fix, fix.cov, fix.lever_arm
         if not self._advance(fix.time_ns):
             return
         assert self._origin is not None

@@ -141,7 +141,7 @@ class Alignment:
         self.levelling.use_speed(hypot(measurement.velocity[0], measurement.velocity[1]))
         north, east, down = np.sqrt(measurement.cov.diagonal()).tolist()
         sd = (north, east, down if measurement.axes == 3 else 1.0)
-        arm_velocity = self._lever_arm_velocity()
+        arm_velocity = self._lever_arm_velocity(measurement.lever_arm)
         self._compare(measurement, arm_velocity)
         self._set_motion(Motion(measurement.time_ns, measurement.velocity, sd, arm_velocity))
 
@@ -156,7 +156,7 @@ class Alignment:
             self._zero_ns = fix.time_ns
         self.first_fix = self.first_fix or fix
         self._add_to_track(fix)
-        self._compare(fix, self._lever_arm_velocity())
+        self._compare(fix, self._lever_arm_velocity(fix.lever_arm))
         self._standstill_fixes = (*self._standstill_fixes[-99:], fix) if self.levelling.is_stationary else ()
         if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
             self._set_motion_from_track(fix)
@@ -210,7 +210,7 @@ class Alignment:
     def _add_to_track(self, fix: GnssPosition) -> None:
         """Add a position to the track; without GNSS velocities, levelling uses the speed of the track."""
         level, now_ns = self.levelling, fix.time_ns
-        x, y, _ = rotate(level.quaternion, self._settings.vehicle.gnss.lever_arm_body_m)
+        x, y, _ = rotate(level.quaternion, fix.lever_arm)
         recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
         self._track = (*tuple(recent)[-99:], Point(fix, level.heading_integral, level.displacement, complex(x, y)))
         if self._has_velocity:
@@ -224,9 +224,9 @@ class Alignment:
     def _set_motion(self, motion: Motion) -> None:
         self._motion, self._course = motion, heading_of_motion(motion, self.levelling, self._settings)
 
-    def _lever_arm_velocity(self) -> Vector:
+    def _lever_arm_velocity(self, arm: Vector) -> Vector:
         """Velocity of the antenna relative to the IMU [m/s, level frame]: C (w x l)."""
-        x, y, z = np.cross(self.levelling.rate, self._settings.vehicle.gnss.lever_arm_body_m).tolist()
+        x, y, z = np.cross(self.levelling.rate, arm).tolist()
         return rotate(self.levelling.quaternion, (x, y, z))
 
     def _set_motion_from_track(self, fix: GnssPosition) -> None:
@@ -239,7 +239,7 @@ class Alignment:
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
         """Filter at the instant of the fix."""
         self.method, self.comparison = heading.method, self.comparison.turned(heading.turn).interrupted()
-        settings, arm = self._settings, self._settings.vehicle.gnss.lever_arm_body_m
+        settings, arm = self._settings, fix.lever_arm
         north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
         quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
         arm_n = rotate(quaternion, arm)

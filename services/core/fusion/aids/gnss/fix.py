@@ -8,6 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from shared.chosen import receiver_of
 from shared.inertial.strapdown import rotate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.kalman import root_of
@@ -247,6 +248,7 @@ def gnss_measurements(
         (positions only) and its diagonal kept between a floor, because some receivers state zero, and a ceiling.
     """
     true_ns = true_time_ns(settings, stamp.sampled_ns)
+    arm = settings.vehicle.gnss.lever_arm_of(receiver_of(stamp.source))
     floor, factor = settings.gnss.position_sd_floor_m, settings.gnss.position_sd_factor
     cov = _trusted(reading.cov, settings.gnss.position_sd_ned_m, floor, factor)
     time_correlated = (
@@ -262,7 +264,7 @@ def gnss_measurements(
                 velocity=velocity.vector,
                 cov=_trusted(velocity.cov, settings.gnss.velocity_sd_ned_m_s, settings.gnss.velocity_sd_floor_m_s, 1.0),
                 axes=velocity.axes,
-                lever_arm=settings.vehicle.gnss.lever_arm_body_m,
+                lever_arm=arm,
                 time_correlated=time_correlated,
                 stated=velocity.cov is not None,
                 left_out=left_out,
@@ -276,7 +278,7 @@ def gnss_measurements(
             position=position,
             cov=cov,
             axes=reading.axes,
-            lever_arm=settings.vehicle.gnss.lever_arm_body_m,
+            lever_arm=arm,
             time_sd_s=settings.gnss.time_sd_s,
             time_correlated=time_correlated,
             left_out=left_out,

@@ -99,9 +99,10 @@ def test_one_wrong_fix_is_left_out_and_a_place_that_lasts_is_taken_with_both_in_
 
 def test_a_reversing_car_keeps_its_heading_and_a_fast_one_does_not_reverse() -> None:
     model = GnssOnly(Settings())
-    forward = solve(model, epoch(0.0, (0.0, 0.0, 0.0), (5.0, 0.0, 0.0)))
-    back = solve(model, epoch(1.0, (2.0, 0.0, 0.0), (-3.0, 0.0, 0.0)))
-    fast = solve(model, epoch(5.0, (-20.0, 0.0, 0.0), (-12.0, 0.0, 0.0)))
+    forward = solve(model, epoch(0.0, (0.0, 0.0, 0.0), (2.5, 0.0, 0.0)))
+    solve(model, epoch(1.0, (1.25, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    back = solve(model, epoch(2.0, (0.0, 0.0, 0.0), (-3.0, 0.0, 0.0)))
+    fast = solve(model, epoch(6.0, (-30.0, 0.0, 0.0), (-12.0, 0.0, 0.0)))
     assert forward is not None and back is not None and fast is not None
     assert forward.yaw == pytest.approx(0.0)
     assert abs(back.yaw) < 0.01
@@ -110,11 +111,12 @@ def test_a_reversing_car_keeps_its_heading_and_a_fast_one_does_not_reverse() -> 
 
 def test_heading_is_kept_at_standstill_and_forgotten_in_slow_turns() -> None:
     model = GnssOnly(Settings())
-    solve(model, epoch(0.0, (0.0, 0.0, 0.0), (0.0, 5.0, 0.0)))
-    parked = [solve(model, epoch(1.0 + k, (0.0, 5.0, 0.0), (0.0, 0.0, 0.0))) for k in range(60)][-1]
-    assert parked is not None
-    assert parked.attitude_cov[2, 2] < radians(7.0) ** 2
-    creeping = [solve(model, epoch(61.0 + k, (0.0, 5.0 + k, 0.0), (0.0, 1.0, 0.0))) for k in range(8)][-1]
+    solve(model, epoch(0.0, (0.0, 0.0, 0.0), (0.0, 2.5, 0.0)))
+    parked = [solve(model, epoch(1.0 + k, (0.0, 1.25, 0.0), (0.0, 0.0, 0.0))) for k in range(60)]
+    assert parked[0] is not None and parked[-1] is not None
+    assert parked[0].attitude_cov[2, 2] < radians(20.0) ** 2, "the way of braking"
+    assert parked[-1].attitude_cov[2, 2] == parked[0].attitude_cov[2, 2]
+    creeping = [solve(model, epoch(61.0 + k, (0.0, 1.25 + k, 0.0), (0.0, 1.0, 0.0))) for k in range(8)][-1]
     assert creeping is not None
     assert creeping.attitude_cov[2, 2] > radians(80.0) ** 2
 
@@ -133,3 +135,13 @@ def test_stamps_that_do_not_advance_are_not_used() -> None:
     assert solve(model, epoch(5.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))) is not None
     assert solve(model, epoch(5.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))) is None
     assert solve(model, epoch(4.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))) is None
+
+
+def test_each_receiver_has_the_lever_arm_of_its_antenna() -> None:
+    antennas = GnssAntenna(lever_arm_body_m=(1.0, 0.0, 0.0), lever_arms_body_m={"rear": (-2.0, 0.0, 0.0)})
+    settings, stamp = Settings(vehicle=Vehicle(gnss=antennas)), Stamp(S, S, "rear/nmea")
+    made = gnss_measurements(settings, stamp, HERE, Reading((0.0, 0.0, 0.0)), Reading((5.0, 0.0, 0.0)))
+    assert [getattr(one, "lever_arm") for one in made] == [(-2.0, 0.0, 0.0)] * 2  # noqa: B009  # of either kind
+    found = solve(GnssOnly(settings), made)
+    assert found is not None
+    assert error_n(found, (2.0, 0.0, 0.0))[0] == pytest.approx(0.0, abs=1e-6)
