@@ -30,6 +30,7 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "record repair": ("recordings.record", "repair"),
 }
