@@ -11,6 +11,7 @@ from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
 from shared.messages.trust import TrustLevel
+from shared.missing_sensors import MISSING
 from shared.processes import PROCESSES, Role, running
 from shared.runtime.config import Section, Vehicle, own_fields
 
@@ -68,7 +69,10 @@ def metrics_page() -> str:
     stamps = [
         ("`sampled_ns`", "time of validity on the time line of the recording, ns"),
         ("`time_s`", "time since the first row"),
-        ("`phase`", "`navigating`, or `coasting` if no position was used recently"),
+        (
+            "`phase`",
+            "`navigating`, `coasting` if no position was used recently, or `gnss_only` without inertial samples",
+        ),
     ]
     verdict = ("`verdict`", "verdict of `core.trust`: " + ", ".join(f"`{level}`" for level in TrustLevel))
     columns = table(
@@ -119,6 +123,30 @@ def _parameter(one: Parameter) -> str:
     return f"`{one.name}` {limits}{f' {one.unit}' if one.unit else ''}: {one.purpose}"
 
 
+def missing_page() -> str:
+    """Print what is published while a sensor is missing."""
+    rows = [
+        (
+            row.sensors, row.published, row.uncertainty, " → ".join(f"`{phase}`" for phase in row.phases),
+            " → ".join(level.upper() for level in row.verdicts), row.sentence, row.cost,
+        )
+        for row in MISSING
+    ]  # fmt: skip
+    head = ("missing", "published", "covariance and level", "phase", "verdict", "its reason", "what it costs")
+    return (
+        "# Missing sensors\n\n"
+        "Any one sensor may be missing; everything else goes on. The page *System*, `mode/state` and the reasons of "
+        "`trust/state` name what is missing. Every row but the first two is held by "
+        "`tests/scenarios/test_missing_sensors.py`.\n\n"
+        f"{table(head, rows)}\n\n"
+        "Of several receivers, inertial units or speeds `controller.mode` selects one (`gnss_source`, `imu_source`, "
+        "`speed_source` of `mode/state`), and every process uses it. Another one is selected when the selected one has "
+        "sent no valid message for 3 s, when another receiver states less than half of its standard deviation for "
+        "10 s, or by `obu command select_source`; `switches` lists the newest changes with their reasons. UBX and NMEA "
+        "of one receiver are one receiver, of which UBX is preferred.\n"
+    )
+
+
 def api_page(description: Json) -> str:
     """Print the routes of the unit's web server."""
     tags = {tag["name"]: tag["description"] for tag in cast("list[dict[str, str]]", description["tags"])}
@@ -162,6 +190,7 @@ def pages() -> dict[str, str]:
         "`[vehicle]` holds what several of them need. `obu migrate FILE` rewrites a file of an earlier version."
         f"\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
+        "missing-sensors.md": HEAD + missing_page(),
         "attacks.md": HEAD + attacks_page(),
         "asyncapi.json": asyncapi_json() + "\n",
         "api.md": HEAD + api_page(cast("Json", (description := openapi()))),

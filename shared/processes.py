@@ -89,6 +89,11 @@ PROCESSES = (
         produces=("corrections/raw", "corrections/sources"),
     ),
     ProcessRow(
+        "sensors.power", Kind.DEVICE_DRIVER, "reads the power supply, and switches the host off where that is wanted",
+        consumes=("mode/state",),
+        produces=("power/raw",),
+    ),
+    ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
         consumes=("gnss/write", "simulation/attack"),
         produces=(
@@ -140,10 +145,15 @@ PROCESSES = (
         produces=("gnss/correction", "corrections/state"),
     ),
     ProcessRow(
+        "parsers.power", Kind.OPTIONAL, "turns readings of the supply into volts and share of charge, and judges them",
+        consumes=("power/raw",),
+        produces=("power/state", "power/event"),
+    ),
+    ProcessRow(
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
         consumes=(
             "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
-            "navigation/state", "mode/command",
+            "navigation/state", "mode/command", "power/state",
         ),
         produces=("gnss/configure", "gnss/reset", "mode/state", "mode/answer", "navigation/last_position"),
         pause_s=0.1,

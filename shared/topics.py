@@ -47,6 +47,7 @@ from .messages.operation import (
     ProcessHealth,
     RecordingState,
 )
+from .messages.power import PowerEvent, PowerRaw, PowerState
 from .messages.replay import ReplayControl, ReplayEvents, ReplayState
 from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
 from .messages.toll import (
@@ -147,6 +148,10 @@ TOPICS = (
     Topic("gnss/correction", GnssCorrection, "whole frames of corrections for the GNSS receiver"),
     Topic("corrections/state", CorrectionsState, "source of corrections in use, age and kinds of its frames",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("power/raw", PowerRaw, "readings of the power supply"),
+    Topic("power/state", PowerState, "mains or battery, voltage, current and share of charge",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("power/event", PowerEvent, "loss and return of the mains, and a battery that is nearly empty", qos=1),
     Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
           rate_hz=1.0, silent_after_s=5.0),
     Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms",

@@ -21,7 +21,7 @@ from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState, SetUpState
+from shared.messages.navigation import AidingUpdate, NavigationPhase, NavigationSolution, NavigationState, SetUpState
 from shared.messages.trust import TrustState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
@@ -239,12 +239,9 @@ def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
 def _check(path: Path, inputs: Inputs) -> None:
     if not inputs.topics:
         raise UserError(f"{path} holds no messages of a unit; was the unit running during the recording?")
-    for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
-        if not any(inputs.topics[topic] for topic in topics):
-            held = ", ".join(sorted(inputs.topics))
-            raise UserError(
-                f"{path} holds neither {topics[0]} nor {topics[1]}, but {held}; record the {sensor} as well"
-            )
+    if not any(inputs.topics[topic] for topic in ("gnss/raw", "gnss/fix")):
+        held = ", ".join(sorted(inputs.topics))
+        raise UserError(f"{path} holds neither gnss/raw nor gnss/fix, but {held}; record the GNSS as well")
 
 
 def _check_start(drive: Drive, option: str, begins_s: float) -> None:
@@ -345,6 +342,9 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         )
     lever_arm = drive.vehicle.facts.gnss.lever_arm_body_m
     outages, aligned_ns = solved.outages, solved.counters.aligned_ns
+    delay_ns = round(_fusion(drive.vehicle).gnss.delay_s * 1e9)
+    alone = {at_ns + delay_ns for at_ns in track.stamps_of(NavigationPhase.GNSS_ONLY)}  # not offered to the filter
+    offered = {fix.sampled_ns for fix in solved.fixes if aligned_ns is not None and fix.sampled_ns >= aligned_ns}
     return Run(
         track,
         solved.counters,
@@ -354,7 +354,7 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         drive.last_ns,
         len(fixes),
         len(fixes) - len(solved.fixes),
-        fixes_offered=len({fix.sampled_ns for fix in solved.fixes if fix.sampled_ns >= (aligned_ns or 0)}),
+        fixes_offered=len(offered - alone),
         alert_limits_m=drive.vehicle.facts.alert_limits_m,
     )
 

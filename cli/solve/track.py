@@ -77,6 +77,11 @@ class Track:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def stamps_of(self, phase: NavigationPhase) -> list[int]:
+        """Stamps [ns] of the solutions of a phase."""
+        stamps = self.stamps_ns.tolist()
+        return [at_ns for at_ns, one in zip(stamps, self.phases, strict=True) if one is phase]
+
     def columns(self, first: str, count: int = 3) -> FloatArray:
         """Adjacent columns from a name on, shape (rows, count)."""
         start = NAMES.index(first)

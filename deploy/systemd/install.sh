@@ -9,6 +9,7 @@ cd "$(dirname "$0")/../.."
 [ -x .venv/bin/python ] || { echo "the Python packages are missing: run make setup first"; exit 1; }
 [ -x /usr/sbin/mosquitto ] || { echo "the broker is missing: apt install mosquitto"; exit 1; }
 
+getent group i2c >/dev/null || groupadd --system i2c # of the I2C bus, for sensors.power
 id obu >/dev/null 2>&1 || useradd --system --home-dir /var/lib/obu --shell /usr/sbin/nologin obu
 
 install -d -m 755 /etc/obu

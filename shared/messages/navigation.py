@@ -198,6 +198,7 @@ class LastPosition(Message):
     yaw_rad: Quantity
     position_sd_ned_m: Deviation3
     yaw_sd_rad: Deviation
+    stationary: bool = False  # it stood there: the vehicle may be there still when the unit is switched on again
 
 
 class FilterState(Message):

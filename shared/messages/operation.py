@@ -46,6 +46,7 @@ class ModeState(Message):
     time_to_first_fix_s: Seconds | None = None  # from the first message of a receiver, or its last reset, on
     sources: Annotated[tuple[Name, ...], Field(max_length=64)] = ()  # of all kinds that are received
     switches: Annotated[tuple[SourceSwitch, ...], Field(max_length=16)] = ()  # the newest of each kind, oldest first
+    power_off: bool | None = None  # true: the battery is nearly empty; state is saved, recordings are closed
 
 
 class OperatorCommand(StrEnum):

@@ -21,6 +21,7 @@ RAW_FORMATS = {
     "gnss/write": "base64 of bytes to the receiver: UBX",
     "corrections/raw": "base64 of a source's bytes: RTCM 3, SPARTN, UBX",
     "gnss/correction": "base64 of whole frames to the receiver: RTCM 3, SPARTN, UBX",
+    "power/raw": "base64 of registers of the INA219, or of the text of a signal file",
     "imu/raw": "base64 of the sensor's bytes: Xbus",
     "can/raw": "base64 of lines of a candump log",
     "v2x/raw": "base64 of frames of the radio: GeoNetworking, BTP and CAM (UPER)",

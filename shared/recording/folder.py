@@ -159,6 +159,19 @@ class RecordingFolder:
         if self._writer and (self._syncing is None or self._syncing.done()):
             self._syncing = self._sync_thread.submit(os.fdatasync, self._writer.fileno())
 
+    def close_on_disk(self) -> None:
+        """Finish the recording in progress and wait until the disk has it: the power may end at any time."""
+        path = self._writer.path if self._writer else None
+        self.close()
+        if path is None or not path.exists():
+            return
+        for one in (path, path.parent):
+            descriptor = os.open(one, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+
     def close(self) -> None:
         """Finish the recording in progress; a file without a message is removed."""
         if (writer := self._writer) is None:

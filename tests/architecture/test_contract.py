@@ -27,7 +27,26 @@ ROOT = Path(__file__).parents[2]
 PRINTED = reference.printed(ROOT)
 Schema = dict[str, object]
 # The closed list of units that end a field's name; docs/reference/conventions.md explains each.
-UNITS = ("m", "m_s", "m_s2", "m2", "m2_s2", "rad", "rad_s", "rad2", "deg", "s", "ns", "hz", "k", "pa", "db_hz", "bytes")
+UNITS = (
+    "m",
+    "m_s",
+    "m_s2",
+    "m2",
+    "m2_s2",
+    "rad",
+    "rad_s",
+    "rad2",
+    "deg",
+    "s",
+    "ns",
+    "hz",
+    "k",
+    "pa",
+    "v",
+    "a",
+    "db_hz",
+    "bytes",
+)
 
 
 def all_messages() -> list[type[Message]]:

@@ -24,6 +24,7 @@ PURE_SHARED = {
     "shared.messages",
     "shared.devices.xbus",
     "shared.kinds",
+    "shared.missing_sensors",
     "shared.devices.framing",
     "shared.devices.recognition",
     "shared.processes",

@@ -18,6 +18,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.trust import TrustLevel, TrustState
+from shared.missing_sensors import NO_GNSS_YET, NO_INERTIAL_UNIT
 from shared.runtime.config import GnssAntenna, Vehicle
 
 EPOCH_NS = 1_790_000_000_000_000_000
@@ -67,10 +68,25 @@ def samples(*gaps: tuple[float, float]) -> list[ImuSamples]:
     return found
 
 
-def run(messages: Sequence[GnssFix | ImuSamples], last: LastPosition | None = None) -> Iterator[Message]:
+def parked(*, stationary: bool = True) -> LastPosition:
+    """Position and heading that were saved where the drive begins."""
+    place, attitude = drive().position[0].tolist(), drive().attitude[0].tolist()
+    return LastPosition(
+        sampled_ns=EPOCH_NS - 10**12, latitude_deg=degrees(place[0]), longitude_deg=degrees(place[1]),
+        height_ellipsoid_m=place[2], yaw_rad=attitude[2], position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
+        stationary=stationary,
+    )  # fmt: skip
+
+
+def run(
+    messages: Sequence[GnssFix | ImuSamples],
+    last: LastPosition | None = None,
+    settings: dict[str, object] | None = None,
+) -> Iterator[Message]:
     """Outputs of fusion and trust, with a tick of trust each second."""
     vehicle = Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))
-    fusion, trust, second = Process(Config(vehicle=vehicle)), Trust(TrustConfig()), 0
+    fusion = Process(Config(vehicle=vehicle).with_values(settings or {}))
+    trust, second = Trust(TrustConfig()), 0
     if last is not None:
         yield from fusion.handle(last)
     for message in sorted(messages, key=lambda m: m.received_ns):
@@ -110,7 +126,7 @@ def test_without_an_imu_each_fix_is_published_and_the_verdict_is_caution() -> No
     verdicts = [one for one in out if isinstance(one, TrustState)]
     assert verdicts[0].state is TrustLevel.INITIALISING
     assert verdicts[-1].state is TrustLevel.CAUTION
-    assert "no inertial unit: an attack would not be noticed" in verdicts[-1].reasons[0]
+    assert NO_INERTIAL_UNIT in verdicts[-1].reasons[0]
 
 
 def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
@@ -148,15 +164,51 @@ def test_a_gap_of_the_imu_is_survived_by_fixes_and_the_kept_heading(gaps: tuple[
 def test_a_parked_vehicle_keeps_its_heading_over_a_gap() -> None:
     """The drive stands for 20 s; a saved heading starts the filter after levelling for 15 s."""
     begin_s, end_s, stop_s = 16.8, 19.0, 20.4
-    place, attitude = drive().position[0].tolist(), drive().attitude[0].tolist()
-    last = LastPosition(
-        sampled_ns=EPOCH_NS - 10**12, latitude_deg=degrees(place[0]), longitude_deg=degrees(place[1]),
-        height_ellipsoid_m=place[2], yaw_rad=attitude[2], position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
-    )  # fmt: skip
     received = [one for one in samples((begin_s, end_s)) if one.received_ns < EPOCH_NS + stop_s * S]
-    found = [one for one in solutions(list(run([*fixes(0.0, stop_s), *received], last))) if one.phase in SOLVED]
+    found = [one for one in solutions(list(run([*fixes(0.0, stop_s), *received], parked()))) if one.phase in SOLVED]
     times_s = [(one.sampled_ns - EPOCH_NS) / S for one in found]
     assert min(times_s) < begin_s, "the filter runs before the gap"
     assert min(at_s for at_s in times_s if at_s > end_s) < end_s + 1.35
     assert abs(degrees(errors(found[-1])[1])) < 3.0
     assert found[-1].attitude_cov_ned_rad2[5] < radians(3.0) ** 2
+
+
+def test_without_gnss_a_parked_vehicle_starts_at_its_saved_position() -> None:
+    """Initialising, then dead reckoning from where it was parked; its errors stay within the level."""
+    received = [one for one in samples() if one.received_ns < EPOCH_NS + 30 * S]
+    out = list(run(received, parked(), {"alignment.without_gnss_s": 17.0}))
+    found = solutions(out)
+    assert {one.phase for one in found} == {NavigationPhase.COASTING}
+    assert 17.0 < (found[0].sampled_ns - EPOCH_NS) / S < 17.5
+    assert all(hypot(*errors(one)[0][:2]) < (one.protection_level_horizontal_m or 0.0) for one in found)
+    states = [one for one in out if isinstance(one, TrustState)]
+    assert states[0].state is TrustLevel.INITIALISING
+    assert TrustLevel.DEAD_RECKONING in {one.state for one in states}
+    assert any(NO_GNSS_YET in one.reasons[0] for one in states)
+
+
+def test_a_position_saved_on_the_move_is_no_place_to_start_from() -> None:
+    received = [one for one in samples() if one.received_ns < EPOCH_NS + 25 * S]
+    assert not solutions(list(run(received, parked(stationary=False), {"alignment.without_gnss_s": 17.0})))
+
+
+def test_a_vehicle_that_has_moved_is_not_where_it_was_saved() -> None:
+    """It drives off before the time is over."""
+    received = [one for one in samples() if one.received_ns < EPOCH_NS + 35 * S]
+    assert not solutions(list(run(received, parked(), {"alignment.without_gnss_s": 24.0})))
+
+
+def test_without_gnss_and_imu_excluded_by_trust_nothing_is_published() -> None:
+    """A position of GNSS alone is the excluded one."""
+    process = Process(Config())
+    excluded = TrustState(
+        sampled_ns=EPOCH_NS, state=TrustLevel.DEAD_RECKONING, since_ns=EPOCH_NS, row=5, reasons=("",),
+        gnss_excluded=True, suspect_since_ns=EPOCH_NS - 10 * S, alert_limit_horizontal_m=10.0,
+        alert_limit_vertical_m=20.0,
+    )  # fmt: skip
+    out: list[Message] = [*process.handle(excluded)]
+    out += [one for fix in fixes() for one in process.handle(fix)]
+    assert not solutions(out)
+    states = [one for one in out if isinstance(one, NavigationState)]
+    assert states[-1].phase is NavigationPhase.WAITING_FOR_IMU
+    assert "GNSS is excluded: no position" in states[-1].reason

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray, Geodetic, ned_track
-from shared.messages.navigation import AidingKind
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 from ..outages import Gap
 from ..track import Track
@@ -34,10 +34,11 @@ GNSS_ALONE: dict[str, str] = {
 METRICS: dict[str, str] = {
     "duration_s": "length of the recording, from its first input to its last",
     "alignment_s": "from the first input until the filter navigates",
-    "solution_count": "solutions while the filter navigates or coasts",
+    "solution_count": "solutions, of the filter or of fixes alone",
     "without_solution_s": "seconds without a solution after the first one: intervals of more than 2 s between two "
     "solutions, or between the last one and the end of the recording",
-    "distance_m": "distance travelled while the filter navigates or coasts, standstill excluded",
+    "gnss_only_s": "seconds in which fixes alone are published, because inertial samples are missing",
+    "distance_m": "distance travelled while there is a solution, standstill excluded",
     "fixes_recorded": "GNSS fixes with a position in the recording",
     "fixes_removed": "GNSS fixes removed by --outage",
     "fixes_used": "GNSS positions used by the filter",
@@ -138,6 +139,7 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "alignment_s": None if run.counters.aligned_ns is None else (run.counters.aligned_ns - run.first_ns) * 1e-9,
         "solution_count": len(run.track),
         "without_solution_s": _without_solution(run),
+        "gnss_only_s": _gnss_only(run.track),
         "distance_m": _distance(run.track),
         "fixes_recorded": run.fixes_recorded,
         "fixes_removed": run.fixes_removed,
@@ -173,6 +175,13 @@ def _without_solution(run: Run) -> float | None:
         return None
     steps = np.diff(np.r_[run.track.stamps_ns, max(run.last_ns, int(run.track.stamps_ns[-1]))])
     return float(steps[steps > LONGEST_STEP_NS].sum() * 1e-9)
+
+
+def _gnss_only(track: Track) -> float:
+    """Time from each solution of fixes alone to the next solution; longer steps are without a solution."""
+    steps = np.diff(track.stamps_ns)
+    alone = np.array([phase is NavigationPhase.GNSS_ONLY for phase in track.phases[:-1]], dtype=bool)
+    return float(steps[alone & (steps <= LONGEST_STEP_NS)].sum() * 1e-9)
 
 
 def _above_level(integrity: Mapping[str, Value]) -> tuple[Value, Value]:

@@ -213,6 +213,18 @@ def numbers(metrics: dict[str, Value]) -> list[tuple[str, str]]:
     ]
 
 
+def _missing(metrics: dict[str, Value]) -> list[str]:
+    """Say for how long there was no solution, or one of GNSS alone."""
+    found = []
+    if metrics.get("without_solution_s"):
+        missing = _seconds(metrics["without_solution_s"])
+        found.append(f"Without a solution for {missing} s after the first one; these are in none of the errors.")
+    if metrics.get("gnss_only_s"):
+        alone = _seconds(metrics["gnss_only_s"])
+        found.append(f"For {alone} s inertial samples were missing: there the solution is each fix alone.")
+    return found
+
+
 def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     """Summarise the results in a few sentences, the first of which says if they are of no use."""
     driven = f"{_number(metrics['duration_s'])} s of driving, {_number(metrics['distance_m'])} m."
@@ -224,9 +236,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
         )
     found += against_gnss(metrics)
     found += by_verdict(metrics)
-    if metrics.get("without_solution_s"):
-        missing = _seconds(metrics["without_solution_s"])
-        found.append(f"Without a solution for {missing} s after the first one; these are in none of the errors.")
+    found += _missing(metrics)
     if metrics["outage_count"]:
         gap_s, _, period_s = (heading.outage or "").partition("@")[0].partition("/")
         often = "once" if metrics["outage_count"] == 1 else f"{metrics['outage_count']} times"

@@ -47,6 +47,7 @@ class LastPositionWriter:
             yaw_rad=solution.yaw_rad - (solution.heading_turn_rad or 0.0),  # of the inertial sensors: for the filter
             position_sd_ned_m=(_sd(nn), _sd(ee), _sd(dd)),
             yaw_sd_rad=_sd(solution.attitude_cov_ned_rad2[5]),
+            stationary=solution.stationary,
         )
 
 

@@ -83,13 +83,15 @@ class Process:
         yield from self._last_position.last(self._unit.utc_offset_ns)
         yield self._unit.describe(Mode.SHUTTING_DOWN, "stop requested", self._state)
 
-    def _decide(self, *, at_once: bool) -> Iterator[ModeState]:
+    def _decide(self, *, at_once: bool) -> Iterator[ModeState | LastPosition]:
         configuring = next((d.configuring for d in self._exchanges.values() if d.configuring), None)
         fault = next((d.fault for d in self._exchanges.values() if d.fault), None)
         before, state = self._state, self._unit.mode_state(self._unit.facts(configuring, fault), self._state)
         self._state = state
         if at_once or before is None or _essence(before) != _essence(state):
             yield state
+        if state.power_off and not (before and before.power_off):
+            yield from self._last_position.last(self._unit.utc_offset_ns)
 
     def _exchange_at(self, source: str, period_s: float) -> ConfigurationExchange:
         """Exchange with another navigation period, in place of the one before."""

@@ -135,7 +135,7 @@ def _for(age_s: float | None) -> str:
 
 
 SOLVING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
-# SHUTTING_DOWN has no rule: the process publishes it on a stop request.
+# SHUTTING_DOWN has no rule: the process publishes it on a stop request, and when the battery is nearly empty.
 RULES: tuple[tuple[Mode, Rule], ...] = (
     (Mode.MEASURING, _measuring),
     (Mode.BOOT, _booting),

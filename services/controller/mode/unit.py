@@ -9,6 +9,7 @@ from shared.messages.gnss import FixType, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
+from shared.messages.power import PowerState
 from shared.messages.vehicle import VehicleSpeed
 
 from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
@@ -18,6 +19,7 @@ NS = 1_000_000_000
 SPEED_SILENT_S = SILENT_NS / NS
 RECEIVER_SILENT_S = 6.0  # a statement comes every two seconds
 LISTED = 6
+POWER_SILENT_S = 5.0  # a state comes every second
 
 
 @dataclass(slots=True)
@@ -41,6 +43,7 @@ class Unit:
     state: NavigationState | None = None
     fusion_ns: int | None = None
     has_measured: bool = False
+    power: PowerState | None = None
 
     def note(self, message: Message) -> str | None:
         """Store a message; return the name of the receiver if it is new or was silent, otherwise None."""
@@ -57,6 +60,9 @@ class Unit:
                 return self._note_fix(message)
             case GnssReceiver() if self.started_ns is not None:  # one that the broker kept may be of yesterday
                 return self._note_receiver(message)
+            case PowerState():
+                self._advance(message.sampled_ns)
+                self.power = message
             case NavigationSolution():
                 self._advance(message.sampled_ns)
                 self.solution, self.solution_ns = message, self.now_ns
@@ -91,11 +97,20 @@ class Unit:
 
     def mode_state(self, facts: Facts, before: ModeState | None) -> ModeState:
         """Determine the mode and select the sources."""
+        if reason := self.power_ends():
+            return self.describe(Mode.SHUTTING_DOWN, reason, before, power_off=True)
         mode, reason = decide(facts)
         self.has_measured |= mode is Mode.MEASURING or facts.is_gnss_only
         return self.describe(mode, reason, before)
 
-    def describe(self, mode: Mode, reason: str, before: ModeState | None) -> ModeState:
+    def power_ends(self) -> str | None:
+        """Reason for which the host is to be switched off; None while it has power, or nothing is known of it."""
+        power = self.power
+        if power is None or not power.low or (age_s(power.sampled_ns, self.now_ns) or 0.0) > POWER_SILENT_S:
+            return None
+        return f"{power.source}: {power.reason}"
+
+    def describe(self, mode: Mode, reason: str, before: ModeState | None, *, power_off: bool = False) -> ModeState:
         """Create the message of a mode; `since_ns` is kept from the previous state if the mode is unchanged."""
         kinds = self.gnss, self.imu, self.speed
         return ModeState(
@@ -109,6 +124,7 @@ class Unit:
             time_to_first_fix_s=self.first_fix_s,
             sources=tuple(name for kind in kinds for name in kind.names(self.now_ns)),
             switches=tuple(sorted((one for kind in kinds for one in kind.switches), key=lambda one: one.sampled_ns)),
+            power_off=power_off or None,
         )
 
     def search_again(self) -> None:

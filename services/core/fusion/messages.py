@@ -126,7 +126,7 @@ def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
 def prior_from_last_position(last: LastPosition) -> Prior:
     """Prior from the saved position and heading."""
     position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
-    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad)
+    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, last.stationary)
 
 
 def turned(solution: Solution, turn: tuple[float, float]) -> Solution:

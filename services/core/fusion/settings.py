@@ -206,6 +206,12 @@ class AlignmentSettings(Section):
         ge=1.0,
         description="longest time of levelling at standstill; it ends earlier when the vehicle moves",
     )
+    without_gnss_s: float = Field(
+        default=30.0,
+        ge=0.0,
+        description="time after switch-on without a GNSS position from which the filter starts at the saved position, "
+        "if the vehicle was parked there and has not moved since: dead reckoning from it",
+    )
     course_speed_m_s: float = Field(
         default=2.0, gt=0.0, description="lowest speed at which the course over ground gives the initial heading"
     )

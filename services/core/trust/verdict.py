@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from shared.messages.trust import Hypothesis
+from shared.missing_sensors import NO_GNSS_YET, NO_INERTIAL_UNIT
 
 from .facts import AGAINST_GNSS, GNSS, IMU, INERTIAL, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Posterior, Statement
 
@@ -162,7 +163,7 @@ def _coasting(facts: Facts) -> str | None:
         return None
     age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s
     if age_s is None:
-        return "no GNSS fix has been used"
+        return NO_GNSS_YET
     return None if age_s <= limit_s else f"no GNSS fix used for {age_s:.1f} s, limit {limit_s:.1f} s"
 
 
@@ -239,7 +240,7 @@ def _not_checked(facts: Facts) -> str | None:
     checks = (*INERTIAL, Monitor.SATELLITES)
     found = []
     if facts.solution is not None and facts.solution.gnss_only:
-        found.append("no inertial unit: an attack would not be noticed")
+        found.append(NO_INERTIAL_UNIT)
     if all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in checks):
         reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
         found.append(f"no independent check of the position is evaluated: {reasons}")

@@ -4,8 +4,8 @@ import logging
 
 from pydantic import Field
 
-from shared.bus.bus import Bus, Envelope
-from shared.messages.operation import RecordingState
+from shared.bus.bus import Bus, Envelope, decoded
+from shared.messages.operation import ModeState, RecordingState
 from shared.processes import Role
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
@@ -17,6 +17,7 @@ from .retention import Limits, decide, file_name
 log = logging.getLogger(__name__)
 
 STATE_NS, RETRY_NS = 1_000_000_000, 5_000_000_000
+POWER_ENDS = "the battery is nearly empty: the recording is closed until the mains are back"
 
 
 class Config(Section):
@@ -52,6 +53,7 @@ class Process:
         self._limits = Limits(config.maximum_total_bytes, config.minimum_free_bytes)
         self._kept_out: set[str] = set()
         self._reason: str | None = None
+        self._power_ends = False
         self._opened_ns = self._flush_ns = self._state_ns = self._retry_ns = 0
 
     def run(self, bus: Bus) -> None:
@@ -64,7 +66,9 @@ class Process:
                 self._state_ns = bus.now_ns() + STATE_NS
                 self._enforce_limits(bus)
                 bus.publish(self._state(bus))
-            self._write(bus.receive(0.1), bus.now_ns())
+            envelopes = bus.receive(0.1)
+            self._write(envelopes, bus.now_ns())
+            self._close_before_power_off(bus, envelopes)
         self._write(bus.receive(0.0), bus.now_ns())
         self._close()
 
@@ -77,6 +81,24 @@ class Process:
         except OSError as error:
             self._stop(f"cannot write: {error.strerror}", now_ns)
 
+    def _close_before_power_off(self, bus: Bus, envelopes: list[Envelope]) -> None:
+        """Close the file when the mode says that the power ends; a mode that the broker has kept is of another time."""
+        for envelope in envelopes:
+            if envelope.topic != "mode/state" or envelope.retained:
+                continue
+            mode = decoded(bus, envelope)
+            if not isinstance(mode, ModeState) or bool(mode.power_off) is self._power_ends:
+                continue
+            self._power_ends = bool(mode.power_off)
+            if mode.power_off:
+                try:
+                    self._folder.close_on_disk()
+                except OSError as error:
+                    log.warning("left a recording that may not be on the disk: %s", error.strerror)
+                self._stop(POWER_ENDS, bus.now_ns())
+            else:
+                self._retry_ns = 0
+
     def _enforce_limits(self, bus: Bus) -> None:
         """Make room, and begin a file where there is none or the one in progress is long enough."""
         folder, now_ns = self._folder, bus.now_ns()
@@ -88,7 +110,7 @@ class Process:
             folder.delete(verdict.delete)
             if verdict.refusal:
                 self._stop(verdict.refusal, now_ns)
-            elif not folder.open_name and now_ns >= self._retry_ns:
+            elif not folder.open_name and now_ns >= self._retry_ns and not self._power_ends:
                 folder.open(file_name(now_ns, bus.vehicle), vehicle=bus.vehicle, vehicle_toml=bus.vehicle_toml,
                             chunk_bytes=self._config.chunk_bytes)  # fmt: skip
                 self._opened_ns, self._reason = now_ns, None

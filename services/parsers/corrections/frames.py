@@ -16,14 +16,14 @@ from shared.devices.framing import FrameFinder, Sums
 from shared.maths.crc import crc4, crc16_ccitt, crc32_unreflected, crc_of_zeros, crcs_along
 from shared.messages.corrections import CorrectionProtocol
 
-MAX_UBX_PAYLOAD = 1024  # RXM-PMP is 528 bytes at most, RXM-SPARTNKEY of its two keys 84
+MAX_UBX_PAYLOAD = 528  # of RXM-PMP; RXM-SPARTNKEY with its two keys has 84
 HEADER_BYTES = 12  # of SPARTN: as many as the longest header has; a shorter one has a payload behind it
 LONGEST_BYTES = 1200  # SPARTN: header 12, payload 1023, authentication 64, CRC 4
 # A header of RTCM whose message number is possible (992 to 1311, and from 4000 on), one of SPARTN of a known kind (0 to
 # 4, 120), one of the two UBX messages, or the beginning of one of them at the end of the data.
 _STARTS = re.compile(
     rb"\xd3[\x00-\x03](?s:.)[\x3e-\x51\xfa-\xff]|s[\x00-\x09\xf0\xf1](?s:.){10}"
-    rb"|\xb5\x62\x02[\x36\x72](?s:.)[\x00-\x04]"
+    rb"|\xb5\x62\x02[\x36\x72](?s:.)[\x00-\x02]"
     rb"|(?:\xd3(?:[\x00-\x03](?s:.)?)?|s(?:[\x00-\x09\xf0\xf1](?s:.){0,9})?"
     rb"|\xb5(?:\x62(?:\x02(?:[\x36\x72](?s:.)?)?)?)?)\Z"
 )

@@ -5,6 +5,7 @@ import os
 import select
 import socket
 import threading
+import time
 from typing import TYPE_CHECKING, Protocol
 
 from shared.devices.device import Device, DeviceBusy, DeviceLost, open_device
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 READ_BYTES = 4096
 MOST_AT_ONCE = 16384  # [bytes] read in one turn
 MOST_WAITING = 8192  # [bytes] not sent yet: the longest request is a tenth of it
-MOST_ADDRESSES = 4  # of one host that are tried
+MOST_ADDRESSES = 3  # of one host that are tried
+ADDRESS_S = 4.0  # for each of them, so that all have their turn: IPv6 may lead nowhere where IPv4 works
 
 
 class Connection(Protocol):
@@ -75,6 +77,7 @@ class TcpConnection:
         self._resolver.start()
         self._open = False
         self._waiting = b""
+        self._tried_s = 0.0  # since when the present address is tried
 
     def opened(self) -> bool:
         """Go on with connecting: look-up, TCP, then TLS."""
@@ -141,11 +144,14 @@ class TcpConnection:
                     made.close()
                     self._next(error.strerror or str(error))
                     return
-        self.sock, self.wants_write = made, True
+        self.sock, self.wants_write, self._tried_s = made, True, time.monotonic()
 
     def _connected(self) -> bool:
         assert self.sock is not None
         if not select.select([], [self.sock], [], 0.0)[1]:
+            if self._resolver.found and time.monotonic() - self._tried_s > ADDRESS_S:
+                self.sock.close()
+                self.sock = None
             return False
         if fault := self.sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             self.sock.close()

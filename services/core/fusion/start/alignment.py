@@ -29,6 +29,7 @@ from .heading import (
     forwards_or_backwards,
     heading_of_accelerations,
     heading_of_motion,
+    parked_heading,
     saved_heading,
 )
 from .initial_position import FirstPlace, first_place
@@ -163,6 +164,24 @@ class Alignment:
             return None
         heading = self._heading(fix)
         return self._start(fix, self._motion, heading) if heading else None
+
+    def start_parked(self, time_ns: int) -> ErrorStateFilter | None:
+        """Start at the saved position, if the vehicle was parked there and has not moved since; otherwise None."""
+        saved, level = self._saved, self.levelling
+        if saved is None or self.first_fix is not None or not level.ready:
+            return None
+        heading = parked_heading(saved, level)
+        if heading is None:
+            return None
+        arm, half = self._settings.vehicle.gnss.lever_arm_body_m, 0.5 * heading.turn
+        attitude = quaternion_product((cos(half), 0.0, 0.0, sin(half)), level.quaternion)
+        place = GnssPosition(
+            time_ns=time_ns, received_ns=time_ns, source="navigation/last_position",
+            position=geodetic_from_ned_difference(rotate(attitude, arm), saved.position),
+            cov=np.diag(np.square(saved.position_sd)), axes=3, lever_arm=arm, time_sd_s=0.0,
+        )  # fmt: skip
+        still = Motion(time_ns, (0.0, 0.0, 0.0), (STANDSTILL_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0))
+        return self._start(place, still, heading)
 
     def _heading(self, fix: GnssPosition) -> Heading | None:
         """Most accurate of all known headings, without those that the motion contradicts."""

@@ -33,6 +33,17 @@ class Prior:
     position_sd: Vector
     yaw: float
     yaw_sd: float
+    parked: bool = False  # saved at standstill
+
+
+def parked_heading(saved: Prior, levelling: Levelling) -> "Heading | None":
+    """Saved heading of a vehicle that was parked and has not moved since; None of another one."""
+    if not saved.parked or not levelling.has_stood or levelling.yaw_at_start is None:
+        return None
+    if saved.yaw_sd > SAVED_YAW_SD_LIMIT:
+        return None
+    sd = max(saved.yaw_sd, SAVED_YAW_SD_FLOOR) + drift_sd(levelling)
+    return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, "saved position and heading")
 
 
 class Heading(NamedTuple):

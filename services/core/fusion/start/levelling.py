@@ -158,6 +158,11 @@ class Levelling:
         return level and dist(mean.rate, self.rate_bias) < BIAS_CHANGE_LIMIT
 
     @property
+    def has_stood(self) -> bool:
+        """Whether the vehicle stands, and has not moved since the first sample."""
+        return self.is_stationary and self.yaw_at_start is not None and self._motion_s < MOTION_S
+
+    @property
     def standstill_s(self) -> float:
         """Time for which successive blocks have agreed."""
         return self._standstill.length_s

@@ -85,6 +85,7 @@ class Engine:
         self._suspect_s = 0.0  # time of suspect samples since the last inflation
         self._rejections = 0  # number of consecutive rejected positions
         self._lost_reason = lost_reason
+        self._begun_ns = 0  # stamp of the first sample
 
     def copy(self) -> "Engine":
         """Independent copy."""
@@ -149,6 +150,7 @@ class Engine:
         begin = 0
         if self.last is None and len(samples.times_ns):
             self.last, begin = _sample(samples, 0), 1
+            self._begun_ns = self.last.time_ns
             reason = self._with_loss("levelling") if self._lost_reason else "measuring tilt and gyroscope bias at rest"
             self._enter(NavigationPhase.LEVELLING, self.last.time_ns, reason)
             if self._saved is not None:
@@ -237,6 +239,18 @@ class Engine:
             self._alignment.levelling.advance(sample.force, sample.rate, step_s)
             self.last = sample
             self._update_phase()
+            self._start_parked()
+
+    def _start_parked(self) -> None:
+        """Start at the saved position where no GNSS position has come for long, and the vehicle has not moved."""
+        waited_s = (self.time_ns - self._begun_ns) * 1e-9
+        if self._prior is None or self._alignment is None or waited_s < self._settings.alignment.without_gnss_s:
+            return
+        started = self._alignment.start_parked(self.time_ns)
+        if started is not None:
+            self._start(started, self.time_ns, Comparison())
+            reason = f"no GNSS position for {waited_s:.0f} s: started at the saved position"
+            self._enter(NavigationPhase.COASTING, self.time_ns, reason)
 
     def _bridge(self, sample: Sample, measurements: Sequence[Measurement], intervals: Intervals) -> list[Outcome]:
         """Propagate over a gap before a sample with the mean of its two ends, or end the solution."""

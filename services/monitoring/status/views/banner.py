@@ -19,6 +19,7 @@ from shared.messages.navigation import (
     SetUpVerdict,
 )
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.missing_sensors import NO_INERTIAL_UNIT
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 
@@ -245,7 +246,7 @@ def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdi
     waiting = WAITING.get(e.phase) if e.phase else None
     known = {TrustLevel.NO_FIX: e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
     if (trust.state, trust.row) == NOT_CHECKED and e.phase is NavigationPhase.GNSS_ONLY:
-        known = "no inertial unit: an attack would not be noticed"
+        known = NO_INERTIAL_UNIT
     why = known or _which_is_wrong(e, trust) or _why(trust)
     conflict = trust.suspect_since_ns is not None or suspected(trust.beliefs)
     above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and not conflict

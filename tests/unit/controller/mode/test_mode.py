@@ -11,6 +11,7 @@ from shared.messages.gnss import FixType, GnssConfiguration, GnssConfigure, Gnss
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
+from shared.messages.power import PowerState
 from shared.messages.vehicle import VehicleSpeed
 
 NS = 1_000_000_000
@@ -363,3 +364,29 @@ def test_what_the_operator_wants_is_used_while_it_is_valid() -> None:
         sources.note_received("b", k * NS, valid=k < 10)
         sources.wanted = "b" if k >= 3 else None
         assert sources.choose(k * NS) == ("a" if k < 3 or k > 12 else "b")
+
+
+def power(second: float, *, low: bool) -> PowerState:
+    return PowerState(
+        sampled_ns=at(second), source="ups", on_battery=True, low=low, reason="battery nearly empty, about 8% left"
+    )
+
+
+def test_a_battery_that_is_nearly_empty_shuts_down_and_stores_the_position_and_mains_end_it() -> None:
+    process = Process(Config())
+    feed(process, [message for second in range(12) for message in healthy_second(second)])
+    stored = feed(process, [power(12.1, low=True)])
+    state = newest(stored)
+    assert (state.mode, state.power_off) == (Mode.SHUTTING_DOWN, True) and "8% left" in state.reason
+    assert len([message for message in stored if isinstance(message, LastPosition)]) == 1
+    again = feed(process, [power(13.1, low=True), Tick(now_ns=at(14.0))])
+    assert newest(again).power_off and not any(isinstance(message, LastPosition) for message in again)
+    back = newest(feed(process, [power(14.1, low=False), *healthy_second(15)]))
+    assert not back.power_off and back.mode is not Mode.SHUTTING_DOWN
+
+
+def test_a_supply_that_falls_silent_shuts_nothing_down() -> None:
+    process = Process(Config())
+    feed(process, [message for second in range(12) for message in healthy_second(second)])
+    assert newest(feed(process, [power(12.1, low=True)])).power_off
+    assert not newest(feed(process, [*healthy_second(18), Tick(now_ns=at(18.5))])).power_off

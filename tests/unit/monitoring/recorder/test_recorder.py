@@ -9,10 +9,10 @@ from pydantic import ValidationError
 from services.monitoring.recorder.process import Config, Process
 from shared.bus.bus import Envelope
 from shared.library.order import in_order, read_order
-from shared.messages.operation import RecordingState
+from shared.messages.operation import Mode, ModeState, RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
-from tests.support.bus.envelopes import sent_bytes
+from tests.support.bus.envelopes import sent, sent_bytes
 from tests.support.bus.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
@@ -358,3 +358,36 @@ def test_a_recording_that_cannot_be_deleted_does_not_stop_the_deletion_of_others
     states = run(tmp_path, Config(minimum_free_bytes=0, maximum_total_bytes=210_000), 30)
     assert states[-1].recording
     assert names_of(folder) == ["a.mcap", "c.mcap", "20260921T141320Z_car.mcap"]
+
+
+def mode_at(call: int, *, power_off: bool, retained: bool = False) -> Envelope:
+    state = ModeState(sampled_ns=START_NS, mode=Mode.SHUTTING_DOWN, since_ns=START_NS, reason="", power_off=power_off)
+    return sent(state, START_NS + call, "controller.mode", 1, call, retained=retained)
+
+
+def test_the_file_is_closed_before_the_power_ends_and_a_new_one_begins_when_it_is_back(tmp_path: Path) -> None:
+    folder, finished = tmp_path / "recordings", []
+
+    def script(call: int) -> list[Envelope] | None:
+        if call == 35:
+            (path,) = folder.glob("*.mcap")
+            finished.append(path.read_bytes().endswith(b"\x89MCAP0\r\n"))  # the magic bytes behind the summary
+        if call == 80:
+            return None
+        return [mode_at(call, power_off=20 <= call < 50)]
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(EASY).run(bus.as_bus())
+    states = [message for message in bus.published if isinstance(message, RecordingState)]
+    assert finished == [True] and len(list(folder.glob("*.mcap"))) == 2
+    assert [state.recording for state in states] == [True] * 3 + [False] * 3 + [True] * 3
+    assert "nearly empty" in (states[4].reason or "")
+
+
+def test_a_mode_that_the_broker_has_kept_closes_nothing(tmp_path: Path) -> None:
+    def script(call: int) -> list[Envelope] | None:
+        return [mode_at(call, power_off=True, retained=True)] if call < 25 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(EASY).run(bus.as_bus())
+    assert all(message.recording for message in bus.published if isinstance(message, RecordingState))

@@ -72,7 +72,7 @@ def test_a_spartn_frame_inside_of_rxm_pmp_goes_on_once_as_part_of_it() -> None:
     assert [frame.data for frame in found] == [PMP] and not rejects
 
 
-@pytest.mark.parametrize("unit", [b"\xd3\x03\xff\x3f", b"s\x03\xff\xef", b"\xb5\x62\x02\x72\x00\x04", None])
+@pytest.mark.parametrize("unit", [b"\xd3\x03\xff\x3f", b"s\x03\xff\xef", b"\xb5\x62\x02\x72\x10\x02", None])
 def test_bytes_made_to_look_like_headers_cost_no_more_than_others(unit: bytes | None) -> None:
     """Rubbish costs a bounded number of checks: `judged` is at most one for each four bytes."""
     size = 40_000

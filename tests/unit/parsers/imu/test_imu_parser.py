@@ -139,6 +139,7 @@ def test_a_clipped_magnetometer_does_not_set_saturated() -> None:
 def test_slow_quantities_have_si_units_and_may_be_sent_separately() -> None:
     slow = {xbus.TEMPERATURE: (25.0,), xbus.BARO_PRESSURE: (101_325,), xbus.MAGNETIC_FIELD: (0.3, 0.4, 0.5)}
     process = Process(Config())
+    feed(process, frame(0))
     assert not feed(process, frame(1, slow))
     (message,) = feed(process, frame(2))
     assert message.temperature_k == pytest.approx(298.15)
@@ -156,7 +157,8 @@ def test_slow_quantities_have_si_units_and_may_be_sent_separately() -> None:
         ({xbus.ACCELERATION: (0, 0, 0), xbus.RATE_OF_TURN: (math.inf, 0, 0)}, "not_finite"),
         ({xbus.ACCELERATION: (1e6, 0, 0), xbus.RATE_OF_TURN: (0, 0, 0)}, "out_of_range"),
         ({xbus.ACCELERATION: (0, 0, 0), xbus.RATE_OF_TURN: (0, -500, 0)}, "out_of_range"),
-        ({xbus.RATE_OF_TURN: (0, 0, 0)}, "no_inertial_data"),
+        ({xbus.RATE_OF_TURN: (0, 0, 0)}, "no_acceleration"),
+        ({xbus.ACCELERATION: (0, 0, 9.8)}, "no_rate_of_turn"),
     ],
 )
 def test_an_invalid_sample_is_counted_and_its_neighbours_are_kept(
@@ -202,7 +204,16 @@ def test_the_first_increments_are_rejected_for_lack_of_an_interval() -> None:
     fields = {xbus.DELTA_V: (0.0, 0.0, 0.098), xbus.DELTA_Q: (1.0, 0.0, 0.0, 0.0)}
     messages = drive(process, {k: frame(k, fields) for k in range(1, 4)})
     assert [message.specific_force_body_m_s2[0][2] for message in messages] == pytest.approx([-9.8] * 2)
-    assert process.rejects == {"no_inertial_data": 1}
+    assert process.rejects == {"no_acceleration_and_rate_of_turn": 1}
+
+
+def test_a_tracker_that_sends_no_inertial_data_is_told_what_is_missing() -> None:
+    process = Process(Config())
+    assert not feed(process, b"".join(frame(k, {xbus.QUATERNION: (1.0, 0.0, 0.0, 0.0)}) for k in range(5)))
+    assert process.rejects == {"no_acceleration_and_rate_of_turn": 5}
+    (kind,) = process.kinds.table()
+    assert (kind.kind, kind.count, kind.rejected) == ("Xbus MTData2", 5, 5)
+    assert kind.reason == "no_acceleration_and_rate_of_turn"
 
 
 def test_other_messages_are_ignored_and_excess_sources_are_rejected() -> None:

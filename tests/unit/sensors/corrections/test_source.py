@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import pytest
 
+from services.sensors.corrections import connection
 from services.sensors.corrections import source as module
 from services.sensors.corrections.address import parse
 from services.sensors.corrections.gga import Position
@@ -140,6 +141,24 @@ def test_a_port_without_a_caster_and_an_unknown_host_are_said() -> None:
     run = Clocked("ntrip://no-such-host.invalid/M")
     run.reaches(SourcePhase.WAITING)
     assert "cannot find no-such-host.invalid" in run.reason
+
+
+def test_each_address_of_a_host_has_its_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first refuses; the second does not answer: a server whose queue of connections is full; the third does."""
+    with (
+        fake_caster(saying(ICY + DATA, then_s=0.2)) as caster,
+        socket.create_server(("127.0.0.1", 0)) as free,
+        socket.create_server(("127.0.0.1", 0), backlog=0) as deaf,
+    ):
+        closed_port = free.getsockname()[1]
+        free.close()
+        with socket.create_connection(deaf.getsockname()):
+            ports = (closed_port, deaf.getsockname()[1], caster.port)
+            rows = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", port)) for port in ports]
+            monkeypatch.setattr(socket, "getaddrinfo", lambda *_args, **_options: rows)
+            monkeypatch.setattr(connection, "ADDRESS_S", 0.1)
+            run = Clocked(caster.url())
+            run.until(lambda: run.data == DATA)
 
 
 def fix(now_s: float, **values: object) -> GnssFix:

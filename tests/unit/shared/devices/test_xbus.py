@@ -147,6 +147,16 @@ def test_each_byte_is_summed_once_and_no_place_is_judged_twice(pattern: bytes, s
     assert reader.summed <= len(data) + TAIL * max(len(feeds), len(data) / xbus.MAX_PAYLOAD_BYTES + 1)
 
 
+@pytest.mark.parametrize("cut", [1, 2, 7])
+def test_a_valid_message_that_must_wait_is_the_same_when_its_bytes_arrive_one_by_one(cut: int) -> None:
+    """The running sums at its ends are gone by the time that no incomplete message is around it."""
+    inner = encode_message(0x12, bytes(range(20)))
+    data = b"\xfa\xff\x36\xc8" + bytes(10) + inner + bytes(250)  # a header of 200 bytes whose checksum is wrong
+    reader = XbusReader()
+    found = [message for at in range(0, len(data), cut) for message in reader.feed(data[at : at + cut])]
+    assert [(message.mid, message.payload) for message in found] == [(0x12, bytes(range(20)))]
+
+
 def test_a_message_that_is_no_measurement_comes_when_the_incomplete_one_around_it_is_over() -> None:
     reader, other = XbusReader(), encode_message(0x42, b"ack")
     around = bytes.fromhex("fa ff 36 40")

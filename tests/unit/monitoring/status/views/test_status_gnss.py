@@ -17,6 +17,7 @@ from services.monitoring.status.history.gnss_history import (
 from services.monitoring.status.history.history_file import HistoryFile
 from services.monitoring.status.state import State
 from services.monitoring.status.views.gnss import gnss, why_not_used
+from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import (
     CarrierSolution,
     Constellation,
@@ -170,3 +171,14 @@ def test_tracks_have_a_point_every_half_minute_and_all_of_it_is_bounded() -> Non
     alone = GnssSatellites(sampled_ns=0, received_ns=0, source="gnss0", satellites=crowd[:1])
     history.note(alone, 7200 * NS)
     assert set(tracks) == {("gps", 0)}, "who has not been seen for an hour is dropped"
+
+
+def test_the_source_of_corrections_is_shown_while_its_statement_is_fresh() -> None:
+    state = State("bench", (), 0, 900.0)
+    assert gnss(state, NS)["corrections"] is None
+    types = {"RTCM 1005 station position": 3}
+    stated = CorrectionsState(sampled_ns=NS, active="ntrip://caster/M", reason="", types=types)
+    state.receive(sent(stated, NS, "parsers.corrections", 1))
+    shown = from_json(to_json(gnss(state, 2 * NS)))["corrections"]
+    assert (shown["active"], shown["types"]) == ("ntrip://caster/M", types)
+    assert gnss(state, 60 * NS)["corrections"] is None

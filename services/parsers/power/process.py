@@ -1,0 +1,112 @@
+"""Turns readings of the supply into volts, amperes and share of charge, and says when the battery is nearly empty."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from shared.messages.base import Message, Tick
+from shared.messages.power import PowerEvent, PowerRaw, PowerState
+from shared.runtime.config import Section
+
+from .battery import NS, Decoder, Limits, LowBattery, Reading
+
+SILENT_NS = 5 * NS  # readings come every second
+
+
+class Config(Section):
+    """Settings of the parser of power; those of voltages are for a UPS with two lithium cells."""
+
+    shunt_ohm: float = Field(default=0.1, gt=0.0, le=10.0, description="resistance of the shunt of the INA219")
+    empty_v: float = Field(default=6.0, gt=0.0, le=60.0, description="voltage of the empty battery")
+    full_v: float = Field(default=8.4, gt=0.0, le=60.0, description="voltage of the full battery")
+    discharging_a: float = Field(
+        default=0.05, ge=0.0, le=10.0, description="current out of the battery above which the unit runs on it"
+    )
+    low_charge_ratio: float = Field(
+        default=0.1, ge=0.0, le=0.9, description="share of charge at which the battery is nearly empty"
+    )
+    low_hold_s: float = Field(
+        default=10.0, ge=3.0, le=600.0, description="time below that share, without a break, until it counts"
+    )
+    signal_hold_s: float = Field(
+        default=60.0,
+        ge=3.0,
+        le=86400.0,
+        description="time on battery after which that of a supply without a voltage counts as nearly empty",
+    )
+    start_s: float = Field(
+        default=120.0,
+        ge=0.0,
+        le=3600.0,
+        description="time after the first reading in which the battery never counts as nearly empty, so that a wrong "
+        "reading cannot switch the unit off at each start",
+    )
+
+    @model_validator(mode="after")
+    def _has_a_span(self) -> Self:
+        if self.full_v <= self.empty_v:
+            raise ValueError("full_v must be above empty_v")
+        return self
+
+
+class Process:
+    """One supply; time is taken from the stamps of the messages only."""
+
+    def __init__(self, config: Config) -> None:
+        self.rejects: Counter[str] = Counter()
+        self._config = config
+        limits = Limits(config.shunt_ohm, config.empty_v, config.full_v, config.discharging_a, config.low_charge_ratio)
+        self._decoder = Decoder(limits, self.rejects)
+        self._low = LowBattery(
+            round(config.low_hold_s * NS), round(config.signal_hold_s * NS), round(config.start_s * NS)
+        )
+        self._source: str | None = None
+        self._reading: Reading | None = None
+        self._read_ns = self._since_ns = 0
+        self._is_low = False
+
+    def handle(self, message: Message) -> Iterator[PowerState | PowerEvent]:
+        """Process a reading or a tick."""
+        match message:
+            case PowerRaw():
+                yield from self._take(message)
+            case Tick() if self._source is not None:
+                yield self._state(message.now_ns)
+
+    def _take(self, raw: PowerRaw) -> Iterator[PowerEvent]:
+        if self._source not in (None, raw.source):
+            self.rejects["too_many_sources"] += 1
+            return
+        self._source = raw.source
+        reading = self._decoder.decode(raw)
+        if reading is None:
+            return
+        before, was_low = self._reading, self._is_low
+        self._reading, self._read_ns = reading, raw.received_ns
+        if before is None or before.on_battery is not reading.on_battery:
+            self._since_ns = raw.received_ns
+        self._is_low = self._low.update(reading, raw.received_ns, self._config.low_charge_ratio)
+        if self._is_low is not was_low or (reading.on_battery is not (before is not None and before.on_battery)):
+            yield PowerEvent(
+                sampled_ns=raw.received_ns, source=raw.source, on_battery=reading.on_battery, low=self._is_low,
+                reason=_text(reading, self._is_low),
+            )  # fmt: skip
+
+    def _state(self, now_ns: int) -> PowerState:
+        reading = self._reading
+        if reading is None or now_ns - self._read_ns > SILENT_NS:
+            return PowerState(sampled_ns=now_ns, source=self._source or "", reason="no plausible reading of the supply")
+        return PowerState(
+            sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._since_ns,
+            voltage_v=reading.voltage_v, current_a=reading.current_a, charge_ratio=reading.charge_ratio,
+            low=self._is_low, low_s=self._low.below_s(now_ns), reason=_text(reading, self._is_low),
+        )  # fmt: skip
+
+
+def _text(reading: Reading, low: bool) -> str:
+    left = "" if reading.charge_ratio is None else f", about {reading.charge_ratio:.0%} left"
+    if low:
+        return f"battery nearly empty{left}"
+    return f"on battery{left}" if reading.on_battery else f"mains{left.replace(' left', ' charged')}"

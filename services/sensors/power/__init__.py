@@ -1,0 +1,1 @@
+"""Layer 1, power: an uninterruptible power supply, or a signal of the mains."""
