@@ -24,12 +24,14 @@ from shared.runtime.config import load_vehicle
 IN_MODULES = {  # commands that are imported when they are called: NumPy and the filter take seconds
     "import": ("import_drive.import_drive", "import_drive"),
     "solve": ("solve.solve", "solve"),
+    "kpi": ("kpi.kpi", "kpi"),
     "attack-lab": ("attack_lab.attack_lab", "attack_lab"),
     "replay": ("recordings.replay", "replay"),
     "export": ("export.export", "export"),
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "record repair": ("recordings.record", "repair"),
 }

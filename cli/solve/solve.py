@@ -1,6 +1,5 @@
 """`obu solve`: processes a whole recording with layers 2 to 4, and evaluates the solution."""
 
-import csv
 import gc
 import json
 import time
@@ -11,7 +10,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated, cast
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import Progress
@@ -21,7 +19,7 @@ from services.core.fusion.smoothing.history import HistoryRecorder
 from services.core.fusion.smoothing.rts import smoothed_filters
 from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
-from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
+from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingUpdate, NavigationPhase, NavigationSolution, NavigationState, SetUpState
 from shared.messages.trust import TrustState
@@ -29,7 +27,6 @@ from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
 from ..import_drive.estimates.agreement import MotionLog, told
-from ..import_drive.readers.table import read_table
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from .files import write
@@ -42,11 +39,12 @@ from .metrics.metrics import Run, Value, metrics_of
 from .metrics.trust import Harm, Trust, harm_of
 from .outages import Outages
 from .overrides import SWITCHES, Aiding, with_settings
-from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
+from .reference_track import Reference
 from .report.report import Heading, document, is_hardly_used, summary
 from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
+from .truth import any_fixed, given_truth, truth_of_fixes
 from .verdicts import VerdictLog
 
 PARSERS = ("parsers.gnss", "parsers.imu")
@@ -128,7 +126,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     _check_start(drive, "--score-from", score_from)
     if (outages := _outages(outage, drive)) is not None:
         _check_start(drive, "--outage", (outages.start_ns or 0) * 1e-9)
-    given, by_fixes = _given_truth(drive, truth)
+    given, by_fixes = given_truth(drive.provenance, drive.inputs.truth, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
         progress = stack.enter_context(progress_on(console))
@@ -137,7 +135,9 @@ def solve(  # noqa: PLR0913  # one argument an option
         # All fixes of the recording, those removed by an outage included.
         fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
         reference = (
-            _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
+            truth_of_fixes(fixes, _fusion(drive.vehicle))
+            if by_fixes == "fixes" or (by_fixes == "perhaps" and any_fixed(fixes))
+            else given
         )
         # Nothing of core.trust but an exclusion has an effect on the filter: without one, both runs are the same.
         plain = solved
@@ -330,47 +330,6 @@ def _fed(drive: Drive, outages: Outages | None, counters: Counters, progress: Pr
         yield message
 
 
-def _given_truth(drive: Drive, truth: str | None) -> tuple[Reference | None, str]:
-    """Select the truth: the requested one, otherwise the one stated or held by the recording.
-
-    The second item is "fixes" if the GNSS fixes are the truth, "perhaps" if they are used when RTK-fixed, and "none"
-    otherwise.
-    """
-    word = truth or drive.provenance.get("truth_is") or ("recorded" if drive.inputs.truth else "perhaps")
-    if word in ("none", "fixes", "perhaps"):
-        return None, word
-    if word != "recorded":
-        return _truth_file(Path(word)), "none"
-    reference = from_states(drive.inputs.truth, at_antenna=drive.provenance.get("truth_at") == "antenna")
-    quantities = drive.provenance.get("truth_quantities", "") if truth is None else ""
-    return reference.only(quantities.split(",")) if quantities else reference, "none"
-
-
-def _any_fixed(fixes: list[GnssFix]) -> bool:
-    return any(fix.carrier_solution == CarrierSolution.FIXED for fix in fixes)
-
-
-def _truth_file(path: Path) -> Reference:
-    """Read a CSV file with columns named as in solution.csv."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = csv.reader(file)
-            header = next(rows, [])
-            clock = "utc_s" if "utc_s" in header else "sampled_ns"
-            known = [name for name in (*POSITION, *VELOCITY, *ATTITUDE) if name in header]
-            table = read_table(rows, header, [clock, *known], path.name)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a CSV file"
-        raise UserError(
-            f"cannot read the truth {path}: {reason}; --truth is fixes, recorded, none or a CSV file"
-        ) from error
-    if not known:
-        raise UserError(f"{path} has none of the columns {', '.join(POSITION)}; docs/reference/metrics.md lists them")
-    stamps = np.round(table[clock] * (1e9 if clock == "utc_s" else 1.0)).astype(np.int64)
-    order = np.argsort(stamps, kind="stable")
-    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known})
-
-
 def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: list[GnssFix]) -> Run:
     """Compare the solution with the truth."""
     track = solved.builder.track().valid()
@@ -434,11 +393,6 @@ def _folder(path: Path) -> Path:
 
 def _fusion(vehicle: VehicleFile) -> Config:
     return vehicle.section("core.fusion", Config)
-
-
-def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
-    config = _fusion(drive.vehicle)
-    return from_fixes(fixes, delay_s=config.gnss.delay_s, velocity_delay_s=config.gnss.velocity_delay_s)
 
 
 def _facts(drive: Drive, changes: tuple[str, ...], *, with_trust: bool) -> list[tuple[str, str]]:

@@ -24,7 +24,6 @@ MOST_PRODUCERS = 16  # of origin/state that are remembered; a unit has four
 SCALAR_95 = 1.959964  # standard normal distribution, two-sided
 ELLIPSE_95 = 2.447747  # sqrt of the 0.95 quantile of chi-square with 2 degrees of freedom: sqrt(-2 ln 0.05)
 SLOWEST_COURSE_M_S = 1.0  # below it the course is noise; the CAM has the same limit
-ALONE = "gnss_only"  # phase of a unit without inertial samples, whose attitude is not measured
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
 
 
@@ -146,7 +145,7 @@ class Newest:
         recent = trust is not None and abs(time_ns - trust.sampled_ns) <= VERDICT_SILENT_NS
         if trust is None or not recent or simulated is None or trust.state not in USABLE:
             return self._without_fix(time_ns, trust.state if trust is not None and recent else None)
-        fused = str(solution.phase) != ALONE
+        fused = solution.phase is not NavigationPhase.GNSS_ONLY
         coasting = (
             solution.phase is NavigationPhase.COASTING
             or trust.state is TrustLevel.DEAD_RECKONING

@@ -1,0 +1,1 @@
+"""`obu kpi`: key performance indicators of a drive."""
