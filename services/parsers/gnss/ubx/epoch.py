@@ -30,6 +30,8 @@ DECODERS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "PL": ("levels", messages.decode_levels),
 }
 
+PARTS = frozenset(("STATUS", "SOL", "POSLLH", "VELNED", "TIMEUTC", "TIMEGPS", "PL"))
+
 
 @dataclass(slots=True)
 class Epoch:
@@ -100,20 +102,24 @@ class EpochAssembler:
         self._kinds: set[str] = set()
         self._kinds_before: deque[set[str]] = deque(maxlen=2)
         self._done = True
+        self._has_fix = False  # whether the epoch before had NAV-PVT or NAV-PVAT
 
     def take(self, kind: str, payload: bytes, received_ns: int) -> Iterator[Epoch]:
         """Process one message; yield the completed epochs. Raises UbxError for one of which nothing is known."""
         itow = messages.itow_of(kind, payload)
         if self._epoch is None or itow != self._epoch.itow_ms:
             yield from self._finish()
+            if self._epoch is not None:
+                self._has_fix = self._epoch.pvt is not None or self._epoch.pvat is not None
             self._kinds_before.append(self._kinds)
             self._kinds = set()
             self._epoch, self._done = Epoch(itow, received_ns, received_ns), False
         if kind == "EOE":
             yield from self._finish()
             return
-        self._kinds.add(kind)
-        self._epoch.last_received_ns = received_ns
+        if not (self._has_fix and kind in PARTS):  # of a fix that NAV-PVT gives, nobody waits for these
+            self._kinds.add(kind)
+            self._epoch.last_received_ns = received_ns
         try:
             field, decode = DECODERS[kind]
             setattr(self._epoch, field, decode(payload))
