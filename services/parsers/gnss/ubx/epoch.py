@@ -117,7 +117,8 @@ class EpochAssembler:
         if kind == "EOE":
             yield from self._finish()
             return
-        if not (self._has_fix and kind in PARTS):  # of a fix that NAV-PVT gives, nobody waits for these
+        has_fix = self._has_fix or self._epoch.pvt is not None or self._epoch.pvat is not None
+        if not (has_fix and kind in PARTS):  # of a fix that NAV-PVT gives, nobody waits for these
             self._kinds.add(kind)
             self._epoch.last_received_ns = received_ns
         try:

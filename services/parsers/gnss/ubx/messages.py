@@ -200,11 +200,11 @@ def decode_pvt(payload: bytes) -> Pvt:
         differential=bool(flags & 2),
         carrier_solution=_CARRIER[flags >> 6],
         satellites_used=satellites,
-        position=None if flags3 & 1 else _position(lon, lat, height, msl, h_acc, v_acc),
+        position=None if flags3 & 1 else _position(lon / 1e7, lat / 1e7, height, msl, h_acc, v_acc),
         velocity_ned_m_s=(vel_n * 1e-3, vel_e * 1e-3, vel_d * 1e-3),
         speed_sd_m_s=_accuracy(s_acc, 1e-3),
         ground_speed_m_s=speed * 1e-3,
-        course_rad=math.radians(course * 1e-5),
+        course_rad=math.radians(course / 1e5),
         pdop=_dop(pdop),
         correction_age_s=_CORRECTION_AGES[age] if age < len(_CORRECTION_AGES) else None,
     )
@@ -225,11 +225,11 @@ def decode_pvat(payload: bytes) -> Pvt:
         differential=bool(flags & 2),
         carrier_solution=_CARRIER[flags >> 6],
         satellites_used=satellites,
-        position=_position(lon, lat, height, msl, h_acc, v_acc),
+        position=_position(lon / 1e7, lat / 1e7, height, msl, h_acc, v_acc),
         velocity_ned_m_s=(vel_n * 1e-3, vel_e * 1e-3, vel_d * 1e-3),
         speed_sd_m_s=_accuracy(s_acc, 1e-3),
         ground_speed_m_s=speed * 1e-3,
-        course_rad=math.radians(course * 1e-5),
+        course_rad=math.radians(course / 1e5),
         pdop=None,
         correction_age_s=None,
     )
@@ -251,7 +251,8 @@ def decode_covariance(payload: bytes) -> Covariance:
 
 def decode_position(payload: bytes) -> Position | None:
     """Decode UBX-NAV-POSLLH."""
-    return _position(*_POSITION.unpack_from(payload)[1:])
+    _, lon, lat, *rest = _POSITION.unpack_from(payload)
+    return _position(lon / 1e7, lat / 1e7, *rest)
 
 
 def decode_high_precision(payload: bytes) -> Position | None:
@@ -261,9 +262,8 @@ def decode_high_precision(payload: bytes) -> Position | None:
     )
     if flags & 1:
         return None
-    return _position(
-        lon + lon_hp * 1e-2, lat + lat_hp * 1e-2, height + height_hp * 0.1, msl + msl_hp * 0.1, h_acc, v_acc, digit=1e-4
-    )
+    lon_deg, lat_deg = (lon * 100 + lon_hp) / 1e9, (lat * 100 + lat_hp) / 1e9
+    return _position(lon_deg, lat_deg, height + height_hp * 0.1, msl + msl_hp * 0.1, h_acc, v_acc, digit=1e-4)
 
 
 def decode_baseline(payload: bytes) -> Baseline:
@@ -272,7 +272,7 @@ def decode_baseline(payload: bytes) -> Baseline:
     wanted = 1 | 4 | 32 | 256  # gnssFixOK, relPosValid, isMoving, relPosHeadingValid
     if flags & wanted != wanted or _CARRIER[flags >> 3 & 3] is not CarrierSolution.FIXED or heading_sd <= 0:
         return Baseline(None, None, None)
-    return Baseline(math.radians(heading * 1e-5), math.radians(heading_sd * 1e-5), length_cm * 1e-2)
+    return Baseline(math.radians(heading / 1e5), math.radians(heading_sd / 1e5), length_cm * 1e-2)
 
 
 def decode_status(payload: bytes) -> Status:
@@ -305,7 +305,7 @@ def decode_velocity(payload: bytes) -> Motion:
     """Decode UBX-NAV-VELNED."""
     _, north, east, down, speed, course, s_acc = _VELOCITY.unpack_from(payload)
     velocity = (north * 1e-2, east * 1e-2, down * 1e-2)
-    return Motion(velocity, _accuracy(s_acc, 1e-2), speed * 1e-2, math.radians(course * 1e-5))
+    return Motion(velocity, _accuracy(s_acc, 1e-2), speed * 1e-2, math.radians(course / 1e5))
 
 
 def decode_time_utc(payload: bytes) -> tuple[int | None, bool]:
@@ -404,10 +404,17 @@ def _fix_type(number: int) -> FixType:
 
 
 def _position(
-    lon: float, lat: float, height_mm: float, msl_mm: float, h_acc: int, v_acc: int, *, digit: float = 1e-3
+    longitude_deg: float,
+    latitude_deg: float,
+    height_mm: float,
+    msl_mm: float,
+    h_acc: int,
+    v_acc: int,
+    *,
+    digit: float = 1e-3,
 ) -> Position | None:
-    """Longitude and latitude [1e-7 deg], heights [mm] and accuracies [digit m]; None for an impossible place."""
-    longitude_deg, latitude_deg, height_m = lon * 1e-7, lat * 1e-7, height_mm * 1e-3
+    """Position with accuracies of a digit [m]; None for an impossible place."""
+    height_m = height_mm * 1e-3
     if abs(latitude_deg) > 90 or abs(longitude_deg) > 180 or abs(height_m) >= HIGHEST_M:
         return None
     accuracies = _accuracy(h_acc, digit), _accuracy(v_acc, digit)
@@ -419,7 +426,7 @@ def _accuracy(value: int, digit: float) -> float | None:
 
 
 def _dop(value: int) -> float | None:
-    return value * 0.01 if 0 < value < 9999 else None
+    return value / 100 if 0 < value < 9999 else None
 
 
 def _symmetric(values: list[float]) -> Symmetric3:
