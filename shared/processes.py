@@ -49,6 +49,7 @@ class ProcessRow:
     produces: tuple[str, ...] = ()
     observes_all: bool = False
     roles: tuple[Role, ...] = (Role.OBU,)
+    passes_on: tuple[str, ...] = ()  # of what it produces: data of another device that came through its own
     pause_s: float = 0.0  # of a process of layers 2 to 4 whose output does not depend on such a delay
 
     @property
@@ -120,6 +121,7 @@ PROCESSES = (
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
             "gnss/signal_quality", "gnss/receiver", "gnss/configuration", "imu/raw", "vehicle/speed",
         ),
+        passes_on=("imu/raw", "vehicle/speed"),
         roles=BOTH,
     ),
     ProcessRow(

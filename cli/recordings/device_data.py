@@ -7,6 +7,7 @@ from typing import Any
 from shared.bus.bus import Envelope
 from shared.messages.base import Message
 from shared.messages.vehicle import CanRaw
+from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.topics import Topic, measurements, publications, topic_of
 
 CANDUMP_TIME = re.compile(rb"\((\d{1,10})\.(\d{1,9})\)")
@@ -17,7 +18,13 @@ def inputs_among(recorded: Collection[str]) -> frozenset[str]:
     """Topics to publish: bytes of the devices, and measurements only where their bytes are missing."""
     present = [topic for topic in measurements() if topic.name in recorded]
     raw = {topic.name for topic in present if topic.is_raw}
-    derived = {made.name for name in raw for consumer in _row(name).consumers for made in publications(consumer)}
+    derived = {
+        made.name
+        for name in raw
+        for consumer in _row(name).consumers
+        for made in publications(consumer)
+        if made.name not in PROCESS_ROWS[consumer].passes_on
+    }
     return frozenset(topic.name for topic in present if topic.name not in derived)
 
 

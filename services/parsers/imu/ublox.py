@@ -96,6 +96,8 @@ class ReceiverImu(Decoder):
         if not all(map(math.isfinite, (*rate, *force))):
             raise SampleError("incomplete_sample")
         step = 0 if self._tag is None else (tag - self._tag) % TAG_WRAP
+        if self._tag is not None and step == 0:
+            raise SampleError("repeated_sample")
         if self._tag is None or step >= TAG_WRAP // 2:
             self._tag, self._first, self._tick_s = tag, None, None
         else:
