@@ -44,6 +44,7 @@ class Framer(FrameFinder[Frame]):
         complete = b"|".join(framing.starts for framing in framings)
         begun = b"|".join(framing.begun for framing in framings)
         self.starts = re.compile(complete + rb"|(?:" + begun + rb")\Z")
+        self._crc_from = re.compile(b"|".join(framing.crc_from for framing in framings if framing.crc_from) or rb"(?!)")
         malformed = {sync: kind for framing in framings for sync, kind in framing.malformed.items()}
         self.malformed, self.kinds = re.compile(b"|".join(map(re.escape, malformed))), malformed
         self.most_bytes = max(framing.most_bytes for framing in framings)
@@ -51,7 +52,9 @@ class Framer(FrameFinder[Frame]):
     def _sum(self, data: bytes) -> None:
         self._s = list(accumulate(data, initial=self._s[0]))
         self._w = list(accumulate(self._s[1:], initial=self._w[0]))
-        self._c = crcs_along(self._c[0], data)
+        # Most of the time of framing: only where a frame that has this CRC may begin, or is still open.
+        needed = self._open or self._crc_from.search(data)
+        self._c = crcs_along(self._c[0], data) if needed else [0] * (len(data) + 1)
 
     def _sums(self, index: int) -> Sums:
         return self._s[index], self._w[index], self._c[index]

@@ -17,6 +17,7 @@ class Framing(ABC):
     most_bytes: int
     too_long: str  # reject of a header that states more
     invalid: str  # reject of a frame with a wrong checksum
+    crc_from: bytes = b""  # pattern of what may begin a frame with a CRC-24Q; empty of protocols without
 
     @abstractmethod
     def size(self, buffer: bytearray, start: int, header: int) -> int | None:

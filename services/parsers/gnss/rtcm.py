@@ -19,6 +19,7 @@ class RtcmFraming(Framing):
     protocol, first = "RTCM", 0xD3
     starts = rb"\xd3[\x00-\x03](?s:.)[\x3e-\x51\xfa-\xff]"  # 992 to 1311, and from 4000 on
     begun = rb"\xd3(?:[\x00-\x03](?s:.)?)?"
+    crc_from = rb"\xd3(?:[\x00-\x03]|\Z)"
     most_bytes, too_long, invalid = 1029, "rtcm_length", "rtcm_checksum"
 
     def size(self, buffer: bytearray, start: int, header: int) -> int | None:

@@ -114,6 +114,9 @@ class EpochAssembler:
             self._kinds_before.append(self._kinds)
             self._kinds = set()
             self._epoch, self._done = Epoch(itow, received_ns, received_ns), False
+        elif self._done and kind in self._kinds:
+            self.rejects["repeated_epoch"] += 1  # the receiver's time stands still
+            return
         if kind == "EOE":
             yield from self._finish()
             return
