@@ -174,7 +174,7 @@ class DevicePublisher:
             log.info("%s: %s", self._source, sentence)
         self._next, self._said = time.monotonic() + ORIGIN_S, said
         if search is not None:
-            link.report(bus, sentence if found in FAULTY else None)
+            link.report(bus, sentence if found in FAULTY and not self._url.startswith("file:") else None)
         bus.publish(
             DeviceState(
                 sampled_ns=bus.now_ns(), source=self._source, process=self._process, device=self._url[:200],

@@ -69,7 +69,10 @@ class Port:
         if named:
             self._link = self._stable_name(path) or self._link
         rate = device.rate_baud if isinstance(device, SerialDevice) and has_rate(Path(device.name)) else None
-        return Recognising(device, Search(self._kind, rate, may_write=may_write and parts.scheme != "file"))
+        search = Search(self._kind, rate, may_write=may_write and parts.scheme != "file")
+        if parts.scheme != "serial":
+            search.remedy = "check that its server has data" if parts.scheme == "tcp" else "the file has ended"
+        return Recognising(device, search)
 
     def _stable_name(self, path: Path) -> Path | None:
         """The link of udev that leads to a port."""

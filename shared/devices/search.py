@@ -63,6 +63,7 @@ class Search:
         self.found = DeviceFound.SEARCHING
         self.protocols: tuple[str, ...] = ()
         self.rate_baud = rate_baud
+        self.remedy = "check cable, power, and that TX and RX are not exchanged"  # of silence
         self._configured_baud = rate_baud
         self._rates = () if rate_baud is None else (rate_baud, *(rate for rate in RATES if rate != rate_baud))
         self._questions = QUESTIONS.get(kind, ()) if may_write else ()
@@ -113,7 +114,7 @@ class Search:
                     "its rate, and that ground is connected"
                 )
             case _:
-                return f"no bytes{self._rates_tried()}: check cable, power, and that TX and RX are not exchanged"
+                return f"no bytes{self._rates_tried()}: {self.remedy}"
 
     def _rates_tried(self) -> str:
         return f" at {', '.join(str(rate) for rate in sorted(self._rates))} baud" if self._rates else ""

@@ -126,6 +126,9 @@ class Process:
         if not self._is_chosen(fix):
             self.rejects["fix of a second receiver"] += 1
             return
+        if without.is_far_ahead(received_ns):
+            self.rejects["fix from the future"] += 1
+            return
         measurements = self._aid(fix, keep=not without.is_abandoned(received_ns))
         if not measurements:
             self.rejects["fix without position"] += 1

@@ -14,6 +14,8 @@ NS = 1_000_000_000
 SILENT_NS = 1_000_000_000
 NEVER_HEARD_NS = 5 * NS  # from the first fix: inertial units start within a second or two of their driver
 ABANDONED_NS = 30 * NS  # silence after which measurements are no longer kept for the filter, which cannot go on then
+FAR_NS = 60 * NS
+BELIEVED = 3  # arrivals far ahead
 FAULT_FREE_NS = 3 * NS  # time after a fault-free fix in which the receiver's own fixes are not published
 
 
@@ -32,12 +34,30 @@ class WithoutImu:
         self.heard_ns: int | None = None  # arrival of the newest inertial samples
         self.missing: Missing | None = None  # while fixes alone are published
         self._first_fix_ns: int | None = None
+        self._newest_fix_ns: int | None = None
+        self._ahead: list[int] = []  # arrivals far ahead of all others, one after the other
         self._fault_free_ns = -FAULT_FREE_NS
         self._model: GnssOnly | None = None
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether no inertial samples have come for a second, or none at all."""
         return self.heard_ns is None or now_ns - self.heard_ns > SILENT_NS
+
+    def is_far_ahead(self, received_ns: int) -> bool:
+        """Whether an arrival is a minute ahead of everything before, and alone: a stamp that is wrong.
+
+        Arrivals that follow it one after the other, as those after a sleep of the computer do, are believed.
+        """
+        known_ns = [ns for ns in (self.heard_ns, self._newest_fix_ns) if ns is not None]
+        if not known_ns or received_ns - max(known_ns) <= FAR_NS:
+            self._newest_fix_ns, self._ahead = max(received_ns, self._newest_fix_ns or received_ns), []
+            return False
+        if not self._ahead or 0 < received_ns - self._ahead[-1] <= FAR_NS:
+            self._ahead.append(received_ns)
+        if len(self._ahead) < BELIEVED:
+            return True
+        self._newest_fix_ns, self._ahead = received_ns, []
+        return False
 
     def is_abandoned(self, now_ns: int) -> bool:
         """Whether the filter cannot go on with what is received now."""

@@ -3,12 +3,15 @@
 from collections.abc import Collection
 from functools import cache
 
+from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.topics import TOPICS, Topic, needs
 
 
 def producers_of(topic: Topic, configured: Collection[str]) -> tuple[str, ...]:
-    """List the processes of this vehicle that may publish a topic."""
-    return tuple(name for name in topic.producers if name in configured)
+    """List the processes of this vehicle that publish a topic, other than data of another device that they pass on."""
+    return tuple(
+        name for name in topic.producers if name in configured and topic.name not in PROCESS_ROWS[name].passes_on
+    )
 
 
 @cache
@@ -18,7 +21,7 @@ def upstream_of(topic: Topic) -> frozenset[str]:
     todo = [topic]
     while todo:
         found.add((one := todo.pop()).name)
-        for producer in one.producers:
+        for producer in producers_of(one, one.producers):
             found.add(producer)
             todo += [need for need in needs(producer) if need.name not in found]
     return frozenset(found)
