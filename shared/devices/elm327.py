@@ -289,10 +289,10 @@ class Elm327:
                 text = text[len(words) :].lstrip(":. ").removeprefix("OK").strip()
         if not text:
             return
-        if text == "?" or any(error in text for error in ERRORS):
-            yield from self._fault(text)
+        digits = text.replace(" ", "")  # some clones write NODATA
+        if text == "?" or any(error.replace(" ", "") in digits for error in ERRORS):
+            yield from self._fault(digits)
             return
-        digits = text.replace(" ", "")
         # How a line is to be read depends on the protocol, which is asked for behind the first answer.
         try:
             frame = self._lines.frame(digits, self._protocol) if self._protocol else None
@@ -307,7 +307,7 @@ class Elm327:
             yield frame
 
     def _fault(self, text: str) -> Iterator[ElmFrame]:
-        error = next((known for known in ERRORS if known in text), "? (the request is not understood)")
+        error = next((known for known in ERRORS if known.replace(" ", "") in text), "? (the request is not understood)")
         self._error = error
         self.rejects[f"adapter_{error.split(' (')[0].lower().replace(' ', '_').replace('?', 'refuses')}"] += 1
         if error in BUS_FAULTS:

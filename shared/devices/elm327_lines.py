@@ -10,6 +10,7 @@ from dataclasses import dataclass
 ENGINE = 0x7E8  # of answers without an identifier
 OLDER = "12345"  # protocols whose messages have three bytes of header and one that checks them: J1850 and K-line
 WITH_SUM = "345"  # the last byte is the sum of those before it
+ANSWERS = (*range(0x41, 0x4B), 0x7F)  # first byte: to modes 01 to 0A, and that a request is refused (SAE J1979)
 MOST_DIGITS = 24  # an identifier of 29 bits and eight bytes
 _HEX = re.compile(r"[0-9A-F]+")
 _IDENTIFIER = re.compile(r"7E[89A-F]")
@@ -70,7 +71,7 @@ class AnswerLines:
 
     def _bare(self, payload: bytes) -> ElmFrame:
         """An answer without an identifier, of a clone that ignores ATH1."""
-        if not payload[0] & 0x40 or len(payload) > 7:  # answers have bit 6 of the mode set
+        if payload[0] not in ANSWERS or len(payload) > 7:
             raise ValueError("no answer")
         self.without_identifiers = True
         return ElmFrame(ENGINE, False, bytes((len(payload),)) + payload)
