@@ -170,7 +170,7 @@ def _factor(wanted: Wanted, signal: "Signal") -> tuple[float, str]:
         key = "`wheel_speed_unit`" if wanted.name in WHEELS else f"unit of [parsers.can.signals.{wanted.name}]"
         remedy = "" if wanted.name in WHEELS else f", or state its factor to {si_unit} as scale"
         raise ValueError(
-            f"signal {wanted.signal} has the unit {stated!r}: {examples_of(si_unit)} is required; state it as "
+            f"signal {wanted.signal} has {f'the unit {stated!r}' if stated else 'no unit'}: {examples_of(si_unit)} is required; state it as "
             f"{key}{remedy}"
         )
     return factor, si_unit

@@ -1,6 +1,7 @@
 """Joins the frames of a message of several frames: ISO 15765-2:2016, receiver only.
 
-Flow control is sent by the driver, where it asks for anything.
+Flow control is sent by the driver, where it asks for anything. Lengths have 12 bits: the longer ones of the standard
+have no use in OBD.
 """
 
 from collections import Counter
@@ -8,7 +9,6 @@ from collections import Counter
 from .candump import CanFrame
 
 MOST_MESSAGES = 32  # at a time, of all senders
-LONGEST = 4095  # of the first frame's 12 bits; the longer ones of ISO 15765-2:2016 have no use in OBD
 FRAME_TIMEOUT_NS = 1_000_000_000  # N_Cr: between two consecutive frames
 
 
@@ -45,9 +45,9 @@ class MessageJoiner:
 
     def _first(self, frame: CanFrame, key: tuple[str, int]) -> None:
         data = frame.data
-        length = (data[0] & 0x0F) << 8 | data[1] if len(data) >= 8 else 0
+        length = (data[0] & 0x0F) << 8 | data[1] if len(data) > 1 else 0
         self._messages.pop(key, None)
-        if length <= len(data) - 2 or length > LONGEST:
+        if len(data) < 8 or length <= len(data) - 2:
             self._rejects["isotp_length"] += 1
             return
         if len(self._messages) >= MOST_MESSAGES:
