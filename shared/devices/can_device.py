@@ -4,7 +4,7 @@ socketcan://can0                            a network interface of the kernel
 slcan:///dev/ttyACM1?bitrate=500000         a serial adapter with the Lawicel (SLCAN) protocol; baud=115200 of its port
 elm327:///dev/ttyUSB0?baud=38400            an OBD adapter with an ELM327 or a clone, on USB or Bluetooth (RFCOMM)
 elm327+tcp://192.168.0.10:35000             the same over WLAN
-udp_multicast://239.74.163.2?port=43113     frames of python-can's virtual bus in a local network
+udp-multicast://239.74.163.2?port=43113     frames of python-can's virtual bus in a local network
 file:///drive.log                           a candump log (candump -L), or what candump shows on a screen, replayed
                                             at its recorded rate, or at 100 frames a second without time stamps
 """
@@ -25,7 +25,7 @@ NS = 1_000_000_000
 MOST_FRAMES = 500  # in one read
 KNOWN: dict[str, set[str]] = {
     "socketcan": set(), "slcan": {"bitrate", "baud"}, "elm327": {"baud"}, "elm327+tcp": set(),
-    "udp_multicast": {"port"}, "virtual": set(), "file": set(),
+    "udp-multicast": {"port"}, "virtual": set(), "file": set(),
 }  # fmt: skip
 EXAMPLES = (
     "socketcan://can0, slcan:///dev/ttyACM1?bitrate=500000, elm327:///dev/ttyUSB0?baud=38400, "
@@ -92,7 +92,7 @@ def open_can(url: str, request_identifier: int, now_ns: Clock) -> Device:
                 name, "slcan", bitrate=options.get("bitrate", 500_000), tty_baudrate=options.get("baud", SLCAN_BAUD),
                 sleep_after_open=0.0,
             )  # fmt: skip
-        elif parts.scheme == "udp_multicast":
+        elif parts.scheme == "udp-multicast":
             bus = can.Bus(name, "udp_multicast", port=options.get("port", MULTICAST_PORT))
         else:
             bus = can.Bus(name, parts.scheme)

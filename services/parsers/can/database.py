@@ -169,9 +169,9 @@ def _factor(wanted: Wanted, signal: "Signal") -> tuple[float, str]:
     if factor is None:
         key = "`wheel_speed_unit`" if wanted.name in WHEELS else f"unit of [parsers.can.signals.{wanted.name}]"
         remedy = "" if wanted.name in WHEELS else f", or state its factor to {si_unit} as scale"
+        found = f"the unit {stated!r}" if stated else "no unit"
         raise ValueError(
-            f"signal {wanted.signal} has {f'the unit {stated!r}' if stated else 'no unit'}: {examples_of(si_unit)} is required; state it as "
-            f"{key}{remedy}"
+            f"signal {wanted.signal} has {found}: {examples_of(si_unit)} is required; state it as {key}{remedy}"
         )
     return factor, si_unit
 
