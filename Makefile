@@ -5,13 +5,14 @@ PYTHON := $(VENV)/bin/python
 SUDO := $(shell [ "$$(id -u)" = 0 ] || command -v sudo)
 APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
+SECONDS ?= 60
 PORT ?= 8080
 SCENARIO ?= urban
 # Sizes of campaigns: SHORT=1 takes two minutes at most and stores no result, FULL=1 is for the best confidence, RUNS=n
 # for another one. FRESH=1 does again what earlier runs of the same code have found.
 CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x golden picture bench-replay clean
+.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x fuzz golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -124,6 +125,9 @@ consistency: setup ## hold errors against the filter's covariance (3 minutes)
 
 starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (3 minutes)
 	@$(PYTHON) -m benchmarks.starts $(CAMPAIGN)
+
+fuzz: setup ## feed damaged bytes to the parsers, SECONDS=60 for each, SEED=1 (five minutes)
+	@$(PYTHON) -m benchmarks.fuzz --seed $(SEED) --seconds $(SECONDS)
 
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
 	@$(PYTHON) -m benchmarks.v2x

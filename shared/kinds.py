@@ -28,6 +28,11 @@ class Kinds:
         self._rejected[name] += 1
         self._reasons[name] = reason[:64]
 
+    def expect(self, kind: str, use: MessageUse) -> None:
+        """Keep room for a kind that matters however late it comes."""
+        self._counts[self._name(kind)] += 0
+        self._uses[kind] = use
+
     def table(self) -> tuple[MessageKind, ...]:
         """All kinds, those that came most often first."""
         return tuple(
@@ -36,6 +41,7 @@ class Kinds:
                 reason=self._reasons.get(name),
             )
             for name, count in self._counts.most_common()
+            if count
         )  # fmt: skip
 
     def _name(self, kind: str) -> str:

@@ -130,9 +130,9 @@ PROCESSES = (
         produces=("imu/sample",),
     ),
     ProcessRow(
-        "parsers.can", Kind.STANDING, "turns CAN frames into vehicle and wheel speeds",
+        "parsers.can", Kind.STANDING, "turns CAN frames into vehicle and wheel speeds, and further signals",
         consumes=("can/raw",),
-        produces=("vehicle/speed", "vehicle/wheel_speed"),
+        produces=("vehicle/speed", "vehicle/wheel_speed", "vehicle/signal"),
     ),
     ProcessRow(
         "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",

@@ -69,7 +69,7 @@ from .messages.toll import (
 )
 from .messages.trust import LearnedGrade, LearnedScale, TrustEvent, TrustHypotheses, TrustMonitor, TrustState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
-from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
+from .messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
 
@@ -141,6 +141,7 @@ TOPICS = (
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes",
           rate_hz=100.0, silent_after_s=1.0, fast=True),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
+    Topic("vehicle/signal", VehicleSignal, "further quantities of the vehicle's network, by name", fast=True),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0, fast=True),
     Topic("corrections/raw", CorrectionBytes, "bytes from the sources of GNSS corrections"),
     Topic("corrections/sources", CorrectionSources, "connections to the sources of GNSS corrections",

@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from services.sensors.can.process import SPEED_REQUEST
 from services.sensors.can.process import Config as CanDriver
 from services.sensors.gnss.process import Config as GnssDriver
 from services.sensors.imu.process import Config as ImuDriver
-from shared.devices.can_device import open_can
-from shared.devices.device import DeviceLost
+from shared.devices.can_device import CanDevice, only_answers, open_can
+from shared.devices.device import DeviceBusy, DeviceLost
+from shared.devices.elm327_device import ElmDevice
 from shared.devices.recognising import Port, Recognising
 from shared.devices.recognition import recognise
 from shared.devices.search import LISTEN_S, Search
@@ -26,6 +28,7 @@ from .finding import Finding
 BUSY = "another program has it open"
 LONGEST_S = 30.0  # a port
 WAIT_S = 0.1
+LINE_END = b"\n"
 RATE_S = 2.0  # over which bytes and messages are counted once a device is found
 DRIVERS: dict[str, type[GnssDriver | ImuDriver | CanDriver]] = {
     "sensors.gnss": GnssDriver, "sensors.imu": ImuDriver, "sensors.can": CanDriver,
@@ -141,7 +144,11 @@ def _progress(what: str, search: Search) -> Iterator[None]:
 def _permission(url: str) -> str:
     """Which group may open a port that this user may not."""
     path = Path(urlsplit(url).path)
-    if not url.startswith("serial:///") or not path.exists() or os.access(path, os.R_OK | os.W_OK):
+    if (
+        not url.startswith(("serial:///", "elm327:///", "slcan:///"))
+        or not path.exists()
+        or os.access(path, os.R_OK | os.W_OK)
+    ):
         return ""
     try:
         group = grp.getgrgid(path.stat().st_gid).gr_name
@@ -156,17 +163,27 @@ def _can(config: CanDriver, what: str) -> Iterator[Finding]:
         yield Finding(False, what, remedy)
         return
     with contextlib.closing(open_can(config.device, config.obd_identifier, time.time_ns)) as device:
-        got, until = b"", time.monotonic() + RATE_S
-        while time.monotonic() < until and parts.scheme != "file":
+        got, asks = b"", only_answers(config.device)
+        until = time.monotonic() + (LONGEST_S if asks else RATE_S)
+        while time.monotonic() < until and parts.scheme != "file" and not (asks and got):
+            if asks:
+                with contextlib.suppress(DeviceBusy):  # it is still being set up
+                    device.write(SPEED_REQUEST)
             got += device.read(WAIT_S)
-        if got or parts.scheme == "file":
-            lines = got.count(b"\n") / RATE_S
-            yield Finding(True, f"{what}: {lines:.0f} frames a second" if got else what)
-        else:
+        search = device.search if isinstance(device, CanDevice | ElmDevice) else None
+        if got and asks and search is not None:
+            yield Finding(True, f"{what}: {search.sentence()}")
+        elif search is not None and (not got or search.found is DeviceFound.NOISE):
             remedy = (
-                "no frame in 2 s: the bus sleeps (switch the ignition on), its bitrate differs, or H and L are open"
+                search.sentence()
+                if asks or got
+                else (
+                    "no frame in 2 s: the bus sleeps (switch the ignition on), its bitrate differs, or H and L are open"
+                )
             )
             yield Finding(False, what, remedy)
+        else:
+            yield Finding(True, f"{what}: {got.count(LINE_END) / RATE_S:.0f} frames a second" if got else what)
 
 
 def socketcan_fault(name: str, root: Path = NETWORK_DEVICES) -> str | None:

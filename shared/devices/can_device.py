@@ -1,7 +1,10 @@
 """CAN interfaces as devices of `device.py`; their bytes are the lines of a candump log.
 
 socketcan://can0                            a network interface of the kernel
-slcan:///dev/ttyACM1?bitrate=500000         a serial adapter with the Lawicel (SLCAN) protocol
+slcan:///dev/ttyACM1?bitrate=500000         a serial adapter with the Lawicel (SLCAN) protocol; baud=115200 of its port
+elm327:///dev/ttyUSB0?baud=38400            an OBD adapter with an ELM327 or a clone, on USB or Bluetooth (RFCOMM)
+elm327+tcp://192.168.0.10:35000             the same over WLAN
+udp-multicast://239.74.163.2?port=43113     frames of python-can's virtual bus in a local network
 file:///drive.log                           a candump log (candump -L), or what candump shows on a screen, replayed
                                             at its recorded rate, or at 100 frames a second without time stamps
 """
@@ -13,13 +16,28 @@ from pathlib import Path
 
 import can
 
-from .device import Device, DeviceBusy, DeviceLost, split_url
+from ..errors import UserError
+from .bus_watch import BusWatch, LogWatch
+from .device import Device, DeviceBusy, DeviceLost, open_device, split_url
+from .elm327_device import ElmDevice
 
 NS = 1_000_000_000
 MOST_FRAMES = 500  # in one read
-KNOWN: dict[str, set[str]] = {"socketcan": set(), "slcan": {"bitrate"}, "virtual": set(), "file": set()}
-EXAMPLES = "socketcan://can0, slcan:///dev/ttyACM1?bitrate=500000 or file:///drive.log"
+KNOWN: dict[str, set[str]] = {
+    "socketcan": set(), "slcan": {"bitrate", "baud"}, "elm327": {"baud"}, "elm327+tcp": set(),
+    "udp-multicast": {"port"}, "virtual": set(), "file": set(),
+}  # fmt: skip
+EXAMPLES = (
+    "socketcan://can0, slcan:///dev/ttyACM1?bitrate=500000, elm327:///dev/ttyUSB0?baud=38400, "
+    "elm327+tcp://192.168.0.10:35000 or file:///drive.log"
+)
+BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # of the Lawicel protocol
+ELM_BAUD, SLCAN_BAUD = 38400, 115200  # as delivered
+MULTICAST_PORT = 43113  # of python-can
+FLOW_CONTROL = bytes.fromhex("3000000000000000")  # ISO 15765-2: continue to send, any number of frames, without a pause
+FLOW_CONTROL_S = 2.0  # after a request, for which an answer of several frames may come
 LOG_LINE = "(1436509052.249713) can0 7E8#03410D3200000000"
+LONGEST_LINE = 1024  # as candump shows a frame of 64 bytes with its text: 310
 WITHOUT_STAMPS_NS = 10_000_000  # between the frames of a log without time stamps
 ERROR_FLAG = 0x20000000  # of the identifier of an error frame, as in the kernel and in candump's logs
 _STAMP = (
@@ -37,18 +55,45 @@ Clock = Callable[[], int]
 
 def check_can_url(url: str) -> None:
     """Raise `UserError` for an invalid URL."""
-    split_url(url, KNOWN, EXAMPLES)
+    parts, options = split_url(url, KNOWN, EXAMPLES)
+    if parts.scheme == "slcan" and options.get("bitrate", 500_000) not in BITRATES:
+        raise UserError(f"device {url!r}: bitrate must be one of {', '.join(map(str, BITRATES))}")
+    if parts.scheme == "elm327+tcp":
+        try:
+            named = parts.hostname and parts.port
+        except ValueError:
+            named = None
+        if not named:
+            raise UserError(f"device {url!r}: host and port are needed, as in elm327+tcp://192.168.0.10:35000")
+    if not (parts.netloc or parts.path.strip("/")):
+        raise UserError(f"device {url!r} has no name: try {EXAMPLES}")
+
+
+def only_answers(url: str) -> bool:
+    """Whether a device gives nothing unless it is asked."""
+    return url.startswith(("elm327:", "elm327+tcp:"))
 
 
 def open_can(url: str, request_identifier: int, now_ns: Clock) -> Device:
     """Open a CAN interface or a log; raises `DeviceLost` if it is not available, `UserError` if the URL is invalid."""
+    check_can_url(url)
     parts, options = split_url(url, KNOWN, EXAMPLES)
     name = parts.netloc + parts.path
+    if parts.scheme == "elm327":
+        port = open_device(f"serial://{name}?baud={options.get('baud', ELM_BAUD)}")
+        return ElmDevice(port, Path(name).name, request_identifier, now_ns)
+    if parts.scheme == "elm327+tcp":
+        return ElmDevice(open_device(f"tcp://{parts.netloc}"), str(parts.hostname), request_identifier, now_ns)
     try:
         if parts.scheme == "file":
             return LogDevice(Path(name), now_ns)
         if parts.scheme == "slcan":  # python-can would sleep for two seconds after opening
-            bus = can.Bus(name, "slcan", bitrate=options.get("bitrate", 500_000), sleep_after_open=0.0)
+            bus = can.Bus(
+                name, "slcan", bitrate=options.get("bitrate", 500_000), tty_baudrate=options.get("baud", SLCAN_BAUD),
+                sleep_after_open=0.0,
+            )  # fmt: skip
+        elif parts.scheme == "udp-multicast":
+            bus = can.Bus(name, "udp_multicast", port=options.get("port", MULTICAST_PORT))
         else:
             bus = can.Bus(name, parts.scheme)
     except (can.CanError, OSError) as error:
@@ -57,10 +102,15 @@ def open_can(url: str, request_identifier: int, now_ns: Clock) -> Device:
 
 
 class CanDevice:
-    """A CAN interface; `write` transmits the data of one request."""
+    """A CAN interface; `write` transmits the data of one request.
+
+    Answers of several frames to it are let on by flow control, which nothing else sends on a bus without a tester.
+    """
 
     def __init__(self, bus: can.BusABC, channel: str, request_identifier: int, now_ns: Clock) -> None:
         self._bus, self._channel, self._identifier, self._now_ns = bus, channel, request_identifier, now_ns
+        self.search = BusWatch(Path(channel).name, time.monotonic())
+        self._asked_until_s = 0.0
 
     def read(self, wait_s: float) -> bytes:
         """Return the received frames as candump lines."""
@@ -68,6 +118,7 @@ class CanDevice:
         try:
             while len(lines) < MOST_FRAMES and (frame := self._bus.recv(0 if lines else wait_s)) is not None:
                 lines.append(self._line(frame))
+                self._watch(frame)
         except (can.CanError, OSError) as error:
             hint = f"ip link set {self._channel} up type can bitrate 500000"
             raise DeviceLost(f"lost {self._channel}: {error}; check its cable, or try: {hint}") from error
@@ -75,7 +126,20 @@ class CanDevice:
 
     def write(self, data: bytes) -> None:
         """Transmit one request; raises `DeviceBusy` if the queue is full, as without an acknowledging node."""
-        message = can.Message(arbitration_id=self._identifier, is_extended_id=self._identifier > 0x7FF, data=data)
+        self._asked_until_s = time.monotonic() + FLOW_CONTROL_S
+        self._send(self._identifier, data)
+
+    def _watch(self, frame: can.Message) -> None:
+        now_s = time.monotonic()
+        self.search.take(frame.is_error_frame, now_s)
+        # Only where this device has asked: nothing is transmitted otherwise.
+        if now_s < self._asked_until_s and frame.dlc and not frame.is_error_frame and frame.data[0] >> 4 == 1:
+            target = flow_control_target(frame.arbitration_id, frame.is_extended_id)
+            if target is not None:
+                self._send(target, FLOW_CONTROL)
+
+    def _send(self, identifier: int, data: bytes) -> None:
+        message = can.Message(arbitration_id=identifier, is_extended_id=identifier > 0x7FF, data=data)
         try:
             self._bus.send(message, timeout=0.01)
         except can.CanError as error:
@@ -100,13 +164,14 @@ class CanDevice:
 class LogDevice:
     """A candump log, replayed at its recorded rate; no bytes after its end.
 
-    Lines of a log and lines as candump shows them are read, other ones are left out; raises `DeviceLost` if there is
-    no other.
+    Lines of a log and lines as candump shows them are read, other ones are counted; raises `DeviceLost` if there is no
+    line that can be read.
     """
 
     def __init__(self, path: Path, now_ns: Clock) -> None:
         self._file, self._now_ns = path.open(encoding="ascii", errors="replace"), now_ns
         self._last_ns = 0
+        self.search = LogWatch()
         self._next = self._scan()
         if self._next is None:
             self._file.close()
@@ -122,8 +187,14 @@ class LogDevice:
         time.sleep(min(max(until_s, 0.0), wait_s))
         while self._next and len(lines) < MOST_FRAMES and self._next[0] + self._offset_ns <= self._now_ns():
             lines.append(stamped_line(self._next[0] + self._offset_ns, self._next[1]))
+            self.search.frames += 1
             self._next = self._scan()
         return b"".join(lines)
+
+    @property
+    def rejects(self) -> dict[str, int]:
+        """Lines that are none of candump."""
+        return self.search.rejects
 
     def write(self, data: bytes) -> None:
         """Ignored: a recording has no input."""
@@ -134,11 +205,14 @@ class LogDevice:
 
     def _scan(self) -> tuple[int, str] | None:
         """Time stamp [ns] and remainder of the next valid line; None at the end."""
-        for line in self._file:
+        # A file without ends of lines is read in pieces.
+        while line := self._file.readline(LONGEST_LINE):
             if found := frame_of(line):
                 time_ns, rest = found
                 self._last_ns = self._last_ns + WITHOUT_STAMPS_NS if time_ns is None else time_ns
                 return self._last_ns, rest
+            self.search.count_line(line)
+        self.search.ended = True
         return None
 
 
@@ -179,3 +253,10 @@ def candump_line(time_ns: int, channel: str, frame: can.Message) -> bytes:
 def stamped_line(time_ns: int, rest: str) -> bytes:
     """Join a time stamp, and interface and frame, to a line of a candump log."""
     return f"({time_ns // NS}.{time_ns % NS // 1000:06d}) {rest}\n".encode()
+
+
+def flow_control_target(identifier: int, extended: bool) -> int | None:
+    """Identifier of the flow control to the sender of an OBD answer (ISO 15765-4, 6.3.2); None for other frames."""
+    if extended:
+        return 0x18DA00F1 | (identifier & 0xFF) << 8 if identifier >> 8 == 0x18DAF1 else None
+    return identifier - 8 if 0x7E8 <= identifier <= 0x7EF else None

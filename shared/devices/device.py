@@ -20,6 +20,7 @@ from typing import Protocol
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from ..errors import ObuError, UserError
+from ..messages.operation import DeviceFound
 
 CHUNK = 4096
 CONNECT_S = 5.0
@@ -50,6 +51,29 @@ class Device(Protocol):
 
     def close(self) -> None:
         """Close the device; may be called twice."""
+        ...
+
+
+class Found(Protocol):
+    """What a device finds out about itself while it is read."""
+
+    @property
+    def found(self) -> DeviceFound:
+        """Whether it works, or how not."""
+        ...
+
+    @property
+    def protocols(self) -> tuple[str, ...]:
+        """What it speaks."""
+        ...
+
+    @property
+    def rate_baud(self) -> int | None:
+        """[Bd] Rate of its port; None of one without a rate."""
+        ...
+
+    def sentence(self) -> str:
+        """What was found, and what to do about it."""
         ...
 
 

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 from urllib.parse import urlsplit
@@ -11,9 +11,7 @@ from ..bus.bus import Bus, Envelope
 from ..messages.base import Message
 from ..messages.operation import DeviceFound, DeviceState, HostClock, Origin, OriginKind
 from ..runtime.clock import maximum_error_s
-from .device import Device, DeviceBusy, DeviceLost
-from .recognising import Recognising
-from .search import Search
+from .device import Device, DeviceBusy, DeviceLost, Found
 
 log = logging.getLogger(__name__)
 
@@ -131,9 +129,14 @@ class Link(Connection[Device]):
         self._gap_s, self._chunk_s = gap_s, chunk_s
 
     @property
-    def search(self) -> Search | None:
-        """What is known of the open device; None while it is absent."""
-        return self._device.search if isinstance(self._device, Recognising) else None
+    def search(self) -> Found | None:
+        """What is known of the open device; None while it is absent, or where it is not watched."""
+        return getattr(self._device, "search", None)
+
+    @property
+    def rejects(self) -> Mapping[str, int]:
+        """What the open device itself has rejected, by kind."""
+        return getattr(self._device, "rejects", {})
 
     def read(self, bus: Bus, wait_s: float) -> tuple[bytes, int]:
         """Return one chunk and the arrival time of its last byte; empty without data or without a device."""

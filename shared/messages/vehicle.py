@@ -1,8 +1,10 @@
 """What the vehicle's own network says."""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from .base import Quantity, RawBytes, Speed, Stamped
+from pydantic import Field
+
+from .base import LARGEST, Name, Quantity, RawBytes, Speed, Stamped, unit
 
 
 class CanRaw(RawBytes):
@@ -16,6 +18,15 @@ class VehicleSpeed(Stamped):
 
     speed_m_s: Speed
     resolution_m_s: Quantity | None = None
+
+
+class VehicleSignal(Stamped):
+    """A further quantity of the vehicle's network: yaw rate, steering angle, gear, distance, and what a file names."""
+
+    name: Annotated[str, Field(min_length=1, max_length=32)]
+    value: Annotated[float | None, Field(ge=-LARGEST, le=LARGEST), unit("stated in `unit`")] = None  # None of a text
+    unit: Annotated[str, Field(max_length=16)] = ""  # SI for the names that the unit knows, else as the file states it
+    text: Name | None = None  # of a quantity that is none, such as the VIN
 
 
 class WheelSpeeds(Stamped):

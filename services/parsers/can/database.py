@@ -1,141 +1,214 @@
-"""Decodes wheel speeds from CAN frames by a DBC file."""
+"""Decodes signals of CAN frames by a DBC file."""
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 from shared.faults import FOREIGN
 
 from .candump import CanFrame
+from .units import QUANTITIES, examples_of, factor_of
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-# In lower case and without blanks: files write km/h, KPH, km / h, Kmh ...
-UNITS_M_S = {
-    **dict.fromkeys(("m/s", "mps", "meter/s", "m/sec"), 1.0), **dict.fromkeys(("cm/s",), 0.01),
-    **dict.fromkeys(("mm/s",), 0.001),
-    **dict.fromkeys(("km/h", "kph", "kmh", "kmph", "kmp/h", "km/hr", "km/hour", "kilometerperhour", "kilometreperhour"),
-                    1 / 3.6),
-    **dict.fromkeys(("mph", "mi/h", "mile/h", "miles/h", "milesperhour"), 0.44704),
-    **dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), 1852.0 / 3600.0),
-}  # fmt: skip
 FASTEST_M_S = 150.0
 LEAST_RANGE_M_S = 40.0  # a range of a road vehicle's speed reaches at least this far, if its bits do
-LARGEST = 1e9  # [unit of the signal]
+LARGEST = 1e9  # [unit of the signal], and of the published value
+UNIT_LENGTH = 16
+PLACEHOLDERS = ((0.0, 0.0), (0.0, 1.0))  # ranges that editors write where nobody has stated one
 
 
-class WheelSpeedDecoder:
-    """Decodes the configured wheel-speed signals of a DBC file.
+@dataclass(frozen=True)
+class Wanted:
+    """A quantity, the signal that it is read from, and what the file states wrong or not at all."""
+
+    name: str  # a wheel, or a quantity
+    signal: str  # SIGNAL, or MESSAGE.SIGNAL
+    unit: str | None = None  # in place of that of the file
+    scale: float | None = None  # factor from the file's value to the published one
+
+    @property
+    def quantity(self) -> str:
+        """Name by which its unit is known."""
+        return "wheel_speed" if self.name in WHEELS else self.name
+
+    @property
+    def is_speed(self) -> bool:
+        """Whether it is a speed of the vehicle."""
+        return QUANTITIES.get(self.quantity) == "m/s"
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A decoded quantity in its unit, and the smallest step of its signal."""
+
+    name: str
+    value: float
+    unit: str
+    resolution: float
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """How one signal becomes a quantity."""
+
+    wanted: Wanted
+    signal: "Signal"
+    factor: float
+    unit: str
+
+
+class SignalDecoder:
+    """Decodes the wanted signals of a DBC file.
 
     Parameters
     ----------
     text : str
         Content of the DBC file.
-    signals : mapping
-        Wheel (front_left, front_right, rear_left, rear_right) -> name of its signal.
-    unit : str or None
-        Unit of the signals in place of that of the file.
+    wanted : sequence of Wanted
+        Quantities and their signals.
     period_ns : int
         [ns] Minimum time between two decoded frames of one identifier; frames in between are skipped.
     rejects : Counter
-        Counts `dbc_frame` (frame shorter than defined) and `wheel_speed` (value out of range).
+        Counts `dbc_frame` (frame shorter than defined, or an undefined value of the multiplexer), `wheel_speed` and
+        `signal_value` (value out of range).
 
     Raises
     ------
     ValueError
-        The text is not a DBC file, a signal is missing in it, or its unit is not a unit of speed.
+        The text is not a DBC file, a signal is missing in it or in more than one message, or its unit is not known.
     """
 
-    def __init__(
-        self, text: str, signals: Mapping[str, str], period_ns: int, rejects: Counter[str], unit: str | None = None
-    ) -> None:
+    def __init__(self, text: str, wanted: Sequence[Wanted], period_ns: int, rejects: Counter[str]) -> None:
         self._rejects = rejects
         # 10 % tolerance: with jitter, a sender at exactly this period would otherwise lose every second frame.
         self._period_ns = period_ns * 9 // 10
         self._last_ns: dict[tuple[str, int], int] = {}
-        self._messages: dict[tuple[int, bool], tuple[Message, dict[str, tuple[str, float]]]] = {}
+        self._messages: dict[tuple[int, bool], tuple[Message, list[_Entry]]] = {}
         from cantools.database.errors import DecodeError
 
         self._decode_error = DecodeError
         database = load(text)
-        for wheel, signal_name in signals.items():
-            self._add(database, wheel, signal_name, unit)
+        self._names = {(one.frame_id, one.is_extended_frame): str(one.name) for one in database.messages}
+        for one in wanted:
+            message, signal = _found(database, one.signal)
+            entry = _Entry(one, signal, *_factor(one, signal))
+            self._messages.setdefault((message.frame_id, message.is_extended_frame), (message, []))[1].append(entry)
 
-    def decode(self, frame: CanFrame, received_ns: int, source: str) -> dict[str, float]:
-        """Decode wheel -> speed [m/s]; empty for a frame without wheel speeds."""
+    def name_of(self, frame: CanFrame) -> str | None:
+        """Name of the message that a frame is, by the file."""
+        return self._names.get((frame.identifier, frame.extended))
+
+    def uses(self, frame: CanFrame) -> bool:
+        """Whether a quantity is read from such frames."""
+        return (frame.identifier, frame.extended) in self._messages
+
+    def decode(self, frame: CanFrame, received_ns: int, source: str) -> list[Value]:
+        """Decode the quantities of a frame; empty for a frame without any, and within the period of the last one."""
         entry = self._messages.get((frame.identifier, frame.extended))
         key = source, frame.identifier
         if entry is None or 0 <= received_ns - self._last_ns.get(key, received_ns - self._period_ns) < self._period_ns:
-            return {}
-        message, wheels = entry
+            return []
+        message, entries = entry
         if len(frame.data) < message.length:
             self._rejects["dbc_frame"] += 1
-            return {}
+            return []
         try:
             values = cast("dict[str, float]", message.decode(frame.data[: message.length], decode_choices=False))
         except (self._decode_error, *FOREIGN):  # such as an undefined value of the multiplexer
             self._rejects["dbc_frame"] += 1
-            return {}
-        if wheels.keys() & values:
+            return []
+        present = [one for one in entries if one.signal.name in values]  # the others are of other multiplexer values
+        if present:
             self._last_ns[key] = received_ns
-        speeds: dict[str, float] = {}
-        for signal_name, (wheel, unit_m_s) in wheels.items():
-            if signal_name not in values:
-                continue  # of another value of the multiplexer
-            value = values[signal_name]
-            speed_m_s = checked_speed(message.get_signal_by_name(signal_name), value, unit_m_s)
-            if speed_m_s is None:
-                self._rejects["wheel_speed"] += 1
-            else:
-                speeds[wheel] = speed_m_s
-        return speeds
+        decoded = (self._checked(one, values[one.signal.name]) for one in present)
+        return [value for value in decoded if value is not None]
 
-    def _add(self, database: "Database", wheel: str, signal_name: str, unit: str | None) -> None:
-        for message in database.messages:
-            for signal in message.signals:
-                if signal.name == signal_name:
-                    stated = signal.unit if unit is None else unit
-                    unit_m_s = unit_of(stated)
-                    if unit_m_s is None:
-                        raise ValueError(
-                            f"signal {signal_name} has the unit {stated!r}: m/s, km/h, mph or kn is required; state it "
-                            "as `wheel_speed_unit`"
-                        )
-                    key = message.frame_id, message.is_extended_frame
-                    self._messages.setdefault(key, (message, {}))[1][signal_name] = wheel, unit_m_s
-                    return
-        raise ValueError(f"there is no signal {signal_name!r}; the file has {_names(database)}")
+    def _checked(self, entry: _Entry, raw: object) -> Value | None:
+        wanted = entry.wanted
+        if wanted.is_speed:
+            value = checked_speed(entry.signal, raw, entry.factor)
+        else:
+            value = checked_value(entry.signal, raw, entry.factor)
+        if value is None:
+            self._rejects["wheel_speed" if wanted.name in WHEELS else "signal_value"] += 1
+            return None
+        return Value(wanted.name, value, entry.unit, min(abs(float(entry.signal.scale) * entry.factor), LARGEST))
 
 
-def unit_of(text: str | None) -> float | None:
-    """Factor from a unit to m/s, however it is written; None if it is no known unit of speed."""
-    return UNITS_M_S.get("".join((text or "").lower().split()).strip("[]()"))
+def _found(database: "Database", name: str) -> "tuple[Message, Signal]":
+    """The message and the signal of SIGNAL or MESSAGE.SIGNAL; raises ValueError."""
+    message_name, _, signal_name = name.rpartition(".")
+    places = [
+        (message, signal)
+        for message in database.messages
+        for signal in message.signals
+        if signal.name == signal_name and message_name in ("", message.name)
+    ]
+    if len(places) == 1:
+        return places[0]
+    if places:
+        choices = ", ".join(f"{message.name}.{signal_name}" for message, _ in places[:8])
+        raise ValueError(f"signal {name!r} is in several messages: write one of {choices}")
+    raise ValueError(f"there is no signal {name!r}; the file has {_names(database)}")
+
+
+def _factor(wanted: Wanted, signal: "Signal") -> tuple[float, str]:
+    """Factor to the unit of the bus, and that unit; raises ValueError for a unit that is not known."""
+    stated = signal.unit if wanted.unit is None else wanted.unit
+    si_unit = QUANTITIES.get(wanted.quantity)
+    if si_unit is None:
+        return (1.0 if wanted.scale is None else wanted.scale), (stated or "")[:UNIT_LENGTH]
+    if wanted.scale is not None:
+        return wanted.scale, si_unit
+    factor = factor_of(stated, si_unit)
+    if factor is None:
+        key = "`wheel_speed_unit`" if wanted.name in WHEELS else f"unit of [parsers.can.signals.{wanted.name}]"
+        remedy = "" if wanted.name in WHEELS else f", or state its factor to {si_unit} as scale"
+        found = f"the unit {stated!r}" if stated else "no unit"
+        raise ValueError(
+            f"signal {wanted.signal} has {found}: {examples_of(si_unit)} is required; state it as {key}{remedy}"
+        )
+    return factor, si_unit
 
 
 def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | None:
     """Convert a decoded value to m/s; None if it is outside the signal's range or above `FASTEST_M_S`."""
+    least = LEAST_RANGE_M_S / abs(unit_m_s) if unit_m_s else 0.0
+    speed_m_s = checked_value(signal, value, unit_m_s, least)
+    return speed_m_s if speed_m_s is not None and abs(speed_m_s) <= FASTEST_M_S else None
+
+
+def checked_value(signal: "Signal", value: object, factor: float, least: float | None = None) -> float | None:
+    """Convert a decoded value to the unit of the bus; None if it is outside the signal's range, or no finite number."""
     if not isinstance(value, int | float) or not abs(value) <= LARGEST:  # an integer may be too large for a float
         return None
-    low, high = range_of(signal, unit_m_s)
-    speed_m_s = value * unit_m_s
-    return speed_m_s if low <= value <= high and abs(speed_m_s) <= FASTEST_M_S else None
+    low, high = range_of(signal, least)
+    converted = value * factor
+    return converted if low <= value <= high and abs(converted) <= LARGEST else None
 
 
-def range_of(signal: "Signal", unit_m_s: float) -> tuple[float, float]:
+def range_of(signal: "Signal", least: float | None = None) -> tuple[float, float]:
     """The range of a signal, or that of its bits without their largest value, where the file's contradicts them.
 
-    Files are made by hand, and many ranges were never looked at: [0|1] of a signal that counts to 655 km/h. A range is
-    believed if it reaches the speed of a motorway, or as far as the bits do. The largest value of the bits mostly means
-    that there is none.
+    Files are made by hand, and many ranges were never looked at: [0|1] of a signal that counts to 655 km/h. A range of
+    a speed is believed if it reaches `least`, the speed of a motorway, or as far as the bits do; other ranges are,
+    unless they are placeholders of an editor. The largest value of the bits mostly means that there is none.
     """
     first = -(2 ** (signal.length - 1)) if signal.is_signed else 0
     ends = sorted(float(signal.offset + signal.scale * raw) for raw in (first, first + 2**signal.length - 1))
     low = -math.inf if signal.minimum is None else float(signal.minimum)
     high = math.inf if signal.maximum is None else float(signal.maximum)
-    believed = signal.is_float or (low < high and high >= min(LEAST_RANGE_M_S / unit_m_s, ends[1]) and low < ends[1])
+    if least is None:
+        one_bit = signal.length == 1
+        return (low, high) if one_bit or signal.is_float or (low < high and (low, high) not in PLACEHOLDERS) else (
+            ends[0], ends[1] - (0.0 if signal.length < 8 else abs(float(signal.scale)))
+        )  # fmt: skip
+    believed = signal.is_float or (low < high and high >= min(least, ends[1]) and low < ends[1])
     return (low, high) if believed else (ends[0], ends[1] - abs(float(signal.scale)))
 
 

@@ -1,12 +1,17 @@
 """Decodes the standardised vehicle speeds of OBD-II and J1939.
 
-Sources: SAE J1979 (mode 01, PID 0D, length of each PID), ISO 15765-2 (frames of an answer), ISO 15765-4 (identifiers);
-SAE J1939-71 (CCVS, SPN 84; TCO1, SPN 1624).
+Sources: SAE J1979 (mode 01, PID 0D, length of each PID; mode 09, PID 02), ISO 15765-2 (frames of an answer), ISO
+15765-4 (identifiers); SAE J1939-71 (CCVS, SPN 84; TCO1, SPN 1624).
 """
 
+import re
+from collections import Counter
 from dataclasses import dataclass
 
+from shared.messages.operation import MessageUse
+
 from .candump import CanFrame
+from .isotp import MessageJoiner
 
 KM_H = 1 / 3.6  # [m/s]
 # Identifiers of answers: 7E8 to 7EF of the eight legislated control units, 18DAF1xx of the unit xx to the tester F1.
@@ -19,8 +24,9 @@ PID_BYTES = bytes(int(digit) for digit in (
     "4422111111112111" "2111222222221112" "4222444444441111" "1221444444442222"
     "4422211111111224" "4112222222111221" "411252537"
 ))  # fmt: skip
-LONGEST_ANSWER = 4095
-MOST_ANSWERS = 32  # answers of several frames at a time, of all control units
+OBD_REQUESTS = (0x7DF, *range(0x7E0, 0x7E8))  # of a tester on the same bus
+VIN_ANSWER = b"\x49\x02"  # to mode 09, PID 02; the next byte counts the items
+_VIN = re.compile(r"[A-HJ-NPR-Z0-9]{17}")
 J1939_SPEEDS = {65265: ("j1939", 1), 65132: ("tachograph", 6)}  # PGN -> (name, first byte): CCVS, TCO1
 J1939_RESOLUTION_M_S = KM_H / 256
 J1939_FIRST_INVALID = 0xFB00  # values from here on mean error or not available
@@ -38,37 +44,48 @@ class Speed:
 class StandardSpeeds:
     """Decodes the speeds of frames; answers of several frames are joined by sender."""
 
-    def __init__(self) -> None:
-        self._answers: dict[tuple[str, int], tuple[int, bytes, int]] = {}  # length, bytes so far, next number
+    def __init__(self, rejects: Counter[str]) -> None:
+        self._joiner = MessageJoiner(rejects)
+        self.vin: str | None = None  # of the frame that was decoded last
 
     def decode(self, frame: CanFrame) -> Speed | None:
         """Decode the speed of a frame; None for other frames and for speeds marked as not available."""
         identifier = frame.identifier
-        if (frame.extended and identifier >> 8 == OBD_ANSWERS_29) or (not frame.extended and identifier in OBD_ANSWERS):
-            answer = self._joined(frame)
-            value = None if answer is None else speed_of_answer(answer)
+        self.vin = None
+        if is_obd_answer(frame):
+            answer = self._joiner.take(frame)
+            if answer is None:
+                return None
+            self.vin = vin_of_answer(answer)
+            value = speed_of_answer(answer)
             name = "obd" if identifier in ENGINES else f"obd/{identifier:03X}"
             return None if value is None else Speed(name, value * KM_H, KM_H)
         return _j1939(frame) if frame.extended else None
 
-    def _joined(self, frame: CanFrame) -> bytes | None:
-        """The answer that a frame completes: alone, or as the last of several; None if it completes none."""
-        data, key = frame.data, (frame.interface, frame.identifier)
-        kind = data[0] >> 4 if data else None
-        if kind == 0:
-            return data[1 : 1 + data[0]] if 0 < data[0] < len(data) else None
-        length, joined, number = self._answers.pop(key, (0, b"", 0))
-        if kind == 1 and len(data) == 8:
-            length, joined, number = (data[0] & 0x0F) << 8 | data[1], data[2:], 0
-        elif kind != 2 or data[0] & 0x0F != number & 0x0F or not length:
-            return None
-        else:
-            joined += data[1:]
-        if len(joined) >= length:
-            return joined[:length]
-        if len(self._answers) < MOST_ANSWERS:
-            self._answers[key] = length, joined, number + 1
+
+def is_obd_answer(frame: CanFrame) -> bool:
+    """Whether a frame has the identifier of an answer to an OBD tester."""
+    return frame.identifier >> 8 == OBD_ANSWERS_29 if frame.extended else frame.identifier in OBD_ANSWERS
+
+
+def standard_use(frame: CanFrame) -> MessageUse | None:
+    """What is done with a frame by its standard; None if its identifier is of none that is known here."""
+    if is_obd_answer(frame):
+        return MessageUse.USED
+    if frame.extended:
+        return MessageUse.USED if frame.identifier >> 8 & 0x3FFFF in J1939_SPEEDS else None
+    return MessageUse.UNUSED if frame.identifier in OBD_REQUESTS else None
+
+
+def vin_of_answer(answer: bytes) -> str | None:
+    """The vehicle identification number in an answer to mode 09, PID 02; None if it has none that can be one.
+
+    ISO 3779 allows digits and letters without I, O and Q; shorter numbers are padded in front with zero bytes.
+    """
+    if answer[:2] != VIN_ANSWER:
         return None
+    text = answer[3:].strip(b"\x00").decode("ascii", errors="replace")
+    return text if _VIN.fullmatch(text) else None
 
 
 def speed_of_answer(answer: bytes) -> int | None:

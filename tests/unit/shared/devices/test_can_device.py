@@ -1,5 +1,6 @@
 import os
 import pty
+import socket
 import time
 import tty
 from pathlib import Path
@@ -187,4 +188,57 @@ def test_a_recorded_log_is_replayed_as_parsed_by_python_can(tmp_path: Path) -> N
     lines = read_lines(device, 200)
     expected = [f"can0 {frame.arbitration_id:03X}#{frame.data.hex().upper()}" for frame in CanutilsLogReader(path)]
     assert without_stamps(lines) == expected
+    device.close()
+
+
+def test_python_cans_multicast_is_read_on_loopback() -> None:
+    """In a group and at a port of the test's own: a computer without multicast skips it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    try:
+        device = open_can(f"udp-multicast://239.74.163.45?port={port}", 0x7DF, time.monotonic_ns)
+        far = can.Bus("239.74.163.45", "udp_multicast", port=port, hop_limit=0)
+    except (DeviceLost, can.CanError, OSError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    with far:
+        try:
+            far.send(can.Message(arbitration_id=0x7E8, is_extended_id=False, data=bytes.fromhex("03410D32")))
+        except (can.CanError, OSError) as error:
+            pytest.skip(f"no multicast here: {error}")
+        lines = read_lines(device, 1)
+    device.close()
+    assert without_stamps(lines) == ["239.74.163.45 7E8#03410D32"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "extended", "target"), [(0x7E8, False, 0x7E0), (0x7EF, False, 0x7E7), (0x18DAF110, True, 0x18DA10F1)]
+)
+def test_an_answer_of_several_frames_is_let_on_only_after_a_request(answer: int, extended: bool, target: int) -> None:
+    device = open_can(f"virtual://flow{answer}", 0x7DF, time.monotonic_ns)
+    first = can.Message(arbitration_id=answer, is_extended_id=extended, data=bytes.fromhex("1014490201575030"))
+    other = can.Message(arbitration_id=0x123, is_extended_id=False, data=first.data)
+    with can.Bus(f"flow{answer}", "virtual") as far:
+        far.send(first)
+        assert len(read_lines(device, 1)) == 1
+        assert far.recv(0.02) is None  # nothing is transmitted unasked
+        device.write(REQUEST)
+        assert far.recv(0.5) is not None
+        far.send(other)
+        far.send(first)
+        assert len(read_lines(device, 2)) == 2
+        flow = far.recv(0.5)
+        assert flow is not None and far.recv(0.02) is None
+    device.close()
+    assert (flow.arbitration_id, flow.is_extended_id, flow.data[0]) == (target, extended, 0x30)
+
+
+def test_a_log_counts_the_lines_that_it_leaves_out(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text("(1000.0) can0 001#01\nrubbish\n\nmore rubbish\n(1000.01) can0 002#02\n" + "x" * 5000)
+    device = open_can(f"file://{path}", 0x7DF, time.monotonic_ns)
+    assert len(read_lines(device, 2)) == 2
+    assert device.rejects == {"line": 7}  # type: ignore[attr-defined]  # the long one in five pieces
+    said = device.search.sentence()  # type: ignore[attr-defined]
+    assert said == "a log, read to its end: 2 frames, 7 lines that are none of candump"
     device.close()

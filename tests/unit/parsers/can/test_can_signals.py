@@ -1,0 +1,168 @@
+import math
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.parsers.can.process import Config, Process
+from shared.errors import UserError
+from shared.messages.base import Message
+from shared.messages.operation import MessageUse
+from shared.messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
+from tests.support.data import recording
+
+NS = 1_000_000_000
+NOW_NS = 1_795_000_000 * NS
+DBC = """VERSION ""
+BU_: ECU
+BO_ 208 MOTION: 8 ECU
+ SG_ STEER : 0|16@1- (0.1,0) [-450|450] "deg" ECU
+ SG_ YAW : 16|16@1- (0.01,0) [-150|150] "deg/s" ECU
+ SG_ TICKS : 32|16@1+ (1,0) [0|1] "" ECU
+ SG_ SPEED : 48|16@1+ (0.01,0) [0|300] "km/h" ECU
+BO_ 209 BODY: 8 ECU
+ SG_ MUX M : 0|8@1+ (1,0) [0|3] "" ECU
+ SG_ GEAR m1 : 8|8@1+ (1,0) [0|8] "" ECU
+ SG_ ODO m2 : 8|32@1+ (0.1,0) [0|400000000] "km" ECU
+BO_ 210 OTHER: 8 ECU
+ SG_ SPEED : 0|16@1+ (0.01,0) [0|300] "mph" ECU
+"""
+
+
+def process(tmp_path: Path, **signals: Any) -> Process:
+    path = tmp_path / "car.dbc"
+    path.write_text(DBC)
+    entries = {name: {"signal": s} if isinstance(s, str) else s for name, s in signals.items()}
+    return Process(Config.model_validate({"dbc_file": path, "signals": entries}))
+
+
+def fed(parser: Process, *frames: str, step_s: float = 0.1) -> list[Message]:
+    found: list[Message] = []
+    for k, frame in enumerate(frames):
+        at_ns = NOW_NS + round(k * step_s * NS)
+        line = f"({at_ns // NS}.{at_ns % NS // 1000:06d}) can0 {frame}\n".encode()
+        found += parser.handle(CanRaw(received_ns=at_ns, source="can0", data=line))
+    return found
+
+
+def values(found: list[Message]) -> dict[str, tuple[float | None, str]]:
+    return {one.name: (one.value, one.unit) for one in found if isinstance(one, VehicleSignal)}
+
+
+def test_named_signals_are_published_in_si(tmp_path: Path) -> None:
+    parser = process(tmp_path, steering_angle="STEER", yaw_rate="MOTION.YAW", vehicle_speed="MOTION.SPEED")
+    found = fed(parser, "0D0#64009CFF00008813")
+    assert values(found) == {
+        "steering_angle": (pytest.approx(math.radians(10)), "rad"),
+        "yaw_rate": (pytest.approx(math.radians(-1)), "rad/s"),
+    }
+    (speed,) = [one for one in found if isinstance(one, VehicleSpeed)]
+    assert speed.speed_m_s == pytest.approx(50 / 3.6) and speed.source == "can0/dbc"
+    assert speed.resolution_m_s == pytest.approx(0.01 / 3.6)
+
+
+def test_multiplexed_signals_are_published_when_they_come(tmp_path: Path) -> None:
+    parser = process(tmp_path, gear="GEAR", odometer="ODO")
+    found = fed(parser, "0D1#0103000000000000", "0D1#02E80300000000", "0D1#02E8030000000000", "0D1#0900000000000000")
+    assert values(found) == {"gear": (3.0, ""), "odometer": (pytest.approx(100_000.0), "m")}
+    (kind,) = parser.kinds.table()
+    assert (kind.kind, kind.use, kind.count) == ("CAN 0D1 BODY", MessageUse.USED, 4)
+    assert kind.rejected == parser.rejects["dbc_frame"] == 2 and kind.reason == "dbc_frame"  # too short, unknown value
+
+
+def test_a_unit_or_a_scale_of_the_vehicle_file_overrides_the_file(tmp_path: Path) -> None:
+    parser = process(
+        tmp_path, vehicle_speed={"signal": "TICKS", "scale": 0.5}, yaw_rate={"signal": "YAW", "unit": "rad/s"},
+        temperature={"signal": "STEER", "unit": "degC", "scale": 2.0},
+    )  # fmt: skip
+    found = fed(parser, "0D0#640064001E000000")
+    assert values(found) == {"yaw_rate": (pytest.approx(1.0), "rad/s"), "temperature": (pytest.approx(20.0), "degC")}
+    assert [one.speed_m_s for one in found if isinstance(one, VehicleSpeed)] == [15.0]
+
+
+def test_values_out_of_range_are_rejects(tmp_path: Path) -> None:
+    parser = process(tmp_path, steering_angle="STEER")
+    assert not fed(parser, "0D0#FF7F000000000000")
+    assert parser.rejects == {"signal_value": 1}
+
+
+@pytest.mark.parametrize(
+    ("signals", "said"),
+    [
+        ({"vehicle_speed": "SPEED"}, "is in several messages: write one of MOTION.SPEED, OTHER.SPEED"),
+        ({"yaw_rate": "NOTHING"}, "there is no signal 'NOTHING'; the file has GEAR"),
+        ({"vehicle_speed": "TICKS"}, "has no unit: .*or state its factor to m/s as scale"),
+        ({"yaw_rate": {"signal": "YAW", "unit": "furlong"}}, r"deg.*unit of \[parsers.can.signals.yaw_rate\]"),
+        ({"front_left": "YAW"}, "into wheel_speed_signals"),
+    ],
+)
+def test_errors_say_what_to_write(signals: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=said):
+        process(tmp_path, **signals)
+
+
+def test_names_are_bounded(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="32"):
+        process(tmp_path, **{f"s{k}": "YAW" for k in range(33)})
+    with pytest.raises(ValueError, match="pattern"):
+        process(tmp_path, **{"A b": "YAW"})
+
+
+def test_a_vin_of_several_frames_is_published(tmp_path: Path) -> None:
+    frames = ["7E8#1014490201575030", "7E8#215A5A5A39395A54", "7E8#2253333932313234"]
+    (vin,) = fed(Process(Config()), *frames)
+    assert isinstance(vin, VehicleSignal) and (vin.name, vin.text) == ("vin", "WP0ZZZ99ZTS392124")
+
+
+def test_every_frame_and_line_is_counted_by_kind() -> None:
+    parser = Process(Config())
+    fed(parser, "7E8#03410D32", "123#00", "123#00", "123#R", "20000080#0000000000000000", "rubbish", "7DF#02010D",
+        "18FEF100#F700500FFFFFFFFF")  # fmt: skip
+    table = {kind.kind: (kind.use.value, kind.count, kind.rejected) for kind in parser.kinds.table()}
+    assert table == {
+        "CAN 7E8": ("used", 1, 0), "CAN 123": ("unknown", 2, 0), "CAN remote frame": ("unused", 1, 0),
+        "CAN error frame": ("unused", 1, 0), "unusable line": ("unknown", 1, 1), "CAN 7DF": ("unused", 1, 0),
+        "CAN 18FEF100": ("used", 1, 0),
+    }  # fmt: skip
+
+
+def test_error_frames_are_told_behind_any_number_of_identifiers() -> None:
+    parser = Process(Config())
+    fed(parser, *(f"{k:03X}#00" for k in range(200)), "20000080#00", step_s=0.001)
+    table = {kind.kind: kind.count for kind in parser.kinds.table()}
+    assert len(table) <= 64 and table["CAN error frame"] == 1 and table["others"] > 100
+
+
+@pytest.mark.recording
+@pytest.mark.parametrize(
+    ("folder", "file", "outputs"),
+    [
+        ("j1939_truck_can", "truck_gb_tco1_gnss_stationary.log", {VehicleSpeed: 1000}),
+        ("can_toyobaru_wheelspeed", "can_sample.log", {WheelSpeeds: 400, VehicleSignal: 800, VehicleSpeed: 400}),
+        ("canedge_obd_gnss", "drive164/candump.log", {VehicleSpeed: 200}),
+    ],
+)
+def test_recordings_are_read_with_every_line_accounted_for(
+    folder: str, file: str, outputs: dict[type[Message], int]
+) -> None:
+    root = recording(folder)
+    text = b"".join((root / file).read_bytes().splitlines(keepends=True)[:40_000])
+    config: dict[str, Any] = {}
+    if (dbc := root / "sample_can_spec.dbc").exists():
+        signals = {"vehicle_speed": {"signal": "SPEED"}, "yaw_rate": {"signal": "ID_D0.GYRO_YAW"},
+                   "steering_angle": {"signal": "STEER_ANGLE"}}  # fmt: skip
+        config = {"dbc_file": dbc, "wheel_speed_signals": {"rear_left": "WS_RL", "rear_right": "WS_RR"},
+                  "signals": signals}  # fmt: skip
+    parser, found = Process(Config.model_validate(config)), Counter[type[Message]]()
+    for place in range(0, len(text), 50_000):
+        piece = text[place : place + 50_000]
+        stamps = re.findall(rb"\n\((\d+)\.", piece)
+        message = CanRaw(received_ns=(int(stamps[-1]) + 1) * NS, source="can0", data=piece)
+        found.update(type(one) for one in parser.handle(message))
+    counted = sum(kind.count for kind in parser.kinds.table())
+    assert counted == text.count(b"\n")
+    assert not parser.rejects["line"] and not parser.rejects["fault"] and not parser.rejects["range"]
+    for kind, least in outputs.items():
+        assert found[kind] >= least, found
