@@ -47,7 +47,7 @@ def fed(parser: Process, *frames: str, step_s: float = 0.1) -> list[Message]:
     return found
 
 
-def values(found: list[Message]) -> dict[str, tuple[float | None, str]]:
+def values(found: list[Message]) -> dict[str, tuple[object, str]]:
     return {one.name: (one.value, one.unit) for one in found if isinstance(one, VehicleSignal)}
 
 
