@@ -135,6 +135,14 @@ def test_error_frames_are_told_behind_any_number_of_identifiers() -> None:
     assert len(table) <= 64 and table["CAN error frame"] == 1 and table["others"] > 100
 
 
+def test_speeds_are_read_behind_any_number_of_identifiers() -> None:
+    parser = Process(Config())
+    frames = b"".join(b"(1795000000.000000) can0 %08X#00\n" % (k << 8) for k in range(5000))
+    frames += b"(1795000000.000000) can0 7E8#03410D32\n"
+    (speed,) = parser.handle(CanRaw(received_ns=NOW_NS, source="can0", data=frames))
+    assert isinstance(speed, VehicleSpeed) and len(parser._names) == 4096
+
+
 @pytest.mark.recording
 @pytest.mark.parametrize(
     ("folder", "file", "outputs"),
