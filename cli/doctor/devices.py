@@ -14,7 +14,7 @@ from services.sensors.can.process import Config as CanDriver
 from services.sensors.gnss.process import Config as GnssDriver
 from services.sensors.imu.process import Config as ImuDriver
 from shared.devices.can_device import CanDevice, only_answers, open_can
-from shared.devices.device import DeviceBusy, DeviceLost
+from shared.devices.device import Device, DeviceBusy, DeviceLost
 from shared.devices.elm327_device import ElmDevice
 from shared.devices.recognising import Port, Recognising
 from shared.devices.recognition import recognise
@@ -165,25 +165,32 @@ def _can(config: CanDriver, what: str) -> Iterator[Finding]:
     with contextlib.closing(open_can(config.device, config.obd_identifier, time.time_ns)) as device:
         got, asks = b"", only_answers(config.device)
         until = time.monotonic() + (LONGEST_S if asks else RATE_S)
-        while time.monotonic() < until and parts.scheme != "file" and not (asks and got):
+        while time.monotonic() < until and parts.scheme != "file" and not (asks and _is_found(device)):
             if asks:
                 with contextlib.suppress(DeviceBusy):  # it is still being set up
                     device.write(SPEED_REQUEST)
             got += device.read(WAIT_S)
-        search = device.search if isinstance(device, CanDevice | ElmDevice) else None
-        if got and asks and search is not None:
-            yield Finding(True, f"{what}: {search.sentence()}")
-        elif search is not None and (not got or search.found is DeviceFound.NOISE):
-            remedy = (
-                search.sentence()
-                if asks or got
-                else (
-                    "no frame in 2 s: the bus sleeps (switch the ignition on), its bitrate differs, or H and L are open"
-                )
-            )
-            yield Finding(False, what, remedy)
-        else:
-            yield Finding(True, f"{what}: {got.count(LINE_END) / RATE_S:.0f} frames a second" if got else what)
+        yield _can_finding(device, what, got)
+
+
+def _can_finding(device: Device, what: str, got: bytes) -> Finding:
+    """What follows from the lines of a CAN device."""
+    if isinstance(device, ElmDevice):
+        working, said = device.search.found is DeviceFound.WORKING, device.search.sentence()
+        return Finding(True, f"{what}: {said}") if working else Finding(False, what, said)
+    if not isinstance(device, CanDevice):
+        return Finding(True, what)  # a log
+    if not got:
+        remedy = "no frame in 2 s: the bus sleeps (switch the ignition on), its bitrate differs, or H and L are open"
+        return Finding(False, what, remedy)
+    if device.search.found is DeviceFound.NOISE:
+        return Finding(False, what, device.search.sentence())
+    return Finding(True, f"{what}: {got.count(LINE_END) / RATE_S:.0f} frames a second")
+
+
+def _is_found(device: Device) -> bool:
+    """Whether an adapter has come to a result."""
+    return isinstance(device, ElmDevice) and device.search.found is not DeviceFound.SEARCHING
 
 
 def socketcan_fault(name: str, root: Path = NETWORK_DEVICES) -> str | None:

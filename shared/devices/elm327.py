@@ -27,6 +27,7 @@ ATTEMPTS = 2  # resets at one rate
 LOST_PROMPTS = 3  # after which the adapter is reset
 FAILURES = 3  # requests without an answer, after which the vehicle counts as asleep: one PID may be unknown to it
 FIRST_REST_S, LONGEST_REST_S = 2.0, 60.0  # between requests to a vehicle that does not answer
+NO_ANSWER = "no answer"
 FIRST_REQUEST = "0100"  # PIDs that are supported: every vehicle answers it, and the adapter finds out the protocol
 FUNCTIONAL = (0x7DF, 0x18DB33F1)  # the adapter's own request identifiers
 PROTOCOLS = {
@@ -80,7 +81,8 @@ class Elm327:
         self._answer_bytes = 0
         self._attempts = 0  # resets without an answer
         self._lost = 0  # prompts in succession
-        self._error = ""  # newest, of the vehicle
+        self._error = NO_ANSWER  # of the last request that failed
+        self._request_error = NO_ANSWER  # of the present request
         self._answered = False  # whether the present request has an answer
         self._rest_s, self._next_request_s = 0.0, 0.0
         self._lines = AnswerLines()
@@ -137,7 +139,7 @@ class Elm327:
         if self._setup:
             return self._send(self._setup.popleft(), now_s, COMMAND_S)
         if self._pending and now_s >= self._next_request_s:
-            self._answered, self._error = False, ""
+            self._answered, self._request_error = False, NO_ANSWER
             text = self._pending.popleft() if self._protocol else FIRST_REQUEST
             return self._send(text, now_s, REQUEST_S, is_request=True)
         return b""
@@ -170,7 +172,7 @@ class Elm327:
             )
         asked = f"; it is asked every {self._rest_s:g} s" if self._rest_s else ""
         return (
-            f"{known}{at}: the adapter answers and the vehicle does not ({self._error or 'no answer'}): switch the "
+            f"{known}{at}: the adapter answers and the vehicle does not ({self._error}): switch the "
             f"ignition on, and check that the plug is pushed in{asked}"
         )
 
@@ -221,7 +223,7 @@ class Elm327:
         self.rejects["adapter_silent"] += 1
         self._lost += 1
         if waiting.is_request and not self._answered:
-            self._fail("no answer", now_s)
+            self._fail(NO_ANSWER, now_s)
         if self._lost >= LOST_PROMPTS:
             self._begin_again()
 
@@ -252,7 +254,7 @@ class Elm327:
             return
         self._lost = 0
         if waiting.is_request and not self._answered:
-            self._fail(self._error or "no answer", now_s)
+            self._fail(self._request_error, now_s)
         elif waiting.is_request and not self._protocol:
             self._setup.append("ATDPN")
 
@@ -308,7 +310,7 @@ class Elm327:
 
     def _fault(self, text: str) -> Iterator[ElmFrame]:
         error = next((known for known in ERRORS if known.replace(" ", "") in text), "? (the request is not understood)")
-        self._error = error
+        self._request_error = error
         self.rejects[f"adapter_{error.split(' (')[0].lower().replace(' ', '_').replace('?', 'refuses')}"] += 1
         if error in BUS_FAULTS:
             yield ElmFrame(0, False, b"", is_error=True)

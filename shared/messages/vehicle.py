@@ -24,7 +24,7 @@ class VehicleSignal(Stamped):
     """A further quantity of the vehicle's network: yaw rate, steering angle, gear, distance, and what a file names."""
 
     name: Annotated[str, Field(min_length=1, max_length=32)]
-    value: Annotated[float | None, Field(ge=-LARGEST, le=LARGEST), unit("stated in `unit`")] = None  # None of a text
+    value: Annotated[float, Field(ge=-LARGEST, le=LARGEST), unit("that of `unit`")] | None = None  # None of a text
     unit: Annotated[str, Field(max_length=16)] = ""  # SI for the names that the unit knows, else as the file states it
     text: Name | None = None  # of a quantity that is none, such as the VIN
 

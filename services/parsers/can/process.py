@@ -117,6 +117,8 @@ class Process:
     def _decoded(self, frame: CanFrame, message: CanRaw) -> Iterator[Output]:
         kind, use = self._kind(frame)
         self.kinds.count(kind, use)
+        if use is not MessageUse.USED:
+            return
         before = self.rejects.total()
         yield from self._outputs(frame, message)
         if self.rejects.total() != before:
@@ -127,17 +129,17 @@ class Process:
     def _kind(self, frame: CanFrame) -> tuple[str, MessageUse]:
         """Name of a frame's identifier for the table of kinds, and what is done with it."""
         key = frame.identifier, frame.extended
-        if key not in self._names:
-            if len(self._names) >= MAX_IDENTIFIERS:
-                return "CAN, further identifiers", MessageUse.UNKNOWN
-            name = next((n for d in (self._wheels, self._signals) if d and (n := d.name_of(frame))), None)
-            used = any(decoder.uses(frame) for decoder in (self._wheels, self._signals) if decoder)
-            use = (
-                MessageUse.USED if used else standard_use(frame) or (MessageUse.UNUSED if name else MessageUse.UNKNOWN)
-            )
-            digits = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
-            self._names[key] = f"CAN {digits}{f' {name}' if name else ''}"[:64], use
-        return self._names[key]
+        if (known := self._names.get(key)) is not None:
+            return known
+        decoders = [decoder for decoder in (self._wheels, self._signals) if decoder]
+        name = next((name for decoder in decoders if (name := decoder.name_of(frame))), None)
+        use = MessageUse.USED if any(decoder.uses(frame) for decoder in decoders) else standard_use(frame)
+        digits = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
+        kind = f"CAN {digits}{f' {name}' if name else ''}"[:64]
+        known = kind, use or (MessageUse.UNUSED if name else MessageUse.UNKNOWN)
+        if len(self._names) < MAX_IDENTIFIERS:
+            self._names[key] = known
+        return known
 
     def _outputs(self, frame: CanFrame, message: CanRaw) -> Iterator[Output]:
         received_ns = self._received_ns(frame, message)

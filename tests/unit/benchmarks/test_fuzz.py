@@ -6,6 +6,8 @@ import pytest
 
 from benchmarks import fuzz
 from shared.devices.recognition import recognise
+from shared.faults import FAULT
+from tests.support.data import REPOSITORY
 
 # 0.3 s on this test's machine are 200 inputs and more; a parser that fails mostly does within the first hundred.
 SECONDS = 0.5
@@ -20,7 +22,7 @@ def test_damaged_bytes_neither_raise_nor_grow(name: str, tmp_path: Path) -> None
 def test_a_failing_input_is_stored_and_fails_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Fragile:
         def __init__(self) -> None:
-            self.rejects = {fuzz.FAULT: 0}
+            self.rejects = {FAULT: 0}
 
         def handle(self, message: object) -> list[object]:
             if b"\xff" in message.data:  # type: ignore[attr-defined]
@@ -35,7 +37,7 @@ def test_a_failing_input_is_stored_and_fails_again(tmp_path: Path, monkeypatch: 
 
 
 def test_repaired_frames_have_right_checksums() -> None:
-    for path in sorted((fuzz.REPOSITORY / "tests" / "golden").glob("*.[ux]b*")):
+    for path in sorted((REPOSITORY / "tests" / "golden").glob("*.[ux]b*")):
         seed = path.read_bytes()[:4000]
         assert recognise(bytes(fuzz.repaired(bytearray(seed)))).frames == recognise(seed).frames
         damaged = bytearray(seed)

@@ -47,7 +47,7 @@ def fed(parser: Process, *frames: str, step_s: float = 0.1) -> list[Message]:
     return found
 
 
-def values(found: list[Message]) -> dict[str, tuple[float | None, str]]:
+def values(found: list[Message]) -> dict[str, tuple[object, str]]:
     return {one.name: (one.value, one.unit) for one in found if isinstance(one, VehicleSignal)}
 
 
@@ -133,6 +133,14 @@ def test_error_frames_are_told_behind_any_number_of_identifiers() -> None:
     fed(parser, *(f"{k:03X}#00" for k in range(200)), "20000080#00", step_s=0.001)
     table = {kind.kind: kind.count for kind in parser.kinds.table()}
     assert len(table) <= 64 and table["CAN error frame"] == 1 and table["others"] > 100
+
+
+def test_speeds_are_read_behind_any_number_of_identifiers() -> None:
+    parser = Process(Config())
+    frames = b"".join(b"(1795000000.000000) can0 %08X#00\n" % (k << 8) for k in range(5000))
+    frames += b"(1795000000.000000) can0 7E8#03410D32\n"
+    (speed,) = parser.handle(CanRaw(received_ns=NOW_NS, source="can0", data=frames))
+    assert isinstance(speed, VehicleSpeed) and len(parser._names) == 4096
 
 
 @pytest.mark.recording

@@ -12,7 +12,7 @@ from services.parsers.can.isotp import FRAME_TIMEOUT_NS, MOST_MESSAGES, MessageJ
 from services.parsers.can.standards import vin_of_answer
 
 MS = 1_000_000
-FLOW_CONTROL = isotp.CanMessage(arbitration_id=0x7E0, dlc=3, data=bytearray(b"\x30\x00\x00"))
+FLOW_CONTROL = isotp.CanMessage(arbitration_id=0x7E0, dlc=3, data=b"\x30\x00\x00")
 
 
 def sent(payload: bytes, padding: int | None = None) -> list[bytes]:

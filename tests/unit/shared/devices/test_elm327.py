@@ -149,9 +149,10 @@ def test_the_rate_of_the_port_is_found_and_said() -> None:
 def test_no_adapter_is_said_with_what_to_check() -> None:
     bench = Bench(rate=38400)
     bench.deaf = True
-    assert bench.adapter.found is DeviceFound.SEARCHING
+    bench.run(1.0)
+    found = [bench.adapter.found]
     bench.run(60.0)
-    assert bench.adapter.found is DeviceFound.SILENT
+    assert [*found, bench.adapter.found] == [DeviceFound.SEARCHING, DeviceFound.SILENT]
     assert "does not answer at 9600, 38400" in bench.adapter.sentence()
     assert {command for _, command in bench.written} == {"ATZ", ""}
 
