@@ -104,16 +104,12 @@ def messages(process: str, healths: Sequence[ProcessHealth]) -> Iterator[Finding
     first, last = tables[0], tables[-1]
     before = {kind.kind: kind.count for kind in first.kinds}
     span_s = (last.sent_ns - first.sent_ns) * 1e-9
-    for use, remedy in (
-        (MessageUse.USED, ""),
-        (MessageUse.UNUSED, ""),
-        (MessageUse.UNKNOWN, ""),
-    ):
+    for use in MessageUse:
         of_use = [kind for kind in last.kinds if kind.use is use]
         if of_use:
             listed = ", ".join(_rate(kind, before, span_s) for kind in of_use[:LISTED])
             more = f" and {len(of_use) - LISTED} more kinds" if len(of_use) > LISTED else ""
-            yield Finding(True, f"{process}: {use}: {listed}{more}", remedy)
+            yield Finding(True, f"{process}: {use}: {listed}{more}")
     for kind in last.kinds:
         if kind.rejected:
             few = kind.rejected <= TOLERATED * kind.count
