@@ -72,9 +72,7 @@ def _broker_stores(folder: Path) -> Iterator[Finding]:
         aside = store / "mosquitto.db.unreadable"
         if aside.exists():
             what = f"the broker could not read its store, and started without it: {aside}"
-            yield Finding(
-                False, what, "what was retained has been published again; check the disk, and delete the file"
-            )
+            yield Finding(False, what, STORE_REMEDY)
 
 
 def _v2x(vehicle: VehicleFile) -> Iterator[Finding]:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator, Sequence
 
 from services.controller.mode.process import Config as Controller
+from services.controller.mode.unit import has_position
 from shared.bus.bus import Bus
 from shared.errors import BadPayload
 from shared.messages.base import Message
@@ -136,7 +137,7 @@ def receiver(heard: Sequence[Message], *, configured: bool) -> Iterator[Finding]
         Whether the unit configures the receiver.
     """
     fixes = [message for message in heard if isinstance(message, GnssFix)]
-    located = [fix for fix in fixes if fix.latitude_deg is not None]
+    located = [fix for fix in fixes if has_position(fix)]
     modes = [message for message in heard if isinstance(message, ModeState)]
     said = [message for message in heard if isinstance(message, GnssReceiver)]
     sends = f"; {said[-1].source} sends {', '.join(said[-1].messages) or 'no message'}" if said else ""

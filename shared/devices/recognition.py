@@ -28,7 +28,6 @@ class Spoken:
     pattern: re.Pattern[bytes]  # a header, with its length in the groups where it has one
     size: Callable[[re.Match[bytes]], int]  # of the frame [bytes]
     is_valid: Callable[[bytes], bool]
-    device: str  # kind of device: gnss, imu, can
     least: int = 1  # frames
 
 
@@ -37,7 +36,6 @@ class Recognised:
     """What was found in some bytes: frames of each protocol."""
 
     frames: dict[str, int]
-    bytes_looked_at: int
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -45,15 +43,13 @@ class Recognised:
         return tuple(sorted(self.frames, key=lambda name: -self.frames[name]))
 
 
-def recognise(data: bytes, protocols: tuple[Spoken, ...] | None = None) -> Recognised:
+def recognise(data: bytes) -> Recognised:
     """Find the protocols in some bytes.
 
     Parameters
     ----------
     data : bytes
         What a device sent, beginning anywhere; the last 8192 bytes are looked at.
-    protocols : tuple of Spoken
-        Those to look for; all where None.
 
     Returns
     -------
@@ -62,7 +58,7 @@ def recognise(data: bytes, protocols: tuple[Spoken, ...] | None = None) -> Recog
     """
     data = data[-MOST_BYTES:]
     found: Counter[str] = Counter()
-    for protocol in PROTOCOLS if protocols is None else protocols:
+    for protocol in PROTOCOLS:
         position = number = 0
         while (match := protocol.pattern.search(data, position)) is not None:
             stop = match.start() + protocol.size(match)
@@ -72,7 +68,7 @@ def recognise(data: bytes, protocols: tuple[Spoken, ...] | None = None) -> Recog
                 position = match.start() + 1
         if number >= protocol.least:
             found[protocol.name] = number
-    return Recognised(dict(found), len(data))
+    return Recognised(dict(found))
 
 
 def _little(match: re.Match[bytes]) -> int:
@@ -123,32 +119,31 @@ def _anything(_: bytes) -> bool:
 
 
 PROTOCOLS = (
-    Spoken("UBX", re.compile(rb"\xb5\x62..(.[\x00-\x10])", re.S), lambda m: 8 + _little(m), _is_ubx, "gnss"),
-    Spoken("NMEA", re.compile(rb"\$[ -#%-)+-~]{4,248}\*[0-9A-Fa-f]{2}"), _whole, _is_nmea, "gnss"),
+    Spoken("UBX", re.compile(rb"\xb5\x62..(.[\x00-\x10])", re.S), lambda m: 8 + _little(m), _is_ubx),
+    Spoken("NMEA", re.compile(rb"\$[ -#%-)+-~]{4,248}\*[0-9A-Fa-f]{2}"), _whole, _is_nmea),
     Spoken(
         "RTCM", re.compile(rb"\xd3([\x00-\x03].)", re.S), lambda m: 6 + int.from_bytes(m[1], "big"),
-        lambda frame: len(frame) > 8 and crc24q(frame) == 0, "gnss",
+        lambda frame: len(frame) > 8 and crc24q(frame) == 0,
     ),
     Spoken(
         "Xbus", re.compile(rb"\xfa\xff.([\x00-\xfe]|\xff[\x00-\x08].)", re.S), _xbus_size,
-        lambda frame: sum(frame[1:]) & 0xFF == 0, "imu",
+        lambda frame: sum(frame[1:]) & 0xFF == 0,
     ),
-    Spoken("SBF", re.compile(rb"\$@....(..)", re.S), lambda m: max(_little(m), 8), _is_sbf, "gnss"),
-    Spoken("SPARTN", re.compile(rb"s[\x00-\x09]..", re.S), _whole, _is_spartn_header, "gnss", least=LEAST_OF_TEXT),
+    Spoken("SBF", re.compile(rb"\$@....(..)", re.S), lambda m: max(_little(m), 8), _is_sbf),
+    Spoken("SPARTN", re.compile(rb"s[\x00-\x09]..", re.S), _whole, _is_spartn_header, least=LEAST_OF_TEXT),
     Spoken(
-        "NovAtel", re.compile(rb"\xaa\x44\x12\x1c....(..)", re.S), lambda m: 28 + _little(m) + 4, _is_novatel, "gnss"
+        "NovAtel", re.compile(rb"\xaa\x44\x12\x1c....(..)", re.S), lambda m: 28 + _little(m) + 4, _is_novatel
     ),
-    Spoken("Unicore", re.compile(rb"\xaa\x44\xb5...(..)", re.S), lambda m: 24 + _little(m) + 4, _is_novatel, "gnss"),
+    Spoken("Unicore", re.compile(rb"\xaa\x44\xb5...(..)", re.S), lambda m: 24 + _little(m) + 4, _is_novatel),
     Spoken(
         "SiRF", re.compile(rb"\xa0\xa2([\x00-\x03].)", re.S), lambda m: 8 + int.from_bytes(m[1], "big"), _is_sirf,
-        "gnss",
     ),
-    Spoken("ELM327", re.compile(rb"ELM327 v\d|\r>"), _whole, _anything, "can"),
+    Spoken("ELM327", re.compile(rb"ELM327 v\d|\r>"), _whole, _anything),
     Spoken(
-        "slcan", re.compile(rb"t[0-9A-Fa-f]{3}[0-8][0-9A-Fa-f]{0,16}\r"), _whole, _anything, "can", least=LEAST_OF_TEXT
+        "slcan", re.compile(rb"t[0-9A-Fa-f]{3}[0-8][0-9A-Fa-f]{0,16}\r"), _whole, _anything, least=LEAST_OF_TEXT
     ),
     Spoken(
-        "text lines", re.compile(rb"(?<=\n)[ -~\t]{3,200}\r?\n"), _whole, lambda line: not line.startswith(b"$"), "imu",
+        "text lines", re.compile(rb"(?<=\n)[ -~\t]{3,200}\r?\n"), _whole, lambda line: not line.startswith(b"$"),
         least=LEAST_OF_TEXT,
     ),
 )  # fmt: skip

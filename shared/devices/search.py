@@ -4,7 +4,6 @@ The state machine has no clock and no port: `Recognising` in `recognising.py` gi
 each rate first. Only then it asks at each rate, and only where it may: at a wrong rate a question is noise.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..messages.operation import DeviceFound
@@ -30,9 +29,8 @@ QUESTIONS = {
     "gnss": (Question("UBX", bytes.fromhex("b5620a0400000e34")),),  # UBX-MON-VER
     # GotoConfig, since a tracker that measures does not answer to anything else, and GotoMeasurement.
     "imu": (Question("Xbus", bytes.fromhex("faff3000d1"), bytes.fromhex("faff1000f1")),),
-    "can": (Question("ELM327", b"\rATI\r"),),
 }
-WANTED = {"gnss": ("UBX", "NMEA"), "imu": ("Xbus", "text lines"), "can": ("ELM327", "slcan")}
+WANTED = {"gnss": ("UBX", "NMEA"), "imu": ("Xbus", "text lines")}
 
 
 @dataclass(frozen=True)
@@ -50,24 +48,22 @@ class Search:
     Parameters
     ----------
     kind : str
-        gnss, imu or can: what is expected at this port.
+        gnss or imu: what is expected at this port.
     rate_baud : int or None
         The configured rate, which is tried first; None for a device without a rate.
     may_write : bool
         Whether questions may be asked.
-    extra : sequence of str
-        Further protocols that are read at this port.
     """
 
-    def __init__(self, kind: str, rate_baud: int | None, *, may_write: bool, extra: Sequence[str] = ()) -> None:
+    def __init__(self, kind: str, rate_baud: int | None, *, may_write: bool) -> None:
         self.found = DeviceFound.SEARCHING
         self.protocols: tuple[str, ...] = ()
         self.rate_baud = rate_baud
         self.remedy = "check cable, power, and that TX and RX are not exchanged"  # of silence
         self._configured_baud = rate_baud
         self._rates = () if rate_baud is None else (rate_baud, *(rate for rate in RATES if rate != rate_baud))
-        self._questions = QUESTIONS.get(kind, ()) if may_write else ()
-        self._wanted = (*WANTED.get(kind, ()), *extra)
+        self._questions = QUESTIONS[kind] if may_write else ()
+        self._wanted = WANTED[kind]
         self._kind = kind
         self._sample = b""
         self._noise_bytes = 0  # at all rates together
