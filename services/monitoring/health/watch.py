@@ -379,7 +379,7 @@ class Watch:
 
     def _affect(self, entry: _Open, topics: list[str]) -> None:
         entry.silent_ns |= {name: self._topics[name].newest_ns or 0 for name in topics}
-        affected = (*entry.outage.affected, *(name for name in topics if name not in entry.outage.affected))
+        affected = tuple(sorted({*entry.outage.affected, *topics}))
         entry.outage = entry.outage.model_copy(update={"affected": affected})
 
     def _recover(self) -> None:
@@ -418,14 +418,14 @@ class Watch:
 
     def _problem(self, entry: _Open) -> Problem:
         outage = entry.outage
-        silent = tuple(entry.silent_ns)
+        silent = tuple(sorted(entry.silent_ns))
         return Problem(
             what=outage.what, text=self._text(entry), since_ns=outage.since_ns, affected=silent, outage=outage
         )
 
     def _text(self, entry: _Open) -> str:
         """Describe the present effect of an outage."""
-        what, waiting = entry.outage.what, ", ".join(entry.silent_ns)
+        what, waiting = entry.outage.what, ", ".join(sorted(entry.silent_ns))
         if what == BROKER and self.answering:
             return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")
         if what in self._processes:
