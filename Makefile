@@ -84,9 +84,8 @@ down: ## stop the containers
 containers: | $(VENV)/.testing ## test the containers for real, where there is an engine (three minutes)
 	@$(PYTHON) -m pytest -m container $(PYTEST_ARGS)
 
-docs: setup ## print docs/reference, broker/acl.conf, the README's diagram and obu.target from the code
+docs: setup ## print docs/reference, the README's diagram and obu.target from the code
 	@$(PYTHON) -m cli reference
-	@$(PYTHON) -m broker.acl > broker/acl.conf
 
 lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 	@$(PYTHON) deploy/lock.py

@@ -2,41 +2,56 @@
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from shared.processes import PROCESSES, Kind, ProcessRow
-from shared.topics import BY_NAME, Topic, measurements, publications, subscriptions
+from shared.runtime.credentials import OBSERVERS, PROBE
+from shared.topics import BY_NAME, REPLAY, Topic, measurements, publications, subscriptions
 
 ANY_VEHICLE = "+"
-OBSERVER = "observer"  # read-only clients: `obu tail`, the balance of the demo
-REPLAY = "replay"  # publishes the messages of a recording in place of the sensors: `obu replay`
+BROKER_LOG = "$SYS/broker/log/N"  # what the broker has refused, for monitoring.health
 HEAD = """\
 # Access list: rights to read and write topics. Printed by `python -m broker.acl`; do not edit.
-# The user name of a process is its own name; read-only clients use `observer`, the replay of a recording `replay`.
+# The user name of a process is its own name. Programs that listen are one of the observers, the health check of the
+# broker is `probe`, and the replay of a recording `replay`.
 """
 NOBODY_ELSE = "# Other users may neither read nor write.\n"
 
 
-def access_list(vehicle: str = ANY_VEHICLE, *, nameless_read: bool = False, replay: bool = False) -> str:
+def access_list(
+    vehicle: str = ANY_VEHICLE,
+    *,
+    rows: Sequence[ProcessRow] = PROCESSES,
+    readers: Sequence[str] = (),
+    nameless_read: bool = False,
+    replay: bool = False,
+    replayed: bool = True,
+) -> str:
     """Print the access list in the format of Mosquitto's `acl_file`.
 
-    It holds for one vehicle or for any; clients without a name may read everything or, ordinarily, nothing. On the
-    broker of a replay `sensors.replay` publishes in place of every process.
+    It holds for one vehicle or for any, for the processes `rows` and further users that only read; clients without a
+    name may read everything or, ordinarily, nothing. On the broker of a replay `sensors.replay` publishes in place of
+    every process; `obu replay --broker` publishes in place of the sensors where `replayed` allows it.
     """
     prefix = f"obu/{vehicle}/"
     everything = f"topic read {prefix}#\n"
     nameless = f"\n# Clients without a name may read.\n{everything}" if nameless_read else NOBODY_ELSE
+    observers = "".join(f"\nuser {name}\n{everything}" for name in (*OBSERVERS, *readers))
     users = (
         f"\nuser {row.name}\n" + ("topic write obu/#\n" if replay and row.kind is Kind.REPLAY else "")
-        + "".join(_lines(row, prefix)) for row in PROCESSES
+        + "".join(_lines(row, prefix)) for row in rows
     )  # fmt: skip
-    return f"{HEAD}{nameless}\nuser {OBSERVER}\n{everything}\n{_replay(prefix)}{''.join(users)}"
+    return f"{HEAD}{nameless}{observers}\n{_probe(prefix)}{_replay(prefix) if replayed else ''}{''.join(users)}"
+
+
+def _probe(prefix: str) -> str:
+    return f"user {PROBE}\ntopic read {prefix}health/+\n"
 
 
 def _replay(prefix: str) -> str:
     origin = BY_NAME["origin/state"]
     writes = (f"topic write {prefix}{topic.name}\n" for topic in (*measurements(), origin))
-    return f"user {REPLAY}\ntopic read {prefix}{origin.name}\n{''.join(writes)}"
+    return f"\nuser {REPLAY}\ntopic read {prefix}{origin.name}\n{''.join(writes)}"
 
 
 def _lines(row: ProcessRow, prefix: str) -> Iterator[str]:
@@ -45,6 +60,8 @@ def _lines(row: ProcessRow, prefix: str) -> Iterator[str]:
     else:
         yield from (f"topic read {prefix}{topic.name}\n" for topic in subscriptions(row.name))
     yield from (f"topic write {prefix}{_own(topic, row.name)}\n" for topic in publications(row.name))
+    if row.name == "monitoring.health":
+        yield f"topic read {BROKER_LOG}\n"
 
 
 def _own(topic: Topic, process: str) -> str:

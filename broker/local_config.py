@@ -1,7 +1,7 @@
 """Mosquitto on this machine alone: where its program is, and `mosquitto.conf` with other places.
 
-`python -m broker.local_config --store /var/lib/obu-broker > /etc/obu/mosquitto.conf` prints it for a unit without
-containers; the demo and the tests write theirs into a folder of their own.
+`python -m broker.local_config --store /var/lib/obu-broker --rules /etc/obu/broker > /etc/obu/mosquitto.conf` prints it
+for a unit without containers; the demo and the tests write theirs into a folder of their own.
 """
 
 import argparse
@@ -10,8 +10,12 @@ import shutil
 import sys
 from pathlib import Path
 
+from .keys import ACCESS_LIST, PASSWORDS
+
 HERE = Path(__file__).resolve().parent
-OWN_PLACES = ("listener", "socket_domain", "persistence_location", "acl_file", "log_dest", "user", "pid_file")
+OWN_PLACES = (
+    "listener", "socket_domain", "persistence_location", "password_file", "acl_file", "log_dest", "user", "pid_file"
+)  # fmt: skip
 
 
 def executable() -> str | None:
@@ -24,8 +28,11 @@ def command(program: str, config: Path) -> list[str]:
     return ["sh", str(HERE / "start.sh"), program, str(config)]
 
 
-def configuration(port: int, store: Path, acl: Path = HERE / "acl.conf") -> str:
-    """Keep every line of `mosquitto.conf` but its places: a loopback port, a folder of its own, the access list."""
+def configuration(port: int, store: Path, rules: Path) -> str:
+    """Keep every line of `mosquitto.conf` but its places: a loopback port, a folder of its own, and the folder `rules`.
+
+    It holds the password file and the access list (`broker.keys.make`).
+    """
     lines = [
         line
         for line in (HERE / "mosquitto.conf").read_text(encoding="utf-8").splitlines()
@@ -37,17 +44,19 @@ def configuration(port: int, store: Path, acl: Path = HERE / "acl.conf") -> str:
         f"listener {port} 127.0.0.1",
         "socket_domain ipv4",
         f"persistence_location {store}/",
-        f"acl_file {acl}",
+        f"password_file {rules / PASSWORDS}",
+        f"acl_file {rules / ACCESS_LIST}",
         "log_dest stderr",
+        "log_dest topic",
     ]
     return "\n".join(lines) + "\n"
 
 
-def write(folder: Path, port: int, acl: Path = HERE / "acl.conf") -> Path:
+def write(folder: Path, port: int, rules: Path) -> Path:
     """Write a configuration for a broker that is started by whoever calls this, and keeps its files in `folder`."""
     store = folder / "broker"
     store.mkdir(exist_ok=True)
-    text = configuration(port, store, acl)
+    text = configuration(port, store, rules)
     if os.geteuid() == 0:  # started by root it would give up its rights, and with them the folder
         text += "user root\n"
     path = folder / "mosquitto.conf"
@@ -62,9 +71,11 @@ def main() -> None:
     )
     parser.add_argument("--port", type=int, default=1883, help="port on 127.0.0.1")
     parser.add_argument("--store", type=Path, default=Path("/var/lib/obu-broker"), help="folder for what is kept")
-    parser.add_argument("--acl", type=Path, default=HERE / "acl.conf", help="the access list")
+    parser.add_argument(
+        "--rules", type=Path, default=Path("/etc/obu/broker"), help="folder of the password file and the access list"
+    )
     options = parser.parse_args()
-    sys.stdout.write(configuration(options.port, options.store, options.acl))
+    sys.stdout.write(configuration(options.port, options.store, options.rules))
 
 
 if __name__ == "__main__":

@@ -57,6 +57,12 @@ calibrate = typer.Typer(
 app.add_typer(calibrate, name="calibrate")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
+keys_app = typer.Typer(
+    help="Make and manage the secrets with which processes and programs identify themselves to the broker.\n\n"
+    "Example: [bold]obu keys add fleet-gateway --read[/]",
+    no_args_is_help=True,
+)
+app.add_typer(keys_app, name="keys")
 
 VehicleOption = Annotated[
     Path | None,
@@ -200,13 +206,15 @@ def broker(
     kind: Annotated[
         BrokerKind, typer.Option("--broker", help="auto: Mosquitto if it is there, else our own.")
     ] = BrokerKind.AUTO,
+    vehicle: VehicleOption = None,
 ) -> None:
     """Run the broker of a unit on this machine, reachable from here only, until Ctrl-C.
 
-    Its configuration and its kept messages are in the folder `broker` of OBU_STATE.
+    Its configuration and its kept messages are in the folder `broker` of OBU_STATE. It serves one vehicle: that of the
+    file, whose processes find their secrets in the folder `credentials` of OBU_STATE.
 
     Examples:
-    [bold]obu broker[/]
+    [bold]obu broker --vehicle deploy/vehicles/pi.toml[/]
     [bold]obu broker --port 1884 --broker simulated[/]
     """
     import os
@@ -218,11 +226,87 @@ def broker(
     _, taken = port_or_free(port)
     if taken:
         raise UserError(f"port {port} {taken}: a broker may run already (`obu doctor`); choose another with --port")
-    folder = state_dir().resolve() / "broker"
-    folder.mkdir(exist_ok=True)
-    command = broker_command(folder, port, kind.value)
+    command = broker_command(state_dir().resolve(), port, kind.value, load_vehicle(vehicle))
     print(f"broker at mqtt://127.0.0.1:{port}   (end with Ctrl-C)", flush=True)
     os.execv(command[0], command)
+
+
+@keys_app.command("make")
+def keys_make(
+    vehicle: VehicleOption = None,
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            "--broker-files", metavar="FOLDER", help="Where the broker's password file and access list are written."
+        ),
+    ] = None,
+    owner: Annotated[
+        str | None, typer.Option("--broker-user", metavar="USER", help="Who may read them: the broker's user.")
+    ] = None,
+    containers: Annotated[
+        bool, typer.Option("--containers", help="Give each secret to the user of its container.")
+    ] = False,
+) -> None:
+    """Make the secrets that are missing, and the files by which the broker checks them; what exists is kept.
+
+    `obu demo`, `obu broker`, the containers and install.sh do it themselves.
+
+    Examples:
+    [bold]obu keys make --vehicle deploy/vehicles/pi.toml[/]
+    [bold]obu keys make --broker-files /etc/obu/broker --broker-user mosquitto[/]
+    """
+    from .keys import make
+
+    raise typer.Exit(make(vehicle, files, owner, containers=containers))
+
+
+@keys_app.command("list")
+def keys_list() -> None:
+    """List who has a secret; never the secret.
+
+    Example: [bold]sudo obu keys list[/]
+    """
+    from .keys import show
+
+    raise typer.Exit(show())
+
+
+@keys_app.command("add")
+def keys_add(
+    name: Annotated[str, typer.Argument(help="Name of the new user, such as fleet-gateway.")],
+    read: Annotated[bool, typer.Option("--read", help="It may read every topic, and write none.")] = False,
+) -> None:
+    """Add a user of the bus that is no part of the unit, and print its secret.
+
+    Example: [bold]obu keys add fleet-gateway --read[/]
+    """
+    from .keys import add
+
+    if not read:
+        raise UserError("a further user may only read: add --read")
+    raise typer.Exit(add(name))
+
+
+@keys_app.command("remove")
+def keys_remove(name: Annotated[str, typer.Argument(help="Name of the user.")]) -> None:
+    """Remove a user of `obu keys add`.
+
+    Example: [bold]obu keys remove fleet-gateway[/]
+    """
+    from .keys import remove
+
+    raise typer.Exit(remove(name))
+
+
+@keys_app.command("rotate")
+def keys_rotate(name: Annotated[str | None, typer.Argument(help="Whose secret; without it all.")] = None) -> None:
+    """Replace secrets, as after somebody has read them.
+
+    Example: [bold]obu keys rotate observer.1[/]
+    """
+    from .keys import rotate
+
+    raise typer.Exit(rotate(name))
 
 
 @app.command()

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from .messages.base import Message, RawBytes
 from .messages.corrections import CorrectionBytes, CorrectionSources, CorrectionsState, GnssCorrection
@@ -74,6 +74,9 @@ from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
+ONE_BYTES, MANY_BYTES = 131_072, 1_048_576
+OF_MANY = ("v2x/", "toll/", "plaza/", "simulation/", "replay/", "mode/")
+REPLAY = "replay"  # the program `obu replay --broker`
 PROCESS_NAME = re.compile(rf"({'|'.join(LAYERS)})\.[a-z][a-z0-9_]*")
 
 
@@ -99,6 +102,11 @@ class Topic:
     personal: bool = False
     fast: bool = False
     advisory: bool = False
+
+    @cached_property
+    def most_bytes(self) -> int:
+        """Largest payload: many vehicles, or the roads of a region, take more than what one vehicle measures."""
+        return MANY_BYTES if self.name.startswith(OF_MANY) else ONE_BYTES
 
     @cached_property
     def per_process(self) -> bool:
@@ -239,6 +247,20 @@ BY_MESSAGE = {topic.message: topic for topic in TOPICS}
 def topic_of(name: str) -> Topic | None:
     """Find the row of a topic's name without prefix; None for a name that the contract does not hold."""
     return BY_NAME.get(name) or BY_NAME.get(name.rsplit("/", 1)[0] + "/+")
+
+
+@lru_cache(4_000)
+def may_send(process: str, name: str) -> bool:
+    """Whether a process may be the sender of a message on a topic, named without prefix.
+
+    `obu replay --broker` sends the topics of devices in the place of sensors.
+    """
+    topic = topic_of(name)
+    if topic is None:
+        return False
+    if topic.per_process:
+        return name == topic.name[:-1] + process and process in PROCESS_ROWS
+    return process in topic.producers or (process == REPLAY and (topic in measurements() or name == "origin/state"))
 
 
 def subscriptions(process: str) -> tuple[Topic, ...]:

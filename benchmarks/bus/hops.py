@@ -1,4 +1,4 @@
-"""Ages of messages over three hops in C, on the broker of the unit that is measured."""
+"""Ages of messages over three hops in C, on a broker of their own beside the unit that is measured."""
 
 import subprocess
 from collections.abc import Iterator, Sequence

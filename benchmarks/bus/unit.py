@@ -1,7 +1,9 @@
 """What the whole unit costs, and how long an inertial sample takes from the driver to the solution."""
 
 import os
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import psutil
 
+from broker import local_config
 from cli.demo.local import broker_command, free_port, unit
 from cli.demo.supervisor import Supervisor
 from shared.bus.bus import Bus
@@ -122,7 +125,7 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
     }  # fmt: skip
     supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
     supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party"])
-    supervisor.add("broker", broker_command(folder, port, "mosquitto"))
+    supervisor.add("broker", broker_command(folder, port, "mosquitto", parse_vehicle(VEHICLE)))
     supervisor.watch()
     for name in COLD:
         os.sched_setscheduler(_host(supervisor, name).pid, os.SCHED_OTHER, os.sched_param(0))
@@ -140,20 +143,34 @@ def measure(folder: Path, seconds: float) -> UnitResult:
         before, started = _cpu_s(supervisor), time.monotonic()
         alone = Ages.of(listener.ages(seconds))
         costs = _costs(supervisor, before, time.monotonic() - started)
-        rounds = [_beside(listener, port, seconds / ROUNDS) for _ in range(ROUNDS)]
+        rounds = [_beside(listener, seconds / ROUNDS) for _ in range(ROUNDS)]
         listener.close()
         ours, yardstick = (Ages.typical(ages) for ages in zip(*rounds, strict=True))
         return UnitResult(costs, alone, ours, yardstick)
 
 
-def _beside(listener: Listener, port: int, seconds: float) -> tuple[Ages, Ages]:
+@contextmanager
+def _open_broker(folder: Path) -> Iterator[int]:
+    """Run a Mosquitto for the yardstick: the unit's own lets nobody else take the names of its processes."""
+    port, program = free_port(), local_config.executable()
+    path = folder / "mosquitto.conf"
+    path.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\nlog_type error\n")
+    with subprocess.Popen([str(program), "-c", str(path)]) as process:
+        try:
+            yield port
+        finally:
+            process.terminate()
+
+
+def _beside(listener: Listener, seconds: float) -> tuple[Ages, Ages]:
     """Ours, and a yardstick that is started anew: where the kernel places its processes changes it by half."""
     listener.ages(0.2)  # what came while nobody listened
     yardstick: list[Ages] = []
-    thread = threading.Thread(target=lambda: yardstick.append(three_hops_c(port, IMU_RATE_HZ, seconds)))
-    thread.start()
-    ours = Ages.of(listener.ages(seconds))
-    thread.join()
+    with tempfile.TemporaryDirectory() as folder, _open_broker(Path(folder)) as port:
+        thread = threading.Thread(target=lambda: yardstick.append(three_hops_c(port, IMU_RATE_HZ, seconds)))
+        thread.start()
+        ours = Ages.of(listener.ages(seconds))
+        thread.join()
     return ours, yardstick[0]
 
 

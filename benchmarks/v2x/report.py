@@ -33,7 +33,7 @@ from shared.messages.v2x import (
     PathPoint,
     StationType,
 )
-from shared.runtime.config import BrokerAddress
+from shared.runtime.config import BrokerAddress, load_vehicle
 from shared.toll.plaza import Plaza, load_plaza
 from shared.topics import BY_NAME
 from shared.v2x import cam, geonetworking, its_time
@@ -168,7 +168,7 @@ def running(folder: Path, port: int, broker: str) -> Iterator[dict[str, psutil.P
         "OBU_VEHICLE": str(file), "OBU_BROKER": f"mqtt://127.0.0.1:{broker_port}", "OBU_STATE": str(folder)
     }  # fmt: skip
     os.environ["OBU_BROKER"] = environment["OBU_BROKER"]
-    commands = {"broker": broker_command(folder, broker_port, broker)}
+    commands = {"broker": broker_command(folder, broker_port, broker, load_vehicle(file))}
     commands |= {name: [sys.executable, "-m", "cli", "run", name] for name in MEASURED}
     with (folder / "log").open("w") as log:
         children = {

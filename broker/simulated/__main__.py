@@ -7,7 +7,8 @@ import signal
 import sys
 from pathlib import Path
 
-from .access_list import Acl, AclError, parse
+from ..passwords import Passwords, PasswordsError
+from .access_list import AclError, parse
 from .broker import Broker
 from .server import Server
 
@@ -18,32 +19,58 @@ def main() -> int:
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=1883, help="0: any free port, which is then printed")
     parser.add_argument("--acl", type=Path, help="access list, in the format of Mosquitto's acl_file")
+    parser.add_argument(
+        "--passwords", type=Path, help="password file, as Mosquitto's; without it every client is who it says"
+    )
     parser.add_argument("--print-port", action="store_true", help="print `listening on HOST:PORT`, as with --port 0")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s %(message)s")
     try:
-        acl = _read(options.acl)
-        asyncio.run(_serve(options.host, options.port, acl, announce=options.print_port or options.port == 0))
+        rules = _Rules(options.acl, options.passwords)
+        rules.read()
+        asyncio.run(_serve(options.host, options.port, rules, announce=options.print_port or options.port == 0))
     except (OSError, OverflowError) as error:
         return _fail(f"cannot listen on {options.host}:{options.port}: {error}; try --port 0 for any free port")
     except AclError as error:
         return _fail(f"the access list {options.acl} is not valid: {error}; try `python -m broker.acl` for a valid one")
+    except PasswordsError as error:
+        return _fail(f"the password file {options.passwords} is not valid: {error}; `obu keys make` writes a valid one")
     return 0
 
 
-def _read(path: Path | None) -> Acl | None:
-    if path is None:
-        return None
+class _Rules:
+    """Access list and password file; read anew on SIGHUP, as by Mosquitto."""
+
+    def __init__(self, acl: Path | None, passwords: Path | None) -> None:
+        self.broker = Broker()
+        self._acl, self._passwords = acl, passwords
+
+    def read(self) -> None:
+        """Read both; raises `AclError` or `PasswordsError`, and then what held before holds."""
+        acl = None if self._acl is None else parse(_text(self._acl, AclError))
+        passwords = None if self._passwords is None else Passwords(_text(self._passwords, PasswordsError))
+        self.broker.acl, self.broker.passwords = acl, passwords
+
+    def read_anew(self) -> None:
+        """Read both, and log why that was not possible."""
+        try:
+            self.read()
+        except (AclError, PasswordsError) as error:
+            logging.getLogger(__name__).error("the rules stay as they were: %s", error)
+
+
+def _text(path: Path, kind: type[AclError | PasswordsError]) -> str:
     try:
-        return parse(path.read_text())
+        return path.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise AclError(f"it cannot be read ({error})") from error
+        raise kind(f"it cannot be read ({error})") from error
 
 
-async def _serve(host: str, port: int, acl: Acl | None, *, announce: bool) -> None:
-    server = Server(Broker(acl))
+async def _serve(host: str, port: int, rules: _Rules, *, announce: bool) -> None:
+    server = Server(rules.broker)
     await server.listen(host, port)
     loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGHUP, rules.read_anew)
     for ending in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(ending, server.stop)
     if announce:

@@ -1,5 +1,11 @@
 """The broker itself: sessions, subscriptions, retained messages and wills, without any input or output."""
 
+import time
+from collections.abc import Callable
+
+from ..acl import BROKER_LOG
+from ..contract import Bounds, bounds_of
+from ..passwords import Passwords
 from .access_list import Acl
 from .counters import Counters
 from .packets import REFUSED, Answer, Connect, ProtocolError, Publish, Subscribe, Unsubscribe, encode_publish
@@ -14,12 +20,22 @@ Route = tuple[Session, int]  # receiver of a topic, and QoS
 class Broker:
     """State of the broker; each method is called with a packet that was decoded."""
 
-    def __init__(self, acl: Acl | None = None, limits: Limits | None = None) -> None:
+    def __init__(
+        self,
+        acl: Acl | None = None,
+        limits: Limits | None = None,
+        *,
+        passwords: Passwords | None = None,
+        bounds: Callable[[str], Bounds | None] = bounds_of,
+    ) -> None:
         self.acl = acl
+        self.passwords = passwords  # without it every client is who it says
         self.limits = limits or Limits()
         self.counters = Counters()
         self.sessions: dict[str, Session] = {}
         self.retained: dict[str, Publish] = {}
+        self.retained_bytes = 0
+        self._bounds = bounds
         self._routes: dict[str, list[Route]] = {}  # cached until a subscription changes
         self._assigned = 0
 
@@ -28,6 +44,8 @@ class Broker:
         self._check(request)
         self._assigned += not request.client_id
         client_id = request.client_id or f"assigned-{self._assigned}"
+        if self.passwords is not None and request.user is not None:
+            client_id = request.user  # so that nobody takes over another's session
         if client_id in self.sessions:
             self.sessions[client_id].writer.end()
         session = self.sessions[client_id] = Session(
@@ -38,6 +56,12 @@ class Broker:
     def _check(self, request: Connect) -> None:
         if len(request.client_id) > LONGEST_CLIENT_ID:
             raise ProtocolError("a client identifier that is too long", Answer.IDENTIFIER_REJECTED)
+        if self.passwords is not None and not self.passwords.matches(request.user, request.password):
+            self._log(f"Client {request.client_id or '<unknown>'} disconnected, not authorised.")
+            raise ProtocolError(f"{request.user} without its secret", Answer.NOT_AUTHORIZED)
+        if sum(session.user == request.user for session in self.sessions.values()) >= self.limits.sessions_of_user:
+            detail = f"{self.limits.sessions_of_user} sessions of {request.user} are the maximum"
+            raise ProtocolError(detail, Answer.SERVER_UNAVAILABLE)
         if request.client_id not in self.sessions and len(self.sessions) >= self.limits.sessions:
             raise ProtocolError(f"{len(self.sessions)} sessions are the maximum", Answer.SERVER_UNAVAILABLE)
         if request.will is not None and not is_name(request.will.topic):
@@ -45,6 +69,10 @@ class Broker:
         if request.will is not None and not self._may_write(request.user, request.will.topic):
             detail = f"{request.user} may not write its will to {request.will.topic}"
             raise ProtocolError(detail, Answer.NOT_AUTHORIZED)
+
+    def _log(self, text: str) -> None:
+        """Tell in Mosquitto's words what was refused, on its topic."""
+        self.publish(Publish(BROKER_LOG, f"{int(time.time())}: {text}".encode()))
 
     def _may_write(self, user: str | None, topic: str) -> bool:
         return self.acl is None or self.acl.may_write(user, topic)
@@ -61,10 +89,14 @@ class Broker:
         """Process a message of a client; an unauthorised one is dropped, as MQTT 3.1.1 has no code for it."""
         if not is_name(message.topic):
             raise ProtocolError(f"a message to {message.topic!r}")
-        if self._may_write(session.user, message.topic):
-            self.publish(message)
-        else:
+        bounds = self._bounds(message.topic)
+        if not self._may_write(session.user, message.topic):
             self.counters.note("not authorized", f"{session.user} may not write {message.topic}")
+        elif bounds is not None and len(message.payload) > bounds.payload_bytes:
+            self.counters.note("too large", f"{len(message.payload)} bytes of {session.user} on {message.topic}")
+        else:
+            may_be_kept = bounds is None or bounds.retain or not message.payload
+            self.publish(message if may_be_kept else message._replace(retain=False))
 
     def publish(self, message: Publish) -> None:
         """Store a retained message, and send the message to its subscribers, encoded once."""
@@ -80,12 +112,16 @@ class Broker:
 
     def _retain(self, message: Publish) -> None:
         """Replace the retained message of a topic; an empty one deletes it."""
+        before = self.retained.get(message.topic)
+        size = self.retained_bytes + len(message.payload) - (len(before.payload) if before else 0)
         if not message.payload:
             self.retained.pop(message.topic, None)
-        elif message.topic in self.retained or len(self.retained) < self.limits.retained:
+        elif size <= self.limits.retained_bytes and (before or len(self.retained) < self.limits.retained):
             self.retained[message.topic] = message
         else:
             self.counters.note("retained full", message.topic)
+            return
+        self.retained_bytes = size
 
     def _routes_of(self, topic: str) -> list[Route]:
         """Receivers of a topic: each client once, with the highest QoS of its matching filters."""

@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import socket
+from collections import deque
 from typing import cast
 
 from .broker import Broker
@@ -39,6 +40,8 @@ class Connection(asyncio.Protocol):
         self._connections = connections
         self._framer = Framer(broker.limits.packet_bytes)
         self._session: Session | None = None
+        self._inbox: deque[tuple[int, bytes]] = deque()  # packets that wait for their turn
+        self._refused: ProtocolError | None = None  # by what follows them
         self._ended = False
         self._unsent: list[bytes] = []
         self._unsent_bytes = 0
@@ -61,20 +64,38 @@ class Connection(asyncio.Protocol):
         """Handle the packets that are complete; a packet that is refused ends the connection."""
         self._heard_s = self._loop.time()
         try:
-            for first, body in self._framer.feed(data):
+            self._inbox.extend(self._framer.feed(data))
+        except ProtocolError as refused:
+            self._refused = refused
+        self._work()
+
+    def _work(self) -> None:
+        """Handle some packets, and leave the rest to the next turn: a client that floods does not delay the others."""
+        try:
+            for _ in range(min(len(self._inbox), self._broker.limits.packets_in_turn)):
                 if self._ended:
                     return
-                packet = decode(first, body)
+                packet = decode(*self._inbox.popleft())
                 if self._session is None:
                     self._greet(packet)
                 else:
                     self._handle(packet, self._session)
+            if self._refused is not None and not self._inbox:
+                raise self._refused
         except ProtocolError as refused:
-            who = self._session.client_id if self._session else "a client without session"
-            self._broker.counters.note("protocol error", f"{who}: {refused}")
-            if refused.answer is not None and self._session is None:
-                self.write(encode_connack(refused.answer))
-            self.end()
+            self._refuse(refused)
+        if self._inbox and not self._ended:
+            self._transport.pause_reading()
+            self._loop.call_soon(self._work)
+        elif not self._transport.is_closing():
+            self._transport.resume_reading()
+
+    def _refuse(self, refused: ProtocolError) -> None:
+        who = self._session.client_id if self._session else "a client without session"
+        self._broker.counters.note("protocol error", f"{who}: {refused}")
+        if refused.answer is not None and self._session is None:
+            self.write(encode_connack(refused.answer))
+        self.end()
 
     def pause_writing(self) -> None:
         """The transport's buffer is full."""

@@ -5,6 +5,7 @@ import threading
 from types import TracebackType
 from typing import Self
 
+from ..passwords import Passwords
 from .access_list import Acl
 from .broker import Broker
 from .server import Server
@@ -16,10 +17,10 @@ LONGEST_WAIT_S = 5.0
 class Handle:
     """A running broker; leaving its `with` block stops it."""
 
-    def __init__(self, acl: Acl | None, limits: Limits | None) -> None:
+    def __init__(self, acl: Acl | None, limits: Limits | None, passwords: Passwords | None) -> None:
         self.host = "127.0.0.1"
         self.port = 0
-        self.broker = Broker(acl, limits)
+        self.broker = Broker(acl, limits, passwords=passwords)
         self._ready = threading.Event()
         self._error: OSError | None = None
 
@@ -58,8 +59,10 @@ class Handle:
         self.stop()
 
 
-def start(port: int = 0, *, acl: Acl | None = None, limits: Limits | None = None) -> Handle:
+def start(
+    port: int = 0, *, acl: Acl | None = None, limits: Limits | None = None, passwords: Passwords | None = None
+) -> Handle:
     """Start a broker on 127.0.0.1; with port 0 the system chooses a free one. Raises OSError where it is taken."""
-    handle = Handle(acl, limits)
+    handle = Handle(acl, limits, passwords)
     handle.open(port)
     return handle

@@ -1,7 +1,7 @@
 """MQTT 3.1.1 control packets as the broker reads and writes them (OASIS MQTT 3.1.1, chapters 2 and 3)."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -55,13 +55,14 @@ class Publish(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """CONNECT; the password is not stored."""
+    """CONNECT."""
 
     client_id: str
     clean_session: bool
     keep_alive_s: int
     user: str | None
     will: Publish | None
+    password: str | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,9 +219,8 @@ def _connect(reader: Reader) -> Connect:
     if flags & 4:
         will = Publish(reader.text(), reader.binary(), _at_most_one(flags >> 3 & 3), bool(flags & 0x20))
     user = reader.text() if flags & 0x80 else None
-    if flags & 0x40:
-        reader.binary()
-    return Connect(client_id, clean_session, keep_alive_s, user, will)
+    password = reader.binary().decode("utf-8", "replace") if flags & 0x40 else None
+    return Connect(client_id, clean_session, keep_alive_s, user, will, password)
 
 
 def _subscribe(reader: Reader) -> Subscribe:

@@ -14,11 +14,14 @@ class Limits:
 
     packet_bytes: int = 1_114_112  # 1 MiB of payload, 64 KiB of the rest
     queue_messages: int = 1_000
-    queue_bytes: int = 16_777_216  # of payload
+    queue_bytes: int = 4_194_304  # of payload
     in_flight: int = 100
     sessions: int = 500
+    sessions_of_user: int = 100
     subscriptions: int = 500  # a session
     retained: int = 1_000
+    retained_bytes: int = 33_554_432
+    packets_in_turn: int = 64  # of a client, before the others are served
     unread_bytes: int = 1_048_576  # of replies to a client that does not read
     connect_within_s: float = 5.0
 

@@ -25,7 +25,17 @@ from shared.topics import TOPICS
 from . import plaza_balance
 from .balance import WITHOUT_FIX_S, Balance, Summary
 from .detection import AttackSummary
-from .local import ROADSIDE, as_toml, broker_command, free_port, fresh_folder, only_one, port_or_free, unit
+from .local import (
+    ROADSIDE,
+    as_toml,
+    broker_command,
+    free_port,
+    fresh_folder,
+    how_to_listen,
+    only_one,
+    port_or_free,
+    unit,
+)
 from .plaza_balance import PlazaBalance, PlazaSummary
 from .supervisor import Supervisor
 from .words import lines
@@ -97,7 +107,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     }
     (folder / "logs").mkdir()
     (folder / "demo.pid").write_text(str(os.getpid()))
-    broker = broker_command(folder, port, options.broker)
+    broker = broker_command(folder, port, options.broker, load_vehicle(vehicle_path))
     supervisor = unit(vehicle, environment, folder / "logs", broker)
     console = Console(stderr=True)
     what = f"scenario {options.scenario}" if options.role is Role.OBU else f"toll plaza, {options.vehicles} vehicles"
@@ -191,9 +201,8 @@ def _watch(
 
 
 def _how_to_listen(bus: Bus) -> str:
-    """The environment with which another terminal receives the messages of this unit."""
-    broker = f"mqtt://{bus.address.host}:{bus.address.port}"
-    return f"to listen: export OBU_BROKER={broker} OBU_VEHICLE={bus.state_dir / 'vehicle.toml'}"
+    """The environment with which another terminal receives the messages of this unit, and finds a secret for it."""
+    return how_to_listen(f"mqtt://{bus.address.host}:{bus.address.port}", bus.state_dir)
 
 
 def why_unhealthy(summary: Summary | PlazaSummary) -> str:

@@ -11,10 +11,11 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from broker import local_config
+from broker import keys, local_config
 from shared.errors import UserError
 from shared.processes import Role
 from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle
+from shared.runtime.credentials import ADDRESS, FOLDER
 
 from .supervisor import Supervisor
 
@@ -69,17 +70,28 @@ def fresh_folder(path: Path) -> Path:
     return path
 
 
-def broker_command(folder: Path, port: int, kind: str, acl: Path = local_config.HERE / "acl.conf") -> list[str]:
+def broker_command(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, replay: bool = False) -> list[str]:
     """The command of a broker on a loopback port: Mosquitto if installed, otherwise the simulated one.
 
-    `kind` is "auto", "mosquitto" or "simulated".
+    `kind` is "auto", "mosquitto" or "simulated". The secrets of the unit and the broker's rules are made in `folder`,
+    where they are missing.
     """
     mosquitto = local_config.executable()
     if not mosquitto and kind == "mosquitto":
         raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
+    credentials, rules = folder / FOLDER, folder / "rules"
+    passwords, acl = keys.make(credentials, vehicle, keys.Made(vehicle.path, str(rules), replay=replay))
+    (credentials / ADDRESS).write_text(f"127.0.0.1:{port}\n", encoding="ascii")
     if mosquitto and kind != "simulated":
-        return local_config.command(mosquitto, local_config.write(folder, port, acl))
-    return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
+        return local_config.command(mosquitto, local_config.write(folder, port, rules))
+    return [
+        sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl), "--passwords", str(passwords)
+    ]  # fmt: skip
+
+
+def how_to_listen(broker: str, state: Path) -> str:
+    """The environment with which another terminal receives the messages of a unit that runs here."""
+    return f"to listen: export OBU_BROKER={broker} OBU_STATE={state} OBU_VEHICLE={state / 'vehicle.toml'}"
 
 
 def reaches_broker(address: BrokerAddress) -> None:

@@ -11,7 +11,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from broker.acl import access_list
 from shared.bus import codec
 from shared.bus.envelope import Envelope
 from shared.errors import UserError
@@ -19,10 +18,10 @@ from shared.messages.base import Message, Sender
 from shared.messages.replay import FASTEST, SLOWEST
 from shared.processes import Role
 from shared.recording import Recording, RecordingWriter
-from shared.runtime.config import ADDRESS_FILE, BrokerAddress, Table, VehicleFile, state_dir
+from shared.runtime.config import ADDRESS_FILE, BrokerAddress, Table, VehicleFile, load_vehicle, state_dir
 from shared.topics import BY_MESSAGE
 
-from ..demo.local import as_toml, broker_command, free_port, port_or_free
+from ..demo.local import as_toml, broker_command, free_port, how_to_listen, port_or_free
 from ..demo.supervisor import Supervisor
 from ..progress import progress_on
 from .common import open_recording, vehicle_of
@@ -88,7 +87,6 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
         "monitoring.status": {"port": http_port, "replay": True},
     })  # fmt: skip
     (folder / "vehicle.toml").write_text(text, encoding="utf-8")
-    (folder / "acl.conf").write_text(access_list(replay=True), encoding="utf-8")
     (folder / "logs").mkdir()
     environment = {
         "OBU_VEHICLE": str(folder / "vehicle.toml"),
@@ -96,7 +94,8 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
         "OBU_STATE": str(folder),
     }
     supervisor = Supervisor({**os.environ, **environment}, folder / "logs")
-    supervisor.add("broker", broker_command(folder, broker_port, "auto", folder / "acl.conf"), last=True)
+    broker = broker_command(folder, broker_port, "auto", load_vehicle(folder / "vehicle.toml"), replay=True)
+    supervisor.add("broker", broker, last=True)
     for name in RUN_HERE:
         supervisor.add_process(name)
     if taken:
@@ -107,10 +106,7 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
         console.print(
             f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)", soft_wrap=True
         )
-        console.print(
-            f"to listen: export OBU_BROKER={environment['OBU_BROKER']} OBU_VEHICLE={environment['OBU_VEHICLE']}",
-            style="dim", soft_wrap=True, highlight=False,
-        )  # fmt: skip
+        console.print(how_to_listen(environment["OBU_BROKER"], folder), style="dim", soft_wrap=True, highlight=False)
         while True:
             supervisor.watch()
             supervisor.raise_rejected()

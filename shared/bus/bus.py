@@ -6,6 +6,7 @@ so that a process that hangs sends no heartbeats.
 
 import logging
 import os
+import re
 import select
 import socket
 import time
@@ -25,9 +26,10 @@ from ..messages.base import Message, Sender
 from ..messages.operation import Carried, MessageKind, ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
+from ..runtime.credentials import OBSERVER, Identity, identity_of, observer_of, replay_of
 from ..runtime.last_end import LastEnd
 from ..runtime.usage import ProportionalSize, resident_bytes
-from ..topics import BY_MESSAGE, BY_NAME, TOPICS, Topic, topic_of
+from ..topics import BY_MESSAGE, BY_NAME, TOPICS, Topic, may_send, topic_of
 from . import codec
 from .envelope import Envelope
 
@@ -44,6 +46,9 @@ RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 STEADY_S = 3.0  # a shorter connection counts as failed: two clients of one name disconnect each other
 QUEUE_LENGTH = 2000
 IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
+BROKER_LOG = "$SYS/broker/log/N"
+REFUSAL = re.compile(rb"\bClient (.{1,64}?) disconnected, not authori[sz]ed")
+REFUSED_KEPT = 8
 MOST_READS = 64  # per call, so that a flood of messages does not stop the loop
 
 
@@ -73,6 +78,8 @@ class Bus:
         self.connected = False
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
+        self.refused: list[str] = []  # clients without the right secret, newest last; after `hear_broker`
+        self.refusals = 0
         self.tell_kinds: Callable[[], tuple[MessageKind, ...]] = tuple  # messages of its devices by kind
         self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
@@ -89,7 +96,8 @@ class Bus:
         self._attempts = self._brief = self._tables = 0
         self._connected_s = 0.0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
-        self._observer, self._guarded = observer, False
+        self._observer, self._guarded, self._hears_broker = observer, False, False
+        self._identity = self._identify()
         self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
         self._followed: frozenset[str] | None = None  # None: as constructed
         self._published: dict[str, tuple[int, int, bytes]] = {}  # of a fast topic: count, time and bytes of the newest
@@ -101,9 +109,12 @@ class Bus:
         self._client = self._make_client()
 
     def _make_client(self) -> mqtt.Client:
-        identity = f"{self.process}-{self.incarnation:x}" if self._observer else self.process
-        client = mqtt.Client(CallbackAPIVersion.VERSION2, identity, protocol=mqtt.MQTTv311, reconnect_on_failure=False)
-        client.username_pw_set(self.address.username or self.process, self.address.password)
+        who = self._identity
+        # A broker that checks secrets takes the user for the client identifier; for others observers differ by it.
+        unproved = self._observer and who.secret is None
+        client_id = f"{self.process}-{self.incarnation:x}" if unproved else who.user
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv311, reconnect_on_failure=False)
+        client.username_pw_set(who.user, who.secret)
         client.connect_timeout = CONNECT_S
         client.max_inflight_messages_set(IN_FLIGHT)
         client.max_queued_messages_set(QUEUE_LENGTH)
@@ -116,6 +127,15 @@ class Bus:
             )
             client.will_set(self._prefix + codec.topic_name(will), self._sign(will), qos=1, retain=True)
         return client
+
+    def _identify(self) -> Identity:
+        """User and secret: those of the broker's address if given, otherwise from the unit's folder of secrets."""
+        if self.address.username:
+            return Identity(self.address.username, self.address.password)
+        if not self._observer:
+            return identity_of(self.process, self.state_dir)
+        find = observer_of if self.process == OBSERVER else replay_of
+        return find(self.state_dir, f"{self.address.host}:{self.address.port}")
 
     def now_ns(self) -> int:
         """Read the OBU time line."""
@@ -135,12 +155,18 @@ class Bus:
             self._published[topic.name] = count + 1, self.now_ns(), payload
         self._send_in_order(name, payload, topic)
 
+    def hear_broker(self) -> None:
+        """Receive what the broker writes into its log: counts connections that it has refused in `refused`."""
+        self._hears_broker, self._filters[BROKER_LOG] = True, 0
+
     def follow(self, fast: frozenset[str]) -> None:
         """Observe every topic that is not fast, and these of the fast ones; to be called whenever they may change."""
         if fast == self._followed:
             return
         # A filter that ends in # finds the topic itself as well, and Mosquitto serves it after those of processes.
         followed = {f"{self._prefix}{t.name}/#": t.qos for t in TOPICS if not t.fast or t.name in fast}
+        if self._hears_broker:
+            followed[BROKER_LOG] = 0
         before, self._filters, self._followed = self._filters, followed, fast
         if not self.connected:
             return
@@ -185,6 +211,7 @@ class Bus:
             self._exchange(0.05)
         self._client.disconnect()
         self.connected = False
+        self._identity.release()
 
     def health(self, state: ProcessState) -> ProcessHealth:
         """The present state and counters of this process."""
@@ -288,9 +315,9 @@ class Bus:
         self, client: mqtt.Client, _u: object, _f: mqtt.ConnectFlags, reason: ReasonCode, _p: Properties | None
     ) -> None:
         if reason.is_failure:
-            complaint = f"the broker refuses {self.process}: {reason}"
+            complaint = f"the broker refuses {self._identity.user}: {reason}"
             if complaint != self.last_error:
-                log.error("%s; check the credentials in OBU_BROKER", complaint)
+                log.error("%s; %s", complaint, self._why_refused())
             self.last_error = complaint
             return
         self.connected, self.last_error = True, None
@@ -299,19 +326,35 @@ class Bus:
         if self._filters:
             client.subscribe(list(self._filters.items()))  # after each connection: sessions are clean
 
+    def _why_refused(self) -> str:
+        if self._identity.secret is None:
+            return "it knows its users by a secret: set OBU_STATE to the state folder of the unit that runs this broker"
+        return "the secret is of another unit or an earlier one: restart process and broker after `obu keys make`"
+
     def _on_subscribe(
         self, _c: mqtt.Client, _u: object, _mid: int, granted: list[ReasonCode], _p: Properties | None
     ) -> None:
         refused = [code for code in granted if code.is_failure]
         if refused:
             self.rejects["refused"] += len(refused)
-            self.last_error = f"the broker refuses a subscription: {refused[0]}"
+            self.last_error = (
+                f"the broker refuses a subscription of {self._identity.user} to {self._prefix}: {refused[0]}; it may "
+                "serve a vehicle of another name"
+            )
             log.error("%s", self.last_error)
 
     def _on_message(self, _c: mqtt.Client, _u: object, message: mqtt.MQTTMessage) -> None:
+        if self._hears_broker and _is_broker_log(message):
+            self._note_refusal(bytes(message.payload))
+            return
         self.messages_in += 1
         self.dropped += len(self._inbox) == QUEUE_LENGTH
         self._inbox.append((message, self.now_ns()))
+
+    def _note_refusal(self, line: bytes) -> None:
+        if found := REFUSAL.search(line):
+            self.refusals += 1
+            self.refused = [*self.refused[1 - REFUSED_KEPT :], found[1].decode("utf-8", "replace")]
 
     def _on_disconnect(
         self, _c: mqtt.Client, _u: object, _f: mqtt.DisconnectFlags, reason: ReasonCode, _p: Properties | None
@@ -364,6 +407,10 @@ class Bus:
                 self.rejects["envelope"] += 1
                 self.last_error = str(error)[:400]
                 continue
+            if not may_send(envelope.producer, name):
+                self.rejects["sender"] += 1
+                self.last_error = f"{name} of {envelope.producer}, which may not publish it: dropped"
+                continue
             envelopes.append(envelope)
             if name in self._received:
                 self._received[name] = self._received[name][0] + 1, envelope
@@ -387,6 +434,13 @@ def _received(name: str, count: int, newest: Envelope | None) -> Carried:
     return Carried(
         topic=name, count=count, newest_ns=newest.received_ns, stamp_ns=stamp_ns, producer=newest.producer
     )  # fmt: skip
+
+
+def _is_broker_log(message: mqtt.MQTTMessage) -> bool:
+    try:
+        return message.topic == BROKER_LOG
+    except UnicodeDecodeError:  # counted when it is taken
+        return False
 
 
 def _send_at_once(_client: mqtt.Client, _userdata: object, sock: object) -> None:

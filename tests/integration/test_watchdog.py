@@ -26,7 +26,7 @@ from shared.messages.navigation import NavigationSolution, NavigationState, Trut
 from shared.runtime.config import BrokerAddress
 from shared.topics import TOPICS
 from tests.integration.test_demo import KINDS, Demo, start_demo
-from tests.support.bus import mqtt
+from tests.support.bus import intruder
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -177,9 +177,11 @@ def test_invalid_payloads_on_the_bus_are_counted_and_end_no_process(unit: Unit) 
     demo = unit.demo
     address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
     children = {child.pid for child in psutil.Process(demo.process.pid).children()}
-    sender = b'{"sender":{"process":"x","incarnation":1,"sequence":1},'
+    state = Path(demo.child("run core.fusion").environ()["OBU_STATE"])
+    intruder.let_in(state / "rules", demo.child(BROKER_PROCESS[unit.kind]), address.port)
     for name, speaker in SPEAKERS.items():
-        with mqtt.Client(address.port, user=speaker) as client:
+        sender = b'{"sender":{"process":"%s","incarnation":1,"sequence":1},' % speaker.encode()
+        with intruder.client(address.port) as client:
             client.connect()
             for payload in INVALID:
                 client.publish(f"obu/demo/{name}", payload)
@@ -221,7 +223,7 @@ def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Pat
     address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
     bus = Bus("observer", "demo", address,
               [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
-              folder, observer=True)  # fmt: skip
+              Path(demo.child("run core.fusion").environ()["OBU_STATE"]), observer=True)  # fmt: skip
     solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the incarnation of their producer
     truth: dict[int, TruthState] = {}
     reasons: list[str] = []

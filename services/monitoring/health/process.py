@@ -30,6 +30,7 @@ class Process:
         watch = Watch(parse_vehicle(bus.vehicle_toml).processes, bus.now_ns())
         faults = Faults(bus.rejects)
         report_ns = step_ns = 0
+        bus.hear_broker()
         while not bus.stopping:
             bus.follow(watch.untold)
             until_step_s = (step_ns - bus.now_ns()) * 1e-9
@@ -47,6 +48,7 @@ class Process:
             if now_ns >= report_ns and bus.connected and watch.answering:
                 report_ns = now_ns + REPORT_NS
                 watch.judge_load(now_ns, os.getloadavg()[0])
+                watch.intruders.refused(bus.refusals, bus.refused, now_ns)
                 bus.publish(watch.report(now_ns))
 
 

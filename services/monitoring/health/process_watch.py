@@ -1,10 +1,13 @@
 """Status of one process from its heartbeats, state `disconnected` and last will."""
 
+from collections import deque
+
 from shared.messages.operation import Freshness, ProcessHealth, ProcessState, ProcessStatus
 from shared.runtime.freshness import freshness_of, limits_of
 from shared.topics import BY_NAME
 
 LIMITS = limits_of(BY_NAME["health/+"])
+EARLIER_LIVES = 8
 OVER = {ProcessState.LOST: ProcessStatus.LOST, ProcessState.DISCONNECTED: ProcessStatus.ENDED}
 
 
@@ -15,6 +18,7 @@ class ProcessWatch:
         self.name = name
         self.state: ProcessState | None = None
         self.incarnation = 0
+        self._earlier: deque[int] = deque(maxlen=EARLIER_LIVES)
         self.restarts = 0
         self.heartbeat_ns: int | None = None
         self.seen_ns: int | None = None  # its last message, or its last will
@@ -25,12 +29,18 @@ class ProcessWatch:
         known = self.heartbeat_ns is not None and retained and health.sent_ns <= self.heartbeat_ns
         if known or health.incarnation < self.incarnation:
             return
+        if self.incarnation and health.incarnation > self.incarnation:
+            self._earlier.append(self.incarnation)
         self.restarts += health.incarnation > self.incarnation > 0
         self.retained = retained
         self.incarnation, self.state = health.incarnation, health.state
         self.seen_ns = min(health.sent_ns, received_ns) if retained else received_ns
         if health.state is not ProcessState.LOST or self.heartbeat_ns is None:
             self.heartbeat_ns = self.seen_ns
+
+    def is_of_earlier_life(self, health: ProcessHealth) -> bool:
+        """Whether this heartbeat is of a life that another has followed: two programs run under this name."""
+        return health.state is ProcessState.READY and health.incarnation in self._earlier
 
     def age_s(self, now_ns: int) -> float | None:
         """Give the age of the last heartbeat."""

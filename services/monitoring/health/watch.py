@@ -6,7 +6,7 @@ they pass their deadlines. It ends when the cause is over and every affected top
 was killed remains the cause while it starts again.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
 from shared.messages.operation import (
@@ -27,6 +27,7 @@ from shared.runtime.tally import told
 from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
 
 from .causes import expected_topics, producers_of, upstream_of
+from .intruders import Intruders
 from .overload import Overload
 from .process_watch import ProcessWatch
 from .topic_watch import TopicWatch
@@ -83,6 +84,7 @@ class Watch:
         self._settling: dict[str, _Open] = {}  # ended less than SETTLE_NS ago
         self._events: list[Outage] = []
         self._overload = Overload(processors)
+        self.intruders = Intruders()
         self.answering = True  # whether the broker works
         self._back_ns = now_ns  # since when it does
 
@@ -127,6 +129,8 @@ class Watch:
             if name not in PROCESS_ROWS or retained or over:
                 return
             self._processes[name] = ProcessWatch(name)
+        if not retained and self._processes[name].is_of_earlier_life(health):
+            self.intruders.second_life(name, received_ns)
         before = self._processes[name].state
         self._processes[name].take(health, received_ns, retained=retained)
         if before is not self._processes[name].state:
@@ -189,7 +193,11 @@ class Watch:
                 if watch.count or name in self._expected
             ),
             processes=tuple(self._process_age(watch, now_ns) for watch in self._processes.values()),
-            problems=(*(self._problem(entry) for entry in self._open.values()), *self._other_problems()),
+            problems=(
+                *(self._problem(entry) for entry in self._open.values()),
+                *self._other_problems(),
+                *self.intruders.problems(now_ns),
+            ),
         )
 
     def judge_load(self, now_ns: int, load: float) -> None:
@@ -379,7 +387,7 @@ class Watch:
 
     def _affect(self, entry: _Open, topics: list[str]) -> None:
         entry.silent_ns |= {name: self._topics[name].newest_ns or 0 for name in topics}
-        affected = tuple(sorted({*entry.outage.affected, *topics}))
+        affected = _in_order({*entry.outage.affected, *topics})
         entry.outage = entry.outage.model_copy(update={"affected": affected})
 
     def _recover(self) -> None:
@@ -418,14 +426,14 @@ class Watch:
 
     def _problem(self, entry: _Open) -> Problem:
         outage = entry.outage
-        silent = tuple(sorted(entry.silent_ns))
+        silent = _in_order(entry.silent_ns)
         return Problem(
             what=outage.what, text=self._text(entry), since_ns=outage.since_ns, affected=silent, outage=outage
         )
 
     def _text(self, entry: _Open) -> str:
         """Describe the present effect of an outage."""
-        what, waiting = entry.outage.what, ", ".join(sorted(entry.silent_ns))
+        what, waiting = entry.outage.what, ", ".join(_in_order(entry.silent_ns))
         if what == BROKER and self.answering:
             return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")
         if what in self._processes:
@@ -492,3 +500,8 @@ class Watch:
 def _slack_ns(*topics: Topic) -> int:
     """Two periods of each: by how much the last message of one topic may be newer than that of another."""
     return sum(round(2e9 / (topic.rate_hz or 1.0)) for topic in topics)
+
+
+def _in_order(names: Collection[str]) -> tuple[str, ...]:
+    """In the order of the contract, which is that of the data flow: found in the order of a machine's load."""
+    return tuple(topic.name for topic in TOPICS if topic.name in names)

@@ -5,6 +5,8 @@ from typing import Protocol
 
 import pytest
 
+from broker import acl
+
 SIMULATED = "simulated"
 MOSQUITTO = "mosquitto"
 KINDS = (pytest.param(SIMULATED), pytest.param(MOSQUITTO, marks=pytest.mark.broker))
@@ -23,18 +25,16 @@ class RunningBroker(Protocol):
         """End it if it runs, and start it again on the same port with its saved messages."""
 
 
-def start(kind: str, folder: Path, acl: str | None = None) -> RunningBroker:
+def start(kind: str, folder: Path, rights: str | None = None) -> RunningBroker:
     """Start a broker with its files in `folder`, with the access list of the unit or a given text."""
     from tests.support.bus import mosquitto, simulated
 
-    return simulated.start(folder, acl) if kind == SIMULATED else mosquitto.start(folder, acl)
+    return simulated.start(folder, rights) if kind == SIMULATED else mosquitto.start(folder, rights)
 
 
 def access_list(folder: Path, text: str | None) -> Path:
-    """Write an access list into the folder; without a text, find the unit's own."""
-    if text is None:
-        return Path(__file__).parents[3] / "broker" / "acl.conf"
+    """Write an access list into the folder; without a text, that of every process in any vehicle."""
     path = folder / "acl.conf"
-    path.write_text(text)
+    path.write_text(acl.access_list() if text is None else text)
     path.chmod(0o600)
     return path

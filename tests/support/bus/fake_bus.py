@@ -28,6 +28,9 @@ class FakeBus:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
         self.published: list[Message] = []
+        self.hears_broker = False
+        self.refusals = 0
+        self.refused: list[str] = []
         self.followed: frozenset[str] | None = None
         self._script, self._step_ns = script, step_ns
         self._now_ns = start_ns
@@ -38,6 +41,9 @@ class FakeBus:
 
     def publish(self, message: Message) -> None:
         self.published.append(message)
+
+    def hear_broker(self) -> None:
+        self.hears_broker = True
 
     def follow(self, fast: frozenset[str]) -> None:
         self.followed = fast

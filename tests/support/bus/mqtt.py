@@ -25,6 +25,7 @@ class Client:
         client_id: str = "",
         *,
         user: str | None = "tester",
+        password: str | None = None,
         protocol: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311,
         manual_ack: bool = False,
     ) -> None:
@@ -35,7 +36,7 @@ class Client:
         self._subacks: dict[int, list[ReasonCode]] = {}
         self._pubacks: set[int] = set()
         self.paho = paho.Client(CallbackAPIVersion.VERSION2, client_id, protocol=protocol, manual_ack=manual_ack)
-        self.paho.username_pw_set(user)
+        self.paho.username_pw_set(user, password)
         self.paho.on_connect = self._on_connect
         self.paho.on_disconnect = self._on_disconnect
         self.paho.on_subscribe = self._on_suback

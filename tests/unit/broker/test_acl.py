@@ -7,6 +7,7 @@ import pytest
 from broker.acl import access_list
 from broker.simulated import AclError, parse
 from shared.processes import PROCESSES, ProcessRow
+from shared.runtime.credentials import OBSERVERS
 from shared.topics import TOPICS
 
 NAMES = [row.name for row in PROCESSES]
@@ -31,8 +32,9 @@ def test_an_unknown_user_may_neither_read_nor_write(user: str | None) -> None:
 
 def test_an_observer_reads_everything_and_writes_nothing() -> None:
     names = ["obu/v/" + topic.name.replace("+", "core.fusion") for topic in TOPICS]
-    assert all(PRINTED.may_read("observer", name) for name in names)
-    assert not any(PRINTED.may_write("observer", name) for name in names)
+    for observer in OBSERVERS:
+        assert all(PRINTED.may_read(observer, name) for name in names)
+        assert not any(PRINTED.may_write(observer, name) for name in names)
 
 
 def test_the_access_list_can_be_limited_to_one_vehicle() -> None:

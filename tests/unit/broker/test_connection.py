@@ -19,6 +19,7 @@ class Transport(asyncio.Transport):
         super().__init__({"socket": raw})
         self.written = b""
         self.closing = self.aborted = False
+        self.reading = True
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         pass
@@ -28,6 +29,12 @@ class Transport(asyncio.Transport):
 
     def is_closing(self) -> bool:
         return self.closing
+
+    def pause_reading(self) -> None:
+        self.reading = False
+
+    def resume_reading(self) -> None:
+        self.reading = True
 
     def close(self) -> None:
         self.closing = True

@@ -1,0 +1,156 @@
+"""Makes the secrets of a unit, and the files by which its broker checks them: passwords and access list.
+
+A secret that exists is kept. The folder of the secrets must belong to whoever runs this: otherwise somebody else may
+have chosen them.
+"""
+
+import json
+import os
+import pwd
+import secrets
+import shutil
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from shared.errors import UserError
+from shared.processes import PROCESSES, Kind, ProcessRow, running
+from shared.runtime.config import VehicleFile
+from shared.runtime.credentials import OBSERVERS, PROBE, READERS
+from shared.topics import REPLAY
+
+from .acl import access_list
+from .passwords import password_file
+
+SECRET_BYTES = 32
+MADE = "made.json"  # in the folder of the secrets: for whom they were made
+PASSWORDS, ACCESS_LIST = "passwords", "acl.conf"
+CONTAINER_GROUP = 10_001
+CONTAINER_USERS = {row.name: 10_100 + number for number, row in enumerate(PROCESSES)}
+CONTAINER_BROKER = 1883  # user of the image eclipse-mosquitto
+
+
+@dataclass(frozen=True)
+class Made:
+    """For whom the files were made: `vehicle` is the vehicle's file, `owner` the user of the broker."""
+
+    vehicle: str
+    files: str
+    owner: str | None = None
+    containers: bool = False
+    replay: bool = False
+
+
+def rows_of(vehicle: VehicleFile, *, replay: bool = False) -> tuple[ProcessRow, ...]:
+    """Processes that have rights on the bus of a unit: its own; in a replay all, for one of them publishes for all."""
+    if replay:
+        return PROCESSES
+    wanted = running(vehicle.role, vehicle.tables)
+    # Those that a container starts although the file has no section for them.
+    optional = (row for row in PROCESSES if row.kind is Kind.OPTIONAL and vehicle.role in row.roles)
+    return (*wanted, *(row for row in optional if row not in wanted))
+
+
+def may_be_replayed(rows: Iterable[ProcessRow]) -> bool:
+    """Whether `obu replay --broker` may publish: only where no device and no simulator does."""
+    return not any(row.kind in (Kind.DEVICE_DRIVER, Kind.SIMULATOR) for row in rows)
+
+
+def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
+    """Make what is missing in the folder of the secrets, and write the broker's files; gives these two paths."""
+    _own_folder(folder)
+    rows = rows_of(vehicle, replay=made.replay)
+    names = (*(row.name for row in rows), *OBSERVERS, PROBE, *((REPLAY,) if may_be_replayed(rows) else ()))
+    secret_of = {name: _secret(folder / name) for name in names}
+    readers = {path.name: _secret(path) for path in sorted((folder / READERS).glob("*"))}
+    if made.containers:
+        for name in names:
+            os.chown(folder / name, _container_user(name), CONTAINER_GROUP)
+        folder.chmod(0o755)
+    _write(folder / MADE, json.dumps(asdict(made)))
+    files = Path(made.files)
+    files.mkdir(parents=True, exist_ok=True)
+    passwords, rules = files / PASSWORDS, files / ACCESS_LIST
+    before = passwords.read_text(encoding="ascii") if passwords.exists() else ""
+    _write(passwords, password_file(secret_of | readers, before), made.owner)
+    rights = access_list(
+        vehicle.name, rows=rows, readers=tuple(readers), replay=made.replay, replayed=may_be_replayed(rows)
+    )
+    _write(rules, rights, made.owner)
+    return passwords, rules
+
+
+def made_in(folder: Path) -> Made:
+    """For whom the secrets of a folder were made; raises `UserError` where there are none."""
+    try:
+        return Made(**json.loads((folder / MADE).read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise UserError(f"there are no secrets in {folder}: `obu keys make` makes them") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise UserError(f"cannot read {folder / MADE}: {error}; run `obu keys make` with its options again") from error
+
+
+def add_reader(folder: Path, name: str) -> str:
+    """Make the secret of a further user that may read everything, and give it."""
+    (folder / READERS).mkdir(mode=0o700, exist_ok=True)
+    return _secret(folder / READERS / name)
+
+
+def forget(folder: Path, names: Iterable[str]) -> None:
+    """Delete secrets; `make` makes new ones of those that a unit needs."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+        (folder / READERS / name).unlink(missing_ok=True)
+
+
+def _own_folder(folder: Path) -> None:
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.lstat()
+    if not folder.is_dir() or folder.is_symlink() or found.st_uid != os.geteuid():
+        raise UserError(
+            f"the folder of the secrets {folder} is another user's (uid {found.st_uid}): somebody else may know or "
+            "have chosen them; remove it, and run `obu keys make` again"
+        )
+
+
+def _secret(path: Path) -> str:
+    """Read a secret, or make it: 32 random bytes as hexadecimal digits, in a file that its owner alone can read."""
+    try:
+        found = path.read_text(encoding="ascii").strip()
+    except FileNotFoundError:
+        found = ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read the secret {path}: {error}; remove it, and run `obu keys make` again") from error
+    if len(found) != 2 * SECRET_BYTES:  # none, or cut by a power failure
+        found = secrets.token_hex(SECRET_BYTES)
+        _write(path, found + "\n", mode=0o400)
+    return found
+
+
+def _write(path: Path, text: str, owner: str | None = None, mode: int = 0o600) -> None:
+    """Replace a file in one step; `owner` is a name or a number."""
+    part = path.with_name(f".{path.name}.part")
+    part.unlink(missing_ok=True)
+    try:
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="ascii") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if owner is not None:
+            shutil.chown(part, _user(owner))
+        part.replace(path)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}; run the command with `sudo`, or free space") from error
+
+
+def _user(owner: str) -> int:
+    if owner.isdigit():
+        return int(owner)
+    try:
+        return pwd.getpwnam(owner).pw_uid
+    except KeyError:
+        raise UserError(f"there is no user {owner!r} on this machine; install Mosquitto, or give another") from None
+
+
+def _container_user(name: str) -> int:
+    return CONTAINER_BROKER if name == PROBE else CONTAINER_USERS.get(name, CONTAINER_GROUP)
