@@ -33,16 +33,16 @@ def configuration(port: int, store: Path, rules: Path) -> str:
 
     It holds the password file and the access list (`broker.keys.make`).
     """
-    lines = [
-        line
-        for line in (HERE / "mosquitto.conf").read_text(encoding="utf-8").splitlines()
-        if line.split(" ")[0] not in OWN_PLACES
-    ]
+    lines = []
+    for line in (HERE / "mosquitto.conf").read_text(encoding="utf-8").splitlines():
+        if line.startswith("listener "):
+            # In its place: what follows holds for this listener, and before any it would open one on every address.
+            lines += [f"listener {port} 127.0.0.1", "socket_domain ipv4"]
+        elif line.split(" ")[0] not in OWN_PLACES:
+            lines.append(line)
     lines += [
         "",
         "# The places on this machine.",
-        f"listener {port} 127.0.0.1",
-        "socket_domain ipv4",
         f"persistence_location {store}/",
         f"password_file {rules / PASSWORDS}",
         f"acl_file {rules / ACCESS_LIST}",

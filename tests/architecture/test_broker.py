@@ -5,12 +5,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from broker import local_config
 from broker.acl import access_list
 from broker.simulated import Limits
 from shared.bus.codec import MAXIMUM_PAYLOAD
 
 ROOT = Path(__file__).parents[2]
+LOCAL = local_config.configuration(18_830, Path("/data"), Path("/rules"))
 
 
 def setting(name: str) -> str:
@@ -39,8 +42,14 @@ def test_mosquitto_sends_small_messages_at_once_and_offers_no_websockets() -> No
     assert not re.search(r"^protocol ", text, re.MULTILINE)
 
 
+@pytest.mark.parametrize("text", [(ROOT / "broker" / "mosquitto.conf").read_text(), LOCAL])
+def test_the_listener_comes_first_for_otherwise_mosquitto_opens_another_on_every_address(text: str) -> None:
+    options = [line.split(" ")[0] for line in text.splitlines() if line and not line.startswith("#")]
+    assert options[0] == "listener" and options.count("listener") == 1
+
+
 def test_the_local_configuration_differs_in_its_places_only() -> None:
-    printed = local_config.configuration(18_830, Path("/data"), Path("/rules")).splitlines()
+    printed = LOCAL.splitlines()
     original = (ROOT / "broker" / "mosquitto.conf").read_text().splitlines()
     added = {line for line in printed if line and not line.startswith("#") and line not in original}
     removed = {line for line in original if line not in printed}

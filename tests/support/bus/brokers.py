@@ -5,7 +5,8 @@ from typing import Protocol
 
 import pytest
 
-from broker import acl
+from broker import acl, keys
+from shared.runtime.config import VehicleFile
 
 SIMULATED = "simulated"
 MOSQUITTO = "mosquitto"
@@ -30,6 +31,14 @@ def start(kind: str, folder: Path, rights: str | None = None) -> RunningBroker:
     from tests.support.bus import mosquitto, simulated
 
     return simulated.start(folder, rights) if kind == SIMULATED else mosquitto.start(folder, rights)
+
+
+def start_closed(kind: str, folder: Path, vehicle: VehicleFile) -> RunningBroker:
+    """Start a broker as on a vehicle: with secrets, in `folder / "credentials"`, which `Bus` finds there."""
+    from tests.support.bus import mosquitto, simulated
+
+    _, rights = keys.make(folder / "credentials", vehicle, keys.Made(vehicle.path, str(folder / "rules")))
+    return simulated.start_closed(folder, rights) if kind == SIMULATED else mosquitto.start_closed(folder, rights)
 
 
 def access_list(folder: Path, text: str | None) -> Path:

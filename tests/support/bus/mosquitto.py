@@ -18,11 +18,12 @@ class Mosquitto:
 
     kind = brokers.MOSQUITTO
 
-    def __init__(self, executable: str, folder: Path, acl: Path) -> None:
+    def __init__(self, executable: str, folder: Path, acl: Path, *, closed: bool = False) -> None:
         self._executable, self._folder = executable, folder
         self.port = _free_port()
         self._config = local_config.write(folder, self.port, acl.parent)
-        self._config.write_text(opened(self._config.read_text(), acl))
+        if not closed:
+            self._config.write_text(opened(self._config.read_text(), acl))
         self._process = self._run()
 
     def stop(self) -> None:
@@ -66,7 +67,7 @@ def opened(text: str, acl: Path) -> str:
     """Change a configuration so that every client is who it says, as most tests need it."""
     closed = ("allow_anonymous", "use_username_as_clientid", "password_file", "acl_file")
     kept = [line for line in text.splitlines() if line.split(" ")[0] not in closed]
-    return "\n".join((*kept, "allow_anonymous true", f"acl_file {acl}", ""))
+    return "\n".join((*kept, "allow_anonymous true", f"acl_file {acl}", ""))  # of every listener
 
 
 def start(folder: Path, acl: str | None = None) -> Mosquitto:
@@ -75,6 +76,14 @@ def start(folder: Path, acl: str | None = None) -> Mosquitto:
     if executable is None:
         pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")
     return Mosquitto(executable, folder, brokers.access_list(folder, acl))
+
+
+def start_closed(folder: Path, acl: Path) -> Mosquitto:
+    """Start Mosquitto with the access list and the password file beside it, or skip the test."""
+    executable = local_config.executable()
+    if executable is None:
+        pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")
+    return Mosquitto(executable, folder, acl, closed=True)
 
 
 def _free_port() -> int:

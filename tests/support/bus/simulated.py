@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from broker import simulated
+from broker.passwords import Passwords
 from tests.support.bus import brokers
 
 
@@ -11,9 +12,9 @@ class Simulated:
 
     kind = brokers.SIMULATED
 
-    def __init__(self, acl: str) -> None:
-        self._acl = acl
-        self.handle = simulated.start(acl=simulated.parse(acl))
+    def __init__(self, acl: str, passwords: Passwords | None = None) -> None:
+        self._acl, self._passwords = acl, passwords
+        self.handle = simulated.start(acl=simulated.parse(acl), passwords=passwords)
         self.port = self.handle.port
 
     def stop(self) -> None:
@@ -23,9 +24,14 @@ class Simulated:
     def restart(self) -> None:
         """Start it again, empty, on the same port."""
         self.stop()
-        self.handle = simulated.start(self.port, acl=simulated.parse(self._acl))
+        self.handle = simulated.start(self.port, acl=simulated.parse(self._acl), passwords=self._passwords)
 
 
 def start(folder: Path, acl: str | None = None) -> Simulated:
     """Start one with the unit's access list, or with the text of another."""
     return Simulated(brokers.access_list(folder, acl).read_text())
+
+
+def start_closed(folder: Path, acl: Path) -> Simulated:
+    """Start one with the access list and the password file beside it."""
+    return Simulated(acl.read_text(), Passwords((acl.parent / "passwords").read_text()))
