@@ -459,6 +459,8 @@ class Watch:
             return []
         if not state.recording and state.reason:
             return [Problem(what="monitoring.recorder", text=f"not recording: {state.reason}")]
+        if state.flood:
+            return [Problem(what="monitoring.recorder", text=state.flood)]
         if state.free_bytes < DISK_LOW_BYTES:
             text = f"only {state.free_bytes / 1e6:.0f} MB of disk left"
             return [Problem(what="monitoring.recorder", text=text)]

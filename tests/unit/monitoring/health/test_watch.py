@@ -417,7 +417,7 @@ def test_an_outage_from_before_a_broker_loss_stays_open_until_it_is_over(unit: U
     assert set(outages(unit.run(20))) == {"broker"}
     unit.revive("sensors.gnss")
     [(_, end)] = unit.run(5)
-    assert (end.what, end.affected) == ("sensors.gnss", ("gnss/raw", "gnss/fix"))
+    assert (end.what, end.affected) == ("sensors.gnss", ("gnss/fix", "gnss/raw"))
 
 
 def test_a_process_killed_while_the_observer_slept_was_lost_and_does_not_hang(unit: Unit) -> None:
@@ -690,3 +690,13 @@ def test_fast_topics_of_which_no_heartbeat_tells_are_named(unit: Unit, told: boo
     assert "v2x/cam" in unit.watch.untold
     assert ("imu/sample" in unit.watch.untold) is not told
     assert "gnss/fix" not in unit.watch.untold
+
+
+def test_a_flood_that_is_not_recorded_is_a_problem(unit: Unit) -> None:
+    state = RecordingState(
+        now_ns=unit.now_ns, recording=True, bytes_written=0, messages=0, dropped=0, free_bytes=10**12, left_out=9,
+        flood="left out: gnss/raw (9 messages)",
+    )  # fmt: skip
+    unit.watch.take_recording(state)
+    assert unit.run(1) == []
+    assert unit.problems() == [state.flood]
