@@ -17,7 +17,9 @@ from tests.support.bus import simulated
 
 ROOT = Path(__file__).resolve().parents[2]
 IN_A_NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-ec"]
-FULL = "mount -t tmpfs none /dev/shm; mount -t tmpfs -o size=64k none {0}; cat /dev/zero >{0}/filler 2>/dev/null || true; "
+FULL = (
+    "mount -t tmpfs none /dev/shm; mount -t tmpfs -o size=64k none {0}; cat /dev/zero >{0}/filler 2>/dev/null || true; "
+)
 VEHICLE = """
 [vehicle]
 name = "car"

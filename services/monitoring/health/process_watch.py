@@ -5,6 +5,7 @@ from shared.runtime.freshness import freshness_of, limits_of
 from shared.topics import BY_NAME
 
 LIMITS = limits_of(BY_NAME["health/+"])
+STEADY_NS = 1_000_000_000  # of heartbeats in time, after which a pause between them is over
 OVER = {ProcessState.LOST: ProcessStatus.LOST, ProcessState.DISCONNECTED: ProcessStatus.ENDED}
 
 
@@ -17,6 +18,7 @@ class ProcessWatch:
         self.incarnation = 0
         self.restarts = 0
         self.heartbeat_ns: int | None = None
+        self._steady_ns = 0  # since when its heartbeats have been in time
         self.seen_ns: int | None = None  # its last message, or its last will
         self.retained = False  # only retained messages came, which may be older than this run of the unit
 
@@ -30,7 +32,13 @@ class ProcessWatch:
         self.incarnation, self.state = health.incarnation, health.state
         self.seen_ns = min(health.sent_ns, received_ns) if retained else received_ns
         if health.state is not ProcessState.LOST or self.heartbeat_ns is None:
+            if freshness_of(max(self.seen_ns - (self.heartbeat_ns or 0), 0) * 1e-9, LIMITS) is not Freshness.FRESH:
+                self._steady_ns = self.seen_ns
             self.heartbeat_ns = self.seen_ns
+
+    def spoke_after(self, due_ns: int) -> bool:
+        """Whether a heartbeat came after a time, and not right after a pause between heartbeats."""
+        return (self.heartbeat_ns or 0) >= max(due_ns, self._steady_ns + STEADY_NS if self._steady_ns else 0)
 
     def age_s(self, now_ns: int) -> float | None:
         """Give the age of the last heartbeat."""
