@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from shared.processes import PROCESSES, Kind, ProcessRow
-from shared.runtime.credentials import OBSERVERS, PROBE
+from shared.runtime.credentials import CHECK, OBSERVERS
 from shared.topics import BY_NAME, REPLAY, Topic, measurements, publications, subscriptions
 
 ANY_VEHICLE = "+"
@@ -13,7 +13,7 @@ BROKER_LOG = "$SYS/broker/log/N"  # what the broker has refused, for monitoring.
 HEAD = """\
 # Access list: rights to read and write topics. Printed by `python -m broker.acl`; do not edit.
 # The user name of a process is its own name. Programs that listen are one of the observers, the health check of the
-# broker is `probe`, and the replay of a recording `replay`.
+# broker's container is `broker.check`, and the replay of a recording `replay`.
 """
 NOBODY_ELSE = "# Other users may neither read nor write.\n"
 
@@ -41,11 +41,11 @@ def access_list(
         f"\nuser {row.name}\n" + ("topic write obu/#\n" if replay and row.kind is Kind.REPLAY else "")
         + "".join(_lines(row, prefix)) for row in rows
     )  # fmt: skip
-    return f"{HEAD}{nameless}{observers}\n{_probe(prefix)}{_replay(prefix) if replayed else ''}{''.join(users)}"
+    return f"{HEAD}{nameless}{observers}\n{_check(prefix)}{_replay(prefix) if replayed else ''}{''.join(users)}"
 
 
-def _probe(prefix: str) -> str:
-    return f"user {PROBE}\ntopic read {prefix}health/+\n"
+def _check(prefix: str) -> str:
+    return f"user {CHECK}\ntopic read {prefix}health/+\n"
 
 
 def _replay(prefix: str) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 from shared.errors import UserError
 from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.runtime.config import VehicleFile
-from shared.runtime.credentials import OBSERVERS, PROBE, READERS
+from shared.runtime.credentials import CHECK, OBSERVERS, READERS, WATCH
 from shared.topics import REPLAY
 
 from .acl import access_list
@@ -59,17 +59,21 @@ def may_be_replayed(rows: Iterable[ProcessRow]) -> bool:
 def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     """Make what is missing in the folder of the secrets, and write the broker's files; gives these two paths."""
     _own_folder(folder)
+    files = Path(made.files)
+    files.mkdir(mode=0o755, parents=True, exist_ok=True)
     rows = rows_of(vehicle, replay=made.replay)
-    names = (*(row.name for row in rows), *OBSERVERS, PROBE, *((REPLAY,) if may_be_replayed(rows) else ()))
+    names = (*(row.name for row in rows), *OBSERVERS, *((REPLAY,) if may_be_replayed(rows) else ()))
     secret_of = {name: _secret(folder / name) for name in names}
     readers = {path.name: _secret(path) for path in sorted((folder / READERS).glob("*"))}
     if made.containers:
         for name in names:
             os.chown(folder / name, _container_user(name), CONTAINER_GROUP)
         folder.chmod(0o755)
+    secret_of |= {name: _secret(files / name) for name in (WATCH, CHECK)}
+    if made.owner is not None:
+        for name in (WATCH, CHECK):
+            shutil.chown(files / name, _user(made.owner))
     _write(folder / MADE, json.dumps(asdict(made)))
-    files = Path(made.files)
-    files.mkdir(parents=True, exist_ok=True)
     passwords, rules = files / PASSWORDS, files / ACCESS_LIST
     before = passwords.read_text(encoding="ascii") if passwords.exists() else ""
     _write(passwords, password_file(secret_of | readers, before), made.owner)
@@ -153,4 +157,4 @@ def _user(owner: str) -> int:
 
 
 def _container_user(name: str) -> int:
-    return CONTAINER_BROKER if name == PROBE else CONTAINER_USERS.get(name, CONTAINER_GROUP)
+    return CONTAINER_USERS.get(name, CONTAINER_GROUP)

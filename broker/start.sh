@@ -20,4 +20,50 @@ if [ -s "$file" ]; then
         echo "$state" 2>/dev/null >"$tried" || echo "cannot write into $store: the disk may be full" >&2
     fi
 fi
-exec "$1" -c "$2"
+
+# A broker that hangs answers no ping. Where a service manager listens (NOTIFY_SOCKET), it is told of each answer, and
+# restarts the broker when there is none. In a container (OBU_BROKER_WATCH=1) nobody does: this script stays, and ends
+# the broker, so that the container is restarted.
+rules=$(sed -n 's/^password_file *//p' "$2" | tail -n 1)
+secret_file=$(dirname "${rules:-/dev}")/broker.watch # of the user that asks
+[ -r "$secret_file" ] || secret_file=/dev/null
+port=$(sed -n 's/^listener *\([0-9]*\).*/\1/p' "$2" | tail -n 1)
+if [ -n "${NOTIFY_SOCKET:-}" ] && command -v python3 >/dev/null; then
+    python3 -I -S "$(dirname "$0")/probe.py" "$port" "$secret_file" &
+fi
+[ "${OBU_BROKER_WATCH:-}" = 1 ] || exec "$1" -c "$2"
+
+# One connection stays open, and is asked every 3 s; a refusal is an answer as well. It is the user `broker.watch`, with a
+# secret of at most 80 characters.
+field() { printf "\\000\\$(printf '%03o' ${#1})%s" "$1"; }
+ask() {
+    secret=$(cat "$secret_file")
+    flags='\002' size=24
+    [ -z "$secret" ] || flags='\302' size=$((40 + ${#secret}))
+    printf "\\020\\$(printf '%03o' $size)\\000\\004MQTT\\004$flags\\000\\074"
+    field broker.watch
+    [ -z "$secret" ] || { field broker.watch; field "$secret"; }
+    while sleep 3; do printf '\300\000'; done
+}
+uptime_s() { cut -d. -f1 /proc/uptime; }
+# Ends with the connection, or with the broker, which it kills when no answer comes for 12 s.
+listen() {
+    while asked=$(uptime_s); do
+        [ "$(timeout 12 dd bs=4 count=1 2>/dev/null | wc -c)" -eq 0 ] || continue
+        [ $(($(uptime_s) - asked)) -ge 10 ] || return 0
+        echo "the broker hangs: it is killed" >&2
+        kill -KILL "$broker"
+        return 0
+    done
+}
+"$1" -c "$2" &
+broker=$!
+trap 'kill -TERM "$broker"' TERM INT
+while sleep 3; do ask | nc 127.0.0.1 "$port" | listen; done &
+watch=$!
+while kill -0 "$broker" 2>/dev/null; do
+    wait "$broker"
+    code=$?
+done
+kill "$watch" 2>/dev/null
+exit "$code"

@@ -7,10 +7,14 @@ import signal
 import sys
 from pathlib import Path
 
+from shared.runtime.alive import Alive
+
 from ..passwords import Passwords, PasswordsError
 from .access_list import AclError, parse
 from .broker import Broker
 from .server import Server
+
+SIGN_S = 1.0  # between two signs of life
 
 
 def main() -> int:
@@ -76,7 +80,16 @@ async def _serve(host: str, port: int, rules: _Rules, *, announce: bool) -> None
     if announce:
         sys.stdout.write(f"listening on {host}:{server.port}\n")
         sys.stdout.flush()
+    signs = asyncio.create_task(_tell_that_it_works())
     await server.serve()
+    signs.cancel()
+
+
+async def _tell_that_it_works() -> None:
+    alive = Alive()
+    while True:
+        alive.beat(connected=True)
+        await asyncio.sleep(SIGN_S)
 
 
 def _fail(sentence: str) -> int:

@@ -99,15 +99,20 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     port, (http_port, taken) = free_port(), port_or_free(options.http_port)
     vehicle_path = folder / "vehicle.toml"
     vehicle = _vehicle(options, http_port)
-    vehicle_path.write_text(vehicle.text, encoding="utf-8")
     environment = {
         "OBU_VEHICLE": str(vehicle_path),
         "OBU_BROKER": f"mqtt://127.0.0.1:{port}",
         "OBU_STATE": str(folder),
     }
-    (folder / "logs").mkdir()
-    (folder / "demo.pid").write_text(str(os.getpid()))
-    broker = broker_command(folder, port, options.broker, load_vehicle(vehicle_path))
+    try:
+        vehicle_path.write_text(vehicle.text, encoding="utf-8")
+        (folder / "logs").mkdir()
+        (folder / "demo.pid").write_text(str(os.getpid()))
+        broker = broker_command(folder, port, options.broker, load_vehicle(vehicle_path))
+    except OSError as error:
+        raise UserError(
+            f"cannot write into {folder}: {error.strerror}; make room on its disk, or set OBU_STATE to another folder"
+        ) from error
     supervisor = unit(vehicle, environment, folder / "logs", broker)
     console = Console(stderr=True)
     what = f"scenario {options.scenario}" if options.role is Role.OBU else f"toll plaza, {options.vehicles} vehicles"

@@ -1,4 +1,4 @@
-"""Supervises a set of processes: starts them, restarts them when they end, and stops them within a deadline."""
+"""Supervises a set of processes: starts them, restarts them when they end or hang, and stops them within a deadline."""
 
 import logging
 import math
@@ -14,12 +14,17 @@ from pathlib import Path
 
 from shared.errors import UserError
 
+from .signs_of_life import SignsOfLife
+
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
 SETTLED_S = 10.0  # run time after which earlier failures no longer lengthen the pause
 STOP_S = 4.0
 LAST_STOP_S = 0.5  # for those that end last
+HUNG_S = 14.0  # without a sign of life, after which a child is killed; one that can ends itself before, and tells where
+START_S = 90.0  # until the first sign of a process, which may be long on a machine that starts everything at once
+UNATTENDED_S = 3.0  # between two calls of `watch`: the supervisor was stopped itself, perhaps with its children
 
 
 @dataclass
@@ -30,6 +35,9 @@ class Child:
     command: Sequence[str]
     log_file: Path | None
     last: bool = False
+    start_limit_s: float | None = None  # None: a child that need not give signs of life
+    signs: SignsOfLife = field(default_factory=SignsOfLife)
+    seen: float | None = None  # when the last sign of this run came
     process: subprocess.Popen[bytes] | None = None
     started: float = 0.0
     next_start: float = 0.0
@@ -42,32 +50,45 @@ class Child:
 class Supervisor:
     """Starts each child, and restarts it with growing pauses when it ends by itself.
 
-    A child that exits with `EX_CONFIG` is not restarted: it would end again.
+    A child that exits with `EX_CONFIG` is not restarted: it would end again. One that has given signs of life and gives
+    no more is killed, and restarted.
     """
 
     def __init__(self, environment: Mapping[str, str], log_folder: Path | None = None) -> None:
         self._environment = dict(environment)
         self._log_folder = log_folder
+        self._watched = time.monotonic()
         self.children: dict[str, Child] = {}
 
-    def add(self, name: str, command: Sequence[str], *, last: bool = False) -> None:
-        """Add a child, which `watch` starts; with `last` it is stopped after the others."""
+    def add(self, name: str, command: Sequence[str], *, last: bool = False, start_limit_s: float | None = None) -> None:
+        """Add a child, which `watch` starts.
+
+        With `last` it is stopped after the others. With `start_limit_s` it is killed unless it gives a sign of life
+        within this time [s].
+        """
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
-        self.children[name] = Child(name, command, log_file, last)
+        self.children[name] = Child(name, command, log_file, last, start_limit_s)
 
     def add_process(self, name: str, *, last: bool = False) -> None:
         """Add a process of the unit."""
-        self.add(name, [sys.executable, "-m", "cli", "run", name], last=last)
+        self.add(name, [sys.executable, "-m", "cli", "run", name], last=last, start_limit_s=START_S)
 
     def watch(self) -> None:
-        """Start the children that are due and detect those that ended; called a few times a second."""
+        """Start the children that are due, detect those that ended, kill those that hang; to be called often."""
         now = time.monotonic()
+        late_s, self._watched = now - self._watched, now
         for child in self.children.values():
+            _listen(child, now)
+            if late_s > UNATTENDED_S and child.seen is not None:
+                child.seen = now
             if child.process is None:
                 if now >= child.next_start:
                     self._start(child)
             elif (code := child.process.poll()) is not None:
                 self._ended(child, code, now)
+            elif hangs(child, now):
+                log.warning("%s hangs and is killed", child.name)
+                child.process.kill()
 
     def stop(self) -> None:
         """Stop every child: SIGTERM, and SIGKILL after four seconds."""
@@ -80,6 +101,8 @@ class Supervisor:
                     child.process.send_signal(signal.SIGCONT)  # a stopped child does not receive SIGTERM
             for child in children:
                 _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
+        for child in self.children.values():
+            child.signs.close()
 
     def raise_rejected(self) -> None:
         """Raise `UserError` with the last line of the log of a child that exited with `EX_CONFIG`."""
@@ -99,7 +122,7 @@ class Supervisor:
         try:
             child.process = subprocess.Popen(
                 [*_end_with_parent(), *child.command],
-                env=self._environment,
+                env={**self._environment, "NOTIFY_SOCKET": child.signs.address},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT if output else None,
@@ -107,7 +130,7 @@ class Supervisor:
         finally:
             if output:
                 output.close()
-        child.started = time.monotonic()
+        child.started, child.seen = time.monotonic(), None
 
     def _ended(self, child: Child, code: int, now: float) -> None:
         child.process = None
@@ -121,6 +144,18 @@ class Supervisor:
         child.next_start = now + pause
         child.restarts += 1
         log.warning("%s ended with %d, restart in %.1f s", child.name, code, pause)
+
+
+def _listen(child: Child, now: float) -> None:
+    if child.signs.heard():
+        child.seen = now
+
+
+def hangs(child: Child, now: float) -> bool:
+    """Whether a running child has given no sign of life for too long."""
+    if child.seen is not None:
+        return now - child.seen > HUNG_S
+    return child.start_limit_s is not None and now - child.started > child.start_limit_s
 
 
 def _wait_for_end(child: Child, deadline: float) -> None:

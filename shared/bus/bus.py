@@ -5,7 +5,6 @@ so that a process that hangs sends no heartbeats.
 """
 
 import logging
-import os
 import re
 import select
 import socket
@@ -24,6 +23,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from ..errors import BadPayload
 from ..messages.base import Message, Sender
 from ..messages.operation import Carried, MessageKind, ProcessHealth, ProcessState
+from ..runtime.alive import Alive
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.credentials import OBSERVER, Identity, identity_of, observer_of, replay_of
@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5
 KINDS_EVERY = 4  # heartbeats
-HUNG_S = 20.0  # without a heartbeat, after which the process ends itself; longer than a slow disk takes
+HUNG_S = 12.0  # without a heartbeat, after which the process ends itself and tells where; a slow disk takes less
 KEEP_ALIVE_S = 5
 CONNECT_S = 1.0  # timeout; shorter than the time between SIGTERM and SIGKILL
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
@@ -95,7 +95,7 @@ class Bus:
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = self._brief = self._tables = 0
         self._connected_s = 0.0
-        self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
+        self._alive = Alive()
         self._observer, self._guarded, self._hears_broker = observer, False, False
         self._identity = self._identify()
         self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
@@ -203,6 +203,7 @@ class Bus:
         """Publish the state `disconnected` and disconnect; the last will is not sent."""
         self.stopping = True
         if self._guarded:
+            self._alive.stopping()
             self._end.close()
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
@@ -385,16 +386,10 @@ class Bus:
         self._client.loop_misc()  # keep-alive
         if self._guarded:
             self._end.watch(HUNG_S)
+            self._alive.beat(connected=self.connected)
+            self.last_error, self._alive.fault = self._alive.fault or self.last_error, None
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.READY))
-            if self._alive_file:
-                self._touch_alive_file(self._alive_file)
-
-    def _touch_alive_file(self, path: str) -> None:
-        try:
-            Path(path).touch()
-        except OSError as error:
-            self.last_error = f"cannot write {path}: {error.strerror}"
 
     def _take(self) -> list[Envelope]:
         envelopes = []

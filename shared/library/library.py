@@ -60,7 +60,9 @@ class Library:
             return
         for entry in self.entries.values():
             key = entry.name, entry.size_bytes
-            settled = entry.name != open_name and time.time() - entry.modified_s > SETTLED_S
+            settled = (
+                entry.name != open_name and abs(time.time() - entry.modified_s) > SETTLED_S
+            )  # the clock may be set back
             if entry.summary is None and settled and key not in self._tried:
                 self._tried.add(key)
                 self._trying = key

@@ -272,6 +272,8 @@ class RecordingState(Message):
     dropped: Count
     free_bytes: Bytes
     reason: Reason | None = None
+    left_out: Count = 0  # messages of topics or processes that sent more than is recorded
+    flood: Reason | None = None  # which ones do so at present
 
 
 class OriginKind(StrEnum):

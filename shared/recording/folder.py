@@ -3,10 +3,10 @@
 import logging
 import os
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from errno import ENOENT
+from errno import EINVAL, ENOENT, ENOTSUP
 from pathlib import Path
 from stat import S_ISREG
 
@@ -45,6 +45,7 @@ class RecordingFolder:
         self._undeletable: set[str] = set()
         self._received = self._closed_messages = self._closed_bytes = 0
         self._syncing: Future[None] | None = None
+        self._new = False  # whether the folder's entry of the recording in progress may not be on the disk
         self._sync_thread = ThreadPoolExecutor(1, "sync")
 
     @property
@@ -87,12 +88,18 @@ class RecordingFolder:
         self.path.mkdir(exist_ok=True)
         self.free_bytes = shutil.disk_usage(self.path).free
         entries = {entry.name: entry for entry in os.scandir(self.path)}
-        if self.open_name and self.open_name not in entries:
+        if self._writer and not self._is_in(entries):
             raise FileNotFoundError(ENOENT, "the recording in progress has vanished")
         sizes = {name: size for name in entries if (size := self._size(name)) is not None}
         kept = {name for name in sizes if name + KEEP_SUFFIX in entries} | self._undeletable
         order = self._ordered(sizes)
         return [Stored(name, sizes[name], name in kept, place) for place, name in enumerate(order)]
+
+    def _is_in(self, entries: Mapping[str, os.DirEntry[str]]) -> bool:
+        """Whether the recording in progress is in the folder, and no other file of its name."""
+        if self._writer is None or (entry := entries.get(self._writer.path.name)) is None:
+            return False
+        return entry.stat().st_ino == os.fstat(self._writer.fileno()).st_ino
 
     def _size(self, name: str) -> int | None:
         """Size of a recording, None of what is none."""
@@ -136,6 +143,7 @@ class RecordingFolder:
         self._writer = RecordingWriter(
             path, vehicle=vehicle, vehicle_toml=vehicle_toml, chunk_bytes=chunk_bytes, opener=self._opener
         )
+        self._new = True
         self._order = [*self._order, path.name]
         self._store_order()
 
@@ -152,12 +160,13 @@ class RecordingFolder:
             self._writer.flush()
 
     def sync(self) -> None:
-        """Synchronise the file with the disk in a thread: a memory card may take a second."""
+        """Synchronise the file, and the folder that lists it, with the disk in a thread: a card may take a second."""
         if self._syncing and self._syncing.done() and (error := self._syncing.exception()):
             self._syncing = None
             raise error
         if self._writer and (self._syncing is None or self._syncing.done()):
-            self._syncing = self._sync_thread.submit(os.fdatasync, self._writer.fileno())
+            self._syncing = self._sync_thread.submit(_sync, self._writer.fileno(), self.path if self._new else None)
+            self._new = False
 
     def close_on_disk(self) -> None:
         """Finish the recording in progress and wait until the disk has it: the power may end at any time."""
@@ -166,11 +175,7 @@ class RecordingFolder:
         if path is None or not path.exists():
             return
         for one in (path, path.parent):
-            descriptor = os.open(one, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            _sync_path(one)
 
     def close(self) -> None:
         """Finish the recording in progress; a file without a message is removed."""
@@ -187,3 +192,22 @@ class RecordingFolder:
                 self._closed_bytes += writer.bytes_written
             else:
                 writer.path.unlink(missing_ok=True)
+
+
+def _sync(descriptor: int, folder: Path | None) -> None:
+    """Write a file's bytes to the disk, and the entry of a new one: without it a power cut may lose the whole file."""
+    os.fdatasync(descriptor)
+    if folder is not None:
+        try:
+            _sync_path(folder)
+        except OSError as error:
+            if error.errno not in (EINVAL, ENOTSUP):  # file systems that write entries by themselves
+                raise
+
+
+def _sync_path(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

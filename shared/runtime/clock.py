@@ -33,7 +33,8 @@ def fixed_offset_ns(state_dir: Path) -> int:
     Raises
     ------
     UserError
-        The state folder is missing or may not be written to. On a full or failing disk the processes agree in memory.
+        The state folder is missing or may not be written to. On a full or failing disk the processes agree in memory,
+        also where the disk had no room to make the folder.
     """
     return _agreed_offset_ns(state_dir)[0]
 
@@ -51,7 +52,7 @@ def _agreed_offset_ns(state_dir: Path) -> tuple[int, str | None]:
         agreed = _propose(path, proposal)
     except OSError as error:
         reason = f"cannot write into the state folder {state_dir}: {error.strerror}"
-        if error.errno not in DISK_FAULTS:
+        if error.errno not in DISK_FAULTS and not is_full(state_dir):
             raise UserError(f"{reason}; set OBU_STATE") from error
         log.warning("%s; the time line is kept in memory", reason)
         return _propose_in_memory(in_memory, proposal), reason
@@ -59,6 +60,15 @@ def _agreed_offset_ns(state_dir: Path) -> tuple[int, str | None]:
         if old != path and not old.name.startswith("clock-draft-"):
             old.unlink(missing_ok=True)
     return agreed, None
+
+
+def is_full(path: Path) -> bool:
+    """Whether the disk of a path, which need not exist, has no room for a file."""
+    there = next((one for one in (path, *path.resolve().parents) if one.exists()), None)
+    if there is None:
+        return False
+    disk = os.statvfs(there)
+    return disk.f_bavail == 0 or (disk.f_files > 0 and disk.f_favail == 0)
 
 
 def _propose(path: Path, proposal: int) -> int:

@@ -1,6 +1,7 @@
 """The vehicle's file: one TOML document, one section a process."""
 
 import difflib
+import logging
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -16,7 +17,10 @@ from pydantic.fields import FieldInfo
 from ..errors import ConfigError, UserError
 from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
+from .clock import DISK_FAULTS
 from .old_keys import in_section, old_keys, successor
+
+log = logging.getLogger(__name__)
 
 ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
 
@@ -308,10 +312,13 @@ def broker_address() -> BrokerAddress:
 
 
 def state_dir() -> Path:
-    """The folder of persistent files: OBU_STATE, or .obu in the working folder."""
+    """The folder of persistent files: OBU_STATE, or .obu in the working folder; a full disk may leave it missing."""
     path = Path(os.environ.get("OBU_STATE", ".obu"))
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
+        if error.errno in DISK_FAULTS:
+            log.warning("cannot make the state folder %s: %s; nothing is kept until it can", path, error.strerror)
+            return path
         raise UserError(f"cannot make the state folder {path}: {error.strerror}; set OBU_STATE to one") from error
     return path

@@ -21,7 +21,7 @@ INSTALLED = Path("/var/lib/obu")  # state folder of a unit under systemd
 LONGEST = 1_000  # bytes of a file
 OBSERVER = "observer"
 OBSERVERS = tuple(f"{OBSERVER}.{number}" for number in range(1, 9))
-PROBE = "probe"  # health check of the broker
+WATCH, CHECK = "broker.watch", "broker.check"  # the broker's own probe, and the health check of its container
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from shared.topics import BY_NAME
 
 LIMITS = limits_of(BY_NAME["health/+"])
 EARLIER_LIVES = 8
+STEADY_NS = 1_000_000_000  # of heartbeats in time, after which a pause between them is over
 OVER = {ProcessState.LOST: ProcessStatus.LOST, ProcessState.DISCONNECTED: ProcessStatus.ENDED}
 
 
@@ -21,6 +22,7 @@ class ProcessWatch:
         self._earlier: deque[int] = deque(maxlen=EARLIER_LIVES)
         self.restarts = 0
         self.heartbeat_ns: int | None = None
+        self._steady_ns = 0  # since when its heartbeats have been in time
         self.seen_ns: int | None = None  # its last message, or its last will
         self.retained = False  # only retained messages came, which may be older than this run of the unit
 
@@ -36,11 +38,17 @@ class ProcessWatch:
         self.incarnation, self.state = health.incarnation, health.state
         self.seen_ns = min(health.sent_ns, received_ns) if retained else received_ns
         if health.state is not ProcessState.LOST or self.heartbeat_ns is None:
+            if freshness_of(max(self.seen_ns - (self.heartbeat_ns or 0), 0) * 1e-9, LIMITS) is not Freshness.FRESH:
+                self._steady_ns = self.seen_ns
             self.heartbeat_ns = self.seen_ns
 
     def is_of_earlier_life(self, health: ProcessHealth) -> bool:
         """Whether this heartbeat is of a life that another has followed: two programs run under this name."""
         return health.state is ProcessState.READY and health.incarnation in self._earlier
+
+    def spoke_after(self, due_ns: int) -> bool:
+        """Whether a heartbeat came after a time, and not right after a pause between heartbeats."""
+        return (self.heartbeat_ns or 0) >= max(due_ns, self._steady_ns + STEADY_NS if self._steady_ns else 0)
 
     def age_s(self, now_ns: int) -> float | None:
         """Give the age of the last heartbeat."""

@@ -29,7 +29,7 @@ from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
 from .causes import expected_topics, producers_of, upstream_of
 from .intruders import Intruders
 from .overload import Overload
-from .process_watch import ProcessWatch
+from .process_watch import OVER, ProcessWatch
 from .topic_watch import TopicWatch
 
 GRACE_NS = round(STARTUP_GRACE_S * 1e9)
@@ -39,6 +39,9 @@ RECOVERY_NS = 60_000_000_000  # after it, topics that are still silent are no lo
 SETTLE_NS = 10_000_000_000  # a relapse within this time continues the same outage
 MUTE_NS = 1_200_000_000  # a broker that does not even return our own heartbeat does not work
 STALL_NS = 1_000_000_000  # an observer that was suspended for longer cannot judge the others
+SLOW_NS = (
+    8_000_000_000  # silence of a process that a slow step explains, while another's loss or start takes the computer
+)
 RESUME_NS = 60_000_000_000  # maximum age of a report whose outages are continued after a restart
 DISK_LOW_BYTES = 1_000_000_000
 BROKER, SELF = "broker", "monitoring.health"
@@ -224,7 +227,26 @@ class Watch:
         if watch.retained and uptime_ns < START_NS:
             return ProcessStatus.WAITING
         status = watch.status(self._now_ns, self._judged_from_ns, grace_over=uptime_ns >= GRACE_NS)
+        if status is ProcessStatus.STALE and self._is_excused(name):
+            return ProcessStatus.LATE
         return ProcessStatus.RESTARTING if name in self._open and not status.down else status
+
+    def _is_excused(self, name: str) -> bool:
+        """Whether silence of a process is explained by another's loss or restart, or by a computer that is overloaded.
+
+        A start takes a second or more of a processor, and what a process missed meanwhile makes its next step long.
+        Its own last will, and longer silence, count as ever.
+        """
+        if name in self._open:
+            return False
+        others = (*self._open.items(), *self._settling.items())
+        explained = self._overload.problem is not None or any(self._was_lost(*other) for other in others)
+        return explained and self._now_ns - (self._processes[name].heartbeat_ns or 0) < SLOW_NS
+
+    def _was_lost(self, what: str, entry: _Open) -> bool:
+        """Whether an outage is that of a process that ended or was started again, and not only of one that hangs."""
+        watch = self._processes.get(what)
+        return watch is not None and (watch.state in OVER or watch.incarnation > entry.incarnation)
 
     def _judge_processes(self) -> None:
         for name in self._present():
@@ -309,10 +331,13 @@ class Watch:
         return max(upstream, key=lambda name: recent[name].outage.since_ns, default=None)
 
     def _own_root(self, topic: Topic) -> str | None:
-        """Name the topic itself, once its producer has sent a heartbeat since the topic's deadline."""
+        """Name the topic itself, once its producer has sent heartbeats since the topic's deadline, and steadily.
+
+        The first heartbeat after a slow step is followed by what the step has made.
+        """
         due_ns = (self._silent_since_ns(topic) or 0) + round((topic.silent_after_s or 0.0) * 1e9)
         ours = [self._processes[name] for name in self._producers(topic) if name in self._processes]
-        return topic.name if all((watch.heartbeat_ns or 0) >= due_ns for watch in ours) else None
+        return topic.name if all(watch.spoke_after(due_ns) for watch in ours) else None
 
     def _producers(self, topic: Topic) -> tuple[str, ...]:
         newest = self._topics[topic.name].producer
@@ -467,6 +492,8 @@ class Watch:
             return []
         if not state.recording and state.reason:
             return [Problem(what="monitoring.recorder", text=f"not recording: {state.reason}")]
+        if state.flood:
+            return [Problem(what="monitoring.recorder", text=state.flood)]
         if state.free_bytes < DISK_LOW_BYTES:
             text = f"only {state.free_bytes / 1e6:.0f} MB of disk left"
             return [Problem(what="monitoring.recorder", text=text)]

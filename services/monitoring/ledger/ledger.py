@@ -49,6 +49,7 @@ from .store import Row, Store
 NS = 1_000_000_000
 HOUR_NS = 3600 * NS
 DAY_NS = 24 * HOUR_NS
+DOUBTFUL_NS = 30 * DAY_NS  # since the newest evidence, after which a date at the start is not believed at once
 RECENT = 50
 USED_KEPT_NS = 70 * NS
 OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
@@ -127,6 +128,10 @@ class Ledger:
         self._numbers: Counter[str] = Counter()  # bookings by kind, up to the row `_summed`: none is ever changed
         self._detectors = {lane.name for lane in plaza.lanes if lane.detector}
         self._amount_cents = self._summed = 0
+        newest = store.row("SELECT max(stored_ns) AS stored_ns FROM evidence")
+        newest_ns = newest["stored_ns"] if newest is not None else None
+        doubtful = isinstance(newest_ns, int) and now_ns - newest_ns > DOUBTFUL_NS
+        self._trusted_ns = now_ns + DAY_NS if doubtful else now_ns  # from when on the date decides what is deleted
         self._cleaned_ns = 0  # what was settled before and not charged is deleted
 
     # Received messages
@@ -216,7 +221,11 @@ class Ledger:
     # Periodic work
 
     def expire(self, now_ns: int) -> None:
-        """Settle passages that fell silent, and delete what may not be kept longer."""
+        """Settle passages that fell silent, and delete what may not be kept longer.
+
+        After a start more than 30 days behind the newest evidence, evidence stays for another day: the clock may have
+        jumped ahead, and who sees its date has the time to correct it.
+        """
         silent_ns = now_ns - round(self._settings.silence_limit_s * NS)
         if self._started_ns < silent_ns:
             rows = self._store.rows("SELECT passage_id, statement FROM passage WHERE sampled_ns < ?", silent_ns)
@@ -239,6 +248,8 @@ class Ledger:
         )  # fmt: skip
         self._cleaned_ns = max(self._cleaned_ns, kept_ns)
         self._store.execute("DELETE FROM pulse WHERE sampled_ns < ? AND done", now_ns - DAY_NS)
+        if now_ns < self._trusted_ns:
+            return
         evidence_ns = now_ns - round(self._settings.evidence_kept_days * DAY_NS)
         self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns)
         self._forget_reviews("since_ns < ?", evidence_ns)

@@ -12,6 +12,7 @@ from shared.recording.writer import Opener, open_new
 from shared.runtime.config import Section, parse_vehicle
 from shared.topics import TOPICS
 
+from .quota import Quota
 from .retention import Limits, decide, file_name
 
 log = logging.getLogger(__name__)
@@ -43,6 +44,12 @@ class Config(Section):
     minimum_free_bytes: int = Field(
         default=512 * 1024**2, ge=0, description="free disk space below which the oldest recordings are deleted"
     )
+    maximum_topic_bytes_per_s: float = Field(
+        default=512 * 1024,
+        gt=0,
+        description="lasting rate of a topic, and half of that of a process, above which its messages are left out; an "
+        "eighth of `maximum_total_bytes` may come at once. Uncompressed",
+    )
 
 
 class Process:
@@ -51,6 +58,7 @@ class Process:
     def __init__(self, config: Config, opener: Opener = open_new) -> None:
         self._config, self._opener = config, opener
         self._limits = Limits(config.maximum_total_bytes, config.minimum_free_bytes)
+        self._quota = Quota(config.maximum_topic_bytes_per_s, config.maximum_total_bytes)
         self._kept_out: set[str] = set()
         self._reason: str | None = None
         self._power_ends = False
@@ -67,14 +75,18 @@ class Process:
                 self._enforce_limits(bus)
                 bus.publish(self._state(bus))
             envelopes = bus.receive(0.1)
-            self._write(envelopes, bus.now_ns())
+            self._write(envelopes, bus)
             self._close_before_power_off(bus, envelopes)
-        self._write(bus.receive(0.0), bus.now_ns())
+        self._write(bus.receive(0.0), bus)
         self._close()
 
-    def _write(self, envelopes: list[Envelope], now_ns: int) -> None:
+    def _write(self, envelopes: list[Envelope], bus: Bus) -> None:
+        now_ns = bus.now_ns()
+        admitted = self._quota.admitted((e for e in envelopes if e.topic not in self._kept_out), now_ns)
+        if self._quota.left_out:
+            bus.rejects["flood"] = self._quota.left_out
         try:
-            self._folder.write([e for e in envelopes if e.topic not in self._kept_out])
+            self._folder.write(admitted)
             if now_ns >= self._flush_ns:
                 self._flush_ns = now_ns + round(self._config.flush_period_s * 1e9)
                 self._folder.flush()
@@ -136,5 +148,6 @@ class Process:
         return RecordingState(
             now_ns=bus.now_ns(), recording=folder.open_name is not None, file=folder.open_name,
             bytes_written=folder.bytes_written, messages=folder.messages, dropped=folder.lost + bus.dropped,
-            free_bytes=folder.free_bytes, reason=self._reason,
+            free_bytes=folder.free_bytes, reason=self._reason, left_out=self._quota.left_out,
+            flood=self._quota.complaint(bus.now_ns()),
         )  # fmt: skip

@@ -61,7 +61,16 @@ def wait_for(condition: Callable[[], bool], *buses: Bus) -> None:
 
 @pytest.mark.parametrize("password", [None, "", "wrong", "0" * 64])
 def test_no_process_connects_without_its_secret(broker: brokers.RunningBroker, password: str | None) -> None:
-    for name in (*NAMES, *credentials.OBSERVERS, credentials.PROBE, "", "root", "observer", "sensors.simulator"):
+    for name in (
+        *NAMES,
+        *credentials.OBSERVERS,
+        credentials.WATCH,
+        credentials.CHECK,
+        "",
+        "root",
+        "observer",
+        "sensors.simulator",
+    ):
         with Client(broker.port, name, user=name, password=password) as intruder:
             assert intruder.connect().is_failure, name
     with Client(broker.port, "nobody", user=None) as intruder:

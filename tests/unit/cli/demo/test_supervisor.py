@@ -85,3 +85,53 @@ def test_children_that_ignore_sigterm_or_are_stopped_end_within_five_seconds(
     supervisor.stop()
     assert time.monotonic() - started < 5.0
     assert supervisor.alive() == 0
+
+
+BEATING = """
+import time
+from shared.runtime.alive import Alive
+alive = Alive()
+while True:
+    alive.beat(connected=True)
+    time.sleep(0.05)
+"""
+
+
+@pytest.fixture
+def impatient(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
+    monkeypatch.setattr("cli.demo.supervisor.HUNG_S", 0.5)
+    return supervisor
+
+
+def test_a_child_that_is_stopped_is_killed_and_started_again(impatient: Supervisor) -> None:
+    impatient.add("beating", [sys.executable, "-c", BEATING])
+    child = impatient.children["beating"]
+    watch_until(impatient, lambda: child.seen is not None)
+    assert child.process
+    child.process.send_signal(signal.SIGSTOP)
+    watch_until(impatient, lambda: child.restarts == 1 and child.seen is not None)
+    assert child.exit_codes == [-signal.SIGKILL]
+
+
+def test_a_child_that_never_gives_a_sign_is_killed_if_it_should(impatient: Supervisor) -> None:
+    impatient.add("mute", SLEEPER, start_limit_s=0.5)
+    impatient.add("need not", SLEEPER)
+    watch_until(impatient, lambda: impatient.children["mute"].restarts == 1)
+    assert impatient.children["need not"].restarts == 0
+
+
+def test_after_a_stop_of_the_supervisor_itself_nobody_is_killed(
+    impatient: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    impatient.add("beating", [sys.executable, "-c", BEATING])
+    child = impatient.children["beating"]
+    watch_until(impatient, lambda: child.seen is not None)
+    assert child.process
+    child.process.send_signal(signal.SIGSTOP)  # as Ctrl-Z does to all of them
+    while child.signs.heard():
+        impatient.watch()
+    monkeypatch.setattr(time, "monotonic", lambda now=time.monotonic: now() + 100.0)
+    impatient.watch()
+    child.process.send_signal(signal.SIGCONT)
+    watch_until(impatient, child.signs.heard)
+    assert child.restarts == 0 and not child.exit_codes

@@ -417,7 +417,7 @@ def test_an_outage_from_before_a_broker_loss_stays_open_until_it_is_over(unit: U
     assert set(outages(unit.run(20))) == {"broker"}
     unit.revive("sensors.gnss")
     [(_, end)] = unit.run(5)
-    assert (end.what, end.affected) == ("sensors.gnss", ("gnss/raw", "gnss/fix"))
+    assert (end.what, end.affected) == ("sensors.gnss", ("gnss/fix", "gnss/raw"))
 
 
 def test_a_process_killed_while_the_observer_slept_was_lost_and_does_not_hang(unit: Unit) -> None:
@@ -690,3 +690,60 @@ def test_fast_topics_of_which_no_heartbeat_tells_are_named(unit: Unit, told: boo
     assert "v2x/cam" in unit.watch.untold
     assert ("imu/sample" in unit.watch.untold) is not told
     assert "gnss/fix" not in unit.watch.untold
+
+
+def test_a_flood_that_is_not_recorded_is_a_problem(unit: Unit) -> None:
+    state = RecordingState(
+        now_ns=unit.now_ns, recording=True, bytes_written=0, messages=0, dropped=0, free_bytes=10**12, left_out=9,
+        flood="left out: gnss/raw (9 messages)",
+    )  # fmt: skip
+    unit.watch.take_recording(state)
+    assert unit.run(1) == []
+    assert unit.problems() == [state.flood]
+
+
+@pytest.mark.parametrize("slow_s", [1.9, 2.1, 3.0, 5.0])
+@pytest.mark.parametrize("killed", ["parsers.can", "parsers.gnss", "sensors.gnss", "monitoring.status"])
+def test_a_slow_step_of_the_filter_while_another_process_is_lost_accuses_that_one_alone(
+    unit: Unit, killed: str, slow_s: float
+) -> None:
+    """As on a loaded machine: the start of the lost process takes the processor, and the filter has a long step."""
+    unit.kill(killed)
+    events = unit.run(0.3)
+    unit.hanging.add("core.fusion")
+    events += unit.run(slow_s / 2)
+    unit.revive(killed)
+    events += unit.run(slow_s / 2)
+    unit.hanging.clear()
+    unit.mute.add("navigation/solution")  # the first heartbeat comes before what the step has made
+    events += unit.run(0.6)
+    unit.mute.clear()
+    events += unit.run(20)
+    assert {outage.what for _, outage in events} == {killed}
+    assert unit.problems() == []
+
+
+def test_a_filter_that_hangs_while_another_process_is_lost_is_named_later(unit: Unit) -> None:
+    unit.kill("parsers.can")
+    unit.hanging.add("core.fusion")
+    assert {outage.what for _, outage in unit.run(7.4)} == {"parsers.can"}
+    assert [(outage.what, outage.cause) for _, outage in unit.run(2)] == [
+        ("core.fusion", "core.fusion is stale: connected, but without heartbeat; it hangs or is overloaded")
+    ]
+    unit.revive("parsers.can")
+    unit.hanging.clear()
+    assert {outage.what for _, outage in unit.run(20) if outage.until_ns} == {"parsers.can", "core.fusion"}
+
+
+def test_two_processes_killed_at_once_are_both_named_at_once(unit: Unit) -> None:
+    unit.kill("parsers.can")
+    unit.kill("core.fusion")
+    assert {outage.what for _, outage in unit.run(0.2)} == {"parsers.can", "core.fusion"}
+
+
+def test_a_filter_that_is_killed_in_its_slow_step_is_named(unit: Unit) -> None:
+    unit.kill("parsers.can")
+    unit.hanging.add("core.fusion")
+    unit.run(3)
+    unit.kill("core.fusion")
+    assert {outage.what for _, outage in unit.run(0.2)} == {"core.fusion"}

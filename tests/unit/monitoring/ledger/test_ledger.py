@@ -386,3 +386,19 @@ def test_a_registration_that_was_lost_while_the_ledger_was_down_is_waited_for(op
     for waited_s in (1, 16):
         ledger.passage(other.says(CHARGED, exit_ns=exit_ns), exit_ns + waited_s * NS)
     assert outcomes(ledger)[other.passage_id] is PassageState.UNREGISTERED
+
+
+def test_a_clock_that_jumps_ahead_between_two_starts_deletes_no_evidence_at_once(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    vehicle = Vehicle("a")
+    with store.transaction():
+        drive(ledger, vehicle)
+    assert ledger.evidence(vehicle.passage_id) is not None
+    store.close()
+    day_ns, jumped_ns = 86_400 * NS, LATER_NS + 3652 * 86_400 * NS
+    again, store = ledger_at(tmp_path / "ledger.sqlite", jumped_ns)
+    again.expire(jumped_ns + day_ns - 1)
+    assert again.evidence(vehicle.passage_id) is not None
+    again.expire(jumped_ns + day_ns)
+    assert again.evidence(vehicle.passage_id) is None, "a date that stays is the right one"
+    store.close()

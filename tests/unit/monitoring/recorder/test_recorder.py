@@ -309,13 +309,16 @@ def test_an_order_that_cannot_be_read_is_made_anew(stored: bytes, tmp_path: Path
     assert names_of(folder) == ["a_2.mcap", "a_10.mcap", "20260921T141320Z_car.mcap"]
 
 
-@pytest.mark.parametrize("what", ["the folder", "the file"])
+@pytest.mark.parametrize("what", ["the folder", "the file", "replaced"])
 def test_what_vanished_while_recording_is_an_outage_and_recording_resumes(what: str, tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
 
     def script(call: int) -> list[Envelope] | None:
         if call == 30:
-            shutil.rmtree(folder) if what == "the folder" else next(folder.glob("*.mcap")).unlink()
+            path = next(folder.glob("*.mcap"))
+            shutil.rmtree(folder) if what == "the folder" else path.unlink()
+            if what == "replaced":
+                path.write_bytes(b"another file")
         return [envelope(call)] if call < 150 else None
 
     bus = FakeBus(tmp_path, script, start_ns=START_NS)
@@ -324,8 +327,19 @@ def test_what_vanished_while_recording_is_an_outage_and_recording_resumes(what: 
     states = [message for message in bus.published if isinstance(message, RecordingState)]
     outage = [state for state in states if not state.recording]
     assert outage and "vanished" in (outage[0].reason or "")
+    assert outage[0].now_ns - START_NS < 5 * 10**9, "it is noticed within two seconds of the thirtieth message"
     assert states[-1].recording and states[-1].reason is None
+    for path in folder.glob("*.mcap"):
+        if path.read_bytes() == b"another file":
+            path.unlink()
     assert recorded(folder)[-1] == 149 and recorded(folder)[0] > 30
+
+
+def test_the_entry_of_a_new_recording_is_written_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr("shared.recording.folder._sync_path", synced.append)
+    run(tmp_path, Config(minimum_free_bytes=0, rotate_period_s=2.0), 55)
+    assert synced == [tmp_path / "recordings"] * 3, "once for each of three files"
 
 
 def test_nothing_strange_in_the_folder_stops_the_recorder(tmp_path: Path) -> None:

@@ -52,6 +52,15 @@ def test_an_agreed_offset_is_read_without_writing(tmp_path: Path, monkeypatch: p
     assert clock.fixed_offset_ns(tmp_path) == offset
 
 
+def test_where_a_full_disk_left_no_folder_the_time_line_is_kept_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clock, "SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(clock, "is_full", lambda path: path == tmp_path / "missing")
+    made = clock.Clock(tmp_path / "missing")
+    assert made.not_stored is not None and clock.Clock(tmp_path / "missing").offset_ns == made.offset_ns
+
+
 def test_a_state_folder_that_is_not_there_is_an_error_with_its_remedy(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="OBU_STATE"):
         clock.fixed_offset_ns(tmp_path / "elsewhere")
