@@ -9,6 +9,7 @@ import os
 import pwd
 import secrets
 import shutil
+import stat
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from pathlib import Path
 from shared.errors import UserError
 from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.runtime.config import VehicleFile
-from shared.runtime.credentials import CHECK, OBSERVERS, READERS, WATCH
+from shared.runtime.credentials import CHECK, FOLDER, OBSERVERS, READERS, WATCH
 from shared.topics import REPLAY
 
 from .acl import access_list
@@ -25,6 +26,7 @@ from .passwords import password_file
 SECRET_BYTES = 32
 MADE = "made.json"  # in the folder of the secrets: for whom they were made
 PASSWORDS, ACCESS_LIST = "passwords", "acl.conf"
+RULES = "rules"  # in the state folder, where no other place is given: the broker's files
 CONTAINER_GROUP = 10_001
 CONTAINER_USERS = {row.name: 10_100 + number for number, row in enumerate(PROCESSES)}
 CONTAINER_BROKER = 1883  # user of the image eclipse-mosquitto
@@ -82,6 +84,24 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     )
     _write(rules, rights, made.owner)
     return passwords, rules
+
+
+def share(state: Path, group: int) -> None:
+    """Give the files of a state folder to a group, of which each process has a user of its own.
+
+    Also those of an earlier version, where one user ran every process. Folders of secrets are left out.
+    """
+    for path in (state, *state.rglob("*")):
+        if path.relative_to(state).parts[:1] in ((FOLDER,), (RULES,), ("keys",)) or path.is_symlink():
+            continue
+        try:
+            found = path.stat()
+            os.chown(path, -1, group)
+            path.chmod(stat.S_IMODE(found.st_mode) | (0o2770 if path.is_dir() else 0o660))
+        except FileNotFoundError:
+            continue  # a process has replaced it
+        except OSError as error:
+            raise UserError(f"cannot share {path}: {error.strerror}; run the command with `sudo`") from error
 
 
 def made_in(folder: Path) -> Made:

@@ -1,4 +1,4 @@
-"""Asks the broker of this machine for a sign of life, for the service manager: `python -I -S broker/probe.py PORT [SECRET]`.
+"""Asks the broker of this machine for a sign of life, for the service manager: `python -I -S probe.py PORT [SECRET]`.
 
 One connection stays open and sends a ping every few seconds. The loop that answers it is the one that passes messages
 on, so a broker that hangs answers none. Any answer counts, also a refusal to connect: no right on any topic is needed.

@@ -1,5 +1,6 @@
 """`obu keys`: the secrets with which processes and programs identify themselves to the broker."""
 
+import grp
 import os
 import re
 from pathlib import Path
@@ -29,17 +30,28 @@ def folder() -> Path:
     return folder_of(state_dir().resolve())
 
 
-def make(vehicle: Path | None, files: Path | None, owner: str | None, *, containers: bool) -> int:
+def _group(name: str) -> int:
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise UserError(f"there is no group {name!r} on this machine; `groupadd --system {name}` makes it") from None
+
+
+def make(
+    vehicle: Path | None, files: Path | None, owner: str | None, group: str | None = None, *, containers: bool = False
+) -> int:
     """Make the secrets that are missing, and write the broker's files."""
     where = folder()
     unit = load_vehicle(vehicle)
     made = keys.Made(
         str(Path(unit.path).resolve()) if Path(unit.path).is_file() else unit.path,
-        str((files or where.parent / "rules").resolve()),
+        str((files or where.parent / keys.RULES).resolve()),
         owner or (str(keys.CONTAINER_BROKER) if containers else None),
         containers,
     )
     passwords, rules = keys.make(where, unit, made)
+    if containers or group is not None:
+        keys.share(state_dir().resolve(), keys.CONTAINER_GROUP if group is None else _group(group))
     print(f"secrets of {unit.name!r} in {where}; the broker's files: {passwords} and {rules}")
     return 0
 

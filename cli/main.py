@@ -243,6 +243,9 @@ def keys_make(
     owner: Annotated[
         str | None, typer.Option("--broker-user", metavar="USER", help="Who may read them: the broker's user.")
     ] = None,
+    group: Annotated[
+        str | None, typer.Option("--group", metavar="GROUP", help="Share the state folder with this group.")
+    ] = None,
     containers: Annotated[
         bool, typer.Option("--containers", help="Give each secret to the user of its container.")
     ] = False,
@@ -253,11 +256,11 @@ def keys_make(
 
     Examples:
     [bold]obu keys make --vehicle deploy/vehicles/pi.toml[/]
-    [bold]obu keys make --broker-files /etc/obu/broker --broker-user mosquitto[/]
+    [bold]obu keys make --broker-files /etc/obu/broker --broker-user mosquitto --group obu[/]
     """
     from .keys import make
 
-    raise typer.Exit(make(vehicle, files, owner, containers=containers))
+    raise typer.Exit(make(vehicle, files, owner, group, containers=containers))
 
 
 @keys_app.command("list")

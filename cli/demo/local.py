@@ -79,7 +79,7 @@ def broker_command(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, 
     mosquitto = local_config.executable()
     if not mosquitto and kind == "mosquitto":
         raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
-    credentials, rules = folder / FOLDER, folder / "rules"
+    credentials, rules = folder / FOLDER, folder / keys.RULES
     passwords, acl = keys.make(credentials, vehicle, keys.Made(vehicle.path, str(rules), replay=replay))
     (credentials / ADDRESS).write_text(f"127.0.0.1:{port}\n", encoding="ascii")
     if mosquitto and kind != "simulated":

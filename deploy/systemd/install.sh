@@ -15,7 +15,20 @@ id obu >/dev/null 2>&1 || useradd --system --home-dir /var/lib/obu --shell /usr/
 install -d -m 755 /etc/obu
 [ -e /etc/obu/vehicle.toml ] || install -m 644 deploy/vehicles/pi.toml /etc/obu/vehicle.toml
 [ -e /etc/obu/obu.env ] || install -m 644 deploy/systemd/obu.env /etc/obu/obu.env
-.venv/bin/python -m broker.local_config --store /var/lib/obu-broker --acl /opt/obu/broker/acl.conf >/etc/obu/mosquitto.conf
+.venv/bin/python -m broker.local_config --store /var/lib/obu-broker --rules /etc/obu/broker >/etc/obu/mosquitto.conf
+
+# A user for each process: none can read the secret of another. They share the state folder by their group.
+install -d -m 2770 -g obu /var/lib/obu
+for name in $(.venv/bin/python -c 'from shared.processes import *; print(*(row.name for row in PROCESSES))'); do
+    user=obu-${name//[._]/-}
+    id "$user" >/dev/null 2>&1 ||
+        useradd --system --gid obu --home-dir /var/lib/obu --no-create-home --shell /usr/sbin/nologin "$user"
+    install -d -m 755 "/etc/systemd/system/obu@$name.service.d"
+    printf '[Service]\nUser=%s\n' "$user" >"/etc/systemd/system/obu@$name.service.d/user.conf"
+done
+# The first secrets, and those of the files of an earlier version; obu-broker.service does it again at each start.
+OBU_VEHICLE=/etc/obu/vehicle.toml OBU_STATE=/var/lib/obu .venv/bin/python -m cli keys make \
+    --broker-files /etc/obu/broker --broker-user mosquitto --group obu
 
 cp -r deploy/systemd/{obu,rsu}.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
 # Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): Nice=-10 is used instead.

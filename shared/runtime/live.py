@@ -123,6 +123,7 @@ def load_process(name: str, vehicle: VehicleFile) -> object:
 def run_process(name: str, vehicle: VehicleFile) -> None:
     """Run one process until SIGTERM or SIGINT."""
     start_logging(name)
+    os.umask(0o007)  # processes with users of their own share the state folder by their group
     process = load_process(name, vehicle)
     bus = Bus(name, vehicle.name, broker_address(), subscriptions(name), state_dir())
     bus.vehicle_toml = vehicle.text

@@ -8,6 +8,7 @@ from typing import cast
 import pytest
 import yaml
 
+from broker.keys import CONTAINER_GROUP, CONTAINER_USERS
 from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
 from shared.topics import BY_NAME, hot_path
 
@@ -52,7 +53,8 @@ def entry(row: ProcessRow) -> str:
     """Write the container of a process as it stands in its Compose file."""
     anchor = "serial" if row in DEVICES else "hot-path" if row.name in hot_path() else "process"
     profiles = [f"    profiles: [{row.short}]"] if row.kind in ON_REQUEST else []
-    return "\n".join([f"  {container(row)}:", f"    <<: *{anchor}", *profiles, f"    command: [run, {row.name}]"])
+    user = f'    user: "{CONTAINER_USERS[row.name]}:{CONTAINER_GROUP}"'
+    return "\n".join([f"  {container(row)}:", f"    <<: *{anchor}", *profiles, f"    command: [run, {row.name}]", user])
 
 
 @pytest.mark.parametrize("row", OBU, ids=lambda row: row.name)
@@ -80,7 +82,7 @@ def test_every_process_of_a_road_side_unit_has_a_container_there_with_the_limits
 
 def test_a_road_side_unit_has_no_other_container_and_reads_its_own_file() -> None:
     services = services_of(ROADSIDE)
-    assert services.keys() == {"broker", *map(container, RSU)}
+    assert services.keys() == {"broker", "keys", *map(container, RSU)}
     files = {name: cast("dict[str, str]", s.get("environment", {})).get("OBU_VEHICLE") for name, s in services.items()}
     assert set(files.values()) == {None, "${OBU_VEHICLE:-deploy/vehicles/rsu.toml}"} and files["broker"] is None
     assert not any("ports" in service or "privileged" in service for service in services.values())
@@ -95,7 +97,7 @@ def test_containers_of_the_hot_path_get_the_processor_first(row: ProcessRow, sim
 def test_there_is_no_container_besides_them_but_the_broker(
     simulated: dict[str, Service], vehicle: dict[str, Service]
 ) -> None:
-    spare = (simulated.keys() | vehicle.keys()) - {"broker", *map(container, OBU)}
+    spare = (simulated.keys() | vehicle.keys()) - {"broker", "keys", *map(container, OBU)}
     assert not spare, f"no process of shared/processes.py runs in {spare}: remove it from {SIMULATED} and {VEHICLE}"
 
 
@@ -115,14 +117,17 @@ def test_no_container_may_more_than_it_must(simulated: dict[str, Service], vehic
         assert service["read_only"] is True, name
         assert service["cap_drop"] == ["ALL"], name
         assert service["security_opt"] == ["no-new-privileges:true"], name
-        assert service["restart"] == "unless-stopped", name
         assert service["mem_limit"], name
         assert service["pids_limit"], name
-        assert service["healthcheck"], name
         assert service["logging"], name
+        if name == "keys":
+            continue
+        assert service["restart"] == "unless-stopped", name
+        assert service["healthcheck"], name
+        assert "cap_add" not in service, name
     for row in DEVICES:
         assert cast("Service", vehicle[container(row)]["extends"])["service"] in simulated
-    forbidden = {"privileged", "cap_add", "pid", "ipc", "userns_mode"}
+    forbidden = {"privileged", "pid", "ipc", "userns_mode"}
     assert not any(service.keys() & forbidden for services in (simulated, vehicle) for service in services.values())
 
 
@@ -141,7 +146,7 @@ def test_only_dashboard_and_outputs_publish_ports_and_only_to_this_machine_unles
 
 
 def test_only_dashboard_and_outputs_reach_beyond_the_bus(simulated: dict[str, Service]) -> None:
-    beyond = {name for name, service in simulated.items() if service["networks"] != ["bus"]}
+    beyond = {name for name, service in simulated.items() if service.get("networks", ["bus"]) != ["bus"]}
     assert beyond == {"monitoring-status", "monitoring-outputs"}
     document = yaml.load((ROOT / "docker-compose.yml").read_text(), ComposeLoader)
     assert document["networks"]["bus"]["internal"] is True
@@ -150,8 +155,36 @@ def test_only_dashboard_and_outputs_reach_beyond_the_bus(simulated: dict[str, Se
 def test_the_broker_runs_as_mosquitto_with_the_configuration_of_the_repository(simulated: dict[str, Service]) -> None:
     assert simulated["broker"]["user"] == "1883:1883"
     mounted = [str(volume).split(":")[0] for volume in cast("list[object]", simulated["broker"]["volumes"])]
-    assert {"./broker/mosquitto.conf", "./broker/acl.conf"} <= set(mounted)
+    assert {"./broker/mosquitto.conf", "rules"} <= set(mounted)
     assert all((ROOT / path).is_file() for path in mounted if path.startswith("./"))
+
+
+def test_the_maker_of_secrets_ends_before_others_start_and_reaches_nobody(simulated: dict[str, Service]) -> None:
+    maker = simulated["keys"]
+    assert maker["network_mode"] == "none" and maker["restart"] == "no"
+    assert maker["cap_add"] == ["CHOWN", "DAC_OVERRIDE", "FOWNER"], "it gives each secret to its user"
+    for name, service in simulated.items():
+        if name != "keys":
+            assert service["depends_on"] == {"keys": {"condition": "service_completed_successfully"}}, name
+            writable = [v for v in cast("list[str]", service["volumes"]) if v.startswith(("credentials:", "rules:"))]
+            assert all(volume.endswith(":ro") for volume in writable), name
+
+
+@pytest.mark.parametrize("file", [SIMULATED, VEHICLE, ROADSIDE])
+def test_each_container_has_a_user_of_its_own(file: str) -> None:
+    for name, service in services_of(file).items():
+        command = cast("list[str]", service.get("command") or [])
+        if command[:1] == ["run"]:
+            assert service["user"] == f"{CONTAINER_USERS[command[1]]}:{CONTAINER_GROUP}", name
+
+
+def test_each_process_under_systemd_is_given_its_secret_and_a_user_of_its_own() -> None:
+    text = (SYSTEMD / "obu@.service").read_text()
+    assert "LoadCredential=secret:/var/lib/obu/credentials/%i\n" in text and "StateDirectory" not in text
+    installer = (SYSTEMD / "install.sh").read_text()
+    assert "user=obu-${name//[._]/-}" in installer and "obu@$name.service.d/user.conf" in installer
+    names = {f"obu-{row.name.replace('.', '-').replace('_', '-')}" for row in PROCESSES}
+    assert len(names) == len(PROCESSES) and max(map(len, names)) <= 32, "names of users on Linux"
 
 
 def test_the_image_is_not_run_by_root_and_is_built_from_what_the_repository_has() -> None:

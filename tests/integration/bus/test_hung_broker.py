@@ -13,7 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from broker import local_config, probe
+from broker import keys, local_config, probe
+from shared.runtime.config import parse_vehicle
 from tests.support.bus import mosquitto
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -57,7 +58,7 @@ def test_a_refusal_is_an_answer_and_nothing_that_listens_is_none(tmp_path: Path)
         asked = probe.Probe(server.getsockname()[1], "secret")
         client = subprocess.Popen(
             [sys.executable, "-c", "import socket, sys; s = socket.socket(fileno=int(sys.argv[1])); c, _ = s.accept(); "
-             "p = c.recv(100); assert b'health' in p and b'secret' in p; c.sendall(bytes([0x20, 2, 0, 5]))",
+             "p = c.recv(100); assert b'broker.watch' in p and b'secret' in p; c.sendall(bytes([0x20, 2, 0, 5]))",
              str(server.fileno())], pass_fds=[server.fileno()],
         )  # fmt: skip
         assert asked.ask()
@@ -94,14 +95,16 @@ def test_in_a_container_a_hung_broker_is_killed_and_its_script_ends(tmp_path: Pa
         for name in ("sh", "sed", "tail", "cat", "cut", "dd", "wc", "timeout", "nc", "sleep", "stat", "tr"):
             (tools / name).symlink_to(busybox)
     port = mosquitto._free_port()
-    config = local_config.write(tmp_path, port)
+    rules = tmp_path / "rules"
+    keys.make(tmp_path / "credentials", parse_vehicle(""), keys.Made("", str(rules)))
+    config = local_config.write(tmp_path, port, rules)
     with (tmp_path / "log").open("wb") as log:
         script = subprocess.Popen(
             ["sh", str(ROOT / "broker" / "start.sh"), program, str(config)], stderr=log, stdout=log,
             env={"PATH": f"{tools}:{os.environ['PATH']}", "OBU_BROKER_WATCH": "1"},
         )  # fmt: skip
     deadline = time.monotonic() + WITHIN_S
-    while b"as health" not in (tmp_path / "log").read_bytes():
+    while b"as broker.watch" not in (tmp_path / "log").read_bytes():
         assert time.monotonic() < deadline, (tmp_path / "log").read_text()
         time.sleep(0.1)
     program_on(port).send_signal(signal.SIGSTOP)
