@@ -72,10 +72,15 @@ class Connection(asyncio.Protocol):
     def _work(self) -> None:
         """Handle some packets, and leave the rest to the next turn: a client that floods does not delay the others."""
         try:
+            left = self._broker.limits.bytes_in_turn
             for _ in range(min(len(self._inbox), self._broker.limits.packets_in_turn)):
                 if self._ended:
                     return
-                packet = decode(*self._inbox.popleft())
+                if left <= 0:
+                    break
+                first, body = self._inbox.popleft()
+                left -= len(body)
+                packet = decode(first, body)
                 if self._session is None:
                     self._greet(packet)
                 else:

@@ -22,6 +22,7 @@ class Limits:
     retained: int = 1_000
     retained_bytes: int = 33_554_432
     packets_in_turn: int = 64  # of a client, before the others are served
+    bytes_in_turn: int = 65_536
     unread_bytes: int = 1_048_576  # of replies to a client that does not read
     connect_within_s: float = 5.0
 

@@ -1,0 +1,54 @@
+"""`obu keys`, as a person uses it."""
+
+from pathlib import Path
+
+import pytest
+
+from cli import keys
+from shared.errors import UserError
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
+    monkeypatch.delenv("OBU_CREDENTIALS", raising=False)
+    monkeypatch.delenv("OBU_VEHICLE", raising=False)
+    return tmp_path
+
+
+def test_keys_are_made_listed_added_removed_and_replaced(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert keys.make(None, None, None) == 0
+    before = (state / "credentials" / "core.fusion").read_text()
+    capsys.readouterr()
+    keys.show()
+    listed = capsys.readouterr().out
+    assert "core.fusion" in listed and "observer.8" in listed and before.strip() not in listed
+    keys.add("gateway")
+    added = capsys.readouterr().out
+    secret = (state / "credentials" / "readers" / "gateway").read_text().strip()
+    assert f"mqtt://gateway:{secret}@" in added and "reload" in added
+    assert "gateway:" in (state / "rules" / "passwords").read_text()
+    keys.rotate(None)
+    assert (state / "credentials" / "core.fusion").read_text() != before
+    assert (state / "credentials" / "readers" / "gateway").read_text().strip() != secret
+    keys.remove("gateway")
+    assert "gateway:" not in (state / "rules" / "passwords").read_text()
+
+
+@pytest.mark.parametrize("name", ["core.fusion", "observer.1", "../x", "", "A", "a" * 49, "x y", "$7$"])
+def test_a_name_that_is_none_or_of_the_unit_is_refused(name: str) -> None:
+    keys.make(None, None, None)
+    with pytest.raises(UserError, match="is no name"):
+        keys.add(name)
+
+
+def test_what_is_missing_is_said_with_what_to_do() -> None:
+    with pytest.raises(UserError, match="obu keys make"):
+        keys.show()
+    keys.make(None, None, None)
+    with pytest.raises(UserError, match="obu keys list"):
+        keys.remove("nobody")
+    with pytest.raises(UserError, match="obu keys list"):
+        keys.rotate("nobody")
+    with pytest.raises(UserError, match="groupadd"):
+        keys.make(None, None, None, "no-such-group")
