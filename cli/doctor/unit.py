@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from services.controller.mode.process import Config as Controller
 from services.controller.mode.unit import has_position
 from shared.bus.bus import Bus
-from shared.errors import BadPayload
+from shared.errors import BadPayload, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import GnssConfiguration, GnssFix, GnssReceiver
 from shared.messages.operation import (
@@ -35,9 +35,16 @@ TOLERATED = 0.01  # share of rejected messages of a kind
 
 def unit(vehicle: VehicleFile) -> Iterator[Finding]:
     """Check what the processes of a running unit publish within `LISTEN_S`, and have published before."""
-    healths, heard, now_ns = _listen(vehicle)
-    if not healths:
+    try:
+        healths, heard, now_ns, refused = _listen(vehicle)
+    except UserError as error:  # no secret for it
+        yield Finding(False, "a user of the bus", str(error))
+        return
+    if refused:
+        yield Finding(False, "a user of the bus", refused)
+    elif not healths:
         yield Finding(False, f"processes of {vehicle.name!r}", "start them, or set OBU_VEHICLE to the running vehicle")
+    if not healths:
         return
     newest = {health.process: health for health in healths}
     for name in vehicle.processes:
@@ -50,7 +57,8 @@ def unit(vehicle: VehicleFile) -> Iterator[Finding]:
     yield from (Finding(*one) for one in corrections(vehicle, heard))
 
 
-def _listen(vehicle: VehicleFile) -> tuple[list[ProcessHealth], list[Message], int]:
+def _listen(vehicle: VehicleFile) -> tuple[list[ProcessHealth], list[Message], int, str | None]:
+    """Messages of the unit, the time, and why the broker refuses to send any."""
     topics = [topic for topic in TOPICS if topic.name in HEARD]
     bus = Bus("observer", vehicle.name, broker_address(), topics, state_dir(), observer=True)
     healths: list[ProcessHealth] = []
@@ -66,9 +74,9 @@ def _listen(vehicle: VehicleFile) -> tuple[list[ProcessHealth], list[Message], i
                 healths.append(message)
             else:
                 heard.append(message)
-    now_ns = bus.now_ns()
+    now_ns, refused = bus.now_ns(), None if bus.connected else bus.last_error
     bus.close()
-    return healths, heard, now_ns
+    return healths, heard, now_ns, refused
 
 
 def _runs(name: str, health: ProcessHealth | None, now_ns: int) -> Finding:

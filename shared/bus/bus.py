@@ -316,9 +316,9 @@ class Bus:
         self, client: mqtt.Client, _u: object, _f: mqtt.ConnectFlags, reason: ReasonCode, _p: Properties | None
     ) -> None:
         if reason.is_failure:
-            complaint = f"the broker refuses {self._identity.user}: {reason}"
+            complaint = f"the broker refuses {self._identity.user}: {reason}; {self._why_refused()}"
             if complaint != self.last_error:
-                log.error("%s; %s", complaint, self._why_refused())
+                log.error("%s", complaint)
             self.last_error = complaint
             return
         self.connected, self.last_error = True, None
