@@ -45,7 +45,9 @@ def test_programs_take_the_first_free_observer_of_the_broker_they_ask(tmp_path: 
     secrets(tmp_path / "demo" / "credentials", *OBSERVERS, address=THERE, mark="demo ")
     first, second = observer_of(tmp_path, HERE), observer_of(tmp_path, HERE)
     assert (first.user, second.user) == OBSERVERS[:2]
-    assert observer_of(tmp_path, THERE).secret == "demo secret of observer.1"
+    there = observer_of(tmp_path, THERE)
+    assert there.secret == "demo secret of observer.1"
+    there.release()
     first.release()
     again = observer_of(tmp_path, HERE)
     assert again.user == OBSERVERS[0]
