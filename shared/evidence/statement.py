@@ -36,4 +36,6 @@ def is_genuine(kind: str, fields: Mapping[str, str]) -> bool:
         public, signature = bytes.fromhex(fields[PUBLIC_KEY]), bytes.fromhex(fields[SIGNATURE])
     except (KeyError, ValueError):
         return False
+    if (fields[PUBLIC_KEY], fields[SIGNATURE]) != (public.hex(), signature.hex()):
+        return False  # the same bytes in another spelling
     return fields.get(KEY) == key_id_of(public) and is_signature(public, signature, canonical(kind, fields))

@@ -64,6 +64,7 @@ class _Walk:
     data_end: Record | None = None
     end: int = 0  # of what could be read as records
     copy: str = ""
+    intact: int = 0  # seals that follow on chunks as this unit has written them
     others: list[tuple[dict[str, str], Record]] = field(default_factory=list)  # seals that are not genuine
 
     def fault(self, text: str) -> None:
@@ -74,7 +75,7 @@ class _Walk:
 def prove(recording: Recording, ring: KeyRing) -> Proof:
     """Check the seals of a recording against accepted keys."""
     walk = _walk(recording)
-    if not walk.seals and not walk.others and not _later_seal(recording, walk.end):
+    if not walk.seals and not walk.others and not _later_seal(recording, 0):
         return _without_seals(walk)
     _check_end(recording, walk)
     first = walk.seals[0].seal if walk.seals else None
@@ -228,6 +229,8 @@ def _check_pieces(recording: Recording, walk: _Walk, found: _Found, before: _Fou
     elif changed:
         begin, end = changed[0]
         walk.fault(f"edited {span}: the bytes {begin} to {end} are not those that were signed")
+    elif stated and before is not None:
+        walk.intact += 1
 
 
 def _digest(recording: Recording, piece: tuple[int, int], previous: bytes) -> str:
@@ -280,7 +283,7 @@ def _faulty(recording: Recording, walk: _Walk, first: Seal | None, ring: KeyRing
     """Tell a recording that another tool packed anew from one that was edited."""
     proven = walk.proven.seal if walk.proven else None
     library = _library(recording)
-    if first is not None and not library.startswith(LIBRARY) and not walk.others:
+    if first is not None and not library.startswith(LIBRARY) and not walk.others and not walk.intact:
         content = _Content(recording, [found.seal for found in walk.seals])
         if (fault := content.fault(walk)) is None:
             if (foreign := _foreign(first, ring)) is not None:

@@ -111,6 +111,7 @@ def test_a_statement_is_genuine_until_anything_of_it_changes(tmp_path: Path) -> 
     for name in fields:
         assert not is_genuine("test", {**fields, name: fields[name] + "0"})
         assert not is_genuine("test", {k: v for k, v in fields.items() if k != name})
+    assert not is_genuine("test", {**fields, "signature": fields["signature"].upper()})
     other = KeyFile(tmp_path / "b").signer()
     assert not is_genuine("test", {**fields, "public_key": other.public_key.hex()})
     assert canonical("test", {"a": "1", "b": "2"}) == canonical("test", {"b": "2", "a": "1", "signature": "x"})
