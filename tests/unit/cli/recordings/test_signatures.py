@@ -14,7 +14,8 @@ from shared.evidence import KeyFile, Outcome, keys_folder
 from shared.recording import RecordingWriter
 from shared.recording.folder import RecordingFolder
 from tests.support.rewritten import rewrite
-from tests.unit.shared.recording.test_proof import START_NS, drive, record
+from tests.unit.shared.recording.test_proof import drive, record
+from tests.unit.shared.recording.test_recording import START_NS
 
 
 @pytest.fixture(autouse=True)

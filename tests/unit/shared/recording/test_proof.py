@@ -377,8 +377,8 @@ def repacked(path: Path, to: Path, change: Callable[[int, bytes], bytes | None])
         writer.start(library="another tool")
         for one in reader.iter_metadata():
             writer.add_metadata(one.name, one.metadata)
-        for one in reader.iter_attachments():
-            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        for file in reader.iter_attachments():
+            writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, file.data)
         numbers: dict[int, int] = {}
         for count, (_, channel, message) in enumerate(reader.iter_messages(log_time_order=False)):
             if channel.id not in numbers:
