@@ -150,9 +150,8 @@ def _chunk_index(record: Record, recording: Recording) -> ChunkIndex:
 def _is_whole(recording: Recording, footer: int) -> bool:
     """Whether the footer has a checksum, and its place of the offsets is inside the index."""
     opcode, length, start, offsets, checksum = FOOTER.unpack(recording.raw(footer, footer + FOOTER.size))
-    return (
-        opcode == Opcode.FOOTER and length == FOOTER.size - RECORD_HEAD.size and start < offsets < footer and checksum
-    )
+    head = (opcode, length) == (Opcode.FOOTER, FOOTER.size - RECORD_HEAD.size)
+    return bool(head and start < offsets < footer and checksum)
 
 
 def _has_offsets(found: list[tuple[int, bytes]], begin: int) -> bool:
