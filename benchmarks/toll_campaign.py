@@ -36,6 +36,7 @@ from services.parsers.v2x.process import Config as V2xConfig
 from services.parsers.v2x.process import Process as V2xParser
 from services.sensors.traffic.operator import Operator
 from services.sensors.traffic.world import Channel, Frame, Traffic, World
+from shared.evidence import KeyFile
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.toll import (
@@ -317,7 +318,8 @@ class Campaign:
 
     def _begin_ledger(self, now_ns: int) -> None:
         self.store = KillableStore(self.path)
-        self.ledger = Ledger(self.store, self.plaza, plaza_path(PLAZA_FILE).read_text(), Settings(), now_ns)
+        plaza_file = plaza_path(PLAZA_FILE).read_text()
+        self.ledger = Ledger(self.store, self.plaza, plaza_file, Settings(), now_ns, key=KeyFile(self.path.parent))
 
     def _serve_ledger(self, now_ns: int, *, second: bool) -> None:
         self.world_now_ns = now_ns

@@ -31,6 +31,9 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "evidence-key show": ("evidence_key", "show"),
+    "evidence-key rotate": ("evidence_key", "rotate"),
+    "evidence-key export": ("evidence_key", "export"),
     "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
     "record repair": ("recordings.record", "repair"),
@@ -55,6 +58,12 @@ calibrate = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(calibrate, name="calibrate")
+evidence_key = typer.Typer(
+    help="The key with which this unit signs recordings and charges.\n\n"
+    "Example: [bold]obu evidence-key export -o car.pub[/]",
+    no_args_is_help=True,
+)
+app.add_typer(evidence_key, name="evidence-key")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 keys_app = typer.Typer(
@@ -603,7 +612,7 @@ def _record(
 
 def command_line(arguments: Sequence[str]) -> typer.Typer:
     """Give the command line with the command of `IN_MODULES` that is called; with all for help and unknown names."""
-    groups = {"": app, "calibrate": calibrate, "record": recordings}
+    groups = {"": app, "calibrate": calibrate, "record": recordings, "evidence-key": evidence_key}
     here = {info.name or getattr(info.callback, "__name__", "") for info in app.registered_commands}
     first = arguments[0] if arguments else ""
     known = first in {*here, *(info.name for info in app.registered_groups), *IN_MODULES}

@@ -3,6 +3,7 @@
 import hashlib
 import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,16 +14,21 @@ from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
+from services.monitoring.ledger.proof import pack_fault, prove_ledger
 from shared.errors import ConfigError, RejectedFrame, UserError
+from shared.evidence import KeyRing, Outcome
+from shared.evidence.outcome import gravest
 from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
 from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
 from shared.v2x.evidence import cam_of
 
+from .evidence_key import KeyOption, accepted_keys
 from .progress import progress_on
 
 COMPARED = ("passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns")
 SQLITE = b"SQLite format 3\0"
+SEAL_FIELD = b',"signature":'
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,7 @@ class Evidence:
     pack: bytes
     transaction: TollTransaction | None = None
     damage: str = ""  # why the ledger's row cannot be read
+    seal: str | None = None  # signed statement on its digest
 
 
 def verify_toll(
@@ -43,60 +50,124 @@ def verify_toll(
     export: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Also write each pack into this folder, as JSON.")
     ] = None,
+    key: KeyOption = None,
 ) -> int:
-    """Derive each charge again from its evidence, and compare it bit for bit.
+    """Derive each charge again from its evidence, compare it bit for bit, and check chain and signatures.
 
     Lane, probabilities, crossing time, passage ID, tariff and digest are computed from the received frames, the delta
-    positions, the plaza's file and the settings in the evidence pack. Ends with 1 if anything differs or is damaged.
+    positions, the plaza's file and the settings in the evidence pack. Of a ledger every booking is compared with the
+    signed chain. Ends with 1 if a charge does not follow from its evidence, 3 unsigned, 5 edited, 6 signed by an
+    unknown key. The graver one counts: 5, 6, 1, 3.
 
     Examples:
     [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
     [bold]obu verify-toll ledger.sqlite --passage 3f9a --export packs[/]
-    [bold]obu verify-toll packs/3f9a.json[/]
+    [bold]obu verify-toll packs/3f9a.json --key plaza.pub[/]
     """
+    ring = accepted_keys(key)
     wrong = number = 0
+    outcomes: list[Outcome] = []
     with progress_on(Console(stderr=True)) as progress:
-        packs = (each for path in evidence for each in read(path))
-        for found in progress.track(packs, total=sum(map(count, evidence)), description="verifying"):
+        packs = (each for path in evidence for each in _checked(path, ring, outcomes))
+        total = sum(map(count, evidence))
+        for found, outcome, text in progress.track(packs, total=total, description="verifying"):
             pack = None if found.damage else parse(found)
             passage_id = pack.charged.passage_id if pack else found.name
             if passage and not passage_id.startswith(passage):
                 continue
             number += 1
-            if pack is None:
-                wrong += 1
-                print(f"{passage_id}  {found.damage}")
-                continue
-            differences = differences_of(found, pack)
-            wrong += bool(differences)
-            good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
-            print(f"{passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
-            if export:
+            outcomes.append(outcome)
+            problems = [found.damage] if pack is None else differences_of(found, pack)
+            wrong += bool(problems) or outcome in (Outcome.EDITED, Outcome.FOREIGN)
+            _print(passage_id, pack, problems, text)
+            if export and pack is not None:
                 export.mkdir(parents=True, exist_ok=True)
-                (export / f"{passage_id}.json").write_bytes(found.pack)
-    if not number:
+                (export / f"{passage_id}.json").write_bytes(with_seal(found))
+    if not number and gravest(outcomes) is Outcome.VERIFIED:
         raise UserError(f"no evidence of {passage or 'a charge'} in {', '.join(map(str, evidence))}")
     print(f"{number - wrong} of {number} charges verified")
-    return 1 if wrong else 0
+    outcome = gravest(outcomes)
+    return 1 if wrong and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
+
+
+def _print(passage_id: str, pack: EvidencePack | None, problems: list[str], signature: str) -> None:
+    if pack is None:
+        print("  ".join([passage_id, *problems, *([signature] if signature else [])]))
+        return
+    good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
+    said = [*problems, signature] if signature and problems else problems or [signature or good]
+    print(f"{passage_id}  lane {pack.lane}  {'; '.join(said)}")
+
+
+def _checked(path: Path, ring: KeyRing, outcomes: list[Outcome]) -> Iterator[tuple[Evidence, Outcome, str]]:
+    """Read the packs of a file, with what their signatures say; what concerns a whole ledger goes to `outcomes`."""
+    if not _is_ledger(path):
+        (found,) = read(path)
+        yield found, *_signature(found, ring)
+        return
+    try:
+        proof = prove_ledger(path, ring)
+    except sqlite3.Error as error:
+        raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error
+    if proof.outcome is not Outcome.UNSIGNED:  # of which each charge says whether it is one
+        outcomes.append(proof.outcome)
+    print(f"{path.name}: {proof.text}")
+    charges = set()
+    for found in read(path):
+        charges.add(found.name)
+        if found.name in proof.changed:
+            yield found, Outcome.EDITED, proof.changed[found.name]
+        elif proof.outcome is Outcome.UNSIGNED and (not proof.has_entries or found.name in proof.unsigned):
+            yield found, Outcome.UNSIGNED, "verified, unsigned"
+        else:
+            yield found, Outcome.VERIFIED, ""
+    for passage_id in proof.changed.keys() - charges:
+        outcomes.append(Outcome.EDITED)
+        print(f"{passage_id}  {proof.changed[passage_id]}")
+
+
+def _signature(found: Evidence, ring: KeyRing) -> tuple[Outcome, str]:
+    """Check the signature of a pack that stands alone."""
+    if found.seal is None:
+        return Outcome.UNSIGNED, "verified, unsigned"
+    return pack_fault(found.seal, None, hashlib.sha256(found.pack).hexdigest(), ring) or (Outcome.VERIFIED, "")
+
+
+def with_seal(evidence: Evidence) -> bytes:
+    """Give a pack as a file: its JSON, with the signature as a last field."""
+    if evidence.seal is None:
+        return evidence.pack
+    return evidence.pack[:-1] + SEAL_FIELD + evidence.seal.encode() + b"}"
 
 
 def read(path: Path) -> Iterator[Evidence]:
     """Read a pack, or each pack of a ledger."""
     if not _is_ledger(path):
-        yield Evidence(path.name, path.read_bytes())
+        whole = path.read_bytes()
+        pack, field, seal = whole.rstrip().rpartition(SEAL_FIELD)
+        signed = Evidence(path.name, pack + b"}", seal=seal[:-1].decode(errors="replace"))
+        yield signed if field else Evidence(path.name, whole)
         return
-    for passage_id, pack, content in _rows(path, "passage_id, pack, content", "ORDER BY booked_ns"):
-        yield _evidence(passage_id, pack, content)
+    column = "seal" if "seal" in _columns(path) else "NULL"  # of an earlier version
+    for row in _rows(path, f"passage_id, pack, content, {column}", "ORDER BY booked_ns"):
+        yield _evidence(*row)
 
 
-def _evidence(passage_id: str, compressed: object, content: object) -> Evidence:
+def _columns(path: Path) -> set[str]:
+    """Name the columns of the table of evidence."""
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        return {row[1] for row in database.execute("PRAGMA table_info(evidence)")}
+
+
+def _evidence(passage_id: str, compressed: object, content: object, seal: str | None) -> Evidence:
     """Read a row; one that is damaged is reported as such, and the others are verified."""
     what = "evidence"
     try:
         pack = unpacked(compressed, "zlib", ALWAYS_BYTES)  # type: ignore[arg-type]  # SQLite stores any type anywhere
         EvidencePack.model_validate_json(pack)
         what = "transaction"
-        return Evidence(passage_id, pack, TollTransaction.model_validate_json(content))  # type: ignore[arg-type]
+        transaction = TollTransaction.model_validate_json(content)  # type: ignore[arg-type]
+        return Evidence(passage_id, pack, transaction, seal=seal)
     except (BadPack, TypeError, ValidationError) as error:
         first = str(error).splitlines()[0]
         return Evidence(passage_id, b"", damage=f"its {what} is damaged: {first}; restore the ledger from its backup")
@@ -119,7 +190,7 @@ def _rows(path: Path, columns: str, order: str = "") -> list[tuple[Any, ...]]:
     """Columns of every charge of a ledger."""
     query = f"SELECT {columns} FROM evidence JOIN booking USING (passage_id) WHERE kind = 'charge' {order}"
     try:
-        with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as database:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
             return database.execute(query).fetchall()
     except sqlite3.Error as error:
         raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error

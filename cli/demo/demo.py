@@ -17,6 +17,7 @@ from services.sensors.simulator.scenarios import scenario_of
 from shared.attacks import schedule
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, UserError
+from shared.evidence import keys_folder
 from shared.library.order import in_order, read_order
 from shared.processes import Role
 from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
@@ -103,6 +104,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
         "OBU_VEHICLE": str(vehicle_path),
         "OBU_BROKER": f"mqtt://127.0.0.1:{port}",
         "OBU_STATE": str(folder),
+        "OBU_KEYS": str(keys_folder(folder.parent)),  # the next demo empties its folder
     }
     try:
         vehicle_path.write_text(vehicle.text, encoding="utf-8")

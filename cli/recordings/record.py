@@ -9,7 +9,9 @@ from rich.console import Console
 
 from shared.bus.bus import Bus
 from shared.errors import UserError
+from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.recording import Recording, RecordingWriter
+from shared.recording.seals import COPY, SEAL, Sealer
 from shared.recording.writer import VEHICLE_FILE
 from shared.runtime.config import broker_address, load_vehicle, state_dir
 from shared.topics import TOPICS
@@ -27,7 +29,7 @@ def record(output: Path | None, duration: float | None, vehicle: Path | None) ->
     bus = Bus("observer", file.name, broker_address(), TOPICS, state_dir(), observer=True)
     await_broker(bus)
     path = output or Path(time.strftime(f"%Y%m%dT%H%M%SZ_{file.name}.mcap", time.gmtime()))
-    writer = _create(path, file.name, file.text)
+    writer = _create(path, file.name, file.text, sealer=_sealer(file.name))
     until = time.monotonic() + duration if duration is not None else float("inf")
     try:
         _listen(bus, writer, until)
@@ -72,6 +74,7 @@ def repair_into(recording: Recording, output: Path, console: Console) -> Recordi
         metadata.get("obu", {}).get("vehicle", ""),
         recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace"),
         metadata.get("provenance"),
+        copied_by="`obu record repair`" if SEAL in metadata or COPY in metadata else "",
     )
     _copy(recording, writer, console)
     if not writer.messages:
@@ -91,9 +94,28 @@ def _listen(bus: Bus, writer: RecordingWriter, until: float) -> None:
             writer.flush()
 
 
-def _create(path: Path, vehicle: str, text: str, provenance: dict[str, str] | None = None) -> RecordingWriter:
+def _sealer(vehicle: str) -> Sealer | None:
+    """Make what signs the recording with the key of this unit; without a key that can be used it is not signed."""
     try:
-        return RecordingWriter(path, vehicle=vehicle, vehicle_toml=text, provenance=provenance)
+        return Sealer(KeyFile(keys_folder(state_dir())).signer(), vehicle=vehicle, started_ns=time.time_ns())
+    except EvidenceError as error:
+        Console(stderr=True).print(f"recording without signatures: {error}", markup=False, highlight=False)
+        return None
+
+
+def _create(
+    path: Path,
+    vehicle: str,
+    text: str,
+    provenance: dict[str, str] | None = None,
+    *,
+    copied_by: str = "",
+    sealer: Sealer | None = None,
+) -> RecordingWriter:
+    try:
+        return RecordingWriter(
+            path, vehicle=vehicle, vehicle_toml=text, provenance=provenance, copied_by=copied_by, sealer=sealer
+        )
     except FileExistsError as error:
         raise UserError(f"{path} exists already; name another file with --output, or remove it") from error
     except OSError as error:

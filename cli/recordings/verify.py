@@ -14,6 +14,7 @@ from rich.table import Table
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload, UserError
+from shared.evidence import Outcome
 from shared.messages.base import Message
 from shared.messages.operation import Consumed
 from shared.processes import BY_NAME
@@ -22,9 +23,11 @@ from shared.runtime.config import VehicleFile
 from shared.runtime.live import Reactor, load_process
 from shared.topics import topic_of
 
+from ..evidence_key import KeyOption
 from ..progress import progress_on
 from .common import open_recording, print_problems, vehicle_of
 from .repetition import Key, Repetition, Verdict
+from .signatures import check_signatures
 
 KEPT_NS = 60_000_000_000  # from the arrival of a message to the last journal that may name it
 STEP = 2000  # messages between two updates of the progress
@@ -44,13 +47,30 @@ def verify(
         Path | None,
         typer.Option("--vehicle", metavar="FILE", help="The vehicle's TOML file instead of the recorded one."),
     ] = None,
+    key: KeyOption = None,
+    signatures: Annotated[
+        bool, typer.Option("--signatures", help="Check the signatures alone, and repeat no process.")
+    ] = False,
 ) -> int:
-    """Feed each process again what it consumed, in the same order, and compare its messages byte for byte.
+    """Check the signatures of recordings, then feed each process what it consumed and compare its messages bytewise.
+
+    Ends with 0 if both agree, 1 if a process gives other messages, 3 unsigned, 4 cut, 5 edited, 6 signed by an unknown
+    key, 7 rewritten by another tool. The graver one counts: 5, 6, 7, 4, 1, 3.
 
     Examples:
     [bold]obu verify .obu/recordings/20260921T141320Z_car.mcap[/]
     [bold]obu verify drive.mcap --process core.fusion[/]
+    [bold]obu verify drive.mcap --signatures --key car.pub[/]
     """
+    outcome = check_signatures(files, key)
+    if signatures:
+        return outcome
+    repeated = _repeat(files, process, vehicle)
+    return repeated if repeated and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
+
+
+def _repeat(files: list[Path], process: str | None, vehicle: Path | None) -> int:
+    """Repeat the processes of recordings; 1 if any message differs, or nothing was compared."""
     wanted = {row.name for row in BY_NAME.values() if 2 <= row.layer <= 4}
     if process is not None and process not in wanted:
         raise UserError(f"{process!r} cannot be repeated; name one of {', '.join(sorted(wanted))}")

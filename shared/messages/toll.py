@@ -262,6 +262,17 @@ class TransactionKind(StrEnum):
     REVERSAL = "reversal"
 
 
+class LedgerSeal(Message):
+    """Place of a transaction in the chain of the ledger, signed: what the operator has cannot be taken back."""
+
+    ledger: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]  # random name of the ledger
+    number: Count  # from 1
+    link: Digest  # hash of this entry and all before it
+    key: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    public_key: Digest  # Ed25519, 32 bytes
+    signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
+
+
 class TollTransaction(Message):
     """A charge or its reversal, sent to the operator until the receipt is here."""
 
@@ -284,6 +295,7 @@ class TollTransaction(Message):
     evidence_digest: Digest
     attempt: Count = 1  # how often it was sent
     reason: Reason = ""
+    seal: LedgerSeal | None = None  # None: as stored, or sent without a key
 
 
 class TollReceipt(Message):

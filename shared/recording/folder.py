@@ -3,7 +3,7 @@
 import logging
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from errno import EINVAL, ENOENT, ENOTSUP
@@ -11,10 +11,12 @@ from pathlib import Path
 from stat import S_ISREG
 
 from ..bus.envelope import Envelope
+from ..evidence import EvidenceError, Signer
 from ..library.order import in_order, read_order, write_order
 from ..library.summary import KEEP_SUFFIX
 from ..library.summary import RECORDING_SUFFIX as SUFFIX
 from ..library.summary import SUFFIX as SUMMARY_SUFFIX
+from .seals import Sealer
 from .writer import Opener, RecordingWriter, open_new
 
 log = logging.getLogger(__name__)
@@ -34,10 +36,17 @@ class Stored:
 
 
 class RecordingFolder:
-    """Recordings as files; failures of the disk raise `OSError`."""
+    """Recordings as files; failures of the disk raise `OSError`.
 
-    def __init__(self, path: Path, opener: Opener = open_new) -> None:
+    With a signer each file is signed, and names the last seal of the one before. Without a usable key it is recorded
+    all the same, and `unsigned` says why it is not signed.
+    """
+
+    def __init__(self, path: Path, opener: Opener = open_new, signer: Callable[[], Signer] | None = None) -> None:
         self.path = path
+        self.unsigned: str | None = None
+        self._signer = signer
+        self._sealer: Sealer | None = None  # of the file in progress, or of the one before
         self.free_bytes = 0  # free space at the last call of `stored`; 0 without a disk
         self._opener = opener
         self._writer: RecordingWriter | None = None
@@ -134,18 +143,35 @@ class RecordingFolder:
                 log.warning("could not delete %s: %s", name, error.strerror)
                 self._undeletable.add(name)
 
-    def open(self, name: str, *, vehicle: str, vehicle_toml: str, chunk_bytes: int) -> None:
+    def open(self, name: str, *, vehicle: str, vehicle_toml: str, chunk_bytes: int, now_ns: int = 0) -> None:
         """Begin a recording; a name that is taken gets a number."""
         path, attempt = self.path / f"{name}{SUFFIX}", 1
         while os.path.lexists(path):  # a link that leads nowhere takes a name, too
             attempt += 1
             path = self.path / f"{name}_{attempt}{SUFFIX}"
+        sealer = self._new_sealer(vehicle, now_ns)
         self._writer = RecordingWriter(
-            path, vehicle=vehicle, vehicle_toml=vehicle_toml, chunk_bytes=chunk_bytes, opener=self._opener
-        )
-        self._new = True
+            path, vehicle=vehicle, vehicle_toml=vehicle_toml, chunk_bytes=chunk_bytes, opener=self._opener,
+            sealer=sealer,
+        )  # fmt: skip
+        self._sealer, self._new = sealer, True
         self._order = [*self._order, path.name]
         self._store_order()
+
+    def _new_sealer(self, vehicle: str, now_ns: int) -> Sealer | None:
+        """Make what signs a file; None without a key."""
+        if self._signer is None:
+            return None
+        try:
+            signer = self._signer()
+        except EvidenceError as error:
+            if str(error) != self.unsigned:
+                log.warning("recording without signatures: %s", error)
+            self.unsigned = str(error)
+            return None
+        self.unsigned = None
+        follows = self._sealer.digest if self._sealer is not None else ""
+        return Sealer(signer, vehicle=vehicle, started_ns=now_ns, follows=follows)
 
     def write(self, envelopes: Sequence[Envelope]) -> None:
         """Add messages to the recording in progress; without one they are lost, as are those behind a failure."""

@@ -33,6 +33,7 @@ LONGEST_NAME = 16  # of a compression
 MAXIMUM_CHUNK = 1 << 24  # this unit writes 1 MB, other tools 4 MB
 COMPRESSIONS: dict[bytes, Form | None] = {b"": None, b"zstd": "zstd", b"lz4": "lz4"}
 PLACE = struct.Struct("<QQ")  # the first fields of an index record: begin and length of what it names
+SEAL_NAME = b"evidence/seal"  # metadata that `proof` reads, one each ten seconds of the drive
 
 Buffer = mmap.mmap | bytes
 MALFORMED = (struct.error, EndOfFile, UnicodeDecodeError, ValueError, OverflowError)
@@ -123,6 +124,8 @@ class Recording:
                 break
         for opcode, content in records(self.summary()):
             if opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX) and len(content) >= PLACE.size:
+                if content.endswith(SEAL_NAME):
+                    continue
                 named = self._record(PLACE.unpack_from(content)[0])
                 if named is not None:
                     self._describe(named)
@@ -163,6 +166,22 @@ class Recording:
             if start and checksum in (0, zlib.crc32(self._buffer[start : end + FOOTER.size - 4])):
                 return self._buffer[start:end]
         return b""
+
+    def record_at(self, position: int) -> Record | None:
+        """Give the record that begins at a byte; None if it is invalid, or ends beyond the file."""
+        return self._record(position)
+
+    def raw(self, begin: int, end: int) -> bytes:
+        """Give bytes of the file as they are."""
+        return self._buffer[begin:end]
+
+    def find(self, data: bytes, begin: int) -> int:
+        """Give the place of the next occurrence of some bytes; -1 if there is none."""
+        return self._buffer.find(data, begin)
+
+    def content_of(self, record: Record) -> bytes | None:
+        """Give the records in a record: itself, or the data of a chunk; None if it is damaged."""
+        return self._content(record)
 
     def chunk_at(self, begin: int) -> bytes | None:
         """Give the raw data of the chunk that begins at a byte; None if it is damaged."""

@@ -5,11 +5,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Protocol, cast
 
+from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
 from ..bus.envelope import Envelope
 from .channels import RAW_FORMATS, schema_of
 from .foxglove import Foxglove
+from .seals import COPY, SEAL, Sealer
 
 CHUNK_BYTES = 256 * 1024
 VEHICLE_FILE = "vehicle.toml"
@@ -50,14 +52,17 @@ def open_new(path: Path) -> Output:
 class _WholeChunks:
     """Buffers what `mcap` writes, and writes it to the file in one piece or not at all."""
 
-    def __init__(self, file: Output) -> None:
+    def __init__(self, file: Output, sealer: Sealer | None) -> None:
         self.file = file
+        self._sealer = sealer
         self.bytes_written = 0  # written
         self._waiting = bytearray()
 
     def write(self, data: bytes) -> int:
-        """Append to the buffer."""
+        """Append to the buffer; what is in it reaches the file in this order, or the file is given up."""
         self._waiting += data
+        if self._sealer is not None:
+            self._sealer.written(data)
         return len(data)
 
     def tell(self) -> int:
@@ -96,10 +101,10 @@ class RecordingWriter:
 
     Channels and schemas stand in the chunk in which they first occur, and in the summary. A write that fails (a full
     disk) raises `OSError`, leaves the file as it was after the chunk before, and is tried once more by whatever writes
-    next: at the latest by `close`.
+    next: at the latest by `close`. With a sealer the file is signed every ten seconds and at its end.
     """
 
-    def __init__(
+    def __init__(  # one argument a part of the file
         self,
         path: Path,
         *,
@@ -108,6 +113,8 @@ class RecordingWriter:
         provenance: Mapping[str, str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
         opener: Opener = open_new,
+        sealer: Sealer | None = None,
+        copied_by: str = "",  # the program that makes a copy of a signed recording
     ) -> None:
         self.path = path
         self.messages = 0  # written
@@ -115,14 +122,23 @@ class RecordingWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._foxglove = Foxglove()
-        self._chunks = _WholeChunks(opener(path))
+        self._sealer = sealer
+        self._chunks = _WholeChunks(opener(path), sealer)
         self._mcap = Writer(cast(IO[bytes], self._chunks), chunk_size=chunk_bytes)
         try:
             self._mcap.start(library="obu")
-            self._mcap.add_metadata("obu", {"vehicle": vehicle})
+            metadata = {"obu": {"vehicle": vehicle}}
             if provenance is not None:
-                self._mcap.add_metadata("provenance", dict(provenance))
-            self._mcap.add_attachment(0, 0, VEHICLE_FILE, "application/toml", without_users(vehicle_toml).encode())
+                metadata["provenance"] = dict(provenance)
+            if copied_by:
+                metadata[COPY] = {"by": copied_by}
+            for name, fields in metadata.items():
+                self._mcap.add_metadata(name, fields)
+            text = without_users(vehicle_toml).encode()
+            self._mcap.add_attachment(0, 0, VEHICLE_FILE, "application/toml", text)
+            if sealer is not None:
+                sealer.context(metadata, {VEHICLE_FILE: text})
+                self._mcap.add_metadata(SEAL, sealer.seal())
             self._commit()
         except OSError:
             self.abandon()
@@ -138,16 +154,36 @@ class RecordingWriter:
         """Add a message; a full chunk is written to the file."""
         topic, arrival_ns = envelope.topic, max(envelope.received_ns, 0)
         if topic not in self._channels:
-            metadata = {"data": RAW_FORMATS[topic]} if topic in RAW_FORMATS else {}
-            self._channels[topic] = self._mcap.register_channel(topic, "json", self._schema_id(topic), metadata)
+            self._register(topic, {"data": RAW_FORMATS[topic]} if topic in RAW_FORMATS else {})
             self._commit()  # a chunk that this has made full
         self.pending += 1
-        self._mcap.add_message(self._channels[topic], arrival_ns, envelope.payload, arrival_ns)
+        self._add(topic, envelope.payload, arrival_ns)
         for drawn, payload in self._foxglove.messages(envelope):
             if drawn not in self._channels:
-                self._channels[drawn] = self._mcap.register_channel(drawn, "json", self._schema_id(drawn))
-            self._mcap.add_message(self._channels[drawn], arrival_ns, payload, arrival_ns)
+                self._register(drawn, {})
+            self._add(drawn, payload, arrival_ns)
+        if self._sealer is not None:
+            self._sealer.notice(envelope)
+            if self._sealer.is_due(arrival_ns):
+                self._seal()
         self._commit()
+
+    def _register(self, topic: str, metadata: dict[str, str]) -> None:
+        schema = self._schema_id(topic)
+        number = self._channels[topic] = self._mcap.register_channel(topic, "json", schema, metadata)
+        if self._sealer is not None:
+            self._sealer.describe(Channel(number, topic, "json", metadata, schema))
+
+    def _add(self, topic: str, payload: bytes, arrival_ns: int) -> None:
+        self._mcap.add_message(self._channels[topic], arrival_ns, payload, arrival_ns)
+        if self._sealer is not None:
+            self._sealer.message(topic, payload, arrival_ns)
+
+    def _seal(self, *, last: bool = False) -> None:
+        """Sign what came so far: the chunk in progress is finished for it."""
+        assert self._sealer is not None
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.add_metadata(SEAL, self._sealer.seal(last=last))
 
     def flush(self) -> None:
         """Write the chunk in progress to the file; written chunks survive an end of the process."""
@@ -166,6 +202,8 @@ class RecordingWriter:
         """Finish the file with its summary, so that every MCAP tool opens it."""
         try:
             self.flush()
+            if self._sealer is not None:
+                self._seal(last=True)
             self._mcap.finish()  # type: ignore[no-untyped-call]
             self._commit()
         finally:
@@ -182,5 +220,7 @@ class RecordingWriter:
             return 0
         name, text = described
         if name not in self._schemas:
-            self._schemas[name] = self._mcap.register_schema(name, "jsonschema", text)
+            number = self._schemas[name] = self._mcap.register_schema(name, "jsonschema", text)
+            if self._sealer is not None:
+                self._sealer.describe(Schema(number, text, "jsonschema", name))
         return self._schemas[name]

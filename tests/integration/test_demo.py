@@ -179,6 +179,7 @@ def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Pat
         text=True,
         timeout=120,
         check=False,
+        env=os.environ | {"OBU_STATE": str(tmp_path)},  # whose keys outlive the demo
     )
     assert verified.returncode == 0, verified.stdout + verified.stderr
     with Recording(file) as recording:

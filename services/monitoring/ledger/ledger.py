@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from pydantic import Field, ValidationError
 
+from shared.evidence import KeyFile
 from shared.messages.base import Message
 from shared.messages.toll import (
     OVERLAPS,
@@ -42,6 +43,7 @@ from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
 from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
 
+from .chain import Chain
 from .confirmation import Claim, Verdict, groups, judge
 from .reconciliation import Crossing, Pulse, match
 from .store import Row, Store
@@ -115,8 +117,19 @@ class Matched:
 class Ledger:
     """Charges passages, keeps what proves them, and accounts for every detection."""
 
-    def __init__(self, store: Store, plaza: Plaza, plaza_file: str, settings: Settings, now_ns: int) -> None:
+    def __init__(
+        self,
+        store: Store,
+        plaza: Plaza,
+        plaza_file: str,
+        settings: Settings,
+        now_ns: int,
+        *,
+        key: KeyFile | None = None,
+    ) -> None:
         self._store, self._plaza, self._plaza_file, self._settings = store, plaza, plaza_file, settings
+        self.chain = Chain(store, key, plaza.name)
+        self.chain.begin()
         self._started_ns = now_ns
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
@@ -251,7 +264,9 @@ class Ledger:
         if now_ns < self._trusted_ns:
             return
         evidence_ns = now_ns - round(self._settings.evidence_kept_days * DAY_NS)
-        self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns)
+        if self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns):
+            self.chain.evidence_deleted(evidence_ns, now_ns)
+        self.chain.refresh(now_ns)
         self._forget_reviews("since_ns < ?", evidence_ns)
 
     def _forget_reviews(self, condition: str, *values: int) -> None:
@@ -375,7 +390,8 @@ class Ledger:
             pause_s = min(self._settings.resend_first_s * 2.0**attempts, self._settings.resend_longest_s)
             self._next_send[row["transaction_id"]] = (min(attempts + 1, 30), now_ns + round(pause_s * NS))
             content = self._read(TollTransaction, row["content"], row["transaction_id"])
-            found.append(content.model_copy(update={"attempt": attempts + 1}))
+            seal = self.chain.seal(content.transaction_id)
+            found.append(content.model_copy(update={"attempt": attempts + 1, "seal": seal}))
         return found
 
     def restored(self) -> list[RestoredCams]:
@@ -628,9 +644,10 @@ class Ledger:
 
     def _keep(self, pack: EvidencePack, now_ns: int) -> None:
         """Store the evidence until the objection period ends."""
+        passage_id, digest = pack.charged.passage_id, _digest(pack)
         self._store.execute(
-            "INSERT INTO evidence VALUES (?, ?, ?, ?)",
-            pack.charged.passage_id, _digest(pack), now_ns, zlib.compress(_encoded(pack)),
+            "INSERT INTO evidence (passage_id, digest, stored_ns, pack, seal) VALUES (?, ?, ?, ?, ?)",
+            passage_id, digest, now_ns, zlib.compress(_encoded(pack)), self.chain.pack_seal(passage_id, digest, now_ns),
         )  # fmt: skip
 
     def _review(self, passage_id: str, reason: str, others: list[str], now_ns: int) -> None:
@@ -715,11 +732,16 @@ class Ledger:
         return True
 
     def _enter(self, transaction: TollTransaction) -> None:
-        self._store.execute(
-            "INSERT INTO booking VALUES (?, ?, ?, ?, ?, ?)",
-            transaction.transaction_id, transaction.passage_id, transaction.kind, transaction.booked_ns,
-            transaction.amount_cents, transaction.model_dump_json(exclude_none=True),
-        )  # fmt: skip
+        booking: dict[str, str | int] = {
+            "transaction_id": transaction.transaction_id,
+            "passage_id": transaction.passage_id,
+            "kind": transaction.kind.value,
+            "booked_ns": transaction.booked_ns,
+            "amount_cents": transaction.amount_cents,
+            "content": transaction.model_dump_json(exclude_none=True),
+        }
+        self._store.execute("INSERT INTO booking VALUES (?, ?, ?, ?, ?, ?)", *booking.values())
+        self.chain.add(booking, transaction.booked_ns)
         self._store.execute("INSERT INTO outbox VALUES (?)", transaction.transaction_id)
 
     def _settle(

@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
+from shared.evidence import KeyFile, keys_folder
 from shared.faults import Faults
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
@@ -83,7 +84,8 @@ class Process:
         if self._store is None:
             path = bus.state_dir / self._config.file
             self._store = Store(path)
-            self._ledger = Ledger(self._store, self._plaza, self._plaza_file, self._config, now_ns)
+            key = KeyFile(keys_folder(bus.state_dir))
+            self._ledger = Ledger(self._store, self._plaza, self._plaza_file, self._config, now_ns, key=key)
         assert self._ledger is not None
         ledger = self._ledger
         if messages:
@@ -95,6 +97,8 @@ class Process:
         if self._problem:
             log.info("the ledger is usable again")
         self._problem = None
+        if ledger.chain.problem:
+            bus.last_error = ledger.chain.problem[:400]
         for kind, number in (ledger.rejects + self._faulty).items():
             bus.rejects[kind] = number
 

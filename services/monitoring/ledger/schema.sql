@@ -19,8 +19,14 @@ CREATE TABLE IF NOT EXISTS receipt (
     transaction_id TEXT PRIMARY KEY REFERENCES booking, received_ns INTEGER NOT NULL, content TEXT NOT NULL
 );
 CREATE TABLE IF NOT EXISTS evidence (
-    passage_id TEXT PRIMARY KEY, digest TEXT NOT NULL, stored_ns INTEGER NOT NULL, pack BLOB NOT NULL
+    passage_id TEXT PRIMARY KEY, digest TEXT NOT NULL, stored_ns INTEGER NOT NULL, pack BLOB NOT NULL,
+    seal TEXT  -- signed statement on the digest; NULL: of version 2, or without a key
 );
+-- Bookings in their order, each with the hash of the one before; and signed statements on the newest of them.
+CREATE TABLE IF NOT EXISTS entry (
+    number INTEGER PRIMARY KEY, transaction_id TEXT NOT NULL UNIQUE REFERENCES booking, link TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS head (name TEXT PRIMARY KEY, statement TEXT NOT NULL);
 -- Reconciliation: pulses and crossings that wait for each other, without names, and what came of them by hour.
 CREATE TABLE IF NOT EXISTS pulse (
     lane TEXT NOT NULL, since_ns INTEGER NOT NULL, number INTEGER NOT NULL, sampled_ns INTEGER NOT NULL,

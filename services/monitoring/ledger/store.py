@@ -8,10 +8,12 @@ from pathlib import Path
 from shared.errors import ObuError
 
 SCHEMA = Path(__file__).with_name("schema.sql")
-VERSION = 2
-# Columns that tables of earlier versions lack: 1 held no names beside a crossing, and charged without detectors.
+VERSION = 3
+# Columns that tables of earlier versions lack: 1 held no names beside a crossing, and charged without detectors; 2 had
+# no signatures.
 ADDED = {
-    "crossing": ("passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0")
+    "evidence": ("seal TEXT",),
+    "crossing": ("passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0"),
 }
 Row = sqlite3.Row
 Value = str | int | float | bytes | None

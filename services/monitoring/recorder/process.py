@@ -5,6 +5,7 @@ import logging
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
+from shared.evidence import KeyFile, keys_folder
 from shared.messages.operation import ModeState, RecordingState
 from shared.processes import Role
 from shared.recording.folder import RecordingFolder
@@ -68,7 +69,8 @@ class Process:
         """Record until `bus.stopping`; a road-side unit keeps nothing that describes other road users."""
         if parse_vehicle(bus.vehicle_toml).role is Role.RSU:
             self._kept_out = {topic.name for topic in TOPICS if topic.personal}
-        self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener)
+        key = KeyFile(keys_folder(bus.state_dir))
+        self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener, key.signer)
         while not bus.stopping:
             if bus.now_ns() >= self._state_ns:
                 self._state_ns = bus.now_ns() + STATE_NS
@@ -124,8 +126,10 @@ class Process:
                 self._stop(verdict.refusal, now_ns)
             elif not folder.open_name and now_ns >= self._retry_ns and not self._power_ends:
                 folder.open(file_name(now_ns, bus.vehicle), vehicle=bus.vehicle, vehicle_toml=bus.vehicle_toml,
-                            chunk_bytes=self._config.chunk_bytes)  # fmt: skip
+                            chunk_bytes=self._config.chunk_bytes, now_ns=now_ns)  # fmt: skip
                 self._opened_ns, self._reason = now_ns, None
+                if folder.unsigned:
+                    bus.last_error = folder.unsigned[:400]
             folder.sync()  # so that a power cut costs no more than a second or two
         except OSError as error:
             self._stop(f"cannot use {folder.path}: {error.strerror}", now_ns)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.store import Store
+from shared.evidence import KeyFile
 from shared.messages.toll import (
     EvidenceFrame,
     LaneProbability,
@@ -91,11 +92,13 @@ class Vehicle:
         )  # fmt: skip
 
 
-def ledger_at(path: Path, now_ns: int = START_NS, *, counted: bool = False, **settings: float) -> tuple[Ledger, Store]:
+def ledger_at(
+    path: Path, now_ns: int = START_NS, *, counted: bool = False, key: KeyFile | None = None, **settings: float
+) -> tuple[Ledger, Store]:
     """Open a ledger of the example plaza, with detectors or without."""
     store = Store(path)
     text, plaza = (WITH_DETECTORS, COUNTED) if counted else (WITHOUT_DETECTORS, PLAZA)
-    return Ledger(store, plaza, text, Settings.model_validate(settings), now_ns), store
+    return Ledger(store, plaza, text, Settings.model_validate(settings), now_ns, key=key), store
 
 
 def answer(transaction: TollTransaction, now_ns: int, *, accepted: bool = True) -> TollReceipt:

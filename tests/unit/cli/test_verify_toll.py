@@ -1,15 +1,22 @@
 """`obu verify-toll`: charges are recomputed from their evidence, and changes of the evidence are found."""
 
+import json
 import sqlite3
 import zlib
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from benchmarks.toll_campaign import Campaign
 from cli.verify_toll import differences_of, parse, read, verify_toll
+from services.monitoring.ledger.chain import CURRENT, link_of
 from shared.errors import UserError
+from shared.evidence import KeyFile, Outcome
+from shared.evidence.statement import signed
+from shared.messages.toll import PassageState
 from shared.unpacked import ALWAYS_BYTES
+from tests.support.v2x.tolling import START_NS, Vehicle, ledger_at
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +28,12 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert made.store is not None
     made.store.close()
     return made.path
+
+
+@pytest.fixture(autouse=True)
+def keys(ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The campaign keeps its key beside the ledger."""
+    monkeypatch.setenv("OBU_KEYS", str(ledger.parent))
 
 
 def test_every_charge_is_recomputed_bit_for_bit(ledger: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -90,10 +103,185 @@ def test_a_damaged_row_is_a_sentence_and_the_other_charges_are_verified(
     table = "evidence" if column == "pack" else "booking"
     with sqlite3.connect(copy) as database:
         database.execute(f"UPDATE {table} SET {column} = ? WHERE passage_id = ?", (damage, first))
-    assert verify_toll([copy]) == 1
+    assert verify_toll([copy]) == (1 if column == "pack" else Outcome.EDITED)
     lines = capsys.readouterr().out.splitlines()
     what = "evidence" if column == "pack" else "transaction"
-    (said,) = [line for line in lines if line.startswith(first)]
+    said = next(line for line in lines if line.startswith(first))
     assert f"its {what} is damaged" in said and "restore the ledger" in said
     assert lines[-1] == f"{len(others)} of {len(others) + 1} charges verified"
     assert verify_toll([copy], others[0]) == 0
+
+
+def edited(ledger: Path, to: Path, *statements: str) -> Path:
+    to.write_bytes(ledger.read_bytes())
+    with closing(sqlite3.connect(to)) as database, database:
+        for statement in statements:
+            database.execute(statement)
+    return to
+
+
+def bookings(ledger: Path) -> list[tuple[int, str, str]]:
+    """Number, transaction and passage of each charge that has evidence."""
+    with sqlite3.connect(ledger) as database:
+        return database.execute(
+            "SELECT number, transaction_id, passage_id FROM entry JOIN booking USING (transaction_id) "
+            "JOIN evidence USING (passage_id) ORDER BY number"
+        ).fetchall()
+
+
+def test_the_signed_chain_is_named(ledger: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert verify_toll([ledger]) == Outcome.VERIFIED
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("ledger.sqlite: ") and " entries, signed until " in first
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [("UPDATE booking SET amount_cents = 1 WHERE transaction_id = '{id}'", "is not the one that was signed"),
+     ("UPDATE booking SET booked_ns = booked_ns + 1 WHERE transaction_id = '{id}'", "is not the one that was signed"),
+     ("UPDATE booking SET content = replace(content, 'contract', 'Contract') WHERE transaction_id = '{id}'",
+      "is not the one that was signed"),
+     ("DELETE FROM booking WHERE transaction_id = '{id}'", "was removed"),
+     ("DELETE FROM evidence WHERE passage_id = '{passage}'", "was removed"),
+     ("UPDATE evidence SET digest = '{other}' WHERE passage_id = '{passage}'", "is not the one that was signed"),
+     ("UPDATE evidence SET seal = replace(seal, '\"stored_ns\": \"1', '\"stored_ns\": \"2')", "does not fit it"),
+     ("UPDATE head SET statement = replace(statement, 'ledger', 'Ledger') WHERE name = 'current'", "does not fit it"),
+     ("INSERT INTO booking SELECT 'x', passage_id, 'reversal', booked_ns, -amount_cents, content FROM booking "
+      "WHERE transaction_id = '{id}'", "was added beside the chain")],
+)  # fmt: skip
+def test_a_change_of_the_ledger_is_named(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
+) -> None:
+    _, transaction, passage = bookings(ledger)[1]
+    statement = change.format(id=transaction, passage=passage, other="0" * 64)
+    copy = edited(ledger, tmp_path / "ledger.sqlite", statement)
+    assert verify_toll([copy], passage) == Outcome.EDITED
+    assert said in capsys.readouterr().out
+
+
+def test_a_row_removed_with_its_entry_is_named_in_the_middle_and_at_the_end(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = bookings(ledger)
+    with closing(sqlite3.connect(ledger)) as database:
+        (last,) = database.execute("SELECT MAX(number) FROM entry").fetchone()
+    for number in (1, 2, last):
+        remove = (
+            f"DELETE FROM booking WHERE transaction_id = (SELECT transaction_id FROM entry WHERE number = {number})",
+            "DELETE FROM evidence WHERE passage_id NOT IN (SELECT passage_id FROM booking)",
+            "DELETE FROM settled WHERE passage_id NOT IN (SELECT passage_id FROM booking)",
+            "DELETE FROM receipt WHERE transaction_id NOT IN (SELECT transaction_id FROM booking)",
+            f"DELETE FROM entry WHERE number = {number}",
+        )
+        assert verify_toll([edited(ledger, tmp_path / f"{number}.sqlite", *remove)], rows[2][2]) == Outcome.EDITED
+        assert f"entries are missing: {number} to {number}" in capsys.readouterr().out
+
+
+def hashed_anew(path: Path) -> None:
+    """Compute every link of a ledger, as somebody who knows the format would."""
+    with closing(sqlite3.connect(path)) as database, database:
+        database.row_factory = sqlite3.Row
+        previous = ""
+        rows = database.execute("SELECT * FROM entry JOIN booking USING (transaction_id) ORDER BY number").fetchall()
+        for number, row in enumerate(rows, 1):
+            previous = link_of(previous, number, dict(row))
+            database.execute("UPDATE entry SET number = ?, link = ? WHERE transaction_id = ?",
+                             (number, previous, row["transaction_id"]))  # fmt: skip
+
+
+def test_a_chain_that_was_hashed_anew_is_named(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change = "UPDATE booking SET amount_cents = 1, content = replace(content, '240', '1')"
+    copy = edited(ledger, tmp_path / "ledger.sqlite", f"{change} WHERE transaction_id = '{bookings(ledger)[1][1]}'")
+    hashed_anew(copy)
+    assert verify_toll([copy], bookings(ledger)[0][2]) == Outcome.EDITED
+    assert "the chain was computed anew" in capsys.readouterr().out
+
+
+def test_a_ledger_of_another_unit_is_of_an_unknown_key(
+    ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    passage = bookings(ledger)[0][2]
+    monkeypatch.setenv("OBU_KEYS", str(tmp_path / "elsewhere"))
+    assert verify_toll([ledger], passage) == Outcome.FOREIGN
+    assert "which is not among the accepted ones" in capsys.readouterr().out
+    assert verify_toll([ledger], passage, key=[ledger.parent / "ring.json"]) == Outcome.VERIFIED
+
+
+def test_a_signature_of_another_key_does_not_stand_for_that_of_the_ledger(ledger: Path, tmp_path: Path) -> None:
+    """A row is changed, everything computed anew, and signed with a key that is at hand."""
+    change = "UPDATE booking SET amount_cents = 1, content = replace(content, '240', '1')"
+    copy = edited(ledger, tmp_path / "ledger.sqlite", f"{change} WHERE transaction_id = '{bookings(ledger)[1][1]}'")
+    hashed_anew(copy)
+    with closing(sqlite3.connect(copy)) as database, database:
+        (text,) = database.execute("SELECT statement FROM head WHERE name = 'current'").fetchone()
+        (link,) = database.execute("SELECT link FROM entry ORDER BY number DESC LIMIT 1").fetchone()
+        fields = {**json.loads(text), "link": link}
+        forged = signed(CURRENT, fields, KeyFile(tmp_path / "keys").signer())
+        database.execute("UPDATE head SET statement = ? WHERE name = 'current'", (json.dumps(forged),))
+    assert verify_toll([copy], bookings(ledger)[0][2]) == Outcome.FOREIGN
+
+
+def test_without_its_signatures_a_chain_is_unsigned(ledger: Path, tmp_path: Path) -> None:
+    copy = edited(ledger, tmp_path / "ledger.sqlite", "DELETE FROM head")
+    assert verify_toll([copy], bookings(ledger)[0][2]) == Outcome.UNSIGNED
+
+
+def test_a_pack_is_signed_and_a_change_of_it_is_named(ledger: Path, tmp_path: Path) -> None:
+    first = next(iter(read(ledger)))
+    verify_toll([ledger], first.name, tmp_path)
+    (path,) = tmp_path.iterdir()
+    content = path.read_bytes()
+    assert verify_toll([path]) == Outcome.VERIFIED
+    path.write_bytes(content + b"\n")
+    assert verify_toll([path]) == Outcome.VERIFIED
+    path.write_bytes(content.replace(b'"stored_ns": "1', b'"stored_ns": "2'))
+    assert verify_toll([path]) == Outcome.EDITED
+    path.write_bytes(content.replace(b'"contract":"', b'"contract":"x', 1))
+    assert verify_toll([path]) == Outcome.EDITED
+    path.write_bytes(first.pack)
+    assert verify_toll([path]) == Outcome.UNSIGNED
+
+
+def test_a_pack_of_another_unit_is_of_an_unknown_key(
+    ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = next(iter(read(ledger)))
+    verify_toll([ledger], first.name, tmp_path / "packs")
+    (path,) = (tmp_path / "packs").iterdir()
+    monkeypatch.setenv("OBU_KEYS", str(tmp_path / "elsewhere"))
+    assert verify_toll([path]) == Outcome.FOREIGN
+    assert verify_toll([path], key=[ledger.parent / "ring.json"]) == Outcome.VERIFIED
+
+
+def test_a_ledger_of_a_version_without_signatures_is_unsigned(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = edited(ledger, tmp_path / "ledger.sqlite", "DROP TABLE head", "DROP TABLE entry",
+                 "ALTER TABLE evidence DROP COLUMN seal", "PRAGMA user_version = 2")  # fmt: skip
+    assert verify_toll([old], bookings(ledger)[0][2]) == Outcome.UNSIGNED
+    assert "of a version without signatures" in capsys.readouterr().out
+
+
+def test_an_old_ledger_is_chained_and_its_charges_stay_unsigned(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = edited(ledger, tmp_path / "ledger.sqlite", "DROP TABLE head", "DROP TABLE entry",
+                 "ALTER TABLE evidence DROP COLUMN seal", "PRAGMA user_version = 2",
+                 "DELETE FROM outbox")  # fmt: skip
+    (_, _, passage), *_ = bookings(ledger)
+    opened, store = ledger_at(old, key=KeyFile(ledger.parent))
+    with store.transaction():
+        opened.expire(START_NS + 60_000_000_000)
+    vehicle = Vehicle("new")
+    with store.transaction():
+        opened.register(vehicle.registration(), START_NS)
+        opened.passage(vehicle.says(PassageState.OPEN), START_NS)
+        opened.passage(vehicle.says(PassageState.CHARGED), START_NS + 30_000_000_000)
+        opened.reconcile(START_NS + 30_000_000_000)
+    store.close()
+    assert verify_toll([old], passage) == Outcome.UNSIGNED
+    assert "entries are unsigned" in capsys.readouterr().out
+    changed = edited(old, tmp_path / "b.sqlite", "UPDATE booking SET amount_cents = 1 WHERE rowid = 1")
+    assert verify_toll([changed]) == Outcome.EDITED

@@ -11,12 +11,14 @@ from cli.recordings.repetition import Repetition, Verdict
 from cli.recordings.verify import verify
 from shared.bus.bus import Envelope
 from shared.errors import UserError
+from shared.evidence import KeyFile, keys_folder
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import LastPosition
 from shared.messages.operation import Mode, ModeState, ProcessHealth, ProcessState
 from shared.messages.vehicle import CanRaw, VehicleSpeed
 from shared.recording import RecordingWriter
+from shared.recording.seals import Sealer
 from shared.runtime.config import parse_vehicle
 from shared.runtime.live import Journal, Reactor, load_process
 from tests.support.bus.envelopes import sent
@@ -24,6 +26,20 @@ from tests.support.bus.envelopes import sent
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND
 INCARNATION = START_NS + 5
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The state folder, with the key that signs."""
+    folder = tmp_path / "state"
+    monkeypatch.setenv("OBU_STATE", str(folder))
+    monkeypatch.delenv("OBU_KEYS", raising=False)
+    return folder
+
+
+def signed_writer(path: Path, vehicle_toml: str = "") -> RecordingWriter:
+    sealer = Sealer(KeyFile(keys_folder(Path(os.environ["OBU_STATE"]))).signer(), vehicle="car")
+    return RecordingWriter(path, vehicle="car", vehicle_toml=vehicle_toml, sealer=sealer)
 
 
 class Echo:
@@ -288,7 +304,7 @@ def can_recording(path: Path, change: Callable[[list[Envelope]], None] = lambda 
             recorded.tick()
             recorded.journal()
     change(recorded.envelopes)
-    writer = RecordingWriter(path, vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    writer = signed_writer(path, '[vehicle]\nname = "car"\n')
     for envelope in recorded.envelopes:
         writer.write(envelope)
     writer.close()
@@ -318,7 +334,7 @@ def test_an_incarnation_in_two_files_is_verified_if_both_are_given(tmp_path: Pat
     whole: list[Envelope] = []
     can_recording(tmp_path / "all.mcap", whole.extend)
     for name, part in (("a.mcap", whole[:300]), ("b.mcap", whole[300:])):
-        writer = RecordingWriter(tmp_path / name)
+        writer = signed_writer(tmp_path / name)
         for envelope in part:
             writer.write(envelope)
         writer.close()
@@ -352,7 +368,7 @@ def test_a_retained_message_is_found_by_an_incarnation_that_begins_much_later(tm
     recorded.publish("controller.mode", kept)
     recorded.input(GnssFix(sampled_ns=recorded.now_ns, received_ns=recorded.now_ns, source="g", fix_type=FixType.NONE))
     recorded.journal()
-    writer = RecordingWriter(tmp_path / "a.mcap", vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    writer = signed_writer(tmp_path / "a.mcap", '[vehicle]\nname = "car"\n')
     for envelope in recorded.envelopes:
         writer.write(envelope)
     writer.close()

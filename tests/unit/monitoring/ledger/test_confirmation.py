@@ -313,7 +313,7 @@ def test_a_ledger_of_version_1_is_migrated_with_its_charges_and_passages_in_prog
     ledger.passage(Vehicle("b").says(CHARGED), START_NS + 61 * NS)
     ledger.receipt(answer(charge, START_NS + 61 * NS), START_NS + 61 * NS)
     assert ledger.state(START_NS + 61 * NS).transactions == 2
-    assert store.row("PRAGMA user_version")["user_version"] == 2  # type: ignore[index]
+    assert store.row("PRAGMA user_version")["user_version"] == 3  # type: ignore[index]
     store.close()
 
 
