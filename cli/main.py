@@ -33,6 +33,10 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "migrate": ("migrate", "migrate"),
     "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
+    "token list": ("token", "list_tokens"),
+    "token add": ("token", "add_token"),
+    "token revoke": ("token", "revoke_token"),
+    "token show-link": ("token", "show_link"),
     "record repair": ("recordings.record", "repair"),
 }
 
@@ -55,6 +59,14 @@ calibrate = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(calibrate, name="calibrate")
+tokens = typer.Typer(
+    help="Decide who may open the page of the unit whose state is in OBU_STATE, and what they may do.\n\n"
+    "A token is shown once, when it is made; the unit keeps its hash only. A running unit sees changes at once.\n\n"
+    "Examples:\n[bold]obu token show-link[/]\n[bold]obu token add workshop --role view[/]\n"
+    "[bold]obu token revoke workshop[/]",
+    no_args_is_help=True,
+)
+app.add_typer(tokens, name="token")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 
@@ -516,7 +528,7 @@ def _record(
 
 def command_line(arguments: Sequence[str]) -> typer.Typer:
     """Give the command line with the command of `IN_MODULES` that is called; with all for help and unknown names."""
-    groups = {"": app, "calibrate": calibrate, "record": recordings}
+    groups = {"": app, "calibrate": calibrate, "record": recordings, "token": tokens}
     here = {info.name or getattr(info.callback, "__name__", "") for info in app.registered_commands}
     first = arguments[0] if arguments else ""
     known = first in {*here, *(info.name for info in app.registered_groups), *IN_MODULES}

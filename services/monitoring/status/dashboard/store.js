@@ -1,5 +1,6 @@
 // What the page knows: the state as the server sent it, the link to the server, and the server's clock.
 import { signal } from "@preact/signals";
+import { toLogin } from "./access/session.js";
 
 const BACKOFF_S = [0.5, 1, 2, 5];
 const FULL_AGAIN_S = 10; // there are as many viewers as the unit allows
@@ -158,6 +159,7 @@ function take(frame) {
 async function findReason() {
   try {
     const answer = await fetch("/api/viewers", { signal: AbortSignal.timeout(3000) });
+    if (answer.status === 401) toLogin();
     if (!answer.ok) return { why: answer.status === 421 ? "name" : "error" };
     const viewers = await answer.json();
     return { why: viewers.connected >= viewers.maximum ? "full" : "interrupted", viewers };

@@ -81,6 +81,24 @@ class Health(Answer):
     topics: dict[str, TopicRow]
 
 
+class Alive(Answer):
+    """Whether the unit works at all."""
+
+    alive: bool
+
+
+class LoginState(Answer):
+    """Who asks."""
+
+    name: str | None
+    """of the token; "local" where no login is needed; null: not logged in"""
+    role: Literal["view", "operate", "admin"] | None
+    session: bool
+    """whether there is a session, which can be ended"""
+    csrf: str | None
+    """value of the header X-OBU-CSRF that each change needs; null with a token in the header Authorization"""
+
+
 class Solution(Answer):
     """The newest position with its uncertainty and the verdict on it; what is not known is null."""
 

@@ -19,7 +19,10 @@ from pydantic_core import to_json
 from shared.library.library import Library
 
 from ..views import recordings as views
-from . import body, hosts
+from . import body
+from .access.guard import insist_on
+from .access.rights import Right
+from .access.tokens import FOLDER_VARIABLE
 from .answers import Done, Recordings, Refusal, described, reference_to
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
@@ -50,8 +53,8 @@ class Command(BaseModel):
 class Job:
     """One child process at a time: a replay or a solution."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, tokens: Path | None = None) -> None:
+        self._folder, self._tokens = folder, tokens or folder.parent  # a replay takes the tokens of this unit
         self._child: subprocess.Popen[bytes] | None = None
         self.action: Action | None = None
         self.name = ""
@@ -71,7 +74,7 @@ class Job:
         with (self._folder / "job.log").open("wb") as output:
             self._child = subprocess.Popen(
                 ["nice", *command], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                env={**environment, "OBU_STATE": str(self._folder)},
+                env={**environment, "OBU_STATE": str(self._folder), FOLDER_VARIABLE: str(self._tokens)},
             )  # fmt: skip
 
     def cancel(self) -> None:
@@ -177,13 +180,13 @@ class RecordingsApi:
 
     async def command(self, request: Request) -> Response:
         """Keep, release, delete, replay or solve a recording, or stop the job."""
-        if not hosts.same_origin(request.headers.get("origin"), request.headers.get("host")):
-            raise HTTPException(403, "this page is not from here")
         try:
             command = Command.model_validate_json(await body.read(request))
         except ValidationError as error:
             first = error.errors(include_url=False, include_input=False)[0]
             raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        if command.action is Action.DELETE:
+            insist_on(request, Right.ADMIN)
         self._carry_out(command)
         return _json({}, 202)
 
