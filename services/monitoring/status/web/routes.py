@@ -289,6 +289,11 @@ def make_app(
 
 def openapi() -> dict[str, Any]:
     """Describe the API without a unit, as it is printed in docs/reference."""
+    return app_without_unit().openapi()
+
+
+def app_without_unit() -> FastAPI:
+    """Make the application with all its routes, for its description."""
     state, lock = State("", (), 0, 900.0), Lock()
 
     def now_ns() -> int:
@@ -301,7 +306,7 @@ def openapi() -> dict[str, Any]:
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     commands = CommandApi(state, lock, now_ns)
     apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, commands, maps)
-    return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path()))).openapi()
+    return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 
 def make_server(app: FastAPI, connections: Connections) -> uvicorn.Server:
