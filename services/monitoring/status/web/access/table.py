@@ -26,7 +26,7 @@ ROWS = (
     Row("GET", "/access/login.js", Right.PUBLIC, "its program"),
     Row("GET", "/style.css", Right.PUBLIC, "its style, that of the dashboard"),
     Row("POST", "/api/login", Right.PUBLIC, "open a session with a token"),
-    Row("POST", "/api/logout", Right.PUBLIC, "end the session"),
+    Row("POST", "/api/logout", Right.VIEW, "end the session"),
     Row("GET", "/api/session", Right.PUBLIC, "who has logged in, with which role"),
     Row("GET", "/api/alive", Right.PUBLIC, "whether the unit runs: health check of a container"),
     Row("GET", "/api/solution", Right.VIEW, "newest position"),
