@@ -33,7 +33,9 @@ def executable() -> str:
 
 def documented(port: int, upstream: str, folder: Path) -> str:
     """The configuration of the how-to page, with other addresses and a certificate of this folder."""
-    (text,) = re.findall(r"```nginx\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(r"```nginx\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert found
+    text = found[1]
     for before, after in (
         ("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"),
         ("http://127.0.0.1:8080", upstream),

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from services.monitoring.status.web import body
 from services.monitoring.status.web.access import limits
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.dashboard.status_server import Running, eventually, status_server
@@ -51,10 +52,12 @@ def opened(port: int, source: str = "127.0.0.1") -> socket.socket:
 
 
 def is_closed(connection: socket.socket, within_s: float = 5.0) -> bool:
-    """Whether the server closes a connection without a byte."""
+    """Whether the server closes a connection; what is still on the way of an answer is read."""
     connection.settimeout(within_s)
     try:
-        return connection.recv(1) == b""
+        while connection.recv(4096):
+            pass
+        return True
     except ConnectionResetError:
         return True
     except TimeoutError:
@@ -81,6 +84,13 @@ def test_the_headers_of_a_second_request_must_come_in_time_too(tmp_path: Path) -
         assert status_of(slow) == b"HTTP/1.1 200 OK"
         slow.sendall(b"GET /api/alive HTTP/1.1\r\nHo")
         assert is_closed(slow)
+
+
+def test_a_body_that_does_not_come_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(body, "BODY_S", 0.3)
+    head = b"POST /api/login HTTP/1.1\r\nHost: localhost\r\nX-OBU-CSRF: a\r\nContent-Length: 100\r\n\r\n{"
+    with status_server(tmp_path, unit=False) as server, opened(port_of(server)) as slow:
+        assert status_of(slow, head).startswith(b"HTTP/1.1 408")
 
 
 def test_a_connection_without_a_request_is_closed_after_the_idle_time(

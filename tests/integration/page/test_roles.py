@@ -19,6 +19,7 @@ from services.monitoring.status.web.access.guard import Guard, Receive, Scope, S
 from services.monitoring.status.web.access.rights import GRANTED, Right
 from services.monitoring.status.web.access.table import ROWS, WEBSOCKET, Row, needed
 from services.monitoring.status.web.access.tokens import FILE, Tokens
+from services.monitoring.status.web.answers import TokenList
 from services.monitoring.status.web.routes import app_without_unit
 from tests.support.dashboard.status_server import Running, status_server
 
@@ -148,12 +149,38 @@ def test_head_answers_as_get_without_a_body(page: Guarded, row: Row) -> None:
     assert head.headers["content-type"] == get.headers["content-type"]
 
 
+def test_admin_makes_and_revokes_tokens_over_the_page(page: Guarded) -> None:
+    def change(**body: object) -> httpx.Response:
+        head = {"Authorization": f"Bearer {page.secrets[Right.ADMIN]}"}
+        return httpx.post(f"{page.server.address}/api/tokens", json=body, headers=head, timeout=5.0)
+
+    made = change(action="add", name="van", role="view", days=1.0).json()["token"]
+    found = page.tokens.find(made)
+    assert found and (found.name, found.role) == ("van", Right.VIEW)
+    head = {"Authorization": f"Bearer {page.secrets[Right.ADMIN]}"}
+    listed = httpx.get(f"{page.server.address}/api/tokens", headers=head, timeout=5.0)
+    TokenList.model_validate_json(listed.content)
+    assert "van" in listed.text and made not in listed.text and found.hash not in listed.text
+    assert change(action="add", name="van", role="view").status_code == 409
+    assert change(action="revoke", name="van").json() == {"token": None}
+    assert page.tokens.find(made) is None
+    assert change(action="revoke", name="van").status_code == 409
+    assert change(action="add", name="x", role="root").status_code == 422
+
+
 def test_a_recording_is_deleted_by_admin_alone(page: Guarded) -> None:
     def delete(right: Right) -> httpx.Response:
         head = {"Authorization": f"Bearer {page.secrets[right]}"}
         body = {"action": "delete", "name": "a.mcap"}
         return httpx.post(f"{page.server.address}/api/recordings", json=body, headers=head, timeout=5.0)
 
+    for right, allowed in (
+        (Right.VIEW, []),
+        (Right.OPERATE, ["download", "keep", "replay", "solve"]),
+        (Right.ADMIN, sorted(ALL)),
+    ):
+        head = {"Authorization": f"Bearer {page.secrets[right]}"}
+        assert httpx.get(f"{page.server.address}/api/recordings", headers=head).json()["allowed"] == allowed
     assert (delete(Right.VIEW).status_code, delete(Right.OPERATE).status_code) == (403, 403)
     assert delete(Right.ADMIN).status_code == 404  # there is none
 

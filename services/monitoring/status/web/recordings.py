@@ -20,7 +20,7 @@ from shared.library.library import Library
 
 from ..views import recordings as views
 from . import body
-from .access.guard import insist_on
+from .access.guard import insist_on, may
 from .access.rights import Right
 from .access.tokens import FOLDER_VARIABLE
 from .answers import Done, Recordings, Refusal, described, reference_to
@@ -153,7 +153,7 @@ class RecordingsApi:
             tags=["recordings"], responses=done, openapi_extra=schema,
         )  # fmt: skip
 
-    def list(self) -> Response:
+    def list(self, request: Request) -> Response:
         """Every recording, newest first, with its summary as soon as it is computed, and the job that runs."""
         shown = views.recordings(self._library.entries.values(), self._open_name())
         for one in shown:
@@ -161,7 +161,7 @@ class RecordingsApi:
         return _json({
             "recordings": shown,
             "free_bytes": self._library.free_bytes,
-            "allowed": sorted(self._allowed),
+            "allowed": sorted(action for action in self._allowed if may(request, _right(action))),
             "job": self._job.view(),
         }, 200)  # fmt: skip
 
@@ -185,8 +185,7 @@ class RecordingsApi:
         except ValidationError as error:
             first = error.errors(include_url=False, include_input=False)[0]
             raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-        if command.action is Action.DELETE:
-            insist_on(request, Right.ADMIN)
+        insist_on(request, _right(command.action))
         self._carry_out(command)
         return _json({}, 202)
 
@@ -227,6 +226,10 @@ class RecordingsApi:
             raise HTTPException(403, f"{action} is not allowed; add it to `recordings` in [monitoring.status]")
         if name not in self._library.entries:
             raise HTTPException(404, "there is no such recording")
+
+
+def _right(action: Action) -> Right:
+    return Right.ADMIN if action is Action.DELETE else Right.OPERATE
 
 
 def _json(content: object, status: int) -> Response:

@@ -28,6 +28,7 @@ from .access.access import Access, Rules
 from .access.guard import Guard
 from .access.limits import BACKLOG, IDLE_S, Connections, CountedWebSocket, LimitedHttp, limit_logs, quiet_accept
 from .access.login import LoginApi, LoginRequest
+from .access.manage import AddToken, RevokeToken, TokensApi
 from .access.tokens import Tokens
 from .answers import (
     Alive,
@@ -210,8 +211,10 @@ class Described(FastAPI):
         """Describe the routes, with the schemas that they refer to."""
         if self.openapi_schema is None:
             found = super().openapi()
-            found.setdefault("components", {}).setdefault("schemas", {}).update(
-                schemas(SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest)
+            found.setdefault("components", {})["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+            found["security"] = [{}, {"token": []}]  # a simulated unit needs none from its own machine
+            found["components"].setdefault("schemas", {}).update(
+                schemas(SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken)
             )
         return super().openapi()
 
@@ -281,6 +284,7 @@ def make_app(
         routes.add_to(app)
     watching.add_to(app)
     LoginApi(access).add_to(app)
+    TokensApi(access.tokens).add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
     app.add_middleware(Guard, access=access)

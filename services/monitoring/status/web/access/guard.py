@@ -120,10 +120,15 @@ def visitor_of(request: Request) -> Visitor | None:
     return cast("Visitor | None", request.scope.get(VISITOR))
 
 
+def may(request: Request, right: Right) -> bool:
+    """Whether the visitor has a right."""
+    visitor = visitor_of(request)
+    return visitor is not None and visitor.right.includes(right)
+
+
 def insist_on(request: Request, right: Right) -> None:
     """Raise 403 if the visitor has not a right that only one action of a route needs."""
-    visitor = visitor_of(request)
-    if visitor is None or not visitor.right.includes(right):
+    if not may(request, right):
         raise HTTPException(403, f"this needs the role {right}; log in with another token")
 
 

@@ -23,6 +23,7 @@ IDLE_S = 15  # between two requests
 BACKLOG = 64  # connections that are accepted at once, and wait in the kernel
 RESERVED_FILES = 128  # of the limit of open files, which connections leave for recordings, tiles and the bus
 LOGGED_PERIOD_S = 60.0
+LOGIN_LOGGER = f"{__package__}.login"
 LOGGED_PER_PERIOD = 5  # of each text
 
 
@@ -189,7 +190,7 @@ def quiet_accept(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> No
 
 def limit_logs() -> None:
     """Limit what clients can make this process write."""
-    for name in (__name__, "uvicorn.error"):
+    for name in (__name__, LOGIN_LOGGER, "uvicorn.error"):
         logger = logging.getLogger(name)
         if not any(isinstance(one, RateLimit) for one in logger.filters):
             logger.addFilter(RateLimit())

@@ -1,5 +1,6 @@
 """Routes of the login: open a session, end it, and who has logged in."""
 
+import logging
 from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
@@ -13,6 +14,8 @@ from .access import Access
 from .guard import PEER, visitor_of
 from .peer import Peer
 from .tokens import is_secret
+
+log = logging.getLogger(__name__)
 
 
 class LoginRequest(BaseModel):
@@ -67,10 +70,13 @@ class LoginApi:
         secret = given.token.strip()
         seconds = self._access.rules.session_s
         opened = await run_in_threadpool(self._access.tokens.log_in, secret, seconds) if is_secret(secret) else None
+        peer: Peer = request.scope[PEER]
         if opened is None:
+            log.warning("refused a login from %s", peer.address[:45])
             raise HTTPException(401, "this token is not valid: it was mistyped, revoked, has expired, or its link was "
                                 "used before; `obu token show-link` on the unit makes a new link")  # fmt: skip
         cookie, session = opened
+        log.info("%s logged in from %s as %s", session.token, peer.address[:45], session.role)
         answer = _json({"name": session.token, "role": session.role, "session": True, "csrf": None})
         self._set_cookie(request, answer, cookie, round(seconds))
         return answer

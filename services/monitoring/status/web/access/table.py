@@ -28,6 +28,8 @@ ROWS = (
     Row("POST", "/api/login", Right.PUBLIC, "open a session with a token"),
     Row("POST", "/api/logout", Right.VIEW, "end the session"),
     Row("GET", "/api/session", Right.PUBLIC, "who has logged in, with which role"),
+    Row("GET", "/api/tokens", Right.ADMIN, "list of tokens and logins"),
+    Row("POST", "/api/tokens", Right.ADMIN, "add or revoke a token"),
     Row("GET", "/api/alive", Right.PUBLIC, "whether the unit runs: health check of a container"),
     Row("GET", "/api/solution", Right.VIEW, "newest position"),
     Row("GET", "/api/history", Right.VIEW, "history of the position"),
