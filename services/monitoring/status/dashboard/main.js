@@ -1,9 +1,8 @@
 // The shell around the pages: unit, connection, the verdict in one sentence, and navigation.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, connected, contract, isLive, isOld, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, togglePause } from "./store.js";
 import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
-import { logOut, renew, session } from "./access/session.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 

@@ -1,7 +1,6 @@
 // The recordings of the unit: outline, length, verdicts and outages of each drive, and what may be done with it.
 import { useEffect, useState } from "preact/hooks";
-import { change } from "../access/session.js";
-import { link } from "../store.js";
+import { change, link } from "../store.js";
 import { Card, Empty, bytes, duration, html, metres, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 

@@ -1,7 +1,6 @@
 // The bar of a replay: play, pause, speed, and a scrubber over the whole drive with verdicts and outages.
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { change } from "../access/session.js";
-import { clock, link, nowMs, settings, state } from "../store.js";
+import { change, clock, link, nowMs, settings, state } from "../store.js";
 import { Icon, duration, html, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 

@@ -1,7 +1,6 @@
 // The card of a simulated unit on the page Trust: starts and stops attacks, and compares the verdict with the truth.
 import { useEffect, useState } from "preact/hooks";
-import { change } from "../access/session.js";
-import { link, nowMs, state } from "../store.js";
+import { change, link, nowMs, state } from "../store.js";
 import { Card, Row, StateIcon, duration, html, metres, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 
