@@ -27,6 +27,7 @@ from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
 from shared.recording.index import RecordingIndex
 from tests.support.dashboard.chromium import chromium
+from tests.support.dashboard.status_server import change
 from tests.support.data import REPOSITORY
 
 HEAD = """# A two-hour recording in the browser
@@ -155,7 +156,7 @@ def scrubbed(browser: Browser, drive: Path) -> Row:
         box = page.locator(".replay-scrubber input").bounding_box()
         assert box is not None
         at = [box["x"] + box["width"] * (0.1 + 0.8 * k / POSITIONS) for k in range(POSITIONS)]
-        httpx.post(f"{address}/api/replay", json={"command": "seek", "position_s": 600.0}, timeout=5.0)
+        _ask(address, command="seek", position_s=600.0)
         page.locator(".coordinates").wait_for(timeout=LIMIT_MS)  # none before the first solution
         page.evaluate(SAMPLER)
         page.mouse.move(at[0], box["y"] + box["height"] / 2)
@@ -228,7 +229,7 @@ def _named(when: str, memory: dict[str, float]) -> Row:
 
 
 def _ask(address: str, **command: object) -> None:
-    httpx.post(f"{address}/api/replay", json=command, timeout=5.0).raise_for_status()
+    change(address, "/api/replay", command).raise_for_status()
 
 
 def _position_s(address: str) -> float:

@@ -5,8 +5,11 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 from uuid import uuid4
 
+from services.monitoring.status.web.access.rights import Right
+from services.monitoring.status.web.access.tokens import Tokens, tokens_folder
 from shared.bus.bus import Bus, decoded
 from shared.errors import UserError
 from shared.messages.operation import CommandStage, ModeAnswer, OperatorCommand
@@ -14,6 +17,7 @@ from shared.runtime.config import ADDRESS_FILE, VehicleFile, broker_address, sta
 from shared.topics import BY_NAME
 
 CONNECT_S = 5.0
+TOKEN_S = 60.0  # for which the token of a command is valid
 FIRST_ANSWER_S = 10.0  # controller.mode reads the bus ten times a second
 LAST_ANSWER_S = 320.0  # a cold start may take 300 s
 
@@ -38,7 +42,7 @@ def send(kind: OperatorCommand, vehicle: VehicleFile, *, source: str | None, per
     try:
         _connect(bus)
         given = {"request_id": request_id, "command": kind.value, "source": source, "navigation_period_s": period_s}
-        _post(address, {key: value for key, value in given.items() if value is not None})
+        _post(folder, address, {key: value for key, value in given.items() if value is not None})
         return _follow(bus, request_id, wait=wait)
     finally:
         bus.close()
@@ -52,10 +56,11 @@ def _connect(bus: Bus) -> None:
             raise UserError(f"{bus.last_error or 'no broker responds'}; is the unit running?")
 
 
-def _post(address: str, given: dict[str, object]) -> None:
-    request = urllib.request.Request(
-        f"{address}api/command", json.dumps(given).encode(), {"Content-Type": "application/json"}, method="POST"
-    )
+def _post(folder: Path, address: str, given: dict[str, object]) -> None:
+    """Send the command with a token of its own: who may write to the state folder may command the unit."""
+    token = Tokens(tokens_folder(folder)).add_temporary("command", Right.OPERATE, seconds=TOKEN_S)
+    headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
+    request = urllib.request.Request(f"{address}api/command", json.dumps(given).encode(), headers, method="POST")
     try:
         with urllib.request.urlopen(request, timeout=CONNECT_S):  # the unit's own address
             return

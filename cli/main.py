@@ -36,6 +36,10 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "evidence-key export": ("evidence_key", "export"),
     "calibrate imu": ("calibrate.imu", "calibrate_imu"),
     "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
+    "token list": ("token", "list_tokens"),
+    "token add": ("token", "add_token"),
+    "token revoke": ("token", "revoke_token"),
+    "token show-link": ("token", "show_link"),
     "record repair": ("recordings.record", "repair"),
 }
 
@@ -64,6 +68,14 @@ evidence_key = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(evidence_key, name="evidence-key")
+tokens = typer.Typer(
+    help="Decide who may open the page of the unit whose state is in OBU_STATE, and what they may do.\n\n"
+    "A token is shown once, when it is made; the unit keeps its hash only. A running unit sees changes at once.\n\n"
+    "Examples:\n[bold]obu token show-link[/]\n[bold]obu token add workshop --role view[/]\n"
+    "[bold]obu token revoke workshop[/]",
+    no_args_is_help=True,
+)
+app.add_typer(tokens, name="token")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 keys_app = typer.Typer(
@@ -612,7 +624,9 @@ def _record(
 
 def command_line(arguments: Sequence[str]) -> typer.Typer:
     """Give the command line with the command of `IN_MODULES` that is called; with all for help and unknown names."""
-    groups = {"": app, "calibrate": calibrate, "record": recordings, "evidence-key": evidence_key}
+    groups = {
+        "": app, "calibrate": calibrate, "record": recordings, "evidence-key": evidence_key, "token": tokens,
+    }  # fmt: skip
     here = {info.name or getattr(info.callback, "__name__", "") for info in app.registered_commands}
     first = arguments[0] if arguments else ""
     known = first in {*here, *(info.name for info in app.registered_groups), *IN_MODULES}

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
+from services.monitoring.status.web.access.rights import GRANTED, MEANING, Right
+from services.monitoring.status.web.access.table import ROWS
 from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
@@ -147,6 +149,28 @@ def missing_page() -> str:
     )
 
 
+def access_page() -> str:
+    """Print the roles, and which route needs which."""
+    meaning = {
+        Right.PUBLIC: MEANING[Right.PUBLIC],
+        **{right: f"a token or session: {MEANING[right]}" for right in GRANTED},
+    }
+    roles = table(("role", "meaning"), [(f"`{right}`", text) for right, text in meaning.items()])
+    rows = [(f"`{row.method} {row.path}`", f"`{row.right}`", row.purpose) for row in ROWS]
+    return (
+        "# Roles of the page\n\n"
+        "Each role includes those before it. `obu token add NAME --role ROLE` makes a token, "
+        "[Let others look](../how-to/let-others-look.md) describes the login.\n\n"
+        f"{roles}\n\n"
+        "A unit without devices needs no login from its own machine: who asks there has the role `admin`.\n\n"
+        "## Routes\n\n"
+        "The server decides by this table. HEAD needs what GET needs; a change that is not listed needs `admin`, and "
+        "has no route. `POST` needs the header `X-OBU-CSRF` with the value of `/api/session`, or a token in the header "
+        "`Authorization`.\n\n"
+        f"{table(('route', 'role', 'what it does'), rows)}\n"
+    )
+
+
 def api_page(description: Json) -> str:
     """Print the routes of the unit's web server."""
     tags = {tag["name"]: tag["description"] for tag in cast("list[dict[str, str]]", description["tags"])}
@@ -192,6 +216,7 @@ def pages() -> dict[str, str]:
         "metrics.md": HEAD + metrics_page(),
         "missing-sensors.md": HEAD + missing_page(),
         "attacks.md": HEAD + attacks_page(),
+        "access.md": HEAD + access_page(),
         "asyncapi.json": asyncapi_json() + "\n",
         "api.md": HEAD + api_page(cast("Json", (description := openapi()))),
         "openapi.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",

@@ -24,7 +24,7 @@ def answers(port: int) -> bool:
     """Whether the web server of this container responds to a health request."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=2.0) as connection:
-            connection.sendall(b"GET /api/health HTTP/1.0\r\nHost: localhost\r\n\r\n")
+            connection.sendall(b"GET /api/alive HTTP/1.0\r\nHost: localhost\r\n\r\n")
             return connection.recv(64).startswith((b"HTTP/1.1 200", b"HTTP/1.0 200"))
     except OSError:
         return False

@@ -13,6 +13,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
+from services.monitoring.status.web.access.rights import Right
+from services.monitoring.status.web.access.tokens import Tokens
 from services.sensors.simulator.scenarios import scenario_of
 from shared.attacks import schedule
 from shared.bus.bus import Bus
@@ -23,6 +25,7 @@ from shared.processes import Role
 from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
 from shared.topics import TOPICS
 
+from ..token import listens_on_network, login_link, network_address, port_of
 from . import plaza_balance
 from .balance import WITHOUT_FIX_S, Balance, Summary
 from .detection import AttackSummary
@@ -45,6 +48,7 @@ SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
 OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw",
             "trust/state", "simulation/state")  # fmt: skip
 START_LIMIT_S = 60.0
+LINK_S = 3600.0  # in which a link may log in
 
 
 @dataclass(frozen=True)
@@ -198,6 +202,7 @@ def _watch(
             if measuring_since is None and balance.messages:
                 measuring_since = time.monotonic()
                 console.print(f"dashboard: [bold link={address}]{address}[/]   (end with Ctrl-C)")
+                _tell_others(bus.state_dir, address, console)
                 console.print(_how_to_listen(bus), style="dim", soft_wrap=True, highlight=False)
                 progress.update(task, description="driving")
             if measuring_since is None and time.monotonic() - started > START_LIMIT_S:
@@ -205,6 +210,16 @@ def _watch(
                                 f"see the logs in {bus.state_dir / 'logs'}")  # fmt: skip
             if measuring_since is not None:
                 progress.update(task, completed=time.monotonic() - measuring_since)
+
+
+def _tell_others(folder: Path, address: str, console: Console) -> None:
+    """Print a link that logs in another device, if the page listens on the network."""
+    if listens_on_network() and (reached := network_address(port_of(address))):
+        secret = Tokens(folder).add_temporary("link", Right.ADMIN, seconds=LINK_S, single_use=True)
+        console.print(
+            f"from another device, once, within {LINK_S / 60.0:.0f} min: {login_link(reached, secret)}",
+            soft_wrap=True, highlight=False,
+        )  # fmt: skip
 
 
 def _how_to_listen(bus: Bus) -> str:

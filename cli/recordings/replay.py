@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from services.monitoring.status.web.access.tokens import FOLDER_VARIABLE
 from shared.bus import codec
 from shared.bus.envelope import Envelope
 from shared.errors import UserError
@@ -84,7 +85,7 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     broker_port, (http_port, taken) = free_port(), port_or_free(wanted_port)
     text = _with_sections(unit, {
         "sensors.replay": {"file": str(played.resolve()), "speed": speed, "summaries": str(summaries)},
-        "monitoring.status": {"port": http_port, "replay": True},
+        "monitoring.status": {"port": http_port, "replay": True, **_login()},
     })  # fmt: skip
     (folder / "vehicle.toml").write_text(text, encoding="utf-8")
     (folder / "logs").mkdir()
@@ -115,6 +116,11 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
         return 0
     finally:
         supervisor.stop()
+
+
+def _login() -> Table:
+    """Settings of the login: a replay that a page has started takes that of its unit, another one needs none here."""
+    return {} if FOLDER_VARIABLE in os.environ else {"login_on_loopback": False}
 
 
 def _wait_for_page(supervisor: Supervisor, folder: Path) -> None:

@@ -40,7 +40,9 @@ class Units(dict[str, Running]):
 
     def __missing__(self, state: str) -> Running:
         """Start the unit of a state."""
-        running = self._stack.enter_context(status_server(self._folder(state), unit=state != "empty"))
+        running = self._stack.enter_context(
+            status_server(self._folder(state), unit=state != "empty", allowed_hosts=["obu.local"])
+        )
         if state == "stale":
             assert running.unit
             running.unit.fall_silent_after(2.0, "core.fusion")

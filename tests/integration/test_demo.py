@@ -25,6 +25,7 @@ from shared.runtime.config import load_vehicle
 from shared.runtime.live import arrival_ns
 from shared.runtime.offline import OfflineUnit
 from tests.support.dashboard.chromium import chromium
+from tests.support.dashboard.status_server import change
 from tests.support.drives.golden import record_golden_drive
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
@@ -121,7 +122,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         opens = page.get_by_role("link", name="Open the replay")
         expect(opens).to_be_visible(timeout=40_000)
         expect(ours.get_by_role("button", name="Reprocess")).to_be_disabled()
-        second = httpx.post(f"{address}/api/recordings", json={"action": "solve", "name": broken.name}, timeout=5.0)
+        second = change(address, "/api/recordings", {"action": "solve", "name": broken.name})
         assert (second.status_code, second.json()["detail"]) == (409, "another job runs; stop it first")
         with page.expect_popup() as popup:
             opens.click()

@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 
 from services.monitoring.status.web.stream.patch import merge
 from shared.library.summary import SUFFIX
-from tests.support.dashboard.status_server import eventually
+from tests.support.dashboard.status_server import change, eventually
 from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
 
 Json = dict[str, Any]
@@ -43,7 +43,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def command(address: str, **fields: object) -> httpx.Response:
-    return httpx.post(f"{address}/api/replay", json=fields, timeout=5.0)
+    return change(address, "/api/replay", fields)
 
 
 def state(address: str) -> Json:
@@ -115,6 +115,7 @@ def test_at_least_16_of_20_seeks_in_two_seconds_are_shown(address: str) -> None:
     shown: set[int] = set()
     with connect(address.replace("http", "ws") + "/ws", max_size=None) as socket, httpx.Client(timeout=5.0) as client:
         view = json.loads(socket.recv(timeout=5.0))["state"]
+        client.headers["X-OBU-CSRF"] = client.get(f"{address}/api/session").json()["csrf"]
         began = time.monotonic()
         for step in range(20):
             client.post(f"{address}/api/replay", json={"command": "seek", "position_s": 200.0 + 10.0 * step})
@@ -134,9 +135,9 @@ def test_at_least_16_of_20_seeks_in_two_seconds_are_shown(address: str) -> None:
 
 def test_replay_commands_of_other_origins_and_invalid_ones_are_rejected(address: str) -> None:
     body = {"command": "pause"}
-    foreign = httpx.post(f"{address}/api/replay", json=body, headers={"Origin": "http://evil.example"}, timeout=5.0)
+    foreign = change(address, "/api/replay", body, Origin="http://evil.example")
     assert foreign.status_code == 403
     assert command(address, command="fly").status_code == 422
     assert command(address, command="speed", speed=1e9).status_code == 422
-    attack = httpx.post(f"{address}/api/simulation/attack", json={"command": "stop"}, timeout=5.0)
+    attack = change(address, "/api/simulation/attack", {"command": "stop"})
     assert attack.status_code == 409, "a recording of a simulation cannot be attacked"

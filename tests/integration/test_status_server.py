@@ -32,7 +32,7 @@ from shared.recording.folder import RecordingFolder
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.fake_unit import FakeBus
-from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.dashboard.status_server import Running, change, eventually, status_server
 
 Json = dict[str, Any]
 ROOT = Path(__file__).parents[2]
@@ -156,9 +156,10 @@ def test_a_long_topic_name_is_rejected(server: Running) -> None:
 
 
 def test_only_attacks_can_be_commanded_over_http(server: Running) -> None:
+    head = {"X-OBU-CSRF": get(server, "/api/session")["csrf"]}
     for path in ("/", "/api/state", "/api/topics/gnss/fix", "/ws"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
-            assert httpx.request(method, server.address + path, timeout=5.0).status_code in (404, 405)
+            assert httpx.request(method, server.address + path, headers=head, timeout=5.0).status_code in (404, 405)
 
 
 def test_metrics_are_in_the_format_of_prometheus(server: Running) -> None:
@@ -293,7 +294,7 @@ def test_the_page_of_the_api_loads_no_external_resources(server: Running) -> Non
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
         "/api/series", "/api/fields/{name}", "/api/gnss", "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
-        "/api/hypotheses", "/api/command",
+        "/api/hypotheses", "/api/command", "/api/alive", "/api/login", "/api/logout", "/api/session", "/api/tokens",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
     }  # fmt: skip
 
@@ -536,7 +537,7 @@ def test_the_process_has_less_than_64_mib(tmp_path: Path) -> None:
 
 
 def command(server: Running, body: object, **headers: str) -> httpx.Response:
-    return httpx.post(server.address + "/api/simulation/attack", json=body, headers=headers, timeout=5.0)
+    return change(server.address, "/api/simulation/attack", body, **headers)
 
 
 def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: Running) -> None:
@@ -578,7 +579,7 @@ def test_a_command_of_another_origin_is_rejected(server: Running) -> None:
 
 def test_a_command_of_the_operator_is_published_as_it_was_given(server: Running) -> None:
     given = {"request_id": "r7", "command": "select_source", "source": "gnss1"}
-    answer = httpx.post(server.address + "/api/command", json=given, timeout=5.0)
+    answer = change(server.address, "/api/command", given)
     assert (answer.status_code, answer.json()) == (202, {"request_id": "r7"})
     eventually(lambda: any(isinstance(one, ModeCommand) for one in server.bus.published))
     (published,) = [one for one in server.bus.published if isinstance(one, ModeCommand)]
@@ -598,7 +599,7 @@ def test_a_command_of_the_operator_is_published_as_it_was_given(server: Running)
 def test_what_is_no_command_of_the_operator_is_rejected(
     server: Running, body: object, status: int, headers: dict[str, str]
 ) -> None:
-    answer = httpx.post(server.address + "/api/command", json=body, headers=headers, timeout=5.0)
+    answer = change(server.address, "/api/command", body, **headers)
     assert answer.status_code == status
 
 

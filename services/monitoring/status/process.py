@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 import uvicorn
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from shared import VERSION
 from shared.bus.bus import Bus
@@ -26,6 +26,10 @@ from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.access.access import Access, Rules, is_simulated
+from .web.access.limits import Connections
+from .web.access.peer import networks
+from .web.access.tokens import Tokens, tokens_folder
 from .web.command import CommandApi
 from .web.map.map import MapApi
 from .web.pages import read_pages
@@ -59,7 +63,28 @@ class Config(Section):
         default=900.0, gt=0, le=86_400, description="length of the history that the page and /api/history hold"
     )
     static_dir: str | None = Field(default=None, description="folder of another dashboard than the delivered one")
-    allowed_hosts: tuple[str, ...] = Field(default=(), description="further host names by which the unit is reached")
+    allowed_hosts: tuple[str, ...] = Field(
+        default=(),
+        description="further names by which the unit is reached, besides localhost, its addresses, its own host name "
+        "and that with .local; other names are rejected",
+    )
+    login_on_loopback: bool | None = Field(
+        default=None,
+        description="whether a browser on this machine has to log in; not given: unless all data are simulated. false: "
+        "every program of this machine sees the position and may send commands. From other machines and through "
+        "a proxy a login is always needed",
+    )
+    session_h: float = Field(default=168.0, gt=0, le=8760, description="hours after which a browser must log in again")
+    trusted_proxies: tuple[str, ...] = Field(
+        default=(),
+        description="addresses or networks of reverse proxies whose X-Forwarded-For and X-Forwarded-Proto are believed",
+    )
+    connections_per_client: int = Field(
+        default=16,
+        ge=4,
+        le=1024,
+        description="connections of one address at once; of this machine and of a trusted proxy half of all",
+    )
     map_file: str | None = Field(
         default=None, description="map of the page Map, a .pmtiles or .mbtiles file: docs/how-to/install-a-map.md"
     )
@@ -74,6 +99,12 @@ class Config(Section):
     clients_maximum: int = Field(
         default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
     )
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _are_networks(cls, texts: tuple[str, ...]) -> tuple[str, ...]:
+        networks(texts)
+        return texts
 
 
 class Process:
@@ -100,7 +131,10 @@ class Process:
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
         simulation, operator = SimulationApi(state, lock, now_ns), CommandApi(state, lock, now_ns)
         replay = ReplayApi(feed, lock, bus.now_ns)
-        library, job = Library(recordings_folder(bus)), Job((bus.state_dir / "jobs").resolve())
+        library, job = (
+            Library(recordings_folder(bus)),
+            Job((bus.state_dir / "jobs").resolve(), tokens_folder(bus.state_dir).resolve()),
+        )
         allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
         recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
         server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings, operator))
@@ -149,8 +183,29 @@ class Process:
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
         watching = Watching(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
-        app = make_app(api, (series, *apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
-        return make_server(app, 4 * clients + 16)
+        access = self._make_access(bus)
+        app = make_app(api, (series, *apis, maps), read_pages(folder), watching, access)
+        per_client, trusted = self._config.connections_per_client, access.rules.trusted_proxies
+        return make_server(app, Connections(4 * clients + 16, per_client, trusted, access.rules.published))
+
+    def _make_access(self, bus: Bus) -> Access:
+        config, vehicle = self._config, parse_vehicle(bus.vehicle_toml)
+        names = os.environ.get("OBU_HTTP_NAMES", "")
+        rules = Rules(
+            simulated=is_simulated(vehicle),
+            login_on_loopback=config.login_on_loopback,
+            published=os.environ.get("OBU_HTTP_PUBLISHED") or None,
+            trusted_proxies=networks(config.trusted_proxies),
+            allowed_hosts=(*config.allowed_hosts, *(name.strip() for name in names.split(",") if name.strip())),
+            session_s=config.session_h * 3600.0,
+            per_address=config.connections_per_client,
+        )
+        tokens = Tokens(tokens_folder(bus.state_dir))
+        try:
+            tokens.make()
+        except UserError as error:  # without tokens the page serves those who need none
+            log.warning("nobody can log in: %s", error)
+        return Access(rules, tokens)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
         host, port = listener.getsockname()[:2]

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+import httpx
+
 from services.monitoring.status.process import Config, Process
 from shared.bus.bus import Bus
 from shared.runtime.config import ADDRESS_FILE
@@ -59,6 +61,12 @@ def status_server(
         yield running
     finally:
         running.stop()
+
+
+def change(address: str, path: str, body: object, **headers: str) -> httpx.Response:
+    """Send a change as a page does, with the value of /api/session."""
+    csrf = httpx.get(f"{address}/api/session", timeout=5.0).json()["csrf"]
+    return httpx.post(f"{address}{path}", json=body, headers={"X-OBU-CSRF": csrf, **headers}, timeout=5.0)
 
 
 def eventually(condition: Callable[[], object], *, within_s: float = 5.0) -> None:

@@ -31,7 +31,7 @@ def beating(tmp_path: Path) -> Path:
 def web_port(request: pytest.FixtureRequest) -> int:
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            self.send_response(request.param if self.path == "/api/health" else 404)
+            self.send_response(request.param if self.path == "/api/alive" else 404)
             self.end_headers()
 
         def log_message(self, *_: object) -> None:

@@ -1,7 +1,7 @@
 // The shell around the pages: unit, connection, the verdict in one sentence, and navigation.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, connected, contract, isLive, isOld, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, togglePause } from "./store.js";
 import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
@@ -99,6 +99,7 @@ function Header({ onHelp }) {
     <p class="who"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
     <${Origin} /><${Chain} /><${Clock} />
     <div class="tools">
+      ${session.value?.session && html`<button class="ghost icon-only" onClick=${logOut} aria-label=${words.logOut(session.value.name)} title=${words.logOut(session.value.name)}><${Icon} name="logOut" /></button>`}
       <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
       <button class="ghost icon-only" onClick=${onHelp} aria-label=${words.help} title=${words.help}><${Icon} name="help" /></button>
     </div>
@@ -294,3 +295,4 @@ const root = document.getElementById("app");
 root.replaceChildren();
 render(html`<${App} />`, root);
 start();
+renew().catch(() => {}); // without an answer the connection is lost, which the page says

@@ -33,6 +33,7 @@ const SHAPES = {
   charts: html`<path d="M4 4v16h16" class="line" /><path d="m7 15 4-5 3 3 5-7" class="line" />`,
   sun: html`<circle cx="12" cy="12" r="4" class="line" />
     <path d="M12 2v3m0 14v3M2 12h3m14 0h3M5 5l2 2m10 10 2 2M5 19l2-2M17 7l2-2" class="line" />`,
+  logOut: html`<path d="M14 4H6a1 1 0 0 0-1 1v14a1 1 0 0 0 1 1h8M10 12h10m-4-4 4 4-4 4" class="line" />`,
   help: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M9.5 9.5a2.5 2.5 0 1 1 3.5 2.3c-.7.4-1 .9-1 1.7m0 3v.2" class="line" />`,
   close: html`<path d="m6 6 12 12M18 6 6 18" class="line" />`,
   plus: html`<path d="M12 5v14M5 12h14" class="line" />`,

@@ -4,6 +4,7 @@ import { signal } from "@preact/signals";
 const BACKOFF_S = [0.5, 1, 2, 5];
 const FULL_AGAIN_S = 10; // there are as many viewers as the unit allows
 const FRAME_OVERDUE_S = 2; // frames come five times a second
+const ANSWER_MS = 5000;
 const HISTORY_S = 60;
 const RECALL_MS = 150; // after the last of several jumps
 const PLOTTED = ["latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s"];
@@ -158,6 +159,7 @@ function take(frame) {
 async function findReason() {
   try {
     const answer = await fetch("/api/viewers", { signal: AbortSignal.timeout(3000) });
+    if (answer.status === 401) toLogin();
     if (!answer.ok) return { why: answer.status === 421 ? "name" : "error" };
     const viewers = await answer.json();
     return { why: viewers.connected >= viewers.maximum ? "full" : "interrupted", viewers };
@@ -224,4 +226,38 @@ export function togglePause() {
     history = structuredClone(recent);
   }
   paused.value = !paused.value;
+}
+
+// The login of this page, and changes that the unit accepts from it: in this file, since each further one is a request.
+export const session = signal(null); // as /api/session states it
+
+export async function renew() {
+  const answer = await fetch("/api/session", { signal: AbortSignal.timeout(ANSWER_MS) });
+  if (answer.ok) session.value = await answer.json();
+  return session.value;
+}
+
+// The page that is shown stays behind the #, so that the login comes back to it.
+export const toLogin = () => location.replace(`/login${location.hash}`);
+
+const post = (path, command) => fetch(path, {
+  method: "POST",
+  headers: { "Content-Type": "application/json", "X-OBU-CSRF": session.value?.csrf ?? "" },
+  body: JSON.stringify(command),
+  signal: AbortSignal.timeout(ANSWER_MS),
+});
+
+// Send a command. Its header proves that this page sends it; after a restart of the unit the value is another one.
+export async function change(path, command) {
+  if (!session.value) await renew();
+  const used = session.value?.csrf;
+  let answer = await post(path, command);
+  if (answer.status === 403 && (await renew())?.csrf !== used) answer = await post(path, command);
+  if (answer.status === 401) toLogin();
+  return answer;
+}
+
+export async function logOut() {
+  await change("/api/logout", {});
+  location.replace("/login");
 }

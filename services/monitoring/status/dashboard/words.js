@@ -10,6 +10,7 @@ export const words = {
   theme: { auto: "Automatic colours", light: "Light colours", dark: "Dark colours", night: "Night colours" },
   themeButton: (name) => `Colours: ${name}. Change`,
   help: "Help and shortcuts",
+  logOut: (name) => `Log out ${name}`,
   close: "Close",
   notices: "Notices",
   paused: (time) => `Paused at ${time} UTC: this page shows the state of that time. New data are kept and shown on resuming.`,

@@ -81,6 +81,60 @@ class Health(Answer):
     topics: dict[str, TopicRow]
 
 
+class Alive(Answer):
+    """Whether the unit works at all."""
+
+    alive: bool
+
+
+class LoginState(Answer):
+    """Who asks."""
+
+    name: str | None
+    """of the token; "local" where no login is needed; null: not logged in"""
+    role: Literal["view", "operate", "admin"] | None
+    session: bool
+    """whether there is a session, which can be ended"""
+    csrf: str | None
+    """value of the header X-OBU-CSRF that each change needs; null with a token in the header Authorization"""
+
+
+class TokenRow(Answer):
+    """One token, without its text."""
+
+    name: str
+    role: Literal["view", "operate", "admin"]
+    created_s: float
+    """since 1970"""
+    expires_s: float | None
+    """since 1970; null: never"""
+    single_use: bool
+    """of a link, which logs in once"""
+
+
+class SessionRow(Answer):
+    """One open login."""
+
+    token: str
+    """name of the token, which may have been used up"""
+    role: Literal["view", "operate", "admin"]
+    created_s: float
+    expires_s: float
+
+
+class TokenList(Answer):
+    """Who may log in, and who has."""
+
+    tokens: list[TokenRow]
+    sessions: list[SessionRow]
+
+
+class MadeToken(Answer):
+    """A new token; null after a revocation."""
+
+    token: str | None
+
+
 class Solution(Answer):
     """The newest position with its uncertainty and the verdict on it; what is not known is null."""
 

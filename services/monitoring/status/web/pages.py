@@ -12,11 +12,21 @@ from .assets import Asset
 DOCS = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>OBU: API</title>
 <link rel="stylesheet" href="/lib/swagger-ui.css"></head><body><main id="api"></main>
 <script src="/lib/swagger-ui.js"></script>
-<script>SwaggerUIBundle({ url: "/openapi.json", dom_id: "#api", deepLinking: true, validatorUrl: null })</script>
+<script>SwaggerUIBundle({ url: "/openapi.json", dom_id: "#api", deepLinking: true, validatorUrl: null,
+  requestInterceptor: async (request) => {
+    if (request.method === "POST") {
+      const { csrf } = await (await fetch("/api/session")).json();
+      request.headers["X-OBU-CSRF"] = csrf ?? "none";
+    }
+    return request;
+  } })</script>
 </body></html>"""
 NO_DOCS = """The page that shows this API is not installed: run `make setup` in the project's folder.
 The description itself is at /openapi.json
 """
+
+
+LOGIN = "access/login.html"
 
 
 class Pages:
@@ -36,6 +46,7 @@ class Pages:
         """Make the routes of all pages; none of them is part of the API's description."""
         router = APIRouter(include_in_schema=False)
         router.add_api_route("/", self.index)
+        router.add_api_route("/login", self.login)
         router.add_api_route("/docs", self.docs)
         router.add_api_route("/lib/{name}", self.library)
         router.add_api_route("/{name:path}", self.page)
@@ -46,6 +57,13 @@ class Pages:
         if not self._complete:
             return HTMLResponse(assets.MISSING, 503, {"Content-Security-Policy": assets.security_policy("")})
         return _send(self._assets["index.html"], request, {"Content-Security-Policy": self._policy})
+
+    def login(self, request: Request) -> Response:
+        """Serve the page of the login."""
+        if LOGIN not in self._assets:
+            raise HTTPException(404, "this dashboard has no page of a login; programs send a token")
+        headers = {"Content-Security-Policy": assets.security_policy(""), "Cache-Control": "no-store"}
+        return _send(self._assets[LOGIN], request, headers)
 
     def page(self, name: str, request: Request) -> Response:
         """Serve a file of the dashboard."""

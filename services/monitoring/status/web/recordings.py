@@ -19,7 +19,10 @@ from pydantic_core import to_json
 from shared.library.library import Library
 
 from ..views import recordings as views
-from . import body, hosts
+from . import body
+from .access.guard import insist_on, may
+from .access.rights import Right
+from .access.tokens import FOLDER_VARIABLE
 from .answers import Done, Recordings, Refusal, described, reference_to
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
@@ -50,8 +53,8 @@ class Command(BaseModel):
 class Job:
     """One child process at a time: a replay or a solution."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, tokens: Path | None = None) -> None:
+        self._folder, self._tokens = folder, tokens or folder.parent  # a replay takes the tokens of this unit
         self._child: subprocess.Popen[bytes] | None = None
         self.action: Action | None = None
         self.name = ""
@@ -71,7 +74,7 @@ class Job:
         with (self._folder / "job.log").open("wb") as output:
             self._child = subprocess.Popen(
                 ["nice", *command], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                env={**environment, "OBU_STATE": str(self._folder)},
+                env={**environment, "OBU_STATE": str(self._folder), FOLDER_VARIABLE: str(self._tokens)},
             )  # fmt: skip
 
     def cancel(self) -> None:
@@ -150,7 +153,7 @@ class RecordingsApi:
             tags=["recordings"], responses=done, openapi_extra=schema,
         )  # fmt: skip
 
-    def list(self) -> Response:
+    def list(self, request: Request) -> Response:
         """Every recording, newest first, with its summary as soon as it is computed, and the job that runs."""
         shown = views.recordings(self._library.entries.values(), self._open_name())
         for one in shown:
@@ -158,7 +161,7 @@ class RecordingsApi:
         return _json({
             "recordings": shown,
             "free_bytes": self._library.free_bytes,
-            "allowed": sorted(self._allowed),
+            "allowed": sorted(action for action in self._allowed if may(request, _right(action))),
             "job": self._job.view(),
         }, 200)  # fmt: skip
 
@@ -177,13 +180,12 @@ class RecordingsApi:
 
     async def command(self, request: Request) -> Response:
         """Keep, release, delete, replay or solve a recording, or stop the job."""
-        if not hosts.same_origin(request.headers.get("origin"), request.headers.get("host")):
-            raise HTTPException(403, "this page is not from here")
         try:
             command = Command.model_validate_json(await body.read(request))
         except ValidationError as error:
             first = error.errors(include_url=False, include_input=False)[0]
             raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        insist_on(request, _right(command.action))
         self._carry_out(command)
         return _json({}, 202)
 
@@ -224,6 +226,10 @@ class RecordingsApi:
             raise HTTPException(403, f"{action} is not allowed; add it to `recordings` in [monitoring.status]")
         if name not in self._library.entries:
             raise HTTPException(404, "there is no such recording")
+
+
+def _right(action: Action) -> Right:
+    return Right.ADMIN if action is Action.DELETE else Right.OPERATE
 
 
 def _json(content: object, status: int) -> Response:

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import pathlib
-from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping
+from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import AbstractContextManager, asynccontextmanager
 from threading import Lock
 from typing import Annotated, Any, Literal, Protocol
@@ -24,8 +24,14 @@ from shared.topics import BY_NAME
 from ..history.columns import FIELDS
 from ..state import State
 from ..views import position, prometheus, reports
-from . import assets, hosts
+from .access.access import Access, Rules
+from .access.guard import Guard
+from .access.limits import BACKLOG, IDLE_S, Connections, CountedWebSocket, LimitedHttp, limit_logs, quiet_accept
+from .access.login import LoginApi, LoginRequest
+from .access.manage import AddToken, RevokeToken, TokensApi
+from .access.tokens import Tokens
 from .answers import (
+    Alive,
     Everything,
     Feature,
     Health,
@@ -60,6 +66,7 @@ DESCRIPTION = (
     "not known is null. The messages themselves are described in /asyncapi.json."
 )
 TAGS = {
+    "login": "Who may look and act; see the table of roles in access.md",
     "position": "Where the vehicle is, and how well that is known",
     "integrity": "Whether the position can be used, and why",
     "unit": "Processes, topics, outages",
@@ -71,8 +78,6 @@ TAGS = {
 }
 GEOJSON = "application/geo+json"
 Responses = dict[int | str, dict[str, Any]]
-Scope = MutableMapping[str, Any]
-Send = Callable[[Scope], Any]
 
 
 class Routes(Protocol):
@@ -113,6 +118,12 @@ class Api:
         hypotheses: Responses = {200: described(HypothesesReport, "What may be wrong, and the positions that follow")}
         add("/api/hypotheses", self.hypotheses, "integrity", hypotheses)
         add("/api/health", self.health, "unit", health)
+        add(
+            "/api/alive",
+            self.alive,
+            "unit",
+            {200: described(Alive, "It works"), 503: described(Alive, "The broker is lost")},
+        )
         add("/api/outages", self.outages, "unit", {200: described(Outages, "Outages by root cause")})
         add("/api/state", self.state, "unit", {200: described(Everything, "Everything at once")})
         add("/api/topics/{name:path}", self.topic, "unit", {200: described(Topic, "One topic"), **unknown})
@@ -143,6 +154,12 @@ class Api:
         with self._lock:
             report = reports.health(self._state, self._now_ns())
         return _json(report, 503 if report["state"] == "failed" else 200)
+
+    def alive(self) -> Response:
+        """Whether this process responds and the broker is connected; 503 if it is not. It needs no login."""
+        with self._lock:
+            alive = reports.health(self._state, self._now_ns())["state"] != "failed"
+        return _json({"alive": alive}, 200 if alive else 503)
 
     def topic(self, name: Annotated[str, Path(max_length=80)]) -> Response:
         """Newest message of one topic with its rate, jitter, size and age; a fast one is followed for 5 s from now."""
@@ -187,25 +204,6 @@ class Api:
         return _json(answer, 200, media_type)
 
 
-class Guard:
-    """Rejects unknown host names, and gives every answer the headers that keep a browser safe."""
-
-    def __init__(self, app: Callable[..., Any], allowed_hosts: tuple[str, ...]) -> None:
-        self._app, self._allowed = app, allowed_hosts
-
-    async def __call__(self, scope: Scope, receive: Callable[[], Any], send: Send) -> None:
-        """Pass a request on, or refuse it."""
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        host = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"host"), None)
-        if hosts.host_allowed(host, self._allowed):
-            await self._app(scope, receive, _with_headers(send))
-            return
-        text = "this unit does not answer to that name; add it to allowed_hosts in [monitoring.status]\n"
-        await Response(text, 421)(scope, receive, _with_headers(send))
-
-
 class Described(FastAPI):
     """An app whose schemas are built when its description is asked for, and cost no memory before."""
 
@@ -213,8 +211,10 @@ class Described(FastAPI):
         """Describe the routes, with the schemas that they refer to."""
         if self.openapi_schema is None:
             found = super().openapi()
-            found.setdefault("components", {}).setdefault("schemas", {}).update(
-                schemas(SimulationAttack, ReplayControl, Command, ModeCommand)
+            found.setdefault("components", {})["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+            found["security"] = [{}, {"token": []}]  # a simulated unit needs none from its own machine
+            found["components"].setdefault("schemas", {}).update(
+                schemas(SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken)
             )
         return super().openapi()
 
@@ -255,12 +255,13 @@ def make_app(
     further: Iterable[Routes],
     pages: Pages,
     watching: Watching,
-    allowed_hosts: tuple[str, ...],
+    access: Access,
 ) -> FastAPI:
     """Put the routes together."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        asyncio.get_running_loop().set_exception_handler(quiet_accept)
         tasks = [asyncio.create_task(part.run()) for part in (watching.stream, watching.events)]
         for task in tasks:
             task.add_done_callback(lambda done: _end_with(done, app.state.server))
@@ -282,14 +283,21 @@ def make_app(
     for routes in further:
         routes.add_to(app)
     watching.add_to(app)
+    LoginApi(access).add_to(app)
+    TokensApi(access.tokens).add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
-    app.add_middleware(Guard, allowed_hosts=allowed_hosts)
+    app.add_middleware(Guard, access=access)
     return app
 
 
 def openapi() -> dict[str, Any]:
     """Describe the API without a unit, as it is printed in docs/reference."""
+    return app_without_unit().openapi()
+
+
+def app_without_unit() -> FastAPI:
+    """Make the application with all its routes, for its description."""
     state, lock = State("", (), 0, 900.0), Lock()
 
     def now_ns() -> int:
@@ -302,18 +310,25 @@ def openapi() -> dict[str, Any]:
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     commands = CommandApi(state, lock, now_ns)
     apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, commands, maps)
-    return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
+    return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 
-def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
-    """Make the server, which the app may end; no compression of frames, which would double its work."""
+def make_server(app: FastAPI, connections: Connections) -> uvicorn.Server:
+    """Make the server, which the app may end; no compression of frames, which would double its work.
+
+    Headers of proxies are read by the guard, which knows whom to believe.
+    """
+    limit_logs()
+    app.state.connections = connections
     config = uvicorn.Config(
         app,
-        http="h11",
-        ws="websockets-sansio",
+        http=LimitedHttp,
+        ws=CountedWebSocket,
         ws_per_message_deflate=False,
         ws_max_size=4096,
-        limit_concurrency=connections_maximum,
+        backlog=BACKLOG,
+        proxy_headers=False,
+        timeout_keep_alive=IDLE_S,
         timeout_graceful_shutdown=1,
         server_header=False,
         access_log=False,
@@ -334,15 +349,3 @@ def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:
 
 def _json(content: object, status: int, media_type: str = "application/json") -> Response:
     return Response(to_json(content), status, {"Cache-Control": "no-store"}, media_type)
-
-
-def _with_headers(send: Send) -> Send:
-    async def send_guarded(message: Scope) -> None:
-        if message["type"] == "http.response.start":
-            present = {name for name, _ in message["headers"]}
-            extra = {"Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'", **assets.HEADERS}
-            rest = [(n.lower().encode(), v.encode()) for n, v in extra.items() if n.lower().encode() not in present]
-            message["headers"] = [*message["headers"], *rest]
-        await send(message)
-
-    return send_guarded

@@ -1,17 +1,14 @@
 // The recordings of the unit: outline, length, verdicts and outages of each drive, and what may be done with it.
 import { useEffect, useState } from "preact/hooks";
-import { link } from "../store.js";
+import { change, link } from "../store.js";
 import { Card, Empty, bytes, duration, html, metres, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 
 const w = words.recordings;
-const ANSWER_MS = 5000;
 const PERIOD_MS = 2000;
 
 async function ask(command) {
-  const answer = await fetch("/api/recordings", command && {
-    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command), signal: AbortSignal.timeout(ANSWER_MS),
-  });
+  const answer = await (command ? change("/api/recordings", command) : fetch("/api/recordings"));
   const body = await answer.json();
   if (!answer.ok) throw new Error(body.detail);
   return body;

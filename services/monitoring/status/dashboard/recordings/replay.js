@@ -1,6 +1,6 @@
 // The bar of a replay: play, pause, speed, and a scrubber over the whole drive with verdicts and outages.
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { clock, link, nowMs, settings, state } from "../store.js";
+import { change, clock, link, nowMs, settings, state } from "../store.js";
 import { Icon, duration, html, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 
@@ -10,9 +10,7 @@ const SCRUB_MS = 100; // between two positions while the scrubber is dragged
 const STEP_S = { ",": -1, ".": 1 };
 
 async function send(command) {
-  const answer = await fetch("/api/replay", {
-    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command), signal: AbortSignal.timeout(3000),
-  });
+  const answer = await change("/api/replay", command);
   if (!answer.ok) throw new Error((await answer.json()).detail);
 }
 

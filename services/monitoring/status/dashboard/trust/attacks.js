@@ -1,6 +1,6 @@
 // The card of a simulated unit on the page Trust: starts and stops attacks, and compares the verdict with the truth.
 import { useEffect, useState } from "preact/hooks";
-import { link, nowMs, state } from "../store.js";
+import { change, link, nowMs, state } from "../store.js";
 import { Card, Row, StateIcon, duration, html, metres, timeOfDay } from "../parts.js";
 import { words } from "../words.js";
 
@@ -8,9 +8,7 @@ const w = words.attacks;
 const ANSWER_MS = 5000;
 
 async function send(command) {
-  const answer = await fetch("/api/simulation/attack", {
-    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command), signal: AbortSignal.timeout(ANSWER_MS),
-  });
+  const answer = await change("/api/simulation/attack", command);
   const body = await answer.json();
   if (!answer.ok) throw new Error(typeof body.detail === "string" ? body.detail : w.failed(answer.status));
   return body.request_id;

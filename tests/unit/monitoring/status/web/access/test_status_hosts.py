@@ -1,19 +1,42 @@
 import pytest
 
-from services.monitoring.status.web.hosts import host_allowed, same_origin
+from services.monitoring.status.web.access.hosts import host_allowed, own_names, same_origin
+
+
+@pytest.fixture(autouse=True)
+def _name(monkeypatch: pytest.MonkeyPatch) -> None:
+    own_names.cache_clear()
+    monkeypatch.setattr("socket.gethostname", lambda: "Truck7.fleet.example")
 
 
 @pytest.mark.parametrize(
-    "host", ["localhost", "localhost:8080", "127.0.0.1:8080", "[::1]:8080", "192.168.1.7", "obu.local:8080", "obu"]
-)
-def test_addresses_and_names_of_the_local_network_are_answered(host: str) -> None:
+    "host",
+    [
+        "localhost", "localhost:8080", "a.localhost", "127.0.0.1:8080", "[::1]:8080", "192.168.1.7", "truck7",
+        "truck7.local:8080", "TRUCK7.LOCAL.", "truck7.lan", "truck7.fleet.example",
+    ],
+)  # fmt: skip
+def test_addresses_and_the_own_names_are_answered(host: str) -> None:
     assert host_allowed(host)
 
 
 @pytest.mark.parametrize(
-    "host", ["attacker.example", "obu.local.attacker.example", "127.0.0.1.nip.example", "", None, "[::"]
+    "host",
+    [
+        "attacker.example",
+        "obu.local.attacker.example",
+        "127.0.0.1.nip.example",
+        "",
+        None,
+        "[::",
+        "obu",
+        "printer.local",
+        "truck7.example",
+        "obu.local:8080",
+        "truck7.local.attacker.example",
+    ],
 )
-def test_public_names_are_refused_because_anyone_can_point_them_here(host: str | None) -> None:
+def test_other_names_are_refused_because_anyone_can_point_them_here(host: str | None) -> None:
     assert not host_allowed(host)
 
 

@@ -1,0 +1,94 @@
+"""Which right each route needs: the one list that the guard decides by, and that the documentation prints."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+from .rights import Right
+
+SAFE_METHODS = ("GET", "HEAD", "OPTIONS")  # which change nothing
+WEBSOCKET = "WEBSOCKET"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method of one route; the first row whose path matches counts. HEAD is allowed wherever GET is."""
+
+    method: str
+    path: str  # as the application writes it: {name} is one part of a path, {name:path} the rest
+    right: Right
+    purpose: str
+
+
+ROWS = (
+    Row("GET", "/login", Right.PUBLIC, "page of the login"),
+    Row("GET", "/access/login.js", Right.PUBLIC, "its program"),
+    Row("GET", "/style.css", Right.PUBLIC, "its style, that of the dashboard"),
+    Row("POST", "/api/login", Right.PUBLIC, "open a session with a token"),
+    Row("POST", "/api/logout", Right.VIEW, "end the session"),
+    Row("GET", "/api/session", Right.PUBLIC, "who has logged in, with which role"),
+    Row("GET", "/api/tokens", Right.ADMIN, "list of tokens and logins"),
+    Row("POST", "/api/tokens", Right.ADMIN, "add or revoke a token"),
+    Row("GET", "/api/alive", Right.PUBLIC, "whether the unit runs: health check of a container"),
+    Row("GET", "/api/solution", Right.VIEW, "newest position"),
+    Row("GET", "/api/history", Right.VIEW, "history of the position"),
+    Row("GET", "/api/trust", Right.VIEW, "verdict and monitors"),
+    Row("GET", "/api/hypotheses", Right.VIEW, "hypotheses"),
+    Row("GET", "/api/health", Right.VIEW, "topics and processes against their deadlines"),
+    Row("GET", "/api/outages", Right.VIEW, "outages"),
+    Row("GET", "/api/state", Right.VIEW, "everything at once"),
+    Row("GET", "/api/topics/{name:path}", Right.VIEW, "one topic"),
+    Row("GET", "/metrics", Right.VIEW, "metrics for Prometheus"),
+    Row("GET", "/api/series", Right.VIEW, "series of fields"),
+    Row("GET", "/api/fields/{name:path}", Right.VIEW, "fields of a topic"),
+    Row("GET", "/api/gnss", Right.VIEW, "GNSS receivers"),
+    Row("GET", "/api/gnss/tracks", Right.VIEW, "tracks of satellites"),
+    Row(WEBSOCKET, "/ws/series", Right.VIEW, "series of fields, live"),
+    Row("GET", "/api/simulation", Right.VIEW, "possible attacks"),
+    Row("POST", "/api/simulation/attack", Right.OPERATE, "start or stop an attack"),
+    Row("GET", "/api/replay", Right.VIEW, "position of a replay"),
+    Row("POST", "/api/replay", Right.OPERATE, "control a replay"),
+    Row("GET", "/api/recordings", Right.VIEW, "list of recordings"),
+    Row("POST", "/api/recordings", Right.OPERATE, "keep, release, replay, solve; `delete` needs admin"),
+    Row("GET", "/api/recordings/{name}", Right.OPERATE, "download a recording"),
+    Row("GET", "/api/recordings/{name}/report", Right.VIEW, "report of a solution"),
+    Row("POST", "/api/command", Right.OPERATE, "command to the unit"),
+    Row("GET", "/api/track", Right.VIEW, "track of the drive"),
+    Row("GET", "/api/track.gpx", Right.VIEW, "track as GPX"),
+    Row("GET", "/api/track.kml", Right.VIEW, "track as KML"),
+    Row("GET", "/api/map", Right.VIEW, "installed map"),
+    Row("GET", "/map/tiles.pmtiles", Right.VIEW, "file of the map"),
+    Row("GET", "/map/tiles/{zoom}/{x}/{y}", Right.VIEW, "tile of the map"),
+    Row("GET", "/api/events", Right.VIEW, "server-sent events"),
+    Row("GET", "/api/viewers", Right.VIEW, "number of connected clients"),
+    Row(WEBSOCKET, "/ws", Right.VIEW, "state of the dashboard, live"),
+    Row("GET", "/asyncapi.json", Right.VIEW, "contract of the bus"),
+    Row("GET", "/openapi.json", Right.VIEW, "description of this interface"),
+    Row("GET", "/", Right.VIEW, "dashboard"),
+    Row("GET", "/docs", Right.VIEW, "description of this interface, as a page"),
+    Row("GET", "/lib/{name}", Right.VIEW, "libraries of the dashboard"),
+    Row("GET", "/{name:path}", Right.VIEW, "files of the dashboard"),
+)
+
+
+def needed(method: str, path: str) -> Right:
+    """The right that a request needs; a change that no row describes needs the highest."""
+    method = "GET" if method == "HEAD" else method
+    for row in _matching(path):
+        if row.method == method:
+            return row.right
+    return Right.VIEW if method in (*SAFE_METHODS, WEBSOCKET) else Right.ADMIN
+
+
+def _matching(path: str) -> Iterator[Row]:
+    return (row for row in ROWS if _pattern(row.path).fullmatch(path))
+
+
+@cache
+def _pattern(path: str) -> re.Pattern[str]:
+    """Translate the path of a route into an expression, as the router does."""
+    parts = re.split(r"(\{\w+(?::path)?\})", path)
+    translated = ((".*" if part.endswith(":path}") else "[^/]+") if part.startswith("{") else re.escape(part)
+                  for part in parts)  # fmt: skip
+    return re.compile("".join(translated), re.DOTALL)
