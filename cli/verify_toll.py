@@ -13,6 +13,7 @@ from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
+from shared.bounded import TooMuch, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
 from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
@@ -83,10 +84,17 @@ def verify_toll(
 def read(path: Path) -> Iterator[Evidence]:
     """Read a pack, or each pack of a ledger."""
     if not _is_ledger(path):
-        yield Evidence(path.name, path.read_bytes())
+        yield Evidence(path.name, _bytes(path))
         return
     for passage_id, pack, content in _rows(path, "passage_id, pack, content", "ORDER BY booked_ns"):
         yield _evidence(passage_id, pack, content)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return read_bytes(path, ALWAYS_BYTES)
+    except TooMuch as error:
+        raise UserError(f"{path} is no evidence pack: {error}; name a pack or a ledger") from error
 
 
 def _evidence(passage_id: str, compressed: object, content: object) -> Evidence:
@@ -120,6 +128,12 @@ def _rows(path: Path, columns: str, order: str = "") -> list[tuple[Any, ...]]:
     query = f"SELECT {columns} FROM evidence JOIN booking USING (passage_id) WHERE kind = 'charge' {order}"
     try:
         with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as database:
+            for pragma in ("trusted_schema=OFF", "query_only=ON"):
+                database.execute(f"PRAGMA {pragma}")
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, ALWAYS_BYTES)
+            tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchmany(1000)
+            if not {("evidence",), ("booking",)} <= set(tables):  # a view may have rows without end
+                raise sqlite3.DatabaseError("it lacks the tables evidence and booking")
             return database.execute(query).fetchall()
     except sqlite3.Error as error:
         raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error
