@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
+from shared.bounded import TOML_BYTES, TooMuch, read_text
 from shared.errors import UserError
-from shared.runtime.config import parse_vehicle
+from shared.runtime.config import NO_TEXT, parse_vehicle
 from shared.runtime.live import load_process
 from shared.runtime.migration import migrated
 
@@ -33,9 +34,9 @@ def migrate(
     [bold]obu migrate car.toml -o new.toml[/]
     """
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        text = read_text(file, TOML_BYTES)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
         raise UserError(f"cannot read {file}: {reason}; give a vehicle's TOML file") from error
     new, changes = migrated(text, str(file))
     vehicle = parse_vehicle(new, str(file))

@@ -15,6 +15,7 @@ from rich.console import Console
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
 from services.monitoring.ledger.proof import pack_fault, prove_ledger
+from shared.bounded import TooMuch, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
 from shared.evidence import KeyRing, Outcome
 from shared.evidence.outcome import gravest
@@ -143,7 +144,7 @@ def with_seal(evidence: Evidence) -> bytes:
 def read(path: Path) -> Iterator[Evidence]:
     """Read a pack, or each pack of a ledger."""
     if not _is_ledger(path):
-        whole = path.read_bytes()
+        whole = _bytes(path)
         pack, field, seal = whole.rstrip().rpartition(SEAL_FIELD)
         signed = Evidence(path.name, pack + b"}", seal=seal[:-1].decode(errors="replace"))
         yield signed if field else Evidence(path.name, whole)
@@ -157,6 +158,13 @@ def _columns(path: Path) -> set[str]:
     """Name the columns of the table of evidence."""
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
         return {row[1] for row in database.execute("PRAGMA table_info(evidence)")}
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return read_bytes(path, ALWAYS_BYTES)
+    except TooMuch as error:
+        raise UserError(f"{path} is no evidence pack: {error}; name a pack or a ledger") from error
 
 
 def _evidence(passage_id: str, compressed: object, content: object, seal: str | None) -> Evidence:
@@ -191,6 +199,12 @@ def _rows(path: Path, columns: str, order: str = "") -> list[tuple[Any, ...]]:
     query = f"SELECT {columns} FROM evidence JOIN booking USING (passage_id) WHERE kind = 'charge' {order}"
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            for pragma in ("trusted_schema=OFF", "query_only=ON"):
+                database.execute(f"PRAGMA {pragma}")
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, ALWAYS_BYTES)
+            tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchmany(1000)
+            if not {("evidence",), ("booking",)} <= set(tables):  # a view may have rows without end
+                raise sqlite3.DatabaseError("it lacks the tables evidence and booking")
             return database.execute(query).fetchall()
     except sqlite3.Error as error:
         raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error

@@ -16,12 +16,14 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from shared.bounded import TOML_BYTES, TooMuch, read_bytes, read_text
+from shared.bounded import lines as lines_of
 from shared.errors import UserError
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
 from shared.messages.vehicle import VehicleSpeed
-from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
+from shared.runtime.config import NO_TEXT, VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
 from shared.unpacked import compression_of
 
@@ -43,6 +45,8 @@ from .readers.rtklib import SCALES, Header, header_of, mapping_of
 from .readers.table import Forms, Table, arrays_table, read_table
 
 T = TypeVar("T")
+BEGINNING_BYTES = 40_000  # by which a file is recognised
+WHOLE_BYTES = 500_000_000  # of a file that is read as a whole: a log of GnssLogger, or arrays
 
 
 def import_drive(
@@ -148,8 +152,8 @@ def _import_tables(mapping: Path, text: str, folder: Path, output: Path, vehicle
 def _beginning(path: Path) -> list[str]:
     """First lines of a file, which may be anything."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return [line[:2000] for line in islice(file, 20)]
+        with path.open("rb") as file:
+            return file.read(BEGINNING_BYTES).decode("utf-8", errors="replace").splitlines(keepends=True)[:20]
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}; give a mapping (TOML) or a GnssLogger log") from error
 
@@ -169,7 +173,7 @@ def body_from_phone(axes: str) -> npt.NDArray[np.float64]:
 
 def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArray[np.float64]) -> int:
     """Convert a log of GnssLogger."""
-    data = path.read_bytes()
+    data = _read_whole(path)
     log = read_log(data.decode("utf-8", errors="replace").splitlines())
     messages = messages_of(log, axes)
     if not messages:
@@ -249,11 +253,18 @@ def _on_clock_of_fixes(part: Part, fixes: Sequence[GnssFix]) -> Part:
     )
 
 
+def _read_whole(path: Path) -> bytes:
+    try:
+        return read_bytes(path, WHOLE_BYTES)
+    except TooMuch as error:
+        raise UserError(f"{path} cannot be read: {error}; cut it into drives first") from error
+
+
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        return read_text(path, TOML_BYTES)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
         raise UserError(
             f"cannot read the mapping {path}: {reason}; see benchmarks/recordings/mappings/ for examples"
         ) from error
@@ -284,7 +295,7 @@ def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[TableFile,
     task = progress.add_task(f"reading {spec.file}", total=path.stat().st_size)
     digest = hashlib.sha256()
     if path.suffix in FORMATS:
-        data = path.read_bytes()
+        data = _read_whole(path)
         digest.update(data)
         progress.advance(task, len(data))
         return spec, digest.hexdigest(), arrays_table(arrays_of(data, spec.file), wanted_columns(spec), spec.file)
@@ -296,7 +307,7 @@ def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[TableFile,
 
     def lines() -> Iterator[str]:
         with path.open("rb") as file:
-            for line in file:
+            for line in lines_of(file):
                 digest.update(line)
                 progress.advance(task, len(line))
                 yield line.decode("utf-8", errors="replace")
@@ -333,7 +344,7 @@ def _table(spec: TableFile, lines: Iterator[str]) -> tuple[TableFile, Table]:
         table = read_table(chain([first] if first else [], rows), header, wanted_columns(spec), spec.file, forms)
         table.notes.extend(notes)
         return spec, table
-    except csv.Error as error:
+    except (csv.Error, TooMuch) as error:
         raise UserError(
             f"{spec.file} is not a CSV file ({error}); check `file` and `separator` of the mapping"
         ) from error

@@ -2,11 +2,11 @@
 
 import difflib
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 
+from shared.bounded import load_toml
 from shared.errors import UserError
 from shared.processes import BY_NAME
 from shared.runtime.config import VehicleFile, with_values
@@ -78,8 +78,8 @@ def _parsed(text: str) -> tuple[str, str, object]:
     if WORD.fullmatch(value.strip()) and value.strip().lower() not in NO_WORDS:
         return name, key, value.strip()
     try:
-        return name, key, tomllib.loads(f"value = {value.strip()}")["value"]
-    except tomllib.TOMLDecodeError as error:
+        return name, key, load_toml(f"value = {value.strip()}")["value"]
+    except ValueError as error:
         raise UserError(
             f'--set {text}: {value.strip()!r} is not a value; write true, 0.5, [1.0, 0.0, 0.0] or "word"'
         ) from error

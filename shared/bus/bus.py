@@ -95,7 +95,7 @@ class Bus:
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = self._brief = self._tables = 0
         self._connected_s = 0.0
-        self._alive = Alive()
+        self._alive: Alive | None = None  # of a process that is watched
         self._observer, self._guarded, self._hears_broker = observer, False, False
         self._identity = self._identify()
         self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
@@ -203,8 +203,9 @@ class Bus:
         """Publish the state `disconnected` and disconnect; the last will is not sent."""
         self.stopping = True
         if self._guarded:
-            self._alive.stopping()
             self._end.close()
+        if self._alive is not None:
+            self._alive.stopping()
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
         deadline = time.monotonic() + 0.5
@@ -245,7 +246,7 @@ class Bus:
 
     def guard(self) -> None:
         """End the program if `receive` is not called for `HUNG_S`; its next run tells where it hung."""
-        self._guarded = True
+        self._guarded, self._alive = True, Alive()
         self._end.begin()
 
     def failed(self, error: BaseException) -> None:
@@ -386,6 +387,7 @@ class Bus:
         self._client.loop_misc()  # keep-alive
         if self._guarded:
             self._end.watch(HUNG_S)
+        if self._alive is not None:
             self._alive.beat(connected=self.connected)
             self.last_error, self._alive.fault = self._alive.fault or self.last_error, None
         if self.connected and not self._observer:

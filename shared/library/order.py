@@ -12,9 +12,12 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ..bounded import load_json, read_bytes
+
 log = logging.getLogger(__name__)
 
 ORDER_FILE = "order.json"
+ORDER_BYTES = 10_000_000
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -25,7 +28,7 @@ def natural(name: str) -> list[tuple[int, str]]:
 def read_order(folder: Path) -> list[str]:
     """The stored order, oldest first; empty where there is none that can be read."""
     try:
-        stored = json.loads((folder / ORDER_FILE).read_bytes())
+        stored = load_json(read_bytes(folder / ORDER_FILE, ORDER_BYTES), ORDER_BYTES)
     except FileNotFoundError:
         return []
     except (OSError, ValueError) as error:

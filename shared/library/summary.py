@@ -4,14 +4,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
+from ..bounded import read_bytes
 from ..messages.base import Count, Latitude, Longitude, Message, Name, Nanoseconds
 from ..messages.operation import Outage
 from ..messages.replay import TrustChange
 
 RECORDING_SUFFIX, KEEP_SUFFIX, SUFFIX = ".mcap", ".keep", ".summary.json"
 VERSION = 1  # of what is computed: another one is computed anew
+SUMMARY_BYTES = 20_000_000
 LONGEST = 500  # changes and outages that are kept
 NICE = 15  # beside the processes of a vehicle, which come first
 
@@ -37,8 +39,8 @@ class RecordingSummary(Message):
 def read_summary(path: Path, size_bytes: int) -> RecordingSummary | None:
     """Read a summary that was computed before; None if there is none, or it is of another state of the recording."""
     try:
-        summary = RecordingSummary.model_validate_json(path.read_bytes())
-    except (OSError, ValidationError):
+        summary = RecordingSummary.model_validate_json(read_bytes(path, SUMMARY_BYTES))
+    except (OSError, ValueError):
         return None
     return summary if (summary.version, summary.size_bytes) == (VERSION, size_bytes) else None
 

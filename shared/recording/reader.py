@@ -30,6 +30,9 @@ MESSAGE_FIELDS = struct.Struct("<HIQQ")  # channel, sequence, log time, publish 
 OPCODES = frozenset(int(opcode) for opcode in Opcode)
 CHUNK_START = re.compile(rb"\x06(?=[\s\S]{4}\0{4})")  # opcode, and a length below 4 GiB
 LONGEST_NAME = 16  # of a compression
+MAXIMUM_RECORD = 1 << 24  # of metadata or an attachment
+MAXIMUM_SUMMARY = 1 << 26
+MOST_DESCRIBED = 1000  # records of metadata and attachments
 MAXIMUM_CHUNK = 1 << 24  # this unit writes 1 MB, other tools 4 MB
 COMPRESSIONS: dict[bytes, Form | None] = {b"": None, b"zstd": "zstd", b"lz4": "lz4"}
 PLACE = struct.Struct("<QQ")  # the first fields of an index record: begin and length of what it names
@@ -74,6 +77,7 @@ class Recording:
         self.attachments: dict[str, bytes] = {}
         self._unpacked: set[int] = set()  # begins of the chunks that were unpacked
         self._packed_bytes = self._unpacked_bytes = 0  # of these chunks
+        self._described = 0  # records of metadata and attachments
         self._refused: set[str] = set()  # why chunks are not read
         try:
             with path.open("rb") as file:
@@ -131,7 +135,13 @@ class Recording:
                     self._describe(named)
 
     def _describe(self, record: Record) -> bool:
-        """Store metadata or an attachment; False for a record that is malformed."""
+        """Store metadata or an attachment; False for a record that is malformed, or has more than they may have."""
+        self._described += 1
+        if record.end - record.start > MAXIMUM_RECORD or self._described > MOST_DESCRIBED:
+            self._refused.add(
+                f"metadata and attachments beyond {MAXIMUM_RECORD >> 20} MB each, or {MOST_DESCRIBED}, are not read"
+            )
+            return self._described <= MOST_DESCRIBED
         try:
             if record.opcode == Opcode.METADATA:
                 described = cast(Metadata, Metadata.read(self._stream(record)))
@@ -163,7 +173,8 @@ class Recording:
         end = self.size - len(MAGIC) - FOOTER.size
         if end >= 0 and self._buffer[-len(MAGIC) :] == MAGIC:
             _, _, start, _, checksum = FOOTER.unpack(self._buffer[end : end + FOOTER.size])
-            if start and checksum in (0, zlib.crc32(self._buffer[start : end + FOOTER.size - 4])):
+            bounded = start and end - start <= MAXIMUM_SUMMARY
+            if bounded and checksum in (0, zlib.crc32(self._buffer[start : end + FOOTER.size - 4])):
                 return self._buffer[start:end]
         return b""
 
@@ -274,6 +285,8 @@ class Recording:
     def _content(self, record: Record) -> bytes | None:
         """The records in a record (itself, or the data of a chunk); None if it is damaged."""
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            if record.end - record.start > MAXIMUM_CHUNK:
+                return b""
             return self._buffer[record.begin : record.end]
         if record.opcode != Opcode.CHUNK:
             return b""

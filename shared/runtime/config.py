@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
+from ..bounded import TOML_BYTES, TooMuch, load_toml, read_text
 from ..errors import ConfigError, UserError
 from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
@@ -22,6 +23,7 @@ from .old_keys import in_section, old_keys, successor
 
 log = logging.getLogger(__name__)
 
+NO_TEXT = "it is not UTF-8 text"
 ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
 
 S = TypeVar("S", bound="Section")
@@ -256,7 +258,9 @@ def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
 def read_toml(text: str, path: str) -> dict[str, object]:
     """Read the text of a vehicle's file as it is; raises `ConfigError` if it is no TOML."""
     try:
-        return tomllib.loads(text)
+        return load_toml(text)
+    except TooMuch as error:
+        raise ConfigError(f"{path} is no vehicle's file: {error}; see deploy/vehicles/ for examples") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
 
@@ -297,9 +301,9 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
     if not name:
         return parse_vehicle("", "<no vehicle file>")
     try:
-        text = Path(name).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        text = read_text(Path(name), TOML_BYTES)
+    except (OSError, UnicodeDecodeError, TooMuch) as error:
+        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
         raise UserError(
             f"cannot read the vehicle's file {name}: {reason}; see deploy/vehicles/ for examples"
         ) from error

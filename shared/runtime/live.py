@@ -14,6 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Protocol, cast
 
+from ..bounded import TooMuch, read_bytes
 from ..bus import codec
 from ..bus.bus import QUEUE_LENGTH, Bus, Envelope, decoded
 from ..errors import BadPayload
@@ -234,8 +235,8 @@ class LiveReactor:
             if not topic.persist or not path.exists():
                 continue
             try:
-                message = codec.decode(topic.name, path.read_bytes())
-            except (BadPayload, OSError) as error:
+                message = codec.decode(topic.name, read_bytes(path, codec.MAXIMUM_PAYLOAD))
+            except (BadPayload, OSError, TooMuch) as error:
                 self._bus.rejects["saved state"] += 1
                 log.warning("ignored the saved %s: %s", topic.name, error)
                 continue

@@ -34,7 +34,8 @@ class _Word:
     count: int
     since_ns: int
     sent_before: int  # messages of the topic by then
-    heartbeats: int = 0  # since then
+    heartbeats: int = 0  # since then, between which messages of the topic were sent
+    total: int = 0  # of these messages at the last heartbeat
 
 
 class Tally:
@@ -62,9 +63,10 @@ class Tally:
         same_life = before is not None and health.incarnation == before.incarnation
         new = max(carried.count - before.count, 0) if before and same_life else carried.count
         if before and same_life and not new:
-            before.heartbeats += 1
+            before.heartbeats += self.count > before.total  # who hears nothing of a silent topic is not deaf
+            before.total = self.count
         else:
-            self._words[teller] = _Word(health.incarnation, carried.count, said_ns, self.count)
+            self._words[teller] = _Word(health.incarnation, carried.count, said_ns, self.count, total=self.count)
         self.latency_s = self._latency_s(teller, carried) if new else None
         if carried.newest_ns is None or not self._leads(teller, carried.newest_ns):
             return

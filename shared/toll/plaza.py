@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from ..bounded import TooMuch, load_json, read_bytes
 from ..errors import ConfigError
 from ..maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from ..messages.toll import GateMode, LaneDescription, PlazaDescription, Position
@@ -201,8 +202,8 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
     if len(text) > MAXIMUM_BYTES:
         raise ConfigError(f"{path} has more than {MAXIMUM_BYTES} bytes; a plaza needs a few kilobytes")
     try:
-        document = _Document.model_validate(json.loads(text))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        document = _Document.model_validate(load_json(text, MAXIMUM_BYTES))
+    except (UnicodeDecodeError, json.JSONDecodeError, TooMuch) as error:
         raise ConfigError(f"{path} is not valid JSON: {error}; compare with deploy/plazas/example.geojson") from error
     except ValidationError as error:
         first = error.errors()[0]
@@ -246,7 +247,9 @@ def plaza_path(path: Path) -> Path:
 def load_plaza(path: Path) -> Plaza:
     """Read a plaza's file."""
     try:
-        return parse_plaza(plaza_path(path).read_bytes(), str(path))
+        return parse_plaza(read_bytes(plaza_path(path), MAXIMUM_BYTES), str(path))
+    except TooMuch as error:
+        raise ConfigError(f"{path} is no plaza: {error}; a plaza needs a few kilobytes") from error
     except OSError as error:
         raise ConfigError(f"cannot read the plaza's file {path}: {error.strerror}; see deploy/plazas/") from error
 

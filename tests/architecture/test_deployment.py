@@ -9,6 +9,8 @@ import pytest
 import yaml
 
 from broker.keys import CONTAINER_GROUP, CONTAINER_USERS
+from cli.demo import supervisor
+from shared.bus import bus
 from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
 from shared.topics import BY_NAME, hot_path
 
@@ -263,3 +265,19 @@ def test_udev_understands_the_rules() -> None:
     rules = ROOT / "deploy" / "udev" / "99-obu.rules"
     result = subprocess.run(["udevadm", "verify", str(rules)], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
+
+
+def test_whatever_hangs_is_ended_by_itself_before_it_is_killed_and_runs_again_within_20_s() -> None:
+    """By the process itself, which can tell where; by systemd, the demo's supervisor, and a container's shell."""
+    kept = {}
+    for name in ("obu@", "obu-broker"):
+        lines = (SYSTEMD / f"{name}.service").read_text().splitlines()
+        kept[name] = dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+        assert kept[name]["Type"] == "notify" and kept[name]["WatchdogSignal"] == "SIGKILL"
+    container = (ROOT / "deploy" / "supervise.sh").read_text()
+    assert f"limit_s={round(supervisor.HUNG_S)}\n" in container and "limit_s=90\n" in container
+    for killed_s in (supervisor.HUNG_S, *(float(keys["WatchdogSec"]) for keys in kept.values())):
+        assert killed_s > bus.HUNG_S, "the own watchdog comes first, and leaves a traceback"
+        assert killed_s + float(kept["obu@"]["RestartSec"]) + 5.0 <= 20.0, "5 s for the start of a process"
+    assert 'ENTRYPOINT ["sh", "deploy/supervise.sh",' in (ROOT / "deploy" / "Dockerfile").read_text()
+    assert services_of(SIMULATED)["broker"]["environment"] == {"OBU_BROKER_WATCH": "1"}

@@ -308,6 +308,39 @@ def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(unit: Unit
     unit.assert_one_outage("sensors.simulator", cause, "imu/raw", "imu/sample", "navigation/solution")
 
 
+RESTARTED_S = 20.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))  # 20 s on a free machine
+
+
+@on_mosquitto
+@pytest.mark.parametrize(
+    ("mark", "what", "cause"),
+    [
+        (
+            "run parsers.can",
+            "parsers.can",
+            "parsers.can is stale: connected, but without heartbeat; it hangs or is overloaded",
+        ),
+        (BROKER_PROCESS["mosquitto"], "broker", "the broker hangs: it is connected, but delivers nothing"),
+    ],
+    ids=["process", "broker"],
+)
+def test_what_stays_stopped_is_killed_and_runs_again(unit: Unit, mark: str, what: str, cause: str) -> None:
+    unit.until_settled(what)
+    stopped = unit.fail(mark, signal.SIGSTOP)
+    unit.demo.wait(lambda: not stopped.is_running(), RESTARTED_S, "the supervisor has killed it")
+    unit.demo.wait(lambda: runs_again(unit.demo, mark, stopped.pid), RESTARTED_S, "and started it again")
+    unit.until_well()
+    unit.assert_one_outage(what, cause)
+
+
+def runs_again(demo: Demo, mark: str, before: int) -> bool:
+    """Whether another process of a command line runs."""
+    try:
+        return demo.child(mark).pid != before
+    except (AssertionError, psutil.Error):
+        return False
+
+
 @on_each_broker
 def test_a_hung_broker_is_one_outage(unit: Unit) -> None:
     hangs = "the broker hangs: it is connected, but delivers nothing"

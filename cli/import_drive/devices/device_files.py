@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from rich.progress import Progress
 
 from services.parsers.gnss.process import Config as GnssConfig
 from services.parsers.imu.process import Config as ImuConfig
+from shared.bounded import LINE_BYTES, TooMuch, lines
 from shared.devices.can_device import frame_of
 from shared.devices.recognition import recognise
 from shared.errors import UserError
@@ -163,9 +165,18 @@ def _read(path: Path, form: Form, week_of_ns: int | None, progress: Progress) ->
     if form.kind is FileKind.RECEIVER:
         return read_receiver(chunks(), week_of_ns=week_of_ns)
     if form.asc:
+        _insist_on_lines(path)
         return read_asc(path)
     with path.open(encoding="ascii", errors="replace") as file:
-        return read_candump(file)
+        return read_candump(iter(lambda: file.readline(LINE_BYTES), ""))  # without lines it is read in pieces
+
+
+def _insist_on_lines(path: Path) -> None:
+    with path.open("rb") as file:
+        try:
+            deque(lines(file), maxlen=0)
+        except TooMuch as error:
+            raise UserError(f"{path} is no ASC log: {error}; give the file as the tool wrote it") from error
 
 
 class _Messages:

@@ -7,6 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from shared.bounded import TooMuch, load_toml
 from shared.errors import UserError
 from shared.runtime.config import Section
 
@@ -90,7 +91,9 @@ class Mapping(Section):
 def parse_mapping(text: str, path: str) -> Mapping:
     """Parse a mapping; raises `UserError` with one sentence on the first fault."""
     try:
-        return Mapping.model_validate(tomllib.loads(text))
+        return Mapping.model_validate(load_toml(text))
+    except TooMuch as error:
+        raise UserError(f"{path} is no mapping: {error}; see benchmarks/recordings/mappings/ for examples") from error
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path} is not valid TOML: {error}; correct that line") from error
     except ValidationError as error:

@@ -9,6 +9,7 @@ from typing import cast
 
 from pydantic import ValidationError, ValidationInfo, model_validator
 
+from shared.bounded import TooMuch, read_bytes
 from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.errors import ConfigError
 from shared.maths.earth import Geodetic
@@ -36,6 +37,7 @@ from .windows.position_step import UNKNOWN_SD_M
 Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
 In = Measured | NavigationSolution | AidingUpdate | FilterState | LearnedGrade | TrustState | ModeState | Tick
 Out = TrustMonitor | LearnedGrade
+PROFILE_BYTES = 5_000_000
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
@@ -107,7 +109,9 @@ def _long_of_fusion(vehicle: VehicleFile) -> Table:
 def read_profile(path: Path) -> Profile:
     """Read a profile that `obu calibrate spoofing` wrote."""
     try:
-        return Profile.model_validate_json(path.read_bytes())
+        return Profile.model_validate_json(read_bytes(path, PROFILE_BYTES))
+    except TooMuch as error:
+        raise ConfigError(f"{path} is no profile: {error}; make it with `obu calibrate spoofing DRIVE`") from error
     except OSError as error:
         raise ConfigError(
             f"cannot read the profile {path}: {error.strerror}; make it with `obu calibrate spoofing`, or remove "

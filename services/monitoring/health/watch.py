@@ -237,11 +237,14 @@ class Watch:
         A start takes a second or more of a processor, and what a process missed meanwhile makes its next step long.
         Its own last will, and longer silence, count as ever.
         """
-        if name in self._open:
+        return name not in self._open and self._is_slow_since(self._processes[name].heartbeat_ns or 0)
+
+    def _is_slow_since(self, since_ns: int) -> bool:
+        """Whether another's loss or restart, or an overload, explains silence since a time."""
+        if self._now_ns - since_ns >= SLOW_NS:
             return False
         others = (*self._open.items(), *self._settling.items())
-        explained = self._overload.problem is not None or any(self._was_lost(*other) for other in others)
-        return explained and self._now_ns - (self._processes[name].heartbeat_ns or 0) < SLOW_NS
+        return self._overload.problem is not None or any(self._was_lost(*other) for other in others)
 
     def _was_lost(self, what: str, entry: _Open) -> bool:
         """Whether an outage is that of a process that ended or was started again, and not only of one that hangs."""
@@ -335,6 +338,8 @@ class Watch:
 
         The first heartbeat after a slow step is followed by what the step has made.
         """
+        if self._is_slow_since(self._topics[topic.name].newest_ns or 0):
+            return None
         due_ns = (self._silent_since_ns(topic) or 0) + round((topic.silent_after_s or 0.0) * 1e9)
         ours = [self._processes[name] for name in self._producers(topic) if name in self._processes]
         return topic.name if all(watch.spoke_after(due_ns) for watch in ours) else None

@@ -1,6 +1,7 @@
 """Decodes signals of CAN frames by a DBC file."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,10 @@ FASTEST_M_S = 150.0
 LEAST_RANGE_M_S = 40.0  # a range of a road vehicle's speed reaches at least this far, if its bits do
 LARGEST = 1e9  # [unit of the signal], and of the published value
 UNIT_LENGTH = 16
+DBC_BYTES, MOST_MESSAGES, MOST_SIGNALS = 4_000_000, 5000, 50_000
+LONGEST_MESSAGE = 1785  # bytes: of the transport protocol of SAE J1939-21; CAN FD has 64
+MESSAGE = re.compile(r"\bBO_\s+-?\d+\s+(\S+?)\s*:\s*(\d+)")
+SIGNAL = re.compile(r"\bSG_\s+\S+?(?:\s+[mM]\d*M?)?\s*:\s*(\d+)\s*\|\s*(\d+)")
 PLACEHOLDERS = ((0.0, 0.0), (0.0, 1.0))  # ranges that editors write where nobody has stated one
 
 
@@ -219,13 +224,29 @@ def load(text: str) -> "Database":
     from cantools.database.can import Database
     from cantools.database.errors import Error
 
+    _insist_on_bounds(text)
     try:
         database = load_string(text, "dbc")
-    except Error as error:
+    except (Error, RecursionError, MemoryError) as error:
         raise ValueError(f"not a DBC file: {error}") from error
     if not isinstance(database, Database):
         raise ValueError("not a DBC file")
     return database
+
+
+def _insist_on_bounds(text: str) -> None:
+    """Raise ValueError for a file whose parsing would take gigabytes: a message is made of all its bits."""
+    if len(text) > DBC_BYTES:
+        raise ValueError(f"it has more than {DBC_BYTES / 1e6:.0f} MB")
+    messages = list(MESSAGE.finditer(text))
+    if len(messages) > MOST_MESSAGES or text.count("SG_") > MOST_SIGNALS:
+        raise ValueError(f"it has more than {MOST_MESSAGES} messages or {MOST_SIGNALS} signals")
+    for found in messages:
+        if len(found[2]) > 5 or int(found[2]) > LONGEST_MESSAGE:
+            raise ValueError(f"its message {found[1][:40]} has more than {LONGEST_MESSAGE} bytes, the most of a bus")
+    for found in SIGNAL.finditer(text):
+        if any(len(number) > 5 or int(number) > 8 * LONGEST_MESSAGE for number in found.groups()):
+            raise ValueError(f"a signal of it is outside the {LONGEST_MESSAGE} bytes of a message")
 
 
 def _names(database: "Database") -> str:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from shared.bounded import read_text
 from shared.errors import UserError
 from shared.faults import Faults
 from shared.kinds import Kinds
@@ -16,7 +17,7 @@ from shared.messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSp
 from shared.runtime.config import Section
 
 from .candump import ERROR_FRAME, REMOTE_FRAME, UNUSABLE, CanFrame, LineReader
-from .database import WHEELS, SignalDecoder, Value, Wanted
+from .database import DBC_BYTES, WHEELS, SignalDecoder, Value, Wanted
 from .standards import StandardSpeeds, standard_use
 
 NS = 1_000_000_000
@@ -192,7 +193,7 @@ class Process:
             return None
         try:
             path = config.dbc_file if config.dbc_file.exists() else REPOSITORY / config.dbc_file
-            return SignalDecoder(path.read_text(encoding="latin-1"), wanted, round(period_s * NS), self.rejects)
+            return SignalDecoder(read_text(path, DBC_BYTES, "latin-1"), wanted, round(period_s * NS), self.rejects)
         except (OSError, ValueError) as error:
             raise UserError(
                 f"[parsers.can] dbc_file = {str(config.dbc_file)!r}: {error}; correct the path, the name or the file"

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from pydantic_core import to_json
 
+from shared.bounded import TooMuch, read_bytes
+
 log = logging.getLogger(__name__)
 
 FILE_BYTES = 2_000_000  # about two hours at one verdict and one fix a second; the file before it is kept as well
@@ -23,9 +25,9 @@ class HistoryFile:
         """Lines of earlier incarnations, oldest first."""
         for path in (self._before, self._path):
             try:
-                yield from path.read_bytes().splitlines() if path.exists() else []
-            except OSError as error:
-                log.warning("cannot read %s: %s", path, error.strerror)
+                yield from read_bytes(path, 4 * FILE_BYTES).splitlines() if path.exists() else []
+            except (OSError, TooMuch) as error:
+                log.warning("cannot read %s: %s", path, error)
 
     def append(self, records: list[Record]) -> None:
         """Write records; each survives the end of this process from then on."""

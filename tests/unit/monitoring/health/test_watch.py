@@ -747,3 +747,14 @@ def test_a_filter_that_is_killed_in_its_slow_step_is_named(unit: Unit) -> None:
     unit.run(3)
     unit.kill("core.fusion")
     assert {outage.what for _, outage in unit.run(0.2)} == {"core.fusion"}
+
+
+def test_a_topic_that_a_loaded_machine_delays_while_a_process_starts_again_is_not_named(unit: Unit) -> None:
+    unit.kill("parsers.can")
+    events = unit.run(1)
+    unit.revive("parsers.can")
+    unit.mute |= {"imu/raw", "gnss/raw"}
+    events += unit.run(6)
+    unit.mute.clear()
+    events += unit.run(20)
+    assert {outage.what for _, outage in events} == {"parsers.can"}

@@ -126,6 +126,8 @@ def test_a_consumer_is_not_deaf_while_nothing_is_sent(bus: Bus) -> None:
         for name, producer in (("parsers.imu", None), ("core.fusion", "parsers.imu")):
             bus.beat(name, bus.count, producer=producer)
     assert list(bus.tally.deaf()) == []
+    bus.run(0.5, "parsers.imu")  # it is sent again, and the consumer's next heartbeat has not come yet
+    assert list(bus.tally.deaf()) == []
 
 
 def test_a_stamp_ahead_of_its_heartbeat_makes_no_age_negative(bus: Bus) -> None:

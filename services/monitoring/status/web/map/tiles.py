@@ -1,6 +1,5 @@
 """The map that the configuration names: one PMTiles or MBTiles file, described and read from disk."""
 
-import json
 import re
 from collections.abc import Mapping
 from contextlib import closing
@@ -9,6 +8,7 @@ from pathlib import Path
 from struct import Struct
 from typing import TYPE_CHECKING, cast
 
+from shared.bounded import load_json, open_sqlite
 from shared.unpacked import compression_of, unpacked
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 HOW = "see docs/how-to/install-a-map.md"
 REPACK = "write it anew with tiles that are packed with gzip"
 METADATA_BYTES, METADATA_UNPACKED_BYTES = 2_000_000, 20_000_000
+MBTILES_KEYS = ("format", "bounds", "minzoom", "maxzoom", "attribution", "json")
 SAMPLES, SAMPLE_BYTES = 20, 12  # tiles, and bytes of each, that are looked at
 # PMTiles specification, version 3, section 3: offsets of the fields that are read here.
 _PLACES = Struct("<Q")  # 24: offset of the metadata, 32: their length, 56: offset of the tiles
@@ -102,12 +103,12 @@ def _describe_mbtiles(path: Path) -> MapDescription:
     import sqlite3
 
     try:
-        with closing(_open(path)) as database:
-            metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+        with closing(open_sqlite(path)) as database:
+            metadata = {key: value for key in MBTILES_KEYS if (value := _value(database, key)) is not None}
             query = "select substr(cast(tile_data as blob), 1, ?) from tiles limit ?"
             samples = [bytes(row[0]) for row in database.execute(query, (SAMPLE_BYTES, SAMPLES)) if row[0]]
-    except sqlite3.Error as error:
-        raise ValueError(str(error)) from error
+    except (sqlite3.Error, MemoryError) as error:
+        raise ValueError(str(error) or "a query of it takes too much memory") from error
     tiles = MBTILES_FORMATS.get(metadata.get("format", ""))
     if tiles is None:
         raise ValueError(f"its format {metadata.get('format')!r} is none of {', '.join(MBTILES_FORMATS)}")
@@ -164,26 +165,23 @@ def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
     import sqlite3
 
     try:
-        with closing(_open(path)) as database:
+        with closing(open_sqlite(path)) as database:
             row = database.execute(
                 "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?",
                 (zoom, x, (1 << zoom) - 1 - y),
             ).fetchone()
-    except (sqlite3.Error, OSError) as error:
+    except (sqlite3.Error, OSError, MemoryError) as error:
         raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
     return bytes(row[0]) if row else None
 
 
-def _open(path: Path) -> "sqlite3.Connection":
-    import sqlite3  # 2 MB of memory, which a unit without such a file saves
-
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, timeout=1.0)
+def _value(database: "sqlite3.Connection", key: str) -> str | None:
+    row = database.execute("select value from metadata where name = ? limit 1", (key,)).fetchone()
+    return None if row is None or row[0] is None else str(row[0])
 
 
 def _object(data: bytes) -> Mapping[str, object]:
-    content = json.loads(data or b"{}")
+    content = load_json(data or b"{}", METADATA_UNPACKED_BYTES)
     return cast(Mapping[str, object], content) if isinstance(content, dict) else {}
 
 
