@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from shared.errors import UserError
+from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.runtime.config import VehicleFile
 from shared.runtime.credentials import CHECK, FOLDER, OBSERVERS, READERS, WATCH
@@ -27,7 +28,8 @@ SECRET_BYTES = 32
 MADE = "made.json"  # in the folder of the secrets: for whom they were made
 PASSWORDS, ACCESS_LIST = "passwords", "acl.conf"
 RULES = "rules"  # in the state folder, where no other place is given: the broker's files
-CONTAINER_GROUP = 10_001
+PAGE = "page"
+CONTAINER_GROUP, CONTAINER_EVIDENCE_GROUP = 10_001, 10_002
 CONTAINER_USERS = {row.name: 10_100 + number for number, row in enumerate(PROCESSES)}
 CONTAINER_BROKER = 1883  # user of the image eclipse-mosquitto
 
@@ -86,13 +88,41 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     return passwords, rules
 
 
+def separate(state: Path, page_user: int, evidence_group: int) -> None:
+    """Make the folders of a state that not every process of its group may enter.
+
+    `page` holds the tokens of the page, for the user of monitoring.status; `keys` the key that signs, for the group of
+    the processes that do.
+    """
+    page, signing = state / PAGE, keys_folder(state)
+    try:
+        page.mkdir(mode=0o700, exist_ok=True)
+        for path in (state / "tokens.json", state / "tokens.lock"):  # of a version with one user for all
+            if path.is_file() and not path.is_symlink():
+                path.replace(page / path.name)
+        for path in (page, *page.iterdir()):
+            os.chown(path, page_user, -1, follow_symlinks=False)
+        signing.mkdir(exist_ok=True)
+        os.chown(signing, os.geteuid(), evidence_group)
+        signing.chmod(0o750)
+        KeyFile(signing).signer()
+        for path in signing.iterdir():
+            os.chown(path, os.geteuid(), evidence_group, follow_symlinks=False)
+            if not path.is_symlink():
+                path.chmod(0o640 if path.suffix == ".json" else 0o440)
+    except OSError as error:
+        raise UserError(f"cannot write into {state}: {error.strerror}; run the command with `sudo`") from error
+    except EvidenceError as error:
+        raise UserError(str(error)) from error
+
+
 def share(state: Path, group: int) -> None:
     """Give the files of a state folder to a group, of which each process has a user of its own.
 
     Also those of an earlier version, where one user ran every process. Folders of secrets are left out.
     """
     for path in (state, *state.rglob("*")):
-        if path.relative_to(state).parts[:1] in ((FOLDER,), (RULES,), ("keys",)) or path.is_symlink():
+        if path.relative_to(state).parts[:1] in ((FOLDER,), (RULES,), (PAGE,), ("keys",)) or path.is_symlink():
             continue
         try:
             found = path.stat()

@@ -2,6 +2,7 @@
 
 import grp
 import os
+import pwd
 import re
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, READERS, fo
 
 READER_NAME = re.compile(r"[a-z][a-z0-9_-]{0,47}")
 MOST_READERS = 32
+PAGE_PROCESS = "monitoring.status"
 TAKE_EFFECT = (
     "to take effect: `sudo systemctl reload obu-broker`, with containers `docker compose kill -s HUP broker`, "
     "otherwise restart the broker"
@@ -34,7 +36,14 @@ def _group(name: str) -> int:
     try:
         return grp.getgrnam(name).gr_gid
     except KeyError:
-        raise UserError(f"there is no group {name!r} on this machine; `groupadd --system {name}` makes it") from None
+        raise UserError(f"there is no group {name!r} on this machine; run deploy/systemd/install.sh") from None
+
+
+def _user(name: str) -> int:
+    try:
+        return pwd.getpwnam(name).pw_uid
+    except KeyError:
+        raise UserError(f"there is no user {name!r} on this machine; run deploy/systemd/install.sh") from None
 
 
 def make(
@@ -51,7 +60,11 @@ def make(
     )
     passwords, rules = keys.make(where, unit, made)
     if containers or group is not None:
-        keys.share(state_dir().resolve(), keys.CONTAINER_GROUP if group is None else _group(group))
+        state = state_dir().resolve()
+        keys.share(state, keys.CONTAINER_GROUP if group is None else _group(group))
+        page_user = keys.CONTAINER_USERS[PAGE_PROCESS] if group is None else _user(f"{group}-monitoring-status")
+        signing = keys.CONTAINER_EVIDENCE_GROUP if group is None else _group(f"{group}-evidence")
+        keys.separate(state, page_user, signing)
     print(f"secrets of {unit.name!r} in {where}; the broker's files: {passwords} and {rules}")
     return 0
 

@@ -9,6 +9,7 @@ cd "$(dirname "$0")/../.."
 [ -x .venv/bin/python ] || { echo "the Python packages are missing: run make setup first"; exit 1; }
 [ -x /usr/sbin/mosquitto ] || { echo "the broker is missing: apt install mosquitto"; exit 1; }
 
+getent group obu-evidence >/dev/null || groupadd --system obu-evidence # may read the key that signs
 getent group i2c >/dev/null || groupadd --system i2c # of the I2C bus, for sensors.power
 id obu >/dev/null 2>&1 || useradd --system --home-dir /var/lib/obu --shell /usr/sbin/nologin obu
 
@@ -56,4 +57,6 @@ for name in $(.venv/bin/python -c "$optional"); do
 done
 systemctl enable --quiet "$role.target"
 systemctl restart "$role.target"
+echo "to log in on its page (docs/how-to/let-others-look.md):"
+OBU_VEHICLE=/etc/obu/vehicle.toml OBU_STATE=/var/lib/obu .venv/bin/python -m cli token show-link || true
 echo "the unit runs; status: 'systemctl list-dependencies $role.target', logs: 'journalctl -fu \"obu@*\"'"

@@ -9,14 +9,12 @@ import base64
 import hashlib
 import os
 import secrets
+import stat
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from ..errors import ObuError
 from .ring import KeyRing, PublicKey
-
-if TYPE_CHECKING:
-    pass
 
 KEY_FILE, RING_FILE = "evidence.key", "ring.json"
 SECRET_BYTES = PUBLIC_BYTES = 32
@@ -173,11 +171,17 @@ class KeyFile:
             draft.unlink()
 
     def _draft(self, secret: bytes) -> Path:
-        """Write a secret to a file of its own beside the key, readable by its owner only, and to the disk."""
+        """Write a secret to a file of its own beside the key, and to the disk."""
         path = self.folder / f".{KEY_FILE}.{os.getpid()}.{secrets.token_hex(4)}"
         text = "\n".join((BEGIN, base64.b64encode(PKCS8 + secret).decode(), END, ""))
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o400)
+        folder = self.folder.stat()
+        # Where each process has a user of its own, those that sign share the group of the folder.
+        mode = 0o440 if folder.st_mode & stat.S_IXGRP else 0o400
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            if os.geteuid() == 0:
+                os.fchown(file.fileno(), folder.st_uid, folder.st_gid)
+            os.fchmod(file.fileno(), mode)
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

@@ -11,6 +11,7 @@ from broker.keys import Made, make
 from broker.passwords import Passwords
 from broker.simulated import parse
 from shared.errors import UserError
+from shared.evidence import KeyFile
 from shared.runtime.config import VehicleFile, parse_vehicle
 from shared.runtime.credentials import CHECK, OBSERVERS, WATCH
 from shared.topics import REPLAY
@@ -121,3 +122,19 @@ def test_the_state_of_an_earlier_version_is_shared_without_its_secrets(tmp_path:
     assert stat.S_IMODE((tmp_path / "recordings").stat().st_mode) == 0o2770
     assert stat.S_IMODE((tmp_path / "credentials").stat().st_mode) == 0o700
     assert os.stat("/etc/hostname").st_gid == before.st_gid  # noqa: PTH116
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
+def test_tokens_are_the_pages_and_the_key_that_signs_is_of_those_who_sign(tmp_path: Path) -> None:
+    (tmp_path / "tokens.json").write_text("{}")
+    for _ in range(2):
+        keys.separate(tmp_path, 12_346, 12_347)
+        page, key = tmp_path / "page" / "tokens.json", tmp_path / "keys" / "evidence.key"
+        assert page.read_text() == "{}" and page.stat().st_uid == 12_346
+        assert stat.S_IMODE(page.parent.stat().st_mode) == 0o700
+        assert (key.stat().st_uid, key.stat().st_gid, stat.S_IMODE(key.stat().st_mode)) == (0, 12_347, 0o440)
+        assert stat.S_IMODE(key.parent.stat().st_mode) == 0o750
+    before = KeyFile(tmp_path / "keys").signer().key_id
+    KeyFile(tmp_path / "keys").rotate(1)
+    assert (key.stat().st_gid, stat.S_IMODE(key.stat().st_mode)) == (12_347, 0o440)
+    assert KeyFile(tmp_path / "keys").ring.find(before) is not None

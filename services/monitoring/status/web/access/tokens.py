@@ -218,7 +218,8 @@ def is_secret(text: str) -> bool:
 
 def tokens_folder(state: Path) -> Path:
     """The folder of the tokens of a unit with this state folder."""
-    named = os.environ.get(FOLDER_VARIABLE)
+    own = state / "page"  # where processes have users of their own: `obu keys make --group`
+    named = os.environ.get(FOLDER_VARIABLE) or (own if own.is_dir() else None)
     return Path(named) if named else state
 
 
