@@ -6,6 +6,7 @@ from pathlib import Path
 from shared.errors import BadRecording, UserError
 from shared.evidence import KeyRing, Outcome
 from shared.evidence.outcome import gravest
+from shared.evidence.statement import printable
 from shared.recording.proof import Proof, clock, prove
 
 from ..evidence_key import accepted_keys
@@ -42,8 +43,8 @@ def _facts(proof: Proof) -> str | None:
     if seal is None or proof.outcome is Outcome.EDITED:
         return None
     parts = [
-        f"vehicle {seal.vehicle or 'without a name'}",
-        f"origin {seal.origin}",
+        f"vehicle {printable(seal.vehicle) or 'without a name'}",
+        f"origin {printable(seal.origin)}",
         f"begun {clock(seal.started_ns)}",
         f"key {seal.key}",
     ]

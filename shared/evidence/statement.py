@@ -25,6 +25,11 @@ def signed(kind: str, fields: Mapping[str, str], signer: "Signer") -> dict[str, 
     return dict(sorted({**whole, SIGNATURE: signer.sign(canonical(kind, whole)).hex()}.items()))
 
 
+def printable(text: object, length: int = 60) -> str:
+    """Give text of a file that anybody may have written, for a terminal: no control characters, and not too much."""
+    return "".join(letter if letter.isprintable() else "?" for letter in str(text)[:length])
+
+
 def is_genuine(kind: str, fields: Mapping[str, str]) -> bool:
     """Whether the signature of a statement fits its content and the key that it names.
 

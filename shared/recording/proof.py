@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Header, Metadata
 
 from ..evidence import KeyRing, Outcome
+from ..evidence.statement import printable
 from .proof_index import Index, topics_of_index
 from .reader import MAGIC, MALFORMED, MESSAGE_FIELDS, Record, Recording, channel_of, records
 from .seals import COPY, SEAL, Seal, context_of, message_of, record_of
@@ -108,7 +109,9 @@ def clock(stamp_ns: int) -> str:
 
 def _without_seals(walk: _Walk) -> Proof:
     if walk.copy:
-        text = f"a copy made by {walk.copy[:60]} of a signed recording, without its signatures; verify the original"
+        text = (
+            f"a copy made by {printable(walk.copy)} of a signed recording, without its signatures; verify the original"
+        )
         return Proof(Outcome.REWRITTEN, (text,))
     return Proof(Outcome.UNSIGNED, ("unsigned: nothing proves who recorded it, or that it is unchanged",))
 
@@ -266,7 +269,7 @@ def _check_end(recording: Recording, walk: _Walk) -> None:
             walk.fault("something was added behind its last seal")
         elif recording.raw(recording.size - len(MAGIC), recording.size) != MAGIC:
             walk.data_end = None  # readers ignore an index that was cut
-        elif (text := walk.index.fault(recording, walk.data_end, last.seal.described)) is not None:
+        elif (text := _index_fault(recording, walk, walk.data_end, last.seal)) is not None:
             walk.fault(text)
     elif last.seal.last and walk.pieces:
         walk.fault("something was added behind its last seal")
@@ -274,6 +277,13 @@ def _check_end(recording: Recording, walk: _Walk) -> None:
         walk.end + len(MAGIC) <= recording.size and recording.raw(recording.size - len(MAGIC), recording.size) == MAGIC
     ):
         walk.fault(f"the bytes from {walk.end} on cannot be read, though the recording goes on behind them")
+
+
+def _index_fault(recording: Recording, walk: _Walk, data_end: Record, last: Seal) -> str | None:
+    try:
+        return walk.index.fault(recording, data_end, last.described)
+    except MALFORMED:
+        return "its index is damaged"
 
 
 # Content
@@ -285,10 +295,14 @@ def _faulty(recording: Recording, walk: _Walk, first: Seal | None, ring: KeyRing
     library = _library(recording)
     if first is not None and not library.startswith(LIBRARY) and not walk.others and not walk.intact:
         content = _Content(recording, [found.seal for found in walk.seals])
-        if (fault := content.fault(walk)) is None:
+        try:
+            fault = content.fault(walk)
+        except MALFORMED:
+            fault = "its records are damaged"
+        if fault is None:
             if (foreign := _foreign(first, ring)) is not None:
                 return Proof(Outcome.FOREIGN, (foreign,), first)
-            text = f"rewritten by {library[:60] or 'another program'}: {content.text}; verify the original"
+            text = f"rewritten by {printable(library) or 'another program'}: {content.text}; verify the original"
             return Proof(Outcome.REWRITTEN, (text,), first, content.last)
         walk.faults[:] = [fault]
     sentences = [f"edited: {walk.faults[0]}", *walk.faults[1:FAULTS]]
@@ -307,7 +321,7 @@ def _library(recording: Recording) -> str:
         header = cast(Header, Header.read(ReadDataStream(BytesIO(recording.raw(record.start, record.end)))))
     except MALFORMED:
         return LIBRARY
-    return "".join(letter for letter in header.library if letter.isprintable())
+    return str(header.library)
 
 
 class _Content:

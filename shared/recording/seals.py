@@ -12,6 +12,7 @@ tool that packs the same messages anew.
 """
 
 import hashlib
+import re
 import secrets
 import struct
 from collections.abc import Iterable, Mapping
@@ -35,6 +36,7 @@ KIND = "recording seal"
 FORMAT = "1"
 PERIOD_NS = 10_000_000_000
 UNKNOWN = "unknown"
+DIGEST = re.compile(r"[0-9a-f]{64}")
 STAMPS = struct.Struct("<QQII")  # log time, publish time, sequence, bytes of the topic
 
 
@@ -70,6 +72,8 @@ class Seal:
             )  # fmt: skip
         except (KeyError, ValueError):
             return None
+        if not all(DIGEST.fullmatch(one) for one in (*found.chain, found.previous or "0" * 64)):
+            return None  # anybody can sign anything with a key of their own
         return found if fields.get("format") == FORMAT and is_genuine(KIND, fields) else None
 
 

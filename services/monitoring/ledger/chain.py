@@ -39,7 +39,7 @@ def genuine(kind: str, text: object) -> dict[str, str] | None:
     """Read a signed statement; None if it is none of this kind, or its signature does not fit."""
     try:
         fields = json.loads(str(text))
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(fields, dict) or not all(isinstance(value, str) for value in fields.values()):
         return None

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from shared.evidence import KeyRing, Outcome, PublicKey
+from shared.evidence.statement import printable
 
 from .chain import BOOKED, CURRENT, DAY, NEWEST, PACK, genuine, link_of
 
@@ -95,7 +96,7 @@ def _check_rows(database: sqlite3.Connection, entries: _Entries, proof: LedgerPr
         if number != expected:
             proof.fault(f"entries are missing: {expected} to {number - 1}")
         elif row["passage_id"] is None:
-            proof.fault(f"the booking of entry {expected} was removed (transaction {str(row['entered'])[:8]})")
+            proof.fault(f"the booking of entry {expected} was removed (transaction {printable(row['entered'], 8)})")
         elif not _fits(row, previous):
             proof.changed[passage_id] = f"entry {expected} is not the one that was signed"
         if number in entries.links:
@@ -119,22 +120,24 @@ def _check_others(database: sqlite3.Connection, proof: LedgerProof) -> None:
     for row in database.execute(
         "SELECT passage_id, kind FROM booking WHERE transaction_id NOT IN (SELECT transaction_id FROM entry)"
     ):
-        proof.fault(f"the {row['kind']} of passage {str(row['passage_id'])[:8]} was added beside the chain")
+        proof.fault(
+            f"the {printable(row['kind'], 12)} of passage {printable(row['passage_id'], 8)} was added beside the chain"
+        )
     for row in database.execute(
         "SELECT transaction_id FROM receipt WHERE transaction_id NOT IN (SELECT transaction_id FROM booking)"
     ):
-        proof.fault(f"there is a receipt of transaction {str(row['transaction_id'])[:8]}, and no booking of it")
+        proof.fault(f"there is a receipt of transaction {printable(row['transaction_id'], 8)}, and no booking of it")
     for row in database.execute(
         "SELECT passage_id, summary FROM settled WHERE passage_id NOT IN (SELECT passage_id FROM booking)"
     ):
         if _state(row["summary"]) == "charged":
-            proof.fault(f"passage {str(row['passage_id'])[:8]} was charged, and its booking is not there")
+            proof.fault(f"passage {printable(row['passage_id'], 8)} was charged, and its booking is not there")
 
 
 def _state(summary: object) -> object:
     try:
         return json.loads(str(summary)).get("state")
-    except (ValueError, AttributeError):
+    except (ValueError, AttributeError, RecursionError):
         return None
 
 
@@ -157,7 +160,7 @@ def _check_heads(
     elif number and entries.links[number] != current["link"]:
         proof.fault(f"entry {number} is not the one that was signed: the chain was computed anew")
     if current.get("broken"):
-        proof.fault(f"it was changed while the ledger did not run: {current['broken'][:100]}")
+        proof.fault(f"it was changed while the ledger did not run: {printable(current['broken'], 100)}")
     if entries.unsigned:
         if proof.outcome is Outcome.VERIFIED:
             proof.outcome = Outcome.UNSIGNED
@@ -169,16 +172,16 @@ def _check_days(
 ) -> None:
     for name, fields in days.items():
         if fields is None or not _has_numbers(fields) or fields.get("day") != name:
-            proof.fault(f"the signature of {name[:10]} does not fit it")
+            proof.fault(f"the signature of {printable(name, 10)} does not fit it")
         elif fields["ledger"] != current["ledger"]:
-            proof.fault(f"the signature of {name[:10]} is that of another ledger")
+            proof.fault(f"the signature of {printable(name, 10)} is that of another ledger")
         elif entries.links[int(fields["number"])] != fields["link"]:
-            proof.fault(f"entry {fields['number']} is not the one that was signed on {name[:10]}")
+            proof.fault(f"entry {fields['number']} is not the one that was signed on {printable(name, 10)}")
 
 
 def _has_numbers(fields: Mapping[str, str]) -> bool:
     try:
-        int(fields["number"]), int(fields["signed_ns"]), int(fields["evidence_from_ns"])
+        int(fields["number"]), int(fields["signed_ns"]), int(fields["evidence_from_ns"]), list(_ranges(fields))
     except (KeyError, ValueError):
         return False
     return "link" in fields and "ledger" in fields
@@ -229,8 +232,11 @@ def _check_missing_packs(database: sqlite3.Connection, current: Mapping[str, str
         "SELECT passage_id FROM booking WHERE kind = 'charge' AND booked_ns >= ? "
         "AND passage_id NOT IN (SELECT passage_id FROM evidence)", (int(current["evidence_from_ns"]),),
     ):  # fmt: skip
-        proof.fault(f"the evidence of passage {str(charge['passage_id'])[:8]} was removed")
+        proof.fault(f"the evidence of passage {printable(charge['passage_id'], 8)} was removed")
 
 
 def _time(stamp_ns: str) -> str:
-    return f"{datetime.fromtimestamp(int(stamp_ns) // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    try:
+        return f"{datetime.fromtimestamp(int(stamp_ns) // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return "a time out of range"

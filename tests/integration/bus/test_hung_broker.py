@@ -84,6 +84,22 @@ def test_the_program_of_the_probe_tells_the_service_manager_and_ends_with_the_br
         program.wait(WITHIN_S)
 
 
+def test_the_simulated_broker_tells_the_service_manager_itself(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(WITHIN_S)
+        broker = subprocess.Popen(
+            [sys.executable, "-m", "broker.simulated", "--port", "0"], cwd=ROOT, stdout=subprocess.DEVNULL,
+            env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify")},
+        )  # fmt: skip
+        try:
+            assert manager.recv(1000).startswith(b"READY=1")
+            assert manager.recv(1000) == b"WATCHDOG=1"
+        finally:
+            broker.terminate()
+            broker.wait(WITHIN_S)
+
+
 @pytest.mark.slow
 def test_in_a_container_a_hung_broker_is_killed_and_its_script_ends(tmp_path: Path) -> None:
     program, busybox = local_config.executable(), shutil.which("busybox")

@@ -19,13 +19,14 @@ from mcap.writer import CompressionType, Writer
 
 from shared.bus.bus import Envelope
 from shared.evidence import KeyFile, KeyRing, Outcome, Signer
+from shared.evidence.statement import signed
 from shared.messages.operation import Origin, OriginKind
 from shared.recording import Recording, RecordingWriter
 from shared.recording.folder import RecordingFolder
 from shared.recording.index import RecordingIndex
 from shared.recording.proof import Proof, prove
 from shared.recording.reader import records
-from shared.recording.seals import SEAL, Seal, Sealer
+from shared.recording.seals import KIND, SEAL, Seal, Sealer
 from tests.support.bus.envelopes import sent
 from tests.support.rewritten import MAGIC, rewrite
 from tests.unit.shared.recording.test_recording import START_NS, FullDisk, envelopes
@@ -521,3 +522,43 @@ def test_a_recorder_without_a_usable_key_records_and_says_why(tmp_path: Path) ->
     folder.close()
     assert folder.unsigned is not None and "cannot use the key" in folder.unsigned
     assert check(tmp_path / "drives" / "a.mcap", KeyRing()).outcome is Outcome.UNSIGNED
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("chain", "no digest"), ("chain", "ff " * 3), ("previous", "zz"), ("number", "9" * 5000), ("messages", "-1"),
+     ("until_ns", "9" * 40), ("vehicle", "\x1b[2J"), ("recording", "")],
+)  # fmt: skip
+def test_a_seal_that_somebody_has_made_up_is_no_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, field: str, value: str
+) -> None:
+    """Anybody can sign any fields with a key of their own."""
+    key = KeyFile(tmp_path / "keys")
+    original = Sealer.seal
+
+    def seal(self: Sealer, *, last: bool = False) -> dict[str, str]:
+        return signed(KIND, {**original(self, last=last), field: value}, key.signer())
+
+    monkeypatch.setattr(Sealer, "seal", seal)
+    proof = check(record(tmp_path / "a.mcap", drive(1100), key.signer()), KeyRing())
+    assert proof.outcome in (Outcome.EDITED, Outcome.FOREIGN)
+    assert proof.text.isprintable()
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data())
+def test_an_index_of_any_bytes_with_a_checksum_that_holds_is_named(
+    signed_file: Path, key: KeyFile, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Who edits the index computes its checksum anew."""
+    whole = signed_file.read_bytes()
+
+    def change(index: bytes) -> bytes:
+        changed = bytearray(index)
+        for _ in range(data.draw(st.integers(1, 4))):
+            changed[data.draw(st.integers(0, len(index) - 1))] ^= data.draw(st.integers(1, 255))
+        return bytes(changed)
+
+    changed = with_index(whole, change)
+    if changed != whole:
+        assert check_bytes(changed, tmp_path_factory.getbasetemp(), key).outcome is Outcome.EDITED
