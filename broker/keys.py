@@ -76,7 +76,7 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     secret_of |= {name: _secret(files / name) for name in (WATCH, CHECK)}
     if made.owner is not None:
         for name in (WATCH, CHECK):
-            shutil.chown(files / name, _user(made.owner))
+            shutil.chown(files / name, user_number(made.owner))
     _write(folder / MADE, json.dumps(asdict(made)))
     passwords, rules = files / PASSWORDS, files / ACCESS_LIST
     before = passwords.read_text(encoding="ascii") if passwords.exists() else ""
@@ -191,13 +191,14 @@ def _write(path: Path, text: str, owner: str | None = None, mode: int = 0o600) -
             file.flush()
             os.fsync(file.fileno())
         if owner is not None:
-            shutil.chown(part, _user(owner))
+            shutil.chown(part, user_number(owner))
         part.replace(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}; run the command with `sudo`, or free space") from error
 
 
-def _user(owner: str) -> int:
+def user_number(owner: str) -> int:
+    """Number of a user, given by name or number; raises `UserError`."""
     if owner.isdigit():
         return int(owner)
     try:

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from .keys import ACCESS_LIST, PASSWORDS
 
+TLS_PORT = 8883
+CERTIFICATE, KEY = "server.pem", "server.key"  # in the folder `tls` of the rules: broker/tls.py
 HERE = Path(__file__).resolve().parent
 OWN_PLACES = (
     "listener", "socket_domain", "persistence_location", "password_file", "acl_file", "log_dest", "user", "pid_file"
@@ -28,10 +30,11 @@ def command(program: str, config: Path) -> list[str]:
     return ["sh", str(HERE / "start.sh"), program, str(config)]
 
 
-def configuration(port: int, store: Path, rules: Path) -> str:
+def configuration(port: int, store: Path, rules: Path, listen: str | None = None) -> str:
     """Keep every line of `mosquitto.conf` but its places: a loopback port, a folder of its own, and the folder `rules`.
 
-    It holds the password file and the access list (`broker.keys.make`).
+    It holds the password file and the access list (`broker.keys.make`). With `listen`, an address of this machine or
+    0.0.0.0, there is a second listener, which speaks TLS with the certificate in `rules / "tls"` (`broker.tls.make`).
     """
     lines = []
     for line in (HERE / "mosquitto.conf").read_text(encoding="utf-8").splitlines():
@@ -49,6 +52,17 @@ def configuration(port: int, store: Path, rules: Path) -> str:
         "log_dest stderr",
         "log_dest topic",
     ]
+    if listen is not None:
+        lines += [
+            "",
+            "# For other machines: by TLS.",
+            f"listener {TLS_PORT} {listen}",
+            f"certfile {rules / 'tls' / CERTIFICATE}",
+            f"keyfile {rules / 'tls' / KEY}",
+            "use_username_as_clientid true",
+            "set_tcp_nodelay true",
+            "max_connections 100",
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -74,8 +88,13 @@ def main() -> None:
     parser.add_argument(
         "--rules", type=Path, default=Path("/etc/obu/broker"), help="folder of the password file and the access list"
     )
+    parser.add_argument(
+        "--listen", metavar="ADDRESS", help=f"listen for other machines as well, by TLS on port {TLS_PORT}, as 0.0.0.0"
+    )
     options = parser.parse_args()
-    sys.stdout.write(configuration(options.port, options.store, options.rules))
+    if options.listen is not None and not (options.rules / "tls" / CERTIFICATE).exists():
+        parser.error(f"there is no certificate in {options.rules / 'tls'}: `obu keys tls NAME` makes one")
+    sys.stdout.write(configuration(options.port, options.store, options.rules, options.listen))
 
 
 if __name__ == "__main__":

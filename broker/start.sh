@@ -27,7 +27,7 @@ fi
 rules=$(sed -n 's/^password_file *//p' "$2" | tail -n 1)
 secret_file=$(dirname "${rules:-/dev}")/broker.watch # of the user that asks
 [ -r "$secret_file" ] || secret_file=/dev/null
-port=$(sed -n 's/^listener *\([0-9]*\).*/\1/p' "$2" | tail -n 1)
+port=$(sed -n 's/^listener *\([0-9]*\).*/\1/p' "$2" | head -n 1)
 if [ -n "${NOTIFY_SOCKET:-}" ] && command -v python3 >/dev/null; then
     python3 -I -S "$(dirname "$0")/probe.py" "$port" "$secret_file" &
 fi

@@ -4,6 +4,7 @@ import grp
 import os
 import pwd
 import re
+import shutil
 from pathlib import Path
 
 from broker import keys
@@ -125,6 +126,23 @@ def rotate(name: str | None) -> int:
         keys.add_reader(where, reader)
     _write_rules(where, made)
     print(f"{len(chosen)} secrets replaced; restart the unit: broker and processes read theirs when they start")
+    return 0
+
+
+def tls(names: list[str]) -> int:
+    """Make the certificate of a listener for other machines."""
+    import datetime
+
+    from broker.tls import KEY, make
+
+    where = folder()
+    made = keys.made_in(where)
+    target = Path(made.files) / "tls"
+    authority = make(target, where, names, datetime.datetime.now(datetime.UTC))
+    if made.owner is not None:
+        shutil.chown(target / KEY, keys.user_number(made.owner))
+    print(f"certificate for {', '.join(names)} in {target}; give {authority} to the other machines (OBU_BROKER_CA)")
+    print(f"then: python -m broker.local_config --rules {made.files} --listen 0.0.0.0, and restart the broker")
     return 0
 
 

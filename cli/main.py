@@ -322,6 +322,19 @@ def keys_remove(name: Annotated[str, typer.Argument(help="Name of the user.")]) 
     raise typer.Exit(remove(name))
 
 
+@keys_app.command("tls")
+def keys_tls(
+    names: Annotated[list[str], typer.Argument(help="Names and addresses under which other machines reach the unit.")],
+) -> None:
+    """Make a certificate, so that the broker may listen for other machines.
+
+    Example: [bold]obu keys tls car.local 192.168.1.7[/]
+    """
+    from .keys import tls
+
+    raise typer.Exit(tls(names))
+
+
 @keys_app.command("rotate")
 def keys_rotate(name: Annotated[str | None, typer.Argument(help="Whose secret; without it all.")] = None) -> None:
     """Replace secrets, as after somebody has read them.

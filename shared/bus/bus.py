@@ -8,6 +8,7 @@ import logging
 import re
 import select
 import socket
+import ssl
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from ..errors import BadPayload
+from ..errors import BadPayload, UserError
 from ..messages.base import Message, Sender
 from ..messages.operation import Carried, MessageKind, ProcessHealth, ProcessState
 from ..runtime.alive import Alive
@@ -115,6 +116,14 @@ class Bus:
         client_id = f"{self.process}-{self.incarnation:x}" if unproved else who.user
         client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv311, reconnect_on_failure=False)
         client.username_pw_set(who.user, who.secret)
+        if self.address.tls:
+            try:
+                client.tls_set(self.address.authority)
+            except OSError as error:
+                raise UserError(
+                    f"cannot read the authority of the broker {self.address.authority}: {error.strerror}; set "
+                    "OBU_BROKER_CA to the unit's ca.pem"
+                ) from error
         client.connect_timeout = CONNECT_S
         client.max_inflight_messages_set(IN_FLIGHT)
         client.max_queued_messages_set(QUEUE_LENGTH)
@@ -300,14 +309,20 @@ class Bus:
     def _exchange(self, timeout_s: float) -> None:
         """Wait until the broker sends or reads; receive, and send what waited."""
         client, sock = self._client, [cast(socket.socket, self._client.socket())]
-        readable, writable, _ = select.select(sock, sock if client.want_write() else [], [], timeout_s)
+        waiting = sock if _undelivered(sock[0]) else []  # decrypted already: the kernel knows nothing of it
+        readable, writable, _ = select.select(
+            sock, sock if client.want_write() else [], [], 0.0 if waiting else timeout_s
+        )
+        readable = readable or waiting
         if writable:
             client.loop_write()
         for _ in range(MOST_READS):
             if not readable:
                 break
             client.loop_read()
-            readable = [] if client.socket() is None else select.select(sock, [], [], 0.0)[0]
+            if client.socket() is None:
+                break
+            readable = sock if _undelivered(sock[0]) else select.select(sock, [], [], 0.0)[0]
         if client.want_write():
             client.loop_write()
         while self._waiting and self._ready():
@@ -431,6 +446,11 @@ def _received(name: str, count: int, newest: Envelope | None) -> Carried:
     return Carried(
         topic=name, count=count, newest_ns=newest.received_ns, stamp_ns=stamp_ns, producer=newest.producer
     )  # fmt: skip
+
+
+def _undelivered(sock: socket.socket) -> bool:
+    """Whether a TLS connection holds bytes that were received and not read."""
+    return isinstance(sock, ssl.SSLSocket) and sock.pending() > 0
 
 
 def _is_broker_log(message: mqtt.MQTTMessage) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
 from typing import Self, TypeVar
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
@@ -137,18 +137,22 @@ class BrokerAddress:
     port: int = 1883
     username: str | None = None
     password: str | None = field(default=None, repr=False)
+    tls: bool = False
+    authority: str | None = None  # file of the authority that signed the broker's certificate; None: the system's
 
     @classmethod
     def parse(cls, url: str) -> "BrokerAddress":
-        """Read mqtt://[user:password@]host[:port]."""
+        """Read mqtt://[user:password@]host[:port], or mqtts://... of a broker that speaks TLS."""
         parts = urlsplit(url if "://" in url else f"mqtt://{url}")
         try:
-            port = parts.port or 1883
+            port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         except ValueError as error:
             raise UserError(f"the broker's address {url!r} has no valid port: try mqtt://127.0.0.1:1883") from error
-        if parts.scheme != "mqtt" or not parts.hostname:
+        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
             raise UserError(f"the broker's address {url!r} is not understood: try mqtt://127.0.0.1:1883")
-        return cls(parts.hostname, port, parts.username, parts.password)
+        user, password = (None if part is None else unquote(part) for part in (parts.username, parts.password))
+        authority = os.environ.get("OBU_BROKER_CA") or None
+        return cls(parts.hostname, port, user, password, parts.scheme == "mqtts", authority)
 
 
 @dataclass(frozen=True)

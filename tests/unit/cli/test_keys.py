@@ -50,5 +50,5 @@ def test_what_is_missing_is_said_with_what_to_do() -> None:
         keys.remove("nobody")
     with pytest.raises(UserError, match="obu keys list"):
         keys.rotate("nobody")
-    with pytest.raises(UserError, match="install.sh"):
+    with pytest.raises(UserError, match="install"):
         keys.make(None, None, None, "no-such-group")
