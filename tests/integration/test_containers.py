@@ -105,11 +105,6 @@ class Unit:
         run("docker", "run", "--rm", "--pid=host", "--user=0", "--network=none", "--entrypoint=python", "obu:local",
             "-c", find)  # fmt: skip
 
-    def health_check(self, service: str) -> str:
-        """Run a container's health check; return its output if it fails."""
-        command = ["docker", "exec", f"{self.project}-{service}-1", "python", "-S", "deploy/healthcheck.py"]
-        return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False).stderr.strip()
-
 
 @pytest.fixture(scope="module")
 def unit() -> Iterator[Unit]:
