@@ -125,8 +125,9 @@ consistency: setup ## hold errors against the filter's covariance (3 minutes)
 starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (3 minutes)
 	@$(PYTHON) -m benchmarks.starts $(CAMPAIGN)
 
-fuzz: setup ## feed damaged bytes to the parsers, SECONDS=60 for each, SEED=1 (five minutes)
+fuzz: setup ## feed damaged bytes to parsers and readers of files, SECONDS=60 for each, SEED=1 (twelve minutes)
 	@$(PYTHON) -m benchmarks.fuzz --seed $(SEED) --seconds $(SECONDS)
+	@$(PYTHON) -m benchmarks.fuzz_files --seed $(SEED) --seconds $(SECONDS)
 
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
 	@$(PYTHON) -m benchmarks.v2x

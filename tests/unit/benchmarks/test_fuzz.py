@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import fuzz
+from benchmarks import fuzz, fuzz_files
 from shared.devices.recognition import recognise
 from shared.faults import FAULT
 from tests.support.data import REPOSITORY
@@ -17,6 +17,12 @@ SECONDS = 0.5
 def test_damaged_bytes_neither_raise_nor_grow(name: str, tmp_path: Path) -> None:
     inputs, failures = fuzz.fuzz(name, 1, SECONDS, tmp_path)
     assert inputs > 20 and not failures
+
+
+@pytest.mark.parametrize("name", sorted(fuzz_files.READERS))
+def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
+    inputs, failures = fuzz_files.fuzz(name, 1, SECONDS, tmp_path)
+    assert inputs > 2 and not failures
 
 
 def test_a_failing_input_is_stored_and_fails_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
