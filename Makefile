@@ -12,7 +12,7 @@ SCENARIO ?= urban
 # for another one. FRESH=1 does again what earlier runs of the same code have found.
 CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x fuzz golden picture bench-replay clean
+.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -114,6 +114,9 @@ drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and
 
 drives-trust: setup ## print the verdicts on the recordings of OBU_DATA, and the harm of their exclusions (5 minutes)
 	@$(PYTHON) -m benchmarks.navigation.trust $(CAMPAIGN)
+
+security: $(VENV)/.testing $(VENV)/.debian ## try attacks and failures on a running unit and its files, and print the table (13 minutes)
+	@$(PYTHON) -m benchmarks.security $(if $(SHORT),--short)
 
 integrity: setup ## hold protection levels against true errors, in drives with a random fault and without, RECORDINGS=folder (7 minutes)
 	@$(PYTHON) -m benchmarks.integrity.faults $(CAMPAIGN)

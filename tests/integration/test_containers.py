@@ -19,6 +19,7 @@ from typing import cast
 
 import pytest
 
+from broker.keys import CONTAINER_USERS
 from shared import VERSION
 from shared.processes import Role, running
 
@@ -137,7 +138,8 @@ def test_the_image_knows_its_version(unit: Unit) -> None:
 
 
 def test_no_process_runs_as_root_or_with_a_capability(unit: Unit) -> None:
-    for service, uid in [*((service, "10001") for service in SERVICES), ("broker", "1883")]:
+    users = [(name.replace(".", "-"), str(CONTAINER_USERS[name])) for name in EXPECTED]
+    for service, uid in [*users, ("broker", "1883")]:
         status = dict(
             line.split(":\t", 1) for line in unit.compose("exec", "-T", service, "cat", "/proc/1/status").splitlines()
             if ":\t" in line

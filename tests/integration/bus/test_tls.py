@@ -37,7 +37,9 @@ def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         probe.bind(("127.0.0.1", 0))
         monkeypatch.setattr(local_config, "TLS_PORT", probe.getsockname()[1])
     plain = local_config.configuration
-    monkeypatch.setattr(local_config, "configuration", lambda *given: plain(*given, "127.0.0.1"))
+    monkeypatch.setattr(
+        local_config, "configuration", lambda port, store, rules: plain(port, store, rules, "127.0.0.1")
+    )
     running = mosquitto.start_closed(tmp_path, rights)
     yield local_config.TLS_PORT
     running.stop()

@@ -1,0 +1,1 @@
+"""What comes of attacks and failures on a running unit: `make security`."""
