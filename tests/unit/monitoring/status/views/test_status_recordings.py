@@ -10,7 +10,7 @@ from shared.library.library import Library
 from shared.library.order import write_order
 from shared.library.summary import SUFFIX, SummaryWorker
 from shared.recording.summary import write_summary
-from tests.support.dashboard.status_server import eventually, status_server
+from tests.support.dashboard.status_server import change, eventually, status_server
 from tests.support.drives.meridian import record
 
 NAME = "20231114T221320Z_car.mcap"
@@ -45,7 +45,7 @@ def test_a_job_that_cannot_start_is_answered_with_the_reason_and_what_to_do(tmp_
     with status_server(tmp_path, unit=False, recordings=["solve"]) as server:
         url = f"{server.address}/api/recordings"
         eventually(lambda: httpx.get(url, timeout=5.0).json()["recordings"])
-        answer = httpx.post(url, json={"action": "solve", "name": NAME}, timeout=5.0)
+        answer = change(server.address, "/api/recordings", {"action": "solve", "name": NAME})
     assert answer.status_code == 503
     assert answer.json()["detail"] == "it cannot start: File exists; make room, for example by deleting a recording"
 
