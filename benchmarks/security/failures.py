@@ -1,11 +1,10 @@
 """Each process of a running unit is killed, and stopped: back within 20 s, and named as the only cause."""
 
 import signal
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from .unit import NS, Unit
+from .unit import Unit
 
 BACK_S = 20.0
 WELL_S = 150.0  # until the filter has aligned again and every monitor is ready
@@ -41,7 +40,7 @@ def every_failure(unit: Unit, names: Sequence[str]) -> Iterator[Failure]:
 def _fail(unit: Unit, name: str, how: signal.Signals) -> Failure:
     before = {path.name for path in (unit.state / "recordings").glob("*.mcap")}
     victim = unit.broker() if name == BROKER else unit.child(f"cli run {name}")
-    since_ns = time.time_ns() - NS
+    earlier = unit.outages()
     victim.send_signal(how)
 
     def is_back() -> bool:
@@ -53,7 +52,7 @@ def _fail(unit: Unit, name: str, how: signal.Signals) -> Failure:
 
     back_s = unit.until(is_back, BACK_S + 10.0)
     unit.until(unit.is_well, WELL_S)
-    causes = {str(outage["what"]) for outage in unit.outages_since(since_ns)}
+    causes = {what for what, _ in unit.outages() - earlier}
     if name != HEALTH:
         causes.discard(HEALTH)
     lost = before - {path.name for path in (unit.state / "recordings").glob("*.mcap")}

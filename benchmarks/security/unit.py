@@ -20,7 +20,6 @@ from cli.demo.local import free_port
 ANSWER_S = 5.0
 START_S = 180.0
 POLL_S = 0.2
-NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -84,11 +83,10 @@ class Unit:
             time.sleep(POLL_S)
         return None
 
-    def outages_since(self, since_ns: int) -> list[dict[str, Any]]:
-        """Outages that began after a time [ns since 1970]."""
+    def outages(self) -> set[tuple[str, int]]:
+        """Root causes of outages, each with its beginning [ns since 1970]."""
         found = self.get("/api/outages")
-        every = [*found.get("open", []), *found.get("closed", [])]
-        return [outage for outage in every if outage["since_ns"] > since_ns]
+        return {(str(o["what"]), int(o["since_ns"])) for o in (*found.get("open", []), *found.get("closed", []))}
 
 
 @contextmanager
