@@ -23,8 +23,8 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 def retained(port: int) -> list[str]:
     """Topics of the retained messages."""
     found: list[str] = []
-    client = mqtt.Client(CallbackAPIVersion.VERSION2, "observer")
-    client.username_pw_set("observer")
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, "observer.1")
+    client.username_pw_set("observer.1")
     client.on_connect = lambda c, *_: c.subscribe("obu/car/#")
     client.on_message = lambda _c, _u, message: found.append(message.topic)
     client.connect("127.0.0.1", port)
