@@ -1,6 +1,7 @@
 """The recorder: every message as it travelled, into files that leave room on the disk."""
 
 import logging
+import time
 
 from pydantic import Field
 
@@ -18,6 +19,7 @@ from .retention import Limits, decide, file_name
 
 log = logging.getLogger(__name__)
 
+CONNECT_S = 2.0  # after which a recorder without a broker opens its file as well
 STATE_NS, RETRY_NS = 1_000_000_000, 5_000_000_000
 POWER_ENDS = "the battery is nearly empty: the recording is closed until the mains are back"
 
@@ -71,12 +73,14 @@ class Process:
             self._kept_out = {topic.name for topic in TOPICS if topic.personal}
         key = KeyFile(keys_folder(bus.state_dir))
         self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener, key.signer)
+        waiting = _connect(bus)
         while not bus.stopping:
             if bus.now_ns() >= self._state_ns:
                 self._state_ns = bus.now_ns() + STATE_NS
                 self._enforce_limits(bus)
                 bus.publish(self._state(bus))
-            envelopes = bus.receive(0.1)
+            envelopes = [*waiting, *bus.receive(0.1)]
+            waiting = []
             self._write(envelopes, bus)
             self._close_before_power_off(bus, envelopes)
         self._write(bus.receive(0.0), bus)
@@ -155,3 +159,12 @@ class Process:
             free_bytes=folder.free_bytes, reason=self._reason, left_out=self._quota.left_out,
             flood=self._quota.complaint(bus.now_ns()),
         )  # fmt: skip
+
+
+def _connect(bus: Bus) -> list[Envelope]:
+    """Subscribe before the first file is opened, which reads the key that signs: what others send meanwhile waits."""
+    arrived: list[Envelope] = []
+    until_s = time.monotonic() + CONNECT_S
+    while not bus.stopping and not bus.connected and time.monotonic() < until_s:
+        arrived += bus.receive(0.05)
+    return arrived
