@@ -9,7 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -86,7 +86,7 @@ class Unit:
         try:
             yield
         finally:
-            child.send_signal(signal.SIGCONT)
+            resume(child)
 
     def until(self, condition: Callable[[dict[str, object]], bool], what: str, limit_s: float = SHOWN_S) -> None:
         """Poll the API five times a second until a condition holds."""
@@ -135,6 +135,12 @@ class Unit:
         assert outage["until_ns"] is not None
         assert set(affected) <= {str(topic) for topic in listed(outage["affected"])}
         assert self.causes <= {what}, f"{self.kind}: {self.problems}"
+
+
+def resume(child: psutil.Process) -> None:
+    """Let a stopped process continue, unless its supervisor has killed it as one that hangs."""
+    with suppress(psutil.NoSuchProcess):
+        child.send_signal(signal.SIGCONT)
 
 
 def listed(found: object) -> list[Outage]:
@@ -387,13 +393,19 @@ def test_processes_that_hang_together_are_shown_as_stale_in_their_rows(
     unit: Unit, record_property: Callable[[str, object], None]
 ) -> None:
     children = unit.fail_together([f"run {name}" for name in TOGETHER], signal.SIGSTOP)
+    seen: set[str] = set()
+
+    def each_was_stale(_: object) -> bool:
+        seen.update(stale(unit.demo.statuses()))  # each until the supervisor has killed it, 14 s after it stopped
+        return set(TOGETHER) <= seen
+
     try:
-        unit.until(lambda _: set(TOGETHER) <= stale(unit.demo.statuses()), "every row says stale")
+        unit.until(each_was_stale, "every row says stale")
         rows_s = time.monotonic() - unit.failed_s
         unit.until(lambda _: "stale" in unit.states, "no verdict is shown after the deadline of trust/state")
     finally:
         for child in children:
-            child.send_signal(signal.SIGCONT)
+            resume(child)
     assert unit.states["stale"] >= 3.9, "five seconds from the last verdict, which is at most a second old"
     unit.until_well()
     assert "stale" in unit.timeline()
@@ -406,6 +418,7 @@ def stale(statuses: dict[str, str]) -> set[str]:
 
 @on_mosquitto
 def test_a_killed_watchdog_ends_the_outage_that_it_interrupted(unit: Unit) -> None:
+    unit.until_settled("parsers.can")
     with unit.suspend("run parsers.can"):
         unit.until(lambda _: "parsers.can" in unit.causes, "the suspended parser is shown")
         [before] = unit.outages()
