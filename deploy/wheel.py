@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -128,19 +128,23 @@ def stage(folder: Path) -> None:
     (folder / DASHBOARD / "node_modules" / LICENCES).write_text(text, encoding="utf-8")
 
 
-def build(out: Path) -> Path:
-    """Write the wheel into a folder, and return its path; raises `NotSetUp`, and `CalledProcessError` where pip fails.
+def builds_offline() -> bool:
+    """Whether the installed setuptools can build the wheel; otherwise pip asks its index for one that can."""
+    try:
+        return int(version("setuptools").split(".")[0]) >= OWN_SETUPTOOLS
+    except PackageNotFoundError:
+        return False
 
-    The installed setuptools builds it if it is new enough; otherwise pip asks its index for one.
-    """
+
+def build(out: Path) -> Path:
+    """Write the wheel into a folder, and return its path; raises `NotSetUp`, or `CalledProcessError` of pip."""
     out.mkdir(parents=True, exist_ok=True)
-    own = int(version("setuptools").split(".")[0]) >= OWN_SETUPTOOLS
     with tempfile.TemporaryDirectory() as folder:
         tree, made = Path(folder) / "tree", Path(folder) / "made"
         tree.mkdir()
         stage(tree)
         command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
-        command += [*(["--no-build-isolation"] if own else []), "--wheel-dir", str(made), str(tree)]
+        command += [*(["--no-build-isolation"] if builds_offline() else []), "--wheel-dir", str(made), str(tree)]
         subprocess.run(command, check=True)
         (wheel,) = made.glob("*.whl")
         return Path(shutil.copy(wheel, out / wheel.name))
