@@ -147,7 +147,9 @@ def solve(  # noqa: PLR0913  # one argument an option
             plain = _run(drive, _outages(outage, drive), progress, history, with_trust=False)
         smoothed = _smooth(drive, plain, history, progress) if history is not None else None
     if count := len(drive.inputs.undecodable):
-        console.print(f"{recording.name}: {count} messages could not be decoded and were skipped", markup=False)
+        console.print(
+            f"{recording.name}: {count} messages could not be decoded and were skipped{recording.newer}", markup=False
+        )
     scored_from_ns = drive.first_ns + round(score_from * 1e9)
     run = replace(
         _compared(drive, solved, reference, fixes),
