@@ -12,7 +12,7 @@ SCENARIO ?= urban
 # for another one. FRESH=1 does again what earlier runs of the same code have found.
 CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock wheel papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x fuzz golden picture bench-replay clean
+.PHONY: help setup demo test check calculating running slow up down containers docs lock wheel audit papers attack-lab alarms bench drives drives-trust integrity consistency starts v2x fuzz golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -76,6 +76,7 @@ slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds
 	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
 
 up: ## start the containers
+	@deploy/check_docker.sh
 	docker compose up --detach --build
 
 down: ## stop the containers
@@ -92,6 +93,9 @@ lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 
 wheel: $(VENV)/.dashboard ## build the wheel into dist/, with the dashboard
 	@$(PYTHON) deploy/wheel.py
+
+audit: | $(VENV)/.dashboard ## ask databases about known weaknesses of the dependencies (needs internet)
+	@$(PYTHON) deploy/audit.py
 
 PAPERS := motion-conflict cooperative spoofing toll navigation
 
