@@ -4,7 +4,7 @@ Run by `make lock` in a fresh environment; it takes about ten minutes. `requirem
 unit and its commands, and `requirements-dev.lock` those and the test tools. One line is one package:
 `name==version --hash=sha256:... --hash=sha256:...`, with the file that pip chooses for each Python and machine of
 `PYTHONS` and `MACHINES`, or the source archive where there is no wheel. Addresses are not written: any index that has
-the same files will do.
+the same files will do. `deploy/node.lock` is Node.js for `deploy/install_dashboard.py`, where there is no npm.
 """
 
 import contextlib
@@ -146,14 +146,23 @@ def lock_text(versions: Mapping[str, str], digests: Mapping[str, Iterable[str]])
     )
 
 
+def write_node() -> list[str]:
+    """Write the hashes of `deploy/node.lock`, whose versions are chosen by hand; returns what is to be said."""
+    path = ROOT / "deploy" / "node.lock"
+    versions = dict(line.split()[0].split("==") for line in path.read_text().splitlines())
+    digests, said = hashes(versions)
+    path.write_text(lock_text(versions, digests))
+    return said
+
+
 def main() -> None:
-    """Write the files at the top of the repository."""
+    """Write the files at the top of the repository, and that of Node.js."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     run_time: list[str] = project["dependencies"]
     development: list[str] = project["optional-dependencies"]["dev"]
     every = closure(run_time + development)
     digests, said = hashes(every)
-    for sentence in said:
+    for sentence in (*said, *write_node()):
         sys.stderr.write(f"{sentence}\n")
     (ROOT / "requirements.lock").write_text(lock_text(closure(run_time), digests))
     (ROOT / "requirements-dev.lock").write_text(lock_text(every, digests))

@@ -22,7 +22,7 @@ def wanted(extra: str) -> list[Requirement]:
     return [Requirement(text) for text in texts + (project["optional-dependencies"][extra] if extra else [])]
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "deploy/node.lock"])
 def test_every_line_is_one_exact_version_with_hashes(name: str) -> None:
     for line in (ROOT / name).read_text().splitlines():
         pin = r"[a-z0-9-]+==[0-9][0-9a-z.]*( --hash=sha256:[0-9a-f]{64})+"

@@ -5,6 +5,8 @@ The list of these files is in docs/how-to/upgrade.md. The ledger's is in test_le
 
 import json
 import logging
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import cast
@@ -26,12 +28,14 @@ from shared.evidence.signer import EvidenceError, KeyFile
 from shared.library.order import ORDER_FILE, read_order
 from shared.library.summary import SUFFIX, RecordingSummary, read_summary
 from shared.messages.base import Message
+from shared.messages.gnss import GnssRaw
 from shared.messages.navigation import LastPosition
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.clock import boot_id, fixed_offset_ns
 from shared.runtime.last_end import FOLDER, LastEnd
 from shared.runtime.live import LiveReactor
-from tests.support.bus.envelopes import sent_bytes
+from tests.support.bus.envelopes import sent, sent_bytes
+from tests.support.data import REPOSITORY
 
 NOW_NS = 1_800_000_000_000_000_000
 
@@ -188,7 +192,7 @@ def recording_of(path: Path, version: str, vehicle_toml: str = "") -> Path:
         writer.add_attachment(0, 0, "vehicle.toml", "application/toml", vehicle_toml.encode())
         channel = writer.register_channel("navigation/of_the_future", "cbor", 0)
         writer.add_message(channel, NOW_NS, b"\xa1\x61x\x01", NOW_NS)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -209,6 +213,28 @@ def test_a_vehicle_file_of_a_newer_recording_is_refused_with_what_to_do(
     with open_recording(path) as recording, pytest.raises(ConfigError, match="is no process") as error:
         vehicle_of(recording, None)
     assert ("update this program" in str(error.value)) is said
+
+
+def test_a_setting_of_a_newer_version_is_refused_with_what_to_do_by_solve(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="obu")
+        writer.add_metadata("obu", {"vehicle": "car", "version": "99.0.0"})
+        text = b"[core.fusion]\nof_the_future = 1\n"
+        writer.add_attachment(0, 0, "vehicle.toml", "application/toml", text)
+        channel = writer.register_channel("gnss/raw", "json", 0)
+        raw = GnssRaw(received_ns=NOW_NS, source="gnss0", data=b"x")
+        writer.add_message(channel, NOW_NS, sent(raw, NOW_NS, "sensors.gnss", 1, 1).payload, NOW_NS)
+        writer.finish()  # type: ignore[no-untyped-call]
+    done = subprocess.run(
+        [sys.executable, "-m", "cli", "solve", str(path), "--out", str(tmp_path / "out")],
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert "of_the_future" in done.stderr
+    assert "update this program" in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
 
 
 def test_a_recording_says_which_version_wrote_it(tmp_path: Path) -> None:
