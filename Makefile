@@ -12,7 +12,7 @@ SCENARIO ?= urban
 # for another one. FRESH=1 does again what earlier runs of the same code have found.
 CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay clean
+.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -28,7 +28,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: requirements.lock pyproject.toml | $(VENV)/bin/python
 	@echo "installing the Python packages (about a minute)"
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@
 
@@ -39,7 +39,7 @@ $(VENV)/.dashboard: services/monitoring/status/dashboard/package-lock.json deplo
 
 $(VENV)/.testing: requirements-dev.lock services/monitoring/status/dashboard/package-lock.json | $(VENV)/.installed $(VENV)/.dashboard
 	@echo "installing what the tests need"
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
 	@$(PYTHON) deploy/install_dashboard.py --testing
 	@$(PYTHON) -m tests.support.warm
 	@touch $@
@@ -76,6 +76,7 @@ slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds
 	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
 
 up: ## start the containers
+	@deploy/check_docker.sh
 	docker compose up --detach --build
 
 down: ## stop the containers
@@ -89,6 +90,12 @@ docs: setup ## print docs/reference, the README's diagram and obu.target from th
 
 lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 	@$(PYTHON) deploy/lock.py
+
+wheel: $(VENV)/.dashboard ## build the wheel into dist/, with the dashboard
+	@$(PYTHON) deploy/wheel.py
+
+audit: | $(VENV)/.dashboard ## ask databases about known weaknesses of the dependencies (needs internet)
+	@$(PYTHON) deploy/audit.py
 
 PAPERS := motion-conflict cooperative spoofing toll navigation
 
@@ -145,4 +152,4 @@ picture: $(VENV)/.testing $(VENV)/.debian ## take the pictures of every page ane
 	@$(PYTHON) -m docs.picture
 
 clean: ## remove what set-up and runs have made
-	rm -rf $(VENV) .obu services/monitoring/status/dashboard/node_modules .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .obu dist services/monitoring/status/dashboard/node_modules .pytest_cache .mypy_cache .ruff_cache

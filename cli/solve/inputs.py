@@ -33,6 +33,7 @@ class Inputs:
     truth: list[TruthState] = field(default_factory=list)
     topics: Counter[str] = field(default_factory=Counter)  # of the whole recording
     undecodable: set[int] = field(default_factory=set)  # indices of envelopes that cannot be decoded
+    newer: str = ""  # what to add to an error: `Recording.newer`
 
     def __len__(self) -> int:
         return len(self.envelopes)

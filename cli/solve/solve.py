@@ -147,7 +147,10 @@ def solve(  # noqa: PLR0913  # one argument an option
             plain = _run(drive, _outages(outage, drive), progress, history, with_trust=False)
         smoothed = _smooth(drive, plain, history, progress) if history is not None else None
     if count := len(drive.inputs.undecodable):
-        console.print(f"{recording.name}: {count} messages could not be decoded and were skipped", markup=False)
+        console.print(
+            f"{recording.name}: {count} messages could not be decoded and were skipped{drive.inputs.newer}",
+            markup=False,
+        )
     scored_from_ns = drive.first_ns + round(score_from * 1e9)
     run = replace(
         _compared(drive, solved, reference, fixes),
@@ -217,6 +220,7 @@ class Solved:
 def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
     with open_recording(path) as recording:
         inputs = inputs_of(recording)
+        inputs.newer = recording.newer
     gc.freeze()  # the inputs stay, and are not searched for garbage again and again
     print_problems(recording, console)
     _check(path, inputs)
@@ -226,7 +230,10 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
 
 def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
     """Apply the settings of the command line; raises UserError for invalid ones."""
-    OfflineUnit(drive.vehicle)  # faults of the vehicle file itself are raised here
+    try:
+        OfflineUnit(drive.vehicle)
+    except ConfigError as error:  # of the vehicle file itself
+        raise ConfigError(f"{error}{drive.inputs.newer}") from error
     changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
     try:
         OfflineUnit(changed.vehicle)

@@ -15,6 +15,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata
 
+from .. import VERSION, is_newer
 from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
 from ..unpacked import BadPack, Form, check_size, unpacked
@@ -116,8 +117,16 @@ class Recording:
                 else:
                     yield envelope
         if lost:
-            self.problems.append(f"{lost} messages could not be decoded")
+            self.problems.append(f"{lost} messages could not be decoded{self.newer}")
         self.problems += sorted(self._refused)
+
+    @property
+    def newer(self) -> str:
+        """What to add to an error if a newer version has written the recording; empty otherwise."""
+        written = self.metadata.get("obu", {}).get("version", "")
+        return (
+            f"; version {written} recorded it, and this is {VERSION}: update this program" if is_newer(written) else ""
+        )
 
     def _read_front(self) -> None:
         """Read metadata and attachments: before the first chunk, or where the summary says, as other tools write."""

@@ -8,6 +8,7 @@ from typing import IO, Protocol, cast
 from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
+from .. import VERSION
 from ..bus.envelope import Envelope
 from .channels import RAW_FORMATS, schema_of
 from .foxglove import Foxglove
@@ -127,7 +128,7 @@ class RecordingWriter:
         self._mcap = Writer(cast(IO[bytes], self._chunks), chunk_size=chunk_bytes)
         try:
             self._mcap.start(library="obu")
-            metadata = {"obu": {"vehicle": vehicle}}
+            metadata = {"obu": {"vehicle": vehicle, "version": VERSION}}
             if provenance is not None:
                 metadata["provenance"] = dict(provenance)
             if copied_by:

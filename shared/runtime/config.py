@@ -14,6 +14,7 @@ from urllib.parse import unquote, urlsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
+from .. import shipped
 from ..bounded import TOML_BYTES, TooMuch, load_toml, read_text
 from ..errors import ConfigError, UserError
 from ..messages.base import Vector3
@@ -24,6 +25,7 @@ from .old_keys import in_section, old_keys, successor
 log = logging.getLogger(__name__)
 
 NO_TEXT = "it is not UTF-8 text"
+EXAMPLES = f"{shipped(Path('deploy/vehicles'))}/"
 ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
 
 S = TypeVar("S", bound="Section")
@@ -264,7 +266,7 @@ def read_toml(text: str, path: str) -> dict[str, object]:
     try:
         return load_toml(text)
     except TooMuch as error:
-        raise ConfigError(f"{path} is no vehicle's file: {error}; see deploy/vehicles/ for examples") from error
+        raise ConfigError(f"{path} is no vehicle's file: {error}; see {EXAMPLES} for examples") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
 
@@ -305,12 +307,10 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
     if not name:
         return parse_vehicle("", "<no vehicle file>")
     try:
-        text = read_text(Path(name), TOML_BYTES)
+        text = read_text(shipped(Path(name)), TOML_BYTES)
     except (OSError, UnicodeDecodeError, TooMuch) as error:
         reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
-        raise UserError(
-            f"cannot read the vehicle's file {name}: {reason}; see deploy/vehicles/ for examples"
-        ) from error
+        raise UserError(f"cannot read the vehicle's file {name}: {reason}; see {EXAMPLES} for examples") from error
     return parse_vehicle(text, str(name))
 
 

@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from .. import shipped
 from ..bounded import TooMuch, load_json, read_bytes
 from ..errors import ConfigError
 from ..maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from ..messages.toll import GateMode, LaneDescription, PlazaDescription, Position
 
 FloatArray = npt.NDArray[np.float64]
-REPOSITORY = Path(__file__).parents[2]
 MAXIMUM_BYTES = 1_000_000
 MAXIMUM_EXTENT_M = 5_000.0  # within it the tangent plane is accurate to a few centimetres
 Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -240,8 +240,8 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
 
 
 def plaza_path(path: Path) -> Path:
-    """Find a plaza's file; a relative path is looked for in the working folder, then in the repository."""
-    return path if path.exists() else REPOSITORY / path
+    """Find a plaza's file; a relative path is looked for in the working folder, then beside the code."""
+    return shipped(path)
 
 
 def load_plaza(path: Path) -> Plaza:

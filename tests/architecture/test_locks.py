@@ -1,4 +1,4 @@
-"""The lock files pin what pyproject.toml asks for, and nothing but versions."""
+"""The lock files pin what pyproject.toml asks for, each with the hashes of its files."""
 
 import re
 import tomllib
@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def pins(name: str) -> dict[str, str]:
     lines = (ROOT / name).read_text().splitlines()
-    return dict(line.split("==", 1) for line in lines)
+    return dict(line.split(" ")[0].split("==", 1) for line in lines)
 
 
 def wanted(extra: str) -> list[Requirement]:
@@ -22,10 +22,11 @@ def wanted(extra: str) -> list[Requirement]:
     return [Requirement(text) for text in texts + (project["optional-dependencies"][extra] if extra else [])]
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
-def test_every_line_is_one_exact_version(name: str) -> None:
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "deploy/node.lock"])
+def test_every_line_is_one_exact_version_with_hashes(name: str) -> None:
     for line in (ROOT / name).read_text().splitlines():
-        assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line), f"{name}: {line!r}; run `make lock`"
+        pin = r"[a-z0-9-]+==[0-9][0-9a-z.]*( --hash=sha256:[0-9a-f]{64})+"
+        assert re.fullmatch(pin, line), f"{name}: {line!r}; run `make lock`"
 
 
 @pytest.mark.parametrize(("name", "extra"), [("requirements.lock", ""), ("requirements-dev.lock", "dev")])
@@ -38,7 +39,24 @@ def test_what_the_project_asks_for_is_pinned_within_its_bounds(name: str, extra:
 
 
 def test_the_tests_run_on_the_versions_that_the_vehicle_runs() -> None:
-    assert pins("requirements.lock").items() <= pins("requirements-dev.lock").items()
+    shared = set((ROOT / "requirements.lock").read_text().splitlines())
+    assert shared <= set((ROOT / "requirements-dev.lock").read_text().splitlines())
+
+
+def test_every_installation_insists_on_the_hashes() -> None:
+    for place in ("Makefile", "deploy/Dockerfile"):
+        commands = (ROOT / place).read_text().replace("\\\n", " ").splitlines()
+        installs = [one for one in commands if "pip" in one and " -r " in one]
+        assert installs, place
+        assert all("--require-hashes" in one for one in installs), place
+
+
+def test_the_image_leaves_out_whole_lines_of_the_lock() -> None:
+    """The expression of the Dockerfile removes the two packages with their hashes, and nothing else."""
+    found = re.search(r"sed -i -E '/(.*)/d' /build/requirements.lock", (ROOT / "deploy" / "Dockerfile").read_text())
+    assert found is not None
+    kept = [line for line in (ROOT / "requirements.lock").read_text().splitlines() if not re.search(found[1], line)]
+    assert pins("requirements.lock").keys() - {line.split("==")[0] for line in kept} == {"numba", "llvmlite"}
 
 
 def test_the_vehicle_gets_no_test_tools() -> None:

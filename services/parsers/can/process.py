@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from shared import shipped
 from shared.bounded import read_text
 from shared.errors import UserError
 from shared.faults import Faults
@@ -27,7 +28,6 @@ MAX_SIGNALS = 32
 MAX_IDENTIFIERS = 4096  # whose names are kept: more than a vehicle has
 SPEED = "vehicle_speed"
 Output = VehicleSpeed | WheelSpeeds | VehicleSignal
-REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 class WheelSignals(Section):
@@ -192,7 +192,7 @@ class Process:
         if config.dbc_file is None or not wanted:
             return None
         try:
-            path = config.dbc_file if config.dbc_file.exists() else REPOSITORY / config.dbc_file
+            path = shipped(config.dbc_file)
             return SignalDecoder(read_text(path, DBC_BYTES, "latin-1"), wanted, round(period_s * NS), self.rejects)
         except (OSError, ValueError) as error:
             raise UserError(

@@ -6,6 +6,7 @@ from mcap.reader import make_reader
 
 from cli.recordings.common import open_recording
 from cli.recordings.record import repair
+from shared import VERSION
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.recording import Recording, RecordingWriter
@@ -39,7 +40,7 @@ def test_a_repaired_recording_is_opened_by_the_mcap_reader(tmp_path: Path, capsy
         assert list(recording) == messages[:60]
         assert recording.problems == []
         assert recording.attachments == {"vehicle.toml": b"[vehicle]\n"}
-        assert recording.metadata == {"obu": {"vehicle": "car"}, "provenance": {"device": "x"}}
+        assert recording.metadata == {"obu": {"vehicle": "car", "version": VERSION}, "provenance": {"device": "x"}}
     captured = capsys.readouterr()
     assert captured.out.startswith("wrote 60 messages")
     assert "the recording was not closed" in captured.err

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from shared import VERSION
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import BadRecording
@@ -127,7 +128,7 @@ def test_the_plain_mcap_reader_opens_a_closed_file(tmp_path: Path) -> None:
     assert summary.statistics.message_start_time == messages[0].received_ns
     assert summary.statistics.message_end_time == messages[-1].received_ns
     assert attachments == {"vehicle.toml": b'[vehicle]\nname = "car"\n'}
-    assert metadata == {"obu": {"vehicle": "car"}}
+    assert metadata == {"obu": {"vehicle": "car", "version": VERSION}}
 
 
 def test_the_message_index_points_at_its_messages(tmp_path: Path) -> None:
@@ -320,7 +321,7 @@ def test_provenance_is_read_as_it_was_written(tmp_path: Path) -> None:
     provenance = {"name": "a drive", "mapping": "# of\ntwo lines"}
     RecordingWriter(tmp_path / "a.mcap", vehicle="car", provenance=provenance).close()
     with Recording(tmp_path / "a.mcap") as recording:
-        assert recording.metadata == {"obu": {"vehicle": "car"}, "provenance": provenance}
+        assert recording.metadata == {"obu": {"vehicle": "car", "version": VERSION}, "provenance": provenance}
     with (tmp_path / "a.mcap").open("rb") as file:
         assert {record.name for record in make_reader(file).iter_metadata()} == {"obu", "provenance"}
 

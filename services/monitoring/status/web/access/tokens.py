@@ -234,7 +234,7 @@ def _read(path: Path) -> Content:
 
 def _reason(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        return "not a file of tokens"
+        return "not a file of tokens of this version"
     return str(error.strerror or error) if isinstance(error, OSError) else str(error)
 
 

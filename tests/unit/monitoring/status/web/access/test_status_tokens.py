@@ -142,7 +142,7 @@ def test_a_name_is_used_once_and_their_number_is_bounded(tokens: Tokens) -> None
 def test_a_broken_file_lets_nobody_in_and_is_not_overwritten(tmp_path: Path, tokens: Tokens, text: str) -> None:
     (tmp_path / FILE).write_text(text)
     assert tokens.find("x" * 43) is None
-    assert tokens.problem == "not a file of tokens"
+    assert tokens.problem == "not a file of tokens of this version"
     with pytest.raises(UserError, match="move it away"):
         tokens.add("guest", Right.VIEW)
     assert (tmp_path / FILE).read_text() == text
