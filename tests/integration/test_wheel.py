@@ -67,6 +67,11 @@ def test_doctor_finds_the_page_and_the_files_that_came_with_the_wheel(obu: Path,
     assert "Traceback" not in done.stderr
 
 
+def test_pages_of_the_repository_are_not_printed_elsewhere(obu: Path, tmp_path: Path) -> None:
+    done = run(obu, tmp_path, "reference")
+    assert (done.returncode, "is not the repository" in done.stderr) == (2, True)
+
+
 def test_a_missing_vehicle_file_names_the_folder_of_the_examples(obu: Path, tmp_path: Path) -> None:
     done = run(obu, tmp_path, "doctor", "--vehicle", "mine.toml")
     examples = obu.parent.parent.glob("lib/python3.*/site-packages/deploy/vehicles")
