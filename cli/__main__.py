@@ -4,7 +4,10 @@ import gc
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
+from shared import ROOT
 from shared.errors import BadRecording, ConfigError, UserError
 from shared.processes import BY_NAME
 
@@ -13,6 +16,7 @@ GARBAGE = 50_000
 
 def main() -> None:
     """Run the command line; an error of the user's making is one sentence on standard error."""
+    keep_to_this_code()
     try:
         if sys.argv[1:2] == ["run"] and len(sys.argv) == 3 and sys.argv[2] in BY_NAME:
             run(sys.argv[2])  # the processes of a vehicle start without the weight of the command line
@@ -32,6 +36,13 @@ def main() -> None:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
+
+
+def keep_to_this_code() -> None:
+    """Let processes that this one starts run the same code: `python -m` would prefer that of the working folder."""
+    with suppress(OSError):  # a working folder that was removed
+        if Path.cwd() != ROOT:
+            os.environ["PYTHONSAFEPATH"] = "1"
 
 
 def imported(arguments: list[str]) -> Callable[..., object]:

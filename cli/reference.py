@@ -12,6 +12,7 @@ from services.monitoring.status.web.access.table import ROWS
 from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
+from shared.errors import UserError
 from shared.messages.trust import TrustLevel
 from shared.missing_sensors import MISSING
 from shared.processes import PROCESSES, Role, running
@@ -249,7 +250,9 @@ def printed(root: Path) -> dict[Path, str]:
 
 
 def write(root: Path) -> list[Path]:
-    """Write what is printed into the repository."""
+    """Write what is printed into the repository; raises `UserError` for another folder."""
+    if not (root / "docs" / "reference").is_dir():
+        raise UserError(f"{root.resolve()} is not the repository; run this there, or name its folder")
     files = printed(root)
     for path, text in files.items():
         path.write_text(text, encoding="utf-8")

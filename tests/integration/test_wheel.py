@@ -2,14 +2,17 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 
 from tests.integration.test_demo import free_port
+from tests.support.data import REPOSITORY
 from tests.support.wheel import built
 
 pytestmark = [pytest.mark.slow, pytest.mark.whole_unit, pytest.mark.broker]
@@ -40,13 +43,20 @@ def run(obu: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess
 
 @pytest.mark.parametrize("broker", ["simulated", "mosquitto"])
 def test_the_demo_runs_from_the_wheel(obu: Path, tmp_path: Path, broker: str) -> None:
+    for name in ("cli", "shared"):  # packages of other programs, which must not be taken for ours
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('not this one')")
     done = run(obu, tmp_path, "demo", "--duration", "20", "--json", "--port", str(free_port()), "--broker", broker)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["healthy"]
     assert result["processes_alive"] == result["processes_expected"]
     assert result["fixes"] > 0
-    assert (tmp_path / ".obu" / "demo" / "recordings").is_dir(), "the state is kept in the working folder"
+    kept = sorted(path.name for path in (tmp_path / ".obu" / "demo").iterdir())
+    assert "recordings" in kept, "the state is kept in the working folder"
+    documented = re.findall(r"`([^` ]+)`", (REPOSITORY / "docs" / "how-to" / "upgrade.md").read_text(encoding="utf-8"))
+    names = [name.rstrip("/").split("/")[0] for name in documented]
+    assert [name for name in kept if not any(fnmatch(name, pattern) for pattern in names)] == []
 
 
 @pytest.mark.parametrize("file", ["deploy/vehicles/pi.toml", "deploy/vehicles/rsu.toml"])
@@ -55,6 +65,11 @@ def test_doctor_finds_the_page_and_the_files_that_came_with_the_wheel(obu: Path,
     assert "ok  libraries of the dashboard" in done.stdout, done.stderr
     assert f"from {file}" in done.stdout
     assert "Traceback" not in done.stderr
+
+
+def test_pages_of_the_repository_are_not_printed_elsewhere(obu: Path, tmp_path: Path) -> None:
+    done = run(obu, tmp_path, "reference")
+    assert (done.returncode, "is not the repository" in done.stderr) == (2, True)
 
 
 def test_a_missing_vehicle_file_names_the_folder_of_the_examples(obu: Path, tmp_path: Path) -> None:
