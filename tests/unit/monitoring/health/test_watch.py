@@ -417,7 +417,7 @@ def test_an_outage_from_before_a_broker_loss_stays_open_until_it_is_over(unit: U
     assert set(outages(unit.run(20))) == {"broker"}
     unit.revive("sensors.gnss")
     [(_, end)] = unit.run(5)
-    assert (end.what, end.affected) == ("sensors.gnss", ("gnss/fix", "gnss/raw"))
+    assert (end.what, end.affected) == ("sensors.gnss", ("gnss/raw", "gnss/fix"))
 
 
 def test_a_process_killed_while_the_observer_slept_was_lost_and_does_not_hang(unit: Unit) -> None:
