@@ -71,7 +71,11 @@ class Maker:
             return self._number(kind, metadata)
         if kind is str:
             patterns = [one.pattern for one in metadata if getattr(one, "pattern", None)]  # type: ignore[attr-defined]
-            return next(text for text in ("x", *("0" * n for n in (16, 32, 64, 128)), "EUR") if all(re.match(p, text) for p in patterns))
+            return next(
+                text
+                for text in ("x", *("0" * n for n in (16, 32, 64, 128)), "EUR")
+                if all(re.match(p, text) for p in patterns)
+            )
         if issubclass(kind, BaseModel):
             return kind(**self.fields(kind))
         if issubclass(kind, Enum):
