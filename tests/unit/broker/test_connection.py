@@ -76,3 +76,29 @@ def test_a_client_that_reads_at_times_stays_connected() -> None:
     transport = asyncio.run(_ask(broker, PING, reads=True))
     assert transport.written == raw_mqtt.packet(0xD0, b"") * 200
     assert not transport.aborted and broker.counters.counts["unread"] == 0
+
+
+async def _flood(broker: Broker, payload: bytes, count: int) -> list[int]:
+    """Send many messages at once, and count the kept ones after each turn of the loop."""
+    with socket.socket() as raw:
+        transport = Transport(raw)
+        connection = Connection(broker, set())
+        connection.connection_made(transport)
+        connection.data_received(raw_mqtt.connect_packet("flooder", "tester"))
+        connection.data_received(b"".join(_numbered(payload, number) for number in range(count)))
+        turns = []
+        while not transport.reading:
+            turns.append(len(broker.retained))
+            await asyncio.sleep(0)
+        return [*turns, len(broker.retained)]
+
+
+def _numbered(payload: bytes, number: int) -> bytes:
+    topic = f"t/{number:05d}".encode()
+    return raw_mqtt.packet(0x31, len(topic).to_bytes(2, "big") + topic + payload)
+
+
+def test_a_client_that_floods_gives_others_a_turn_after_some_packets_and_after_some_bytes() -> None:
+    limits = Limits(packets_in_turn=10, bytes_in_turn=1000)
+    assert asyncio.run(_flood(Broker(limits=limits), b"x", 35)) == [10, 20, 30, 35]
+    assert asyncio.run(_flood(Broker(limits=limits), bytes(600), 5)) == [2, 4, 5]
