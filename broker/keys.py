@@ -7,6 +7,7 @@ have chosen them.
 import json
 import os
 import pwd
+import re
 import secrets
 import shutil
 import stat
@@ -18,7 +19,7 @@ from shared.errors import UserError
 from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.runtime.config import VehicleFile
-from shared.runtime.credentials import CHECK, FOLDER, OBSERVERS, READERS, WATCH
+from shared.runtime.credentials import ADDRESS, CHECK, OBSERVER, OBSERVERS, READERS, WATCH
 from shared.topics import REPLAY
 
 from .acl import access_list
@@ -28,7 +29,8 @@ SECRET_BYTES = 32
 MADE = "made.json"  # in the folder of the secrets: for whom they were made
 PASSWORDS, ACCESS_LIST = "passwords", "acl.conf"
 RULES = "rules"  # in the state folder, where no other place is given: the broker's files
-PAGE = "page"
+READER_NAME = re.compile(r"[a-z][a-z0-9_-]{0,47}")
+RESERVED = (REPLAY, OBSERVER, ADDRESS)  # names that mean something else
 CONTAINER_GROUP, CONTAINER_EVIDENCE_GROUP = 10_001, 10_002
 CONTAINER_USERS = {row.name: 10_100 + number for number, row in enumerate(PROCESSES)}
 CONTAINER_BROKER = 1883  # user of the image eclipse-mosquitto
@@ -64,11 +66,14 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     """Make what is missing in the folder of the secrets, and write the broker's files; gives these two paths."""
     _own_folder(folder)
     files = Path(made.files)
-    files.mkdir(mode=0o755, parents=True, exist_ok=True)
+    try:
+        files.mkdir(mode=0o755, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {files}: {error.strerror}; name another one") from error
     rows = rows_of(vehicle, replay=made.replay)
     names = (*(row.name for row in rows), *OBSERVERS, *((REPLAY,) if may_be_replayed(rows) else ()))
     secret_of = {name: _secret(folder / name) for name in names}
-    readers = {path.name: _secret(path) for path in sorted((folder / READERS).glob("*"))}
+    readers = {name: _secret(folder / READERS / name) for name in readers_of(folder)}
     if made.containers:
         for name in names:
             os.chown(folder / name, _container_user(name), CONTAINER_GROUP)
@@ -88,82 +93,125 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     return passwords, rules
 
 
-def separate(state: Path, page_user: int, evidence_group: int) -> None:
-    """Make the folders of a state that not every process of its group may enter.
+def separate(private: Path, page_user: int, evidence_group: int) -> None:
+    """Make the folders of what not every process may touch, in a folder of root.
 
-    `page` holds the tokens of the page, for the user of monitoring.status; `keys` the key that signs, for the group of
-    the processes that do.
+    `page` is of the user of monitoring.status; `keys` holds the key that signs, for the group of those that do.
     """
-    page, signing = state / PAGE, keys_folder(state)
+    page, signing = private / "page", keys_folder(private)
     try:
+        _own_folder(private, 0o755)
         page.mkdir(mode=0o700, exist_ok=True)
-        for path in (state / "tokens.json", state / "tokens.lock"):  # of a version with one user for all
-            if path.is_file() and not path.is_symlink():
-                path.replace(page / path.name)
-        for path in (page, *page.iterdir()):
-            os.chown(path, page_user, -1, follow_symlinks=False)
-        signing.mkdir(exist_ok=True)
-        os.chown(signing, os.geteuid(), evidence_group)
+        if page.is_symlink():
+            raise UserError(f"{page} is a link: somebody may have put it there; remove it")
+        os.chown(page, page_user, -1, follow_symlinks=False)
+        _own_folder(signing, 0o750)
+        os.chown(signing, -1, evidence_group)
         signing.chmod(0o750)
         KeyFile(signing).signer()
         for path in signing.iterdir():
-            os.chown(path, os.geteuid(), evidence_group, follow_symlinks=False)
+            os.chown(path, -1, evidence_group, follow_symlinks=False)
             if not path.is_symlink():
                 path.chmod(0o640 if path.suffix == ".json" else 0o440)
     except OSError as error:
-        raise UserError(f"cannot write into {state}: {error.strerror}; run the command with `sudo`") from error
+        raise UserError(f"cannot write into {private}: {error.strerror}; run the command with `sudo`") from error
     except EvidenceError as error:
         raise UserError(str(error)) from error
 
 
 def share(state: Path, group: int) -> None:
-    """Give the files of a state folder to a group, of which each process has a user of its own.
+    """Give the state folder of an earlier version, where one user ran every process, to root and a group.
 
-    Also those of an earlier version, where one user ran every process. Folders of secrets are left out.
+    Done once: afterwards the processes of the group change what is in it. No link is followed.
     """
-    for path in (state, *state.rglob("*")):
-        if path.relative_to(state).parts[:1] in ((FOLDER,), (RULES,), (PAGE,), ("keys",)) or path.is_symlink():
-            continue
-        try:
-            found = path.stat()
-            os.chown(path, -1, group)
-            path.chmod(stat.S_IMODE(found.st_mode) | (0o2770 if path.is_dir() else 0o660))
-        except FileNotFoundError:
-            continue  # a process has replaced it
-        except OSError as error:
-            raise UserError(f"cannot share {path}: {error.strerror}; run the command with `sudo`") from error
+    try:
+        found = state.stat()
+        if (found.st_uid, found.st_gid) == (os.geteuid(), group) and found.st_mode & 0o2070 == 0o2070:
+            return
+        for _, folders, files, descriptor in os.fwalk(state, follow_symlinks=False):
+            for name in (*folders, *files):
+                _share(name, descriptor, group)
+        os.chown(state, os.geteuid(), group)
+        state.chmod(0o2770)
+    except OSError as error:
+        raise UserError(f"cannot share {state}: {error.strerror}; run the command with `sudo`") from error
+
+
+def _share(name: str, folder: int, group: int) -> None:
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        opened = os.open(name, flags, dir_fd=folder)
+    except OSError:
+        return  # a link, a socket, or gone
+    try:
+        found = os.fstat(opened)
+        is_folder = stat.S_ISDIR(found.st_mode)
+        if is_folder or (stat.S_ISREG(found.st_mode) and found.st_nlink == 1):
+            os.fchown(opened, -1, group)
+            os.fchmod(opened, stat.S_IMODE(found.st_mode) | (0o2770 if is_folder else 0o660))
+    finally:
+        os.close(opened)
 
 
 def made_in(folder: Path) -> Made:
     """For whom the secrets of a folder were made; raises `UserError` where there are none."""
     try:
+        insist_on_own(folder)
         return Made(**json.loads((folder / MADE).read_text(encoding="utf-8")))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"there are no secrets in {folder}: `obu keys make` makes them") from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(f"cannot read {folder / MADE}: {error}; run `obu keys make` with its options again") from error
 
 
+def readers_of(folder: Path) -> list[str]:
+    """Names of the further users that may read everything."""
+    return sorted(path.name for path in (folder / READERS).glob("*") if READER_NAME.fullmatch(path.name))
+
+
+def processes_of(folder: Path) -> list[str]:
+    """Names of the processes and programs of the unit that have a secret."""
+    others = (MADE, ADDRESS)
+    return sorted(p.name for p in folder.iterdir() if p.is_file() and p.name[0] != "." and p.name not in others)
+
+
 def add_reader(folder: Path, name: str) -> str:
-    """Make the secret of a further user that may read everything, and give it."""
+    """Make the secret of a further user that may read everything, and give it; raises `UserError` for no such name."""
+    if not READER_NAME.fullmatch(name) or name in RESERVED:
+        raise UserError(f"{name!r} is no name of a reader: a letter, then up to 47 letters, digits, - or _, lower case")
     (folder / READERS).mkdir(mode=0o700, exist_ok=True)
     return _secret(folder / READERS / name)
 
 
-def forget(folder: Path, names: Iterable[str]) -> None:
-    """Delete secrets; `make` makes new ones of those that a unit needs."""
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
-        (folder / READERS / name).unlink(missing_ok=True)
+def remove_reader(folder: Path, name: str) -> None:
+    """Delete the secret of a further user; raises `UserError` if there is none."""
+    if name not in readers_of(folder):
+        raise UserError(f"there is no user {name!r}; `obu keys list` lists them")
+    (folder / READERS / name).unlink()
 
 
-def _own_folder(folder: Path) -> None:
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+def forget(folder: Path, name: str) -> None:
+    """Delete the secret of a process or program of the unit; `make` makes a new one."""
+    if name in processes_of(folder):
+        (folder / name).unlink()
+
+
+def _own_folder(folder: Path, mode: int = 0o700) -> None:
+    """Make a folder, or make sure that nobody else can have changed what is in it."""
+    try:
+        folder.mkdir(mode=mode, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {folder}: {error.strerror}; remove what is in its place") from error
+    insist_on_own(folder)
+
+
+def insist_on_own(folder: Path) -> None:
+    """Raise `UserError` if a folder is another user's, or can be written by others."""
     found = folder.lstat()
-    if not folder.is_dir() or folder.is_symlink() or found.st_uid != os.geteuid():
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o022:
         raise UserError(
-            f"the folder of the secrets {folder} is another user's (uid {found.st_uid}): somebody else may know or "
-            "have chosen them; remove it, and run `obu keys make` again"
+            f"the folder {folder} is another user's (uid {found.st_uid}) or others may write it: somebody may know or "
+            "have chosen its secrets; remove it, and run `obu keys make` again"
         )
 
 

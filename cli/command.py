@@ -13,7 +13,7 @@ from services.monitoring.status.web.access.tokens import Tokens, tokens_folder
 from shared.bus.bus import Bus, decoded
 from shared.errors import UserError
 from shared.messages.operation import CommandStage, ModeAnswer, OperatorCommand
-from shared.runtime.config import ADDRESS_FILE, VehicleFile, broker_address, state_dir
+from shared.runtime.config import VehicleFile, address_file, broker_address, state_dir
 from shared.topics import BY_NAME
 
 CONNECT_S = 5.0
@@ -32,7 +32,7 @@ def send(kind: OperatorCommand, vehicle: VehicleFile, *, source: str | None, per
     """
     folder = state_dir()
     try:
-        address = (folder / ADDRESS_FILE).read_text().strip()
+        address = address_file(folder.resolve()).read_text().strip()
     except OSError as error:
         raise UserError(
             f"no unit is running with its state in {folder}; start it with `obu up`, or set OBU_STATE to its folder"
@@ -57,7 +57,7 @@ def _connect(bus: Bus) -> None:
 
 
 def _post(folder: Path, address: str, given: dict[str, object]) -> None:
-    """Send the command with a token of its own: who may write to the state folder may command the unit."""
+    """Send the command with a token of its own: who may write to the folder of the page may command the unit."""
     token = Tokens(tokens_folder(folder)).add_temporary("command", Right.OPERATE, seconds=TOKEN_S)
     headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
     request = urllib.request.Request(f"{address}api/command", json.dumps(given).encode(), headers, method="POST")

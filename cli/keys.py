@@ -3,16 +3,15 @@
 import grp
 import os
 import pwd
-import re
 import shutil
 from pathlib import Path
 
 from broker import keys
 from shared.errors import UserError
-from shared.runtime.config import load_vehicle, state_dir
-from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, READERS, folder_of
+from shared.runtime.config import VehicleFile, load_vehicle, state_dir
+from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, folder_of
+from shared.runtime.private import private_folder
 
-READER_NAME = re.compile(r"[a-z][a-z0-9_-]{0,47}")
 MOST_READERS = 32
 PAGE_PROCESS = "monitoring.status"
 TAKE_EFFECT = (
@@ -52,12 +51,14 @@ def make(
 ) -> int:
     """Make the secrets that are missing, and write the broker's files."""
     where = folder()
-    unit = load_vehicle(vehicle)
+    before = _made_before(where)  # what is not given stays
+    unit = _vehicle_of(before, vehicle)
+    path = Path(unit.path)
     made = keys.Made(
-        str(Path(unit.path).resolve()) if Path(unit.path).is_file() else unit.path,
-        str((files or where.parent / keys.RULES).resolve()),
-        owner or (str(keys.CONTAINER_BROKER) if containers else None),
-        containers,
+        str(path.resolve()) if path.is_file() else unit.path,
+        str(files.resolve()) if files else before.files if before else str(where.parent / keys.RULES),
+        owner or (before.owner if before else None) or (str(keys.CONTAINER_BROKER) if containers else None),
+        containers or bool(before and before.containers),
     )
     passwords, rules = keys.make(where, unit, made)
     if containers or group is not None:
@@ -65,21 +66,29 @@ def make(
         keys.share(state, keys.CONTAINER_GROUP if group is None else _group(group))
         page_user = keys.CONTAINER_USERS[PAGE_PROCESS] if group is None else _user(f"{group}-monitoring-status")
         signing = keys.CONTAINER_EVIDENCE_GROUP if group is None else _group(f"{group}-evidence")
-        keys.separate(state, page_user, signing)
+        keys.separate(private_folder(state), page_user, signing)
     print(f"secrets of {unit.name!r} in {where}; the broker's files: {passwords} and {rules}")
     return 0
+
+
+def _made_before(where: Path) -> keys.Made | None:
+    return keys.made_in(where) if (where / keys.MADE).exists() else None
+
+
+def _vehicle_of(before: keys.Made | None, vehicle: Path | None) -> VehicleFile:
+    if vehicle is None and "OBU_VEHICLE" not in os.environ and before and Path(before.vehicle).is_file():
+        return load_vehicle(before.vehicle)
+    return load_vehicle(vehicle)
 
 
 def show() -> int:
     """Print who has a secret, and what for; never the secret."""
     where = folder()
     keys.made_in(where)
-    for path in sorted(where.iterdir()):
-        if path.is_file() and not path.name.startswith(".") and path.name not in (keys.MADE, "address"):
-            what = "listens" if path.name in OBSERVERS else "process or program of the unit"
-            print(f"{path.name:24} {what}")
-    for path in sorted((where / READERS).glob("*")):
-        print(f"{path.name:24} listens (obu keys add)")
+    for name in keys.processes_of(where):
+        print(f"{name:24} {'listens' if name in OBSERVERS else 'process or program of the unit'}")
+    for name in keys.readers_of(where):
+        print(f"{name:24} listens (obu keys add)")
     return 0
 
 
@@ -87,15 +96,10 @@ def add(name: str) -> int:
     """Make a user that may read everything, and print the address that holds its secret."""
     where = folder()
     made = keys.made_in(where)
-    if not READER_NAME.fullmatch(name):
-        raise UserError(f"{name!r} is no name: a letter, then up to 47 letters, digits, - or _, all lower case")
-    readers = {path.name for path in (where / READERS).glob("*")}
-    if len(readers - {name}) >= MOST_READERS:
+    if len(set(keys.readers_of(where)) - {name}) >= MOST_READERS:
         raise UserError(f"there are {MOST_READERS} users already; remove one with `obu keys remove NAME`")
-    secret = keys.add_reader(where, name)
+    _tell(name, keys.add_reader(where, name))
     _write_rules(where, made)
-    print(f"OBU_BROKER=mqtt://{name}:{secret}@HOST:1883")
-    print(TAKE_EFFECT)
     return 0
 
 
@@ -103,9 +107,7 @@ def remove(name: str) -> int:
     """Delete a user of `obu keys add`."""
     where = folder()
     made = keys.made_in(where)
-    if not (where / READERS / name).exists():
-        raise UserError(f"there is no user {name!r}; `obu keys list` lists them")
-    keys.forget(where, [name])
+    keys.remove_reader(where, name)
     _write_rules(where, made)
     print(TAKE_EFFECT)
     return 0
@@ -115,18 +117,25 @@ def rotate(name: str | None) -> int:
     """Replace one secret, or all; processes read theirs when they start."""
     where = folder()
     made = keys.made_in(where)
-    names = {path.name for path in (*where.iterdir(), *(where / READERS).glob("*")) if path.is_file()}
-    known = {one for one in names if not one.startswith(".")} - {keys.MADE, "address"}
-    if name is not None and name not in known:
+    readers, processes = keys.readers_of(where), keys.processes_of(where)
+    if name is not None and name not in (*readers, *processes):
         raise UserError(f"there is no secret of {name!r}; `obu keys list` lists them")
-    readers = {path.name for path in (where / READERS).glob("*")}
-    chosen = known if name is None else {name}
-    keys.forget(where, chosen)
-    for reader in readers & chosen:
-        keys.add_reader(where, reader)
+    for reader in readers:
+        if name in (None, reader):
+            keys.remove_reader(where, reader)
+            _tell(reader, keys.add_reader(where, reader))
+    replaced = [process for process in processes if name in (None, process)]
+    for process in replaced:
+        keys.forget(where, process)
     _write_rules(where, made)
-    print(f"{len(chosen)} secrets replaced; restart the unit: broker and processes read theirs when they start")
+    if replaced:
+        print(f"replaced: {', '.join(replaced)}; restart the unit: broker and processes read theirs when they start")
     return 0
+
+
+def _tell(name: str, secret: str) -> None:
+    print(f"OBU_BROKER=mqtt://{name}:{secret}@HOST:1883")
+    print(TAKE_EFFECT)
 
 
 def tls(names: list[str]) -> int:

@@ -15,7 +15,7 @@ from services.monitoring.status.web.access.rights import MEANING, Right
 from services.monitoring.status.web.access.tokens import Tokens, tokens_folder
 from shared.bus.contract import table
 from shared.errors import UserError
-from shared.runtime.config import ADDRESS_FILE, state_dir
+from shared.runtime.config import address_file, state_dir
 
 LINK_MINUTES = 15.0
 SHOWN_OF_HASH = 8
@@ -128,7 +128,7 @@ def login_link(address: str, secret: str) -> str:
 def page_address(folder: Path) -> str:
     """The address at which the unit with this state folder serves its page; of one that does not run the usual one."""
     try:
-        return (folder / ADDRESS_FILE).read_text(encoding="utf-8").strip()
+        return address_file(folder.resolve()).read_text(encoding="utf-8").strip()
     except OSError:
         return "http://127.0.0.1:8080"
 

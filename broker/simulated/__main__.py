@@ -53,7 +53,12 @@ class _Rules:
         """Read both; raises `AclError` or `PasswordsError`, and then what held before holds."""
         acl = None if self._acl is None else parse(_text(self._acl, AclError))
         passwords = None if self._passwords is None else Passwords(_text(self._passwords, PasswordsError))
+        before = self.broker.passwords
         self.broker.acl, self.broker.passwords = acl, passwords
+        if before is not None and passwords is not None:
+            for session in tuple(self.broker.sessions.values()):
+                if passwords.lines.get(session.user or "") != before.lines.get(session.user or ""):
+                    session.writer.end()  # its secret is no longer the one
 
     def read_anew(self) -> None:
         """Read both, and log why that was not possible."""

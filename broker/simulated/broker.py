@@ -57,7 +57,7 @@ class Broker:
         if len(request.client_id) > LONGEST_CLIENT_ID:
             raise ProtocolError("a client identifier that is too long", Answer.IDENTIFIER_REJECTED)
         if self.passwords is not None and not self.passwords.matches(request.user, request.password):
-            self._log(f"Client {request.client_id or '<unknown>'} disconnected, not authorised.")
+            self._log(f"Client {_printable(request.user or '<unknown>')} disconnected, not authorised.")
             raise ProtocolError(f"{request.user} without its secret", Answer.NOT_AUTHORIZED)
         if sum(session.user == request.user for session in self.sessions.values()) >= self.limits.sessions_of_user:
             detail = f"{self.limits.sessions_of_user} sessions of {request.user} are the maximum"
@@ -173,3 +173,7 @@ class Broker:
         self._routes.clear()
         for pattern in request.filters:
             session.subscriptions.pop(pattern, None)
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:64])

@@ -91,7 +91,11 @@ def broker_command(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, 
 
 def how_to_listen(broker: str, state: Path) -> str:
     """The environment with which another terminal receives the messages of a unit that runs here."""
-    return f"to listen: export OBU_BROKER={broker} OBU_STATE={state} OBU_VEHICLE={state / 'vehicle.toml'}"
+    keys = f" OBU_KEYS={os.environ['OBU_KEYS']}" if "OBU_KEYS" in os.environ else ""
+    return (
+        "to listen in another terminal:\n"
+        f"export OBU_BROKER={broker} OBU_STATE={state} OBU_VEHICLE={state / 'vehicle.toml'}{keys}"
+    )
 
 
 def reaches_broker(address: BrokerAddress) -> None:

@@ -16,10 +16,15 @@ id obu >/dev/null 2>&1 || useradd --system --home-dir /var/lib/obu --shell /usr/
 install -d -m 755 /etc/obu
 [ -e /etc/obu/vehicle.toml ] || install -m 644 deploy/vehicles/pi.toml /etc/obu/vehicle.toml
 [ -e /etc/obu/obu.env ] || install -m 644 deploy/systemd/obu.env /etc/obu/obu.env
-.venv/bin/python -m broker.local_config --store /var/lib/obu-broker --rules /etc/obu/broker >/etc/obu/mosquitto.conf
+# A listener for other machines stays (docs/how-to/connect-programs-to-the-bus.md).
+listen=$(sed -n 's/^listener 8883 //p' /etc/obu/mosquitto.conf 2>/dev/null || true)
+.venv/bin/python -m broker.local_config --store /var/lib/obu-broker --rules /etc/obu/broker \
+    ${listen:+--listen "$listen"} >/etc/obu/mosquitto.conf.part
+mv /etc/obu/mosquitto.conf.part /etc/obu/mosquitto.conf
 
 # A user for each process: none can read the secret of another. They share the state folder by their group.
-install -d -m 2770 -g obu /var/lib/obu
+[ -d /var/lib/obu ] || install -d -m 2770 -g obu /var/lib/obu
+install -d -m 755 /var/lib/obu-private # root's: secrets, the key that signs, tokens of the page
 for name in $(.venv/bin/python -c 'from shared.processes import *; print(*(row.name for row in PROCESSES))'); do
     user=obu-${name//[._]/-}
     id "$user" >/dev/null 2>&1 ||

@@ -42,7 +42,10 @@ class KeyRing:
         return next((key for key in self.keys if key.key_id == key_id), None)
 
     def accepts(self, key_id: str, public_key: str, begun_ns: int) -> bool:
-        """Whether a key is in the ring, and what was begun at a time was not begun a day after its end."""
+        """Whether a key is in the ring, and what was begun at a time was not begun a day after its end.
+
+        The time is what the signer says: who has a former key can still sign what claims to be older.
+        """
         key = self.find(key_id)
         if key is None or key.public_key.hex() != public_key:
             return False

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ..errors import ObuError
+from ..runtime.private import private_folder
 from .ring import KeyRing, PublicKey
 
 KEY_FILE, RING_FILE = "evidence.key", "ring.json"
@@ -46,8 +47,8 @@ class Signer(Protocol):
 
 
 def keys_folder(state: Path) -> Path:
-    """Give the folder of the keys: OBU_KEYS, otherwise `keys` in the state folder."""
-    return Path(os.environ.get("OBU_KEYS") or state / "keys")
+    """Give the folder of the keys: OBU_KEYS, otherwise `keys` in the state folder, or in that of root beside it."""
+    return Path(os.environ.get("OBU_KEYS") or private_folder(state) / "keys")
 
 
 def key_id_of(public_key: bytes) -> str:

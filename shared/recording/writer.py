@@ -89,7 +89,7 @@ class _WholeChunks:
         return bool(data)
 
 
-_USER = re.compile(r"""(?<=://)[^/@\s"']+@""")
+_USER = re.compile(r"""(?<=://)[^/\s"']+@""")  # up to the last @: a user may be an address
 
 
 def without_users(text: str) -> str:

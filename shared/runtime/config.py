@@ -21,12 +21,13 @@ from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
 from .clock import DISK_FAULTS
 from .old_keys import in_section, old_keys, successor
+from .private import page_folder
 
 log = logging.getLogger(__name__)
 
 NO_TEXT = "it is not UTF-8 text"
 EXAMPLES = f"{shipped(Path('deploy/vehicles'))}/"
-ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
+ADDRESS_FILE = "status.address"  # where monitoring.status serves the dashboard
 
 S = TypeVar("S", bound="Section")
 Table = dict[str, object]
@@ -146,12 +147,13 @@ class BrokerAddress:
     def parse(cls, url: str) -> "BrokerAddress":
         """Read mqtt://[user:password@]host[:port], or mqtts://... of a broker that speaks TLS."""
         parts = urlsplit(url if "://" in url else f"mqtt://{url}")
+        shown = url.rpartition("@")[2]  # without a password
         try:
             port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         except ValueError as error:
-            raise UserError(f"the broker's address {url!r} has no valid port: try mqtt://127.0.0.1:1883") from error
+            raise UserError(f"the broker's address {shown!r} has no valid port: try mqtt://127.0.0.1:1883") from error
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
-            raise UserError(f"the broker's address {url!r} is not understood: try mqtt://127.0.0.1:1883")
+            raise UserError(f"the broker's address {shown!r} is not understood: try mqtt://127.0.0.1:1883")
         user, password = (None if part is None else unquote(part) for part in (parts.username, parts.password))
         authority = os.environ.get("OBU_BROKER_CA") or None
         return cls(parts.hostname, port, user, password, parts.scheme == "mqtts", authority)
@@ -312,6 +314,11 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
         reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
         raise UserError(f"cannot read the vehicle's file {name}: {reason}; see {EXAMPLES} for examples") from error
     return parse_vehicle(text, str(name))
+
+
+def address_file(state: Path) -> Path:
+    """File in which monitoring.status says where it serves the page; nobody else may write it."""
+    return page_folder(state) / ADDRESS_FILE
 
 
 def broker_address() -> BrokerAddress:

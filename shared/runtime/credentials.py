@@ -13,11 +13,12 @@ from typing import IO
 
 from ..errors import UserError
 from ..topics import REPLAY
+from .private import PRIVATE, private_folder
 
 FOLDER = "credentials"
 ADDRESS = "address"  # in the folder: host:port of the broker that knows these secrets, where a program started it
 READERS = "readers"  # in the folder: those of `obu keys add`
-INSTALLED = Path("/var/lib/obu")  # state folder of a unit under systemd
+INSTALLED = PRIVATE  # of a unit under systemd
 LONGEST = 1_000  # bytes of a file
 OBSERVER = "observer"
 OBSERVERS = tuple(f"{OBSERVER}.{number}" for number in range(1, 9))
@@ -40,7 +41,7 @@ class Identity:
 
 def folder_of(state: Path) -> Path:
     """Folder of the secrets of a unit with this state folder."""
-    return Path(os.environ.get("OBU_CREDENTIALS") or state / FOLDER)
+    return Path(os.environ.get("OBU_CREDENTIALS") or private_folder(state) / FOLDER)
 
 
 def identity_of(process: str, state: Path) -> Identity:

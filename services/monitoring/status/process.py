@@ -19,7 +19,7 @@ from shared.errors import BadPayload, ObuError, UserError
 from shared.faults import Faults
 from shared.library.library import Library
 from shared.messages.operation import RecordingState
-from shared.runtime.config import ADDRESS_FILE, Section, parse_vehicle
+from shared.runtime.config import Section, address_file, parse_vehicle
 
 from .history.history_file import HistoryFile
 from .replay import ReplayFeed
@@ -116,7 +116,7 @@ class Process:
     def run(self, bus: Bus) -> None:
         """Receive from the bus and serve the web until `bus.stopping`."""
         host = self._config.host or os.environ.get("OBU_HTTP_HOST", "127.0.0.1")
-        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier incarnation
+        address_file(bus.state_dir).unlink(missing_ok=True)  # of an earlier incarnation
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
@@ -166,7 +166,7 @@ class Process:
         library.stop()
         job.stop()
         thread.join(3.0)
-        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)
+        address_file(bus.state_dir).unlink(missing_ok=True)
 
     def _make_server(
         self,
@@ -212,9 +212,9 @@ class Process:
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         address = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
         try:
-            (bus.state_dir / ADDRESS_FILE).write_text(address)
+            address_file(bus.state_dir).write_text(address)
         except OSError as error:  # the page is served all the same
-            log.warning("cannot write %s: %s", bus.state_dir / ADDRESS_FILE, error.strerror)
+            log.warning("cannot write %s: %s", address_file(bus.state_dir), error.strerror)
         log.info("dashboard at %s, listening on %s port %d", address, host, port)
 
 

@@ -73,7 +73,7 @@ def test_a_further_user_reads_everything_and_is_kept(tmp_path: Path) -> None:
     assert known.matches("gateway", secret)
     assert parse(rules).may_read("gateway", "obu/car/navigation/solution")
     assert not parse(rules).may_write("gateway", "obu/car/navigation/solution")
-    keys.forget(tmp_path / "credentials", ["gateway"])
+    keys.remove_reader(tmp_path / "credentials", "gateway")
     assert not made_again(tmp_path)[1].matches("gateway", secret)
 
 
@@ -110,31 +110,67 @@ def test_in_containers_each_secret_is_given_to_the_user_of_its_container(tmp_pat
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to a group")
-def test_the_state_of_an_earlier_version_is_shared_without_its_secrets(tmp_path: Path) -> None:
-    (tmp_path / "recordings").mkdir(mode=0o700)
-    (tmp_path / "recordings" / "drive.mcap").touch(0o600)
-    (tmp_path / "credentials").mkdir(mode=0o700)
-    (tmp_path / "outside").symlink_to("/etc/hostname")
-    before = os.stat("/etc/hostname")  # noqa: PTH116  # follows the link
-    keys.share(tmp_path, 12_345)
-    found = (tmp_path / "recordings" / "drive.mcap").stat()
+def test_the_state_of_an_earlier_version_is_shared_once_and_no_link_is_followed(tmp_path: Path) -> None:
+    state, outside = tmp_path / "state", tmp_path / "outside"
+    (state / "recordings").mkdir(parents=True, mode=0o700)
+    (state / "recordings" / "drive.mcap").touch(0o600)
+    outside.mkdir(mode=0o700)
+    (outside / "secret").touch(0o600)
+    (state / "link").symlink_to(outside / "secret")
+    (state / "folder").symlink_to(outside)
+    (state / "hard").hardlink_to(outside / "secret")
+    os.mkfifo(state / "fifo", 0o600)
+    keys.share(state, 12_345)
+    found = (state / "recordings" / "drive.mcap").stat()
     assert (found.st_gid, stat.S_IMODE(found.st_mode)) == (12_345, 0o660)
-    assert stat.S_IMODE((tmp_path / "recordings").stat().st_mode) == 0o2770
-    assert stat.S_IMODE((tmp_path / "credentials").stat().st_mode) == 0o700
-    assert os.stat("/etc/hostname").st_gid == before.st_gid  # noqa: PTH116
+    assert stat.S_IMODE((state / "recordings").stat().st_mode) == 0o2770
+    for path, mode in ((outside, 0o700), (outside / "secret", 0o600), (state / "fifo", 0o600)):
+        assert (path.stat().st_gid, stat.S_IMODE(path.stat().st_mode)) == (0, mode), path
+    (state / "later").touch(0o600)
+    keys.share(state, 12_345)
+    assert stat.S_IMODE((state / "later").stat().st_mode) == 0o600, (
+        "it is shared already: its group may have changed it"
+    )
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
 def test_tokens_are_the_pages_and_the_key_that_signs_is_of_those_who_sign(tmp_path: Path) -> None:
-    (tmp_path / "tokens.json").write_text("{}")
     for _ in range(2):
         keys.separate(tmp_path, 12_346, 12_347)
-        page, key = tmp_path / "page" / "tokens.json", tmp_path / "keys" / "evidence.key"
-        assert page.read_text() == "{}" and page.stat().st_uid == 12_346
-        assert stat.S_IMODE(page.parent.stat().st_mode) == 0o700
+        page, key = tmp_path / "page", tmp_path / "keys" / "evidence.key"
+        assert (page.stat().st_uid, stat.S_IMODE(page.stat().st_mode)) == (12_346, 0o700)
         assert (key.stat().st_uid, key.stat().st_gid, stat.S_IMODE(key.stat().st_mode)) == (0, 12_347, 0o440)
         assert stat.S_IMODE(key.parent.stat().st_mode) == 0o750
     before = KeyFile(tmp_path / "keys").signer().key_id
     KeyFile(tmp_path / "keys").rotate(1)
     assert (key.stat().st_gid, stat.S_IMODE(key.stat().st_mode)) == (12_347, 0o440)
     assert KeyFile(tmp_path / "keys").ring.find(before) is not None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
+@pytest.mark.parametrize("name", ["page", "keys"])
+def test_a_link_in_place_of_a_folder_of_root_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "file").touch(0o600)
+    (tmp_path / "private").mkdir()
+    (tmp_path / "private" / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="remove it"):
+        keys.separate(tmp_path / "private", 12_346, 12_347)
+    assert (tmp_path / "elsewhere" / "file").stat().st_uid == 0
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o702])
+def test_secrets_that_others_may_write_are_not_used(tmp_path: Path, mode: int) -> None:
+    made(tmp_path)
+    (tmp_path / "credentials").chmod(mode)
+    with pytest.raises(UserError, match="others may write"):
+        made(tmp_path)
+    with pytest.raises(UserError, match="others may write"):
+        keys.made_in(tmp_path / "credentials")
+
+
+def test_left_overs_of_a_write_are_no_users(tmp_path: Path) -> None:
+    made(tmp_path)
+    keys.add_reader(tmp_path / "credentials", "gateway")
+    (tmp_path / "credentials" / "readers" / ".eve.part").write_text("a" * 64)
+    assert set(made_again(tmp_path)[1].lines) & {"gateway", ".eve.part"} == {"gateway"}

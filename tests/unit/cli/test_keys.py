@@ -35,10 +35,12 @@ def test_keys_are_made_listed_added_removed_and_replaced(state: Path, capsys: py
     assert "gateway:" not in (state / "rules" / "passwords").read_text()
 
 
-@pytest.mark.parametrize("name", ["core.fusion", "observer.1", "../x", "", "A", "a" * 49, "x y", "$7$"])
+@pytest.mark.parametrize(
+    "name", ["core.fusion", "observer.1", "../x", "", "A", "a" * 49, "x y", "$7$", "replay", "observer", "address"]
+)
 def test_a_name_that_is_none_or_of_the_unit_is_refused(name: str) -> None:
     keys.make(None, None, None)
-    with pytest.raises(UserError, match="is no name"):
+    with pytest.raises(UserError, match="is no name of a reader"):
         keys.add(name)
 
 
@@ -52,3 +54,28 @@ def test_what_is_missing_is_said_with_what_to_do() -> None:
         keys.rotate("nobody")
     with pytest.raises(UserError, match="install"):
         keys.make(None, None, None, "no-such-group")
+
+
+def test_what_is_not_given_again_stays(state: Path) -> None:
+    vehicle = state / "car.toml"
+    vehicle.write_text('[vehicle]\nname = "car"\n')
+    keys.make(vehicle, state / "files", None)
+    keys.make(None, None, None)
+    assert "obu/car/" in (state / "files" / "acl.conf").read_text() and not (state / "rules").exists()
+    keys.add("gateway")
+    assert "gateway:" in (state / "files" / "passwords").read_text()
+
+
+@pytest.mark.parametrize("name", ["../core.trust", "..", ".", "", "core.trust", "made.json"])
+def test_only_a_reader_is_removed(state: Path, name: str) -> None:
+    keys.make(None, None, None)
+    before = sorted(path.name for path in (state / "credentials").iterdir())
+    with pytest.raises(UserError, match="obu keys list"):
+        keys.remove(name)
+    assert sorted(path.name for path in (state / "credentials").iterdir()) == before
+
+
+def test_a_file_in_place_of_a_folder_is_said(state: Path) -> None:
+    (state / "file").touch()
+    with pytest.raises(UserError):
+        keys.make(None, state / "file", None)

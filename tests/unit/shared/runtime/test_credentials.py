@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import UserError
-from shared.runtime import credentials
+from shared.runtime import credentials, private
 from shared.runtime.credentials import OBSERVERS, identity_of, observer_of, replay_of
 
 HERE, THERE = "127.0.0.1:1883", "127.0.0.1:40000"
@@ -17,6 +17,16 @@ def nothing_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("CREDENTIALS_DIRECTORY", "OBU_CREDENTIALS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(credentials, "INSTALLED", tmp_path / "not-installed")
+
+
+def test_secrets_of_an_installed_unit_are_in_a_folder_of_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(private, "STATE", tmp_path / "obu")
+    monkeypatch.setattr(private, "PRIVATE", tmp_path / "obu-private")
+    assert credentials.folder_of(tmp_path / "obu") == tmp_path / "obu" / "credentials"
+    (tmp_path / "obu-private").mkdir()
+    assert credentials.folder_of(tmp_path / "obu") == tmp_path / "obu-private" / "credentials"
+    assert private.page_folder(tmp_path / "obu") == tmp_path / "obu-private" / "page"
+    assert private.page_folder(tmp_path / "demo") == tmp_path / "demo"
 
 
 def secrets(folder: Path, *names: str, address: str | None = None, mark: str = "") -> None:

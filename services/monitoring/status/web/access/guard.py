@@ -20,6 +20,7 @@ Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Scope]]
 Send = Callable[[Scope], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
+TOKENS = "/api/tokens"  # every program of the machine is a visitor of a simulated unit, and a token outlives that
 VISITOR = "obu.visitor"  # in the scope of a request
 PEER = "obu.peer"
 LOGGED_OUT = 4401  # close code of a WebSocket whose session has ended
@@ -77,10 +78,7 @@ class Guard:
         if method not in (*SAFE_METHODS, WEBSOCKET) and not _is_from_page(visitor, right, headers):
             return _refuse(403, f"a change needs the header {CSRF_HEADER} with the value of /api/session, or a token "
                            "in the header Authorization")  # fmt: skip
-        if visitor is not None and not visitor.right.includes(right):
-            return _refuse(403, f"this needs the role {right}, and {visitor.name} has {visitor.right}; log in with "
-                           "another token")  # fmt: skip
-        return None
+        return _lacking(scope["path"], visitor, right) if visitor is not None else None
 
     @contextmanager
     def _counted(self, peer: Peer) -> Iterator[bool]:
@@ -139,6 +137,16 @@ def headers_of(scope: Mapping[str, Any]) -> dict[str, str]:
         key, text = name.decode("latin-1").lower(), value.decode("latin-1")
         found[key] = f"{found[key]}, {text}" if key in found else text
     return found
+
+
+def _lacking(path: str, visitor: Visitor, right: Right) -> Response | None:
+    """What a visitor may not do."""
+    if path == TOKENS and visitor.session is None and visitor.bearer is None:
+        return _refuse(403, "tokens are managed after a login; `obu token show-link` prints a link for it")
+    if not visitor.right.includes(right):
+        return _refuse(403, f"this needs the role {right}, and {visitor.name} has {visitor.right}; log in with "
+                       "another token")  # fmt: skip
+    return None
 
 
 def _is_from_page(visitor: Visitor | None, right: Right, headers: Mapping[str, str]) -> bool:

@@ -9,6 +9,7 @@ import fcntl
 import os
 import re
 import secrets
+import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from shared.errors import UserError
+from shared.runtime.private import page_folder
 
 from .rights import Right
 
@@ -178,7 +180,8 @@ class Tokens:
     def _changing(self) -> Iterator[Content]:
         """Lock the file, and give its content without what has expired."""
         try:
-            with self.path.with_suffix(".lock").open("a") as lock:
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC  # no link to a file that is not ours
+            with os.fdopen(os.open(self.path.with_suffix(".lock"), flags, 0o600), "r+") as lock:
                 _own_as_folder(lock.fileno(), self.path.parent)
                 fcntl.flock(lock, fcntl.LOCK_EX)
                 content = _read(self.path) if self.path.exists() else Content()
@@ -218,9 +221,8 @@ def is_secret(text: str) -> bool:
 
 def tokens_folder(state: Path) -> Path:
     """The folder of the tokens of a unit with this state folder."""
-    own = state / "page"  # where processes have users of their own: `obu keys make --group`
-    named = os.environ.get(FOLDER_VARIABLE) or (own if own.is_dir() else None)
-    return Path(named) if named else state
+    named = os.environ.get(FOLDER_VARIABLE)
+    return Path(named) if named else page_folder(state)
 
 
 def _expired(expires_s: float | None, now_s: float) -> bool:
@@ -240,7 +242,8 @@ def _reason(error: Exception) -> str:
 
 def _own_as_folder(descriptor: int, folder: Path) -> None:
     """Give a file that root makes to the owner of the folder, so that the unit can read it."""
-    if os.geteuid() == 0:
+    found = os.fstat(descriptor)
+    if os.geteuid() == 0 and stat.S_ISREG(found.st_mode) and found.st_nlink == 1:
         owner = folder.stat()
         os.fchown(descriptor, owner.st_uid, owner.st_gid)
         os.fchmod(descriptor, 0o600)
