@@ -224,7 +224,8 @@ def _tell_others(folder: Path, address: str, console: Console) -> None:
 
 def _how_to_listen(bus: Bus) -> str:
     """The environment with which another terminal receives the messages of this unit, and finds a secret for it."""
-    return how_to_listen(f"mqtt://{bus.address.host}:{bus.address.port}", bus.state_dir)
+    keys = keys_folder(bus.state_dir.parent)
+    return how_to_listen(f"mqtt://{bus.address.host}:{bus.address.port}", bus.state_dir, keys)
 
 
 def why_unhealthy(summary: Summary | PlazaSummary) -> str:

@@ -89,12 +89,12 @@ def broker_command(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, 
     ]  # fmt: skip
 
 
-def how_to_listen(broker: str, state: Path) -> str:
+def how_to_listen(broker: str, state: Path, keys_folder: Path | None = None) -> str:
     """The environment with which another terminal receives the messages of a unit that runs here."""
-    keys = f" OBU_KEYS={os.environ['OBU_KEYS']}" if "OBU_KEYS" in os.environ else ""
+    signed_by = f" OBU_KEYS={keys_folder}" if keys_folder else ""  # with which `obu verify` accepts its recordings
     return (
         "to listen in another terminal:\n"
-        f"export OBU_BROKER={broker} OBU_STATE={state} OBU_VEHICLE={state / 'vehicle.toml'}{keys}"
+        f"export OBU_BROKER={broker} OBU_STATE={state} OBU_VEHICLE={state / 'vehicle.toml'}{signed_by}"
     )
 
 
