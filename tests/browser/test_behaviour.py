@@ -292,7 +292,7 @@ def test_after_a_restart_of_the_status_process_its_history_is_there_and_nothing_
         expect(page.locator(".banner .sentence")).to_contain_text("waiting for the first verdict of core.trust")
         expect(page.locator("main .state.safe")).to_have_count(1, timeout=6000)  # the legend's
         page.keyboard.type("gn")
-        expect(page.locator(".band .segment.safe")).to_be_attached()
+        expect(page.locator(".band .segment.safe").first).to_be_attached()
         expect(page.locator(".band .segment.starting")).to_be_attached()
         expect(page.locator("main .checks .state.safe")).to_have_count(0)
 
