@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from broker import local_config
-from cli.demo.local import broker_command, free_port, unit
+from cli.demo.local import broker_command, free_port, reaches_broker, unit
 from cli.demo.supervisor import Supervisor
 from shared.bus.bus import Bus
 from shared.messages.imu import ImuSamples
@@ -42,6 +42,7 @@ seed = 1
 port = 0
 """
 COLD = tuple(row.name for row in running(Role.OBU) if row.name not in hot_path())
+START_S = 10.0  # of a broker
 READY_S = 60.0
 ROUNDS = 5  # beside the yardstick
 SETTLING_S = 10.0  # start-up costs more than running
@@ -157,9 +158,23 @@ def _open_broker(folder: Path) -> Iterator[int]:
     path.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\nlog_type error\n")
     with subprocess.Popen([str(program), "-c", str(path)]) as process:
         try:
+            _await_broker(port)
             yield port
         finally:
             process.terminate()
+
+
+def _await_broker(port: int) -> None:
+    deadline = time.monotonic() + START_S
+    while True:
+        try:
+            reaches_broker(BrokerAddress("127.0.0.1", port))
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
+        else:
+            return
 
 
 def _beside(listener: Listener, seconds: float) -> tuple[Ages, Ages]:
