@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from shared.processes import PROCESSES, Kind, ProcessRow
 from shared.runtime.credentials import CHECK, OBSERVERS
-from shared.topics import BY_NAME, REPLAY, Topic, measurements, publications, subscriptions
+from shared.topics import BROKER_LOG, BY_NAME, REPLAY, Topic, measurements, publications, subscriptions
 
 ANY_VEHICLE = "+"
-BROKER_LOG = "$SYS/broker/log/N"  # what the broker has refused, for monitoring.health
 HEAD = """\
 # Access list: rights to read and write topics. Printed by `python -m broker.acl`; do not edit.
 # The user name of a process is its own name. Programs that listen are one of the observers, the health check of the

@@ -20,6 +20,7 @@ from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.runtime.config import VehicleFile
 from shared.runtime.credentials import ADDRESS, CHECK, OBSERVER, OBSERVERS, READERS, WATCH
+from shared.runtime.private import PAGE
 from shared.topics import REPLAY
 
 from .acl import access_list
@@ -98,7 +99,7 @@ def separate(private: Path, page_user: int, evidence_group: int) -> None:
 
     `page` is of the user of monitoring.status; `keys` holds the key that signs, for the group of those that do.
     """
-    page, signing = private / "page", keys_folder(private)
+    page, signing = private / PAGE, keys_folder(private)
     try:
         _own_folder(private, 0o755)
         page.mkdir(mode=0o700, exist_ok=True)

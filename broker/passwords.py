@@ -47,7 +47,6 @@ class Passwords:
     def __init__(self, text: str) -> None:
         self.lines: dict[str, str] = {}
         self._entries: dict[str, tuple[int, bytes, bytes]] = {}
-        self._right: dict[str, bytes] = {}  # digest of the secret that was found right
         for number, row in enumerate(text.splitlines(), 1):
             if row.strip():
                 name, _, rest = row.strip().partition(":")
@@ -58,14 +57,8 @@ class Passwords:
         entry = self._entries.get(name or "")
         if entry is None or secret is None:
             return False
-        digest = hashlib.sha256(secret.encode()).digest()
-        if hmac.compare_digest(self._right.get(name or "", b""), digest):
-            return True
         iterations, salt, wanted = entry
-        right = hmac.compare_digest(_hash(secret, salt, iterations), wanted)
-        if right:
-            self._right[name or ""] = digest
-        return right
+        return hmac.compare_digest(_hash(secret, salt, iterations), wanted)
 
 
 def _entry(rest: str, number: int) -> tuple[int, bytes, bytes]:

@@ -76,6 +76,7 @@ from .processes import LAYERS, PROCESSES, ProcessRow, Role
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
 ONE_BYTES, MANY_BYTES = 131_072, 1_048_576
 OF_MANY = ("v2x/", "toll/", "plaza/", "simulation/", "replay/", "mode/")
+BROKER_LOG = "$SYS/broker/log/N"  # what the broker has refused, for monitoring.health
 REPLAY = "replay"  # the program `obu replay --broker`
 PROCESS_NAME = re.compile(rf"({'|'.join(LAYERS)})\.[a-z][a-z0-9_]*")
 

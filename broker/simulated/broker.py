@@ -3,7 +3,8 @@
 import time
 from collections.abc import Callable
 
-from ..acl import BROKER_LOG
+from shared.topics import BROKER_LOG
+
 from ..contract import Bounds, bounds_of
 from ..passwords import Passwords
 from .access_list import Acl

@@ -30,7 +30,7 @@ from ..runtime.config import BrokerAddress
 from ..runtime.credentials import OBSERVER, Identity, identity_of, observer_of, replay_of
 from ..runtime.last_end import LastEnd
 from ..runtime.usage import ProportionalSize, resident_bytes
-from ..topics import BY_MESSAGE, BY_NAME, TOPICS, Topic, may_send, topic_of
+from ..topics import BROKER_LOG, BY_MESSAGE, BY_NAME, TOPICS, Topic, may_send, topic_of
 from . import codec
 from .envelope import Envelope
 
@@ -47,7 +47,6 @@ RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 STEADY_S = 3.0  # a shorter connection counts as failed: two clients of one name disconnect each other
 QUEUE_LENGTH = 2000
 IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
-BROKER_LOG = "$SYS/broker/log/N"
 REFUSAL = re.compile(rb"\bClient (.{1,64}?) disconnected, not authori[sz]ed")
 REFUSED_KEPT = 8
 MOST_READS = 64  # per call, so that a flood of messages does not stop the loop

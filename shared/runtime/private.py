@@ -6,6 +6,7 @@ rename what is in it. What not every process may touch is then in a folder of ro
 
 from pathlib import Path
 
+PAGE = "page"  # in the folder of root
 STATE, PRIVATE = Path("/var/lib/obu"), Path("/var/lib/obu-private")
 
 
@@ -20,4 +21,4 @@ def private_folder(state: Path) -> Path:
 def page_folder(state: Path) -> Path:
     """Folder of the tokens and of the address of the page, which monitoring.status alone writes."""
     private = private_folder(state)
-    return private / "page" if private != state else state
+    return private / PAGE if private != state else state

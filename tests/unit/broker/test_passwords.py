@@ -13,7 +13,7 @@ SECRET = "0123456789abcdef" * 4
 
 def test_a_secret_matches_its_name_alone() -> None:
     known = Passwords(password_file({"core.fusion": SECRET, "core.trust": SECRET[::-1]}))
-    for _ in range(2):  # the second answer is remembered
+    for _ in range(2):  # an answer changes nothing
         assert known.matches("core.fusion", SECRET)
         assert known.matches("core.trust", SECRET[::-1])
         assert not known.matches("core.fusion", SECRET[::-1])

@@ -1,8 +1,10 @@
-"""Reads the body of a command, which is short."""
+"""Bodies: of a command, which is short, and of an answer in JSON."""
 
 import asyncio
 
-from fastapi import HTTPException, Request
+from fastapi import HTTPException, Request, Response
+from pydantic import ValidationError
+from pydantic_core import to_json
 
 BODY_BYTES = 2048
 BODY_S = 5.0
@@ -20,3 +22,14 @@ async def read(request: Request) -> bytes:
     except TimeoutError as error:
         raise HTTPException(408, f"the command was not complete after {BODY_S:g} s; send it again") from error
     return data
+
+
+def invalid(error: ValidationError) -> HTTPException:
+    """The answer to a body that is no such command: its first fault, and where."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    return HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
+
+
+def json_response(content: object, status: int = 200, media_type: str = "application/json") -> Response:
+    """Answer with an object as JSON, which no browser keeps."""
+    return Response(to_json(content), status, {"Cache-Control": "no-store"}, media_type)

@@ -62,7 +62,6 @@ def _command(data: bytes) -> ModeCommand:
             raise ValueError('a command is an object such as {"command": "cold_start", "source": "gnss0"}')
         return ModeCommand.model_validate_json(to_json({"request_id": uuid4().hex[:12], **given}))
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        raise body.invalid(error) from error
     except ValueError as error:
         raise HTTPException(422, str(error)) from error

@@ -14,7 +14,6 @@ from fastapi import FastAPI, HTTPException, Request, Response
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import to_json
 
 from shared.library.library import Library
 
@@ -24,6 +23,7 @@ from .access.guard import insist_on, may
 from .access.rights import Right
 from .access.tokens import FOLDER_VARIABLE
 from .answers import Done, Recordings, Refusal, described, reference_to
+from .body import json_response
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 Responses = dict[int | str, dict[str, Any]]
@@ -158,7 +158,7 @@ class RecordingsApi:
         shown = views.recordings(self._library.entries.values(), self._open_name())
         for one in shown:
             one["report"] = self._job.report(str(one["name"])).is_file()
-        return _json({
+        return json_response({
             "recordings": shown,
             "free_bytes": self._library.free_bytes,
             "allowed": sorted(action for action in self._allowed if may(request, _right(action))),
@@ -183,11 +183,10 @@ class RecordingsApi:
         try:
             command = Command.model_validate_json(await body.read(request))
         except ValidationError as error:
-            first = error.errors(include_url=False, include_input=False)[0]
-            raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+            raise body.invalid(error) from error
         insist_on(request, _right(command.action))
         self._carry_out(command)
-        return _json({}, 202)
+        return json_response({}, 202)
 
     def _carry_out(self, command: Command) -> None:
         action, name = command.action, command.name
@@ -230,7 +229,3 @@ class RecordingsApi:
 
 def _right(action: Action) -> Right:
     return Right.ADMIN if action is Action.DELETE else Right.OPERATE
-
-
-def _json(content: object, status: int) -> Response:
-    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")

@@ -8,13 +8,13 @@ from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import ValidationError
-from pydantic_core import to_json
 
 from shared.messages.replay import ReplayCommand, ReplayControl
 
 from ..replay import ReplayFeed
 from . import body
 from .answers import Refusal, Replay, Taken, described, reference_to
+from .body import json_response
 
 WAITING = 32  # commands that are not yet published
 LOOK_S = 0.02  # between two looks for a jump that is complete
@@ -54,7 +54,7 @@ class ReplayApi:
     def replay(self) -> Response:
         """Position, extent, speed and events of the replay; null if this is none."""
         with self._lock:
-            return _json({"replay": self.view()}, 200)
+            return json_response({"replay": self.view()}, 200)
 
     async def control(self, request: Request) -> Response:
         """Play, pause, seek, or set the speed; 202, and the position follows in the state."""
@@ -63,13 +63,12 @@ class ReplayApi:
         try:
             command = ReplayControl.model_validate_json(await body.read(request))
         except ValidationError as error:
-            first = error.errors(include_url=False, include_input=False)[0]
-            raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+            raise body.invalid(error) from error
         try:
             self.commands.put_nowait(command)
         except Full as error:
             raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
-        return _json({}, 202)
+        return json_response({}, 202)
 
     async def pause(self, period_s: float) -> None:
         """Wait for a period, or until a jump of the replay is complete."""
@@ -100,7 +99,3 @@ class ReplayApi:
             "trust": [change.model_dump() for change in feed.events.trust],
             "outages": [outage.model_dump() for outage in feed.events.outages],
         }
-
-
-def _json(content: object, status: int) -> Response:
-    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")

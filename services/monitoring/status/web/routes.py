@@ -12,7 +12,6 @@ import uvicorn
 from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from prometheus_client import CollectorRegistry
-from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
 from shared.library.library import Library
@@ -47,6 +46,7 @@ from .answers import (
     reference_to,
     schemas,
 )
+from .body import json_response
 from .command import CommandApi
 from .looking import look_at
 from .map.map import MapApi
@@ -153,13 +153,13 @@ class Api:
         """Every topic and process against its deadline; 503 only if the broker is lost."""
         with self._lock:
             report = reports.health(self._state, self._now_ns())
-        return _json(report, 503 if report["state"] == "failed" else 200)
+        return json_response(report, 503 if report["state"] == "failed" else 200)
 
     def alive(self) -> Response:
         """Whether this process responds and the broker is connected; 503 if it is not. It needs no login."""
         with self._lock:
             alive = reports.health(self._state, self._now_ns())["state"] != "failed"
-        return _json({"alive": alive}, 200 if alive else 503)
+        return json_response({"alive": alive}, 200 if alive else 503)
 
     def topic(self, name: Annotated[str, Path(max_length=80)]) -> Response:
         """Newest message of one topic with its rate, jitter, size and age; a fast one is followed for 5 s from now."""
@@ -201,7 +201,7 @@ class Api:
     def _answer(self, ask: Callable[[int], object], media_type: str = "application/json") -> Response:
         with self._lock:
             answer = ask(self._now_ns())
-        return _json(answer, 200, media_type)
+        return json_response(answer, 200, media_type)
 
 
 class Described(FastAPI):
@@ -247,7 +247,7 @@ class Watching:
     def viewers(self) -> Response:
         """How many clients are connected, and how many may be."""
         connected, events = len(self.stream.clients), len(self.events.clients)
-        return _json({"connected": connected, "events": events, "maximum": self.stream.clients.maximum}, 200)
+        return json_response({"connected": connected, "events": events, "maximum": self.stream.clients.maximum}, 200)
 
 
 def make_app(
@@ -285,7 +285,7 @@ def make_app(
     watching.add_to(app)
     LoginApi(access).add_to(app)
     TokensApi(access.tokens).add_to(app)
-    app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
+    app.add_api_route("/asyncapi.json", lambda: json_response(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
     app.add_middleware(Guard, access=access)
     return app
@@ -345,7 +345,3 @@ def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:
     if not task.cancelled():
         log.error("the stream to the pages has failed", exc_info=task.exception())
         server.should_exit = True
-
-
-def _json(content: object, status: int, media_type: str = "application/json") -> Response:
-    return Response(to_json(content), status, {"Cache-Control": "no-store"}, media_type)

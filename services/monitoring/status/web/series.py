@@ -17,6 +17,7 @@ from ..series.store import HOUR_NS, SeriesFull, labelled
 from ..state import State
 from ..views import gnss as views
 from .answers import Fields, Receivers, Refusal, Series, described
+from .body import json_response
 from .looking import look_at
 from .stream.clients import Client, Clients, Frame
 from .stream.websocket import read_until_closed, run_first_of, write_frames
@@ -70,7 +71,7 @@ class SeriesApi:
         """
         names = self._want(fields, FIELDS_ASKED)
         now_ns = self._now_ns()
-        return _json(self._answer(names, now_ns - round(seconds * SECOND_NS), now_ns, fine=seconds <= FINE_S))
+        return json_response(self._answer(names, now_ns - round(seconds * SECOND_NS), now_ns, fine=seconds <= FINE_S))
 
     def fields(self, name: Annotated[str, Path(max_length=80)]) -> Response:
         """Numeric fields of the newest message of a topic, with value and unit."""
@@ -80,19 +81,19 @@ class SeriesApi:
             if flow is None:
                 raise HTTPException(404, f"there is no topic {name}; /api/state lists them")
             listed = fields_of(flow)
-        return _json({"topic": name, "fields": listed})
+        return json_response({"topic": name, "fields": listed})
 
     def gnss(self) -> Response:
         """Each GNSS receiver: fix, satellites with the reason why one is not used, signals, configuration, bands."""
         with self._lock:
             shown = views.gnss(self._state, self._now_ns())
-        return _json(shown)
+        return json_response(shown)
 
     def tracks(self) -> Response:
         """Tracks of the satellites in the sky over the last hour."""
         with self._lock:
             shown = views.tracks(self._state)
-        return _json(shown)
+        return json_response(shown)
 
     async def serve(self, socket: WebSocket) -> None:
         """Send the past of the fields that are asked for in the address, then what is added, until the page leaves."""
@@ -187,7 +188,3 @@ def fields_of(flow: TopicFlow) -> list[Json]:
         if len(listed) == FIELDS_LISTED:
             break
     return listed
-
-
-def _json(content: object) -> Response:
-    return Response(to_json(content), 200, {"Cache-Control": "no-store"}, "application/json")

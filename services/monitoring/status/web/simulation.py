@@ -17,6 +17,7 @@ from ..state import State
 from ..views import simulation as views
 from . import body
 from .answers import Accepted, Refusal, Simulation, described, reference_to
+from .body import json_response
 
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(SimulationAttack)}}, "required": True}
@@ -52,7 +53,7 @@ class SimulationApi:
         """The attacks that are possible, those of this drive, and whether the verdict was right."""
         with self._lock:
             shown = views.simulation(self._state, self._now_ns())
-        return _json({**views.catalogue(), "simulation": shown}, 200)
+        return json_response({**views.catalogue(), "simulation": shown}, 200)
 
     async def attack(self, request: Request) -> Response:
         """Start or stop an attack; 202 with the request ID that `simulation/state` will carry."""
@@ -67,7 +68,7 @@ class SimulationApi:
             self.commands.put_nowait(command)
         except Full as error:
             raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
-        return _json({"request_id": command.request_id}, 202)
+        return json_response({"request_id": command.request_id}, 202)
 
 
 def _command(data: bytes) -> SimulationAttack:
@@ -82,12 +83,7 @@ def _command(data: bytes) -> SimulationAttack:
                 raise ValueError("name the attack that shall start; GET /api/simulation lists them")
             BY_NAME[command.attack].complete(command.parameters)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        raise body.invalid(error) from error
     except ValueError as error:
         raise HTTPException(422, str(error)) from error
     return command
-
-
-def _json(content: object, status: int) -> Response:
-    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")

@@ -5,11 +5,11 @@ from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
 from .. import body
 from ..answers import LoginState, Refusal, described, reference_to
+from ..body import json_response
 from .access import Access
 from .guard import PEER, visitor_of
 from .peer import Peer
@@ -54,7 +54,7 @@ class LoginApi:
     def session(self, request: Request) -> Response:
         """Who asks, with which role; `csrf` is the value of the header X-OBU-CSRF of every change."""
         visitor = visitor_of(request)
-        return _json({
+        return json_response({
             "name": visitor.name if visitor else None,
             "role": visitor.right if visitor else None,
             "session": bool(visitor and visitor.session),
@@ -77,7 +77,7 @@ class LoginApi:
                                 "used before; `obu token show-link` on the unit makes a new link")  # fmt: skip
         cookie, session = opened
         log.info("%s logged in from %s as %s", session.token, peer.address[:45], session.role)
-        answer = _json({"name": session.token, "role": session.role, "session": True, "csrf": None})
+        answer = json_response({"name": session.token, "role": session.role, "session": True, "csrf": None})
         self._set_cookie(request, answer, cookie, round(seconds))
         return answer
 
@@ -86,7 +86,7 @@ class LoginApi:
         visitor = visitor_of(request)
         if visitor and visitor.session:
             await run_in_threadpool(self._access.tokens.log_out, visitor.session)
-        answer = _json({"name": None, "role": None, "session": False, "csrf": None})
+        answer = json_response({"name": None, "role": None, "session": False, "csrf": None})
         self._set_cookie(request, answer, "", 0)
         return answer
 
@@ -96,7 +96,3 @@ class LoginApi:
             self._access.cookie, value, max_age=seconds, path="/", secure=peer.encrypted, httponly=True,
             samesite="strict",
         )  # fmt: skip
-
-
-def _json(content: object) -> Response:
-    return Response(to_json(content), 200, {"Cache-Control": "no-store"}, "application/json")

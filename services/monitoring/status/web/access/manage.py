@@ -4,13 +4,13 @@ from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
 from shared.errors import UserError
 
 from .. import body
 from ..answers import MadeToken, Refusal, TokenList, described, reference_to
+from ..body import json_response
 from .rights import Right
 from .tokens import Tokens
 
@@ -65,7 +65,7 @@ class TokensApi:
     def list(self) -> Response:
         """Names and roles of all tokens, and the logins that are open."""
         content = self._tokens.content()
-        return _json({
+        return json_response({
             "tokens": [token.model_dump(exclude={"hash"}) for token in content.tokens],
             "sessions": [session.model_dump(exclude={"hash"}) for session in content.sessions],
         })  # fmt: skip
@@ -75,10 +75,9 @@ class TokensApi:
         try:
             command = COMMANDS.validate_json(await body.read(request))
         except ValidationError as error:
-            first = error.errors(include_url=False, include_input=False)[0]
-            raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+            raise body.invalid(error) from error
         try:
-            return _json({"token": await run_in_threadpool(self._carry_out, command)})
+            return json_response({"token": await run_in_threadpool(self._carry_out, command)})
         except UserError as error:
             raise HTTPException(409, str(error)) from error
 
@@ -88,7 +87,3 @@ class TokensApi:
             return None
         seconds = None if command.days is None else command.days * DAY_S
         return self._tokens.add(command.name, Right(command.role), seconds=seconds)
-
-
-def _json(content: object) -> Response:
-    return Response(to_json(content), 200, {"Cache-Control": "no-store"}, "application/json")

@@ -17,6 +17,7 @@ from shared.track_files import Segment, gpx_lines, kml_lines
 from ...history.track import columns, length_m, segments
 from ...state import State
 from ..answers import InstalledMap, TrackRows, described, file_of
+from ..body import json_response
 from . import tiles
 
 Source = Literal["fused", "gnss", "truth"]
@@ -92,11 +93,11 @@ class MapApi:
     def map(self) -> Response:
         """The installed map: container, format, zoom levels, bounds, layers; `problem` says why there is none."""
         if self._path is None:
-            return _json({"map": None, "problem": None})
+            return json_response({"map": None, "problem": None})
         try:
-            return _json({"map": tiles.describe(self._path).as_json(), "problem": None})
+            return json_response({"map": tiles.describe(self._path).as_json(), "problem": None})
         except tiles.BadMap as error:
-            return _json({"map": None, "problem": str(error)})
+            return json_response({"map": None, "problem": str(error)})
 
     def archive(self) -> Response:
         """The PMTiles file, in the ranges that are asked for."""
@@ -121,10 +122,6 @@ class MapApi:
             return Response(status_code=204)
         headers = {"Content-Encoding": "gzip"} if data[:2] == b"\x1f\x8b" else {}
         return Response(data, 200, headers, tiles.CONTENT_TYPES[description.tiles])
-
-
-def _json(content: object) -> Response:
-    return Response(to_json(content), 200, {"Cache-Control": "no-store"}, "application/json")
 
 
 def _packed(request: Request, data: bytes) -> Response:
