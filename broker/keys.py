@@ -83,14 +83,14 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     if made.owner is not None:
         for name in (WATCH, CHECK):
             shutil.chown(files / name, user_number(made.owner))
-    _write(folder / MADE, json.dumps(asdict(made)))
+    write_file(folder / MADE, json.dumps(asdict(made)).encode())
     passwords, rules = files / PASSWORDS, files / ACCESS_LIST
     before = passwords.read_text(encoding="ascii") if passwords.exists() else ""
-    _write(passwords, password_file(secret_of | readers, before), made.owner)
+    write_file(passwords, password_file(secret_of | readers, before).encode(), made.owner)
     rights = access_list(
         vehicle.name, rows=rows, readers=tuple(readers), replay=made.replay, replayed=may_be_replayed(rows)
     )
-    _write(rules, rights, made.owner)
+    write_file(rules, rights.encode(), made.owner)
     return passwords, rules
 
 
@@ -226,17 +226,17 @@ def _secret(path: Path) -> str:
         raise UserError(f"cannot read the secret {path}: {error}; remove it, and run `obu keys make` again") from error
     if len(found) != 2 * SECRET_BYTES:  # none, or cut by a power failure
         found = secrets.token_hex(SECRET_BYTES)
-        _write(path, found + "\n", mode=0o400)
+        write_file(path, f"{found}\n".encode(), mode=0o400)
     return found
 
 
-def _write(path: Path, text: str, owner: str | None = None, mode: int = 0o600) -> None:
-    """Replace a file in one step; `owner` is a name or a number."""
+def write_file(path: Path, content: bytes, owner: str | None = None, mode: int = 0o600) -> None:
+    """Replace a file in one step; `owner` is a name or a number. Raises `UserError`."""
     part = path.with_name(f".{path.name}.part")
-    part.unlink(missing_ok=True)
     try:
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="ascii") as file:
-            file.write(text)
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         if owner is not None:

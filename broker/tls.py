@@ -2,7 +2,6 @@
 
 import datetime
 import ipaddress
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from shared.errors import UserError
+
+from .keys import write_file
 
 AUTHORITY, CERTIFICATE, KEY = "ca.pem", "server.pem", "server.key"
 AUTHORITY_KEY = "ca.key"
@@ -37,8 +38,8 @@ def make(folder: Path, secret_folder: Path, names: Sequence[str], now: datetime.
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .sign(authority_key, hashes.SHA256())
     )
-    _write(folder / KEY, _private(key), 0o600)
-    _write(folder / CERTIFICATE, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
+    write_file(folder / KEY, _private(key), mode=0o600)
+    write_file(folder / CERTIFICATE, certificate.public_bytes(serialization.Encoding.PEM), mode=0o644)
     return folder / AUTHORITY
 
 
@@ -73,8 +74,8 @@ def _authority(
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .sign(made, hashes.SHA256())
     )
-    _write(path, _private(made), 0o400)
-    _write(folder / AUTHORITY, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
+    write_file(path, _private(made), mode=0o400)
+    write_file(folder / AUTHORITY, certificate.public_bytes(serialization.Encoding.PEM), mode=0o644)
     return certificate, made
 
 
@@ -96,14 +97,3 @@ def _private(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-
-
-def _write(path: Path, content: bytes, mode: int) -> None:
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.unlink(missing_ok=True)
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            file.write(content)
-        part.replace(path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}; run the command with `sudo`") from error

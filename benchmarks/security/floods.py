@@ -116,9 +116,7 @@ def _retained(unit: Unit) -> Flood:
 def _idle_observer(unit: Unit) -> Iterator[socket.socket]:
     name = "observer.8"
     with socket.create_connection(("127.0.0.1", unit.broker_port)) as connection:
-        fields = b"".join(len(t).to_bytes(2, "big") + t.encode() for t in (name, name, unit.secret(name)))
-        body = b"\x00\x04MQTT\x04\xc2\x00\x3c" + fields
-        connection.sendall(raw_mqtt.packet(0x10, body))
+        connection.sendall(raw_mqtt.connect_packet(name, name, unit.secret(name)))
         if connection.recv(4)[3:] != b"\x00":
             raise RuntimeError("the broker refuses the observer")
         connection.sendall(raw_mqtt.subscribe("obu/demo/#"))

@@ -72,18 +72,19 @@ def opened(text: str, acl: Path) -> str:
 
 def start(folder: Path, acl: str | None = None) -> Mosquitto:
     """Start Mosquitto, or skip the test where it is not installed."""
-    executable = local_config.executable()
-    if executable is None:
-        pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")
-    return Mosquitto(executable, folder, brokers.access_list(folder, acl))
+    return Mosquitto(_program(), folder, brokers.access_list(folder, acl))
 
 
 def start_closed(folder: Path, acl: Path) -> Mosquitto:
     """Start Mosquitto with the access list and the password file beside it, or skip the test."""
+    return Mosquitto(_program(), folder, acl, closed=True)
+
+
+def _program() -> str:
     executable = local_config.executable()
     if executable is None:
         pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")
-    return Mosquitto(executable, folder, acl, closed=True)
+    return executable
 
 
 def _free_port() -> int:

@@ -15,10 +15,11 @@ def packet(first: int, body: bytes) -> bytes:
     return bytes((first, size) if size < 128 else (first, size % 128 | 128, size // 128)) + body
 
 
-def connect_packet(client_id: str, user: str) -> bytes:
-    """Write a CONNECT with clean session, keep-alive 60 s and a user name."""
-    head = string("MQTT") + b"\x04\x82\0\x3c"
-    return packet(0x10, head + string(client_id) + string(user))
+def connect_packet(client_id: str, user: str, password: str | None = None) -> bytes:
+    """Write a CONNECT with clean session, keep-alive 60 s, a user name and perhaps a password."""
+    head = string("MQTT") + (b"\x04\x82\0\x3c" if password is None else b"\x04\xc2\0\x3c")
+    fields = (client_id, user) if password is None else (client_id, user, password)
+    return packet(0x10, head + b"".join(map(string, fields)))
 
 
 def subscribe(pattern: str, qos: int = 0) -> bytes:
