@@ -32,7 +32,10 @@ watch() {
 watch=
 case " $* " in *" run "*) watch "$@" & watch=$! ;; esac
 
-while kill -0 "$child" 2>/dev/null; do
+# Waits before it looks: a command that has ended already is gone for `kill -0`, and its code is still to be had.
+wait "$child"
+code=$?
+while kill -0 "$child" 2>/dev/null; do # A signal ended the wait.
     wait "$child"
     code=$?
 done

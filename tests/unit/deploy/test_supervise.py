@@ -29,10 +29,10 @@ Start = Callable[..., subprocess.Popen[bytes]]
 def start(tmp_path: Path) -> Iterator[Start]:
     started: list[subprocess.Popen[bytes]] = []
 
-    def start(*command: str) -> subprocess.Popen[bytes]:
+    def start(*command: str, script: Path = SCRIPT) -> subprocess.Popen[bytes]:
         environment = {**os.environ, "OBU_ALIVE": str(tmp_path / "alive")}
         with (tmp_path / "log").open("wb") as log:
-            started.append(subprocess.Popen(["sh", str(SCRIPT), *command], env=environment, stderr=log))
+            started.append(subprocess.Popen(["sh", str(script), *command], env=environment, stderr=log))
         return started[-1]
 
     yield start
@@ -53,6 +53,17 @@ def beating(folder: Path, shell: subprocess.Popen[bytes]) -> psutil.Process:
 def test_exit_codes_pass_and_a_command_that_gives_no_signs_is_left_alone(start: Start) -> None:
     assert start(sys.executable, "-c", "raise SystemExit(78)").wait(WITHIN_S) == 78
     assert start("true").wait(WITHIN_S) == 0
+
+
+def test_the_exit_code_of_a_command_that_ends_before_the_shell_waits_for_it_is_kept(
+    start: Start, tmp_path: Path
+) -> None:
+    """As on a busy machine: another program runs and ends in between, and the shell learns of both."""
+    slow = tmp_path / "supervise.sh"
+    text = SCRIPT.read_text()
+    assert "child=$!\n" in text
+    slow.write_text(text.replace("child=$!\n", "child=$!\nsleep 0.3\n/bin/true\n"))
+    assert start("sh", "-c", "exit 78", script=slow).wait(WITHIN_S) == 78
 
 
 def test_sigterm_reaches_the_process_whose_exit_code_is_kept(start: Start, tmp_path: Path) -> None:
