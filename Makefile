@@ -12,7 +12,7 @@ SCENARIO ?= urban
 # for another one. FRESH=1 does again what earlier runs of the same code have found.
 CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay clean wheel audit
+.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -135,12 +135,16 @@ consistency: setup ## hold errors against the filter's covariance (3 minutes)
 starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (3 minutes)
 	@$(PYTHON) -m benchmarks.starts $(CAMPAIGN)
 
-fuzz: setup ## feed damaged bytes to parsers and readers of files, SECONDS=60 for each, SEED=1 (twelve minutes)
+fuzz: setup ## feed damaged bytes to parsers, readers of files and the link to a centre, SECONDS=60 for each, SEED=1 (20 minutes)
 	@$(PYTHON) -m benchmarks.fuzz --seed $(SEED) --seconds $(SECONDS)
 	@$(PYTHON) -m benchmarks.fuzz_files --seed $(SEED) --seconds $(SECONDS)
+	@$(PYTHON) -m benchmarks.fuzz_fleet --seed $(SEED) --seconds $(SECONDS)
 
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
 	@$(PYTHON) -m benchmarks.v2x
+
+fleet: $(VENV)/.testing $(VENV)/.debian ## measure a centre with 10,000 vehicles, and kill every part of one (9 minutes)
+	@$(PYTHON) -m benchmarks.fleet $(if $(SHORT),--short)
 
 bench-replay: $(VENV)/.testing $(VENV)/.debian ## measure a two-hour recording in the browser: opening, scrubber, memory (half an hour)
 	@$(PYTHON) -m benchmarks.replay

@@ -208,12 +208,12 @@ def failure_of(parser: Any, name: str, data: bytes, at_ns: int) -> str | None:
     return f"{taken_s:.1f} s for {len(data)} bytes" if taken_s > SLOWEST_S else None
 
 
-def fuzz(name: str, seed: int, seconds: float, folder: Path) -> tuple[int, list[str]]:
-    """Feed one parser for some seconds; return the number of inputs, and what failed, with the files of the inputs."""
+def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> tuple[int, list[str]]:
+    """Feed one parser for some seconds and `least` inputs; return their number, and what failed, with its files."""
     chance, seeds = random.Random(f"{name} {seed}"), TARGETS[name].seeds()
     parser, inputs, failures = parser_of(name), 0, []
     until = time.monotonic() + seconds
-    while time.monotonic() < until:
+    while inputs < least or time.monotonic() < until:
         data = mutated(seeds, chance)
         at_ns = NOW_NS + inputs * 100_000_000
         if (failure := failure_of(parser, name, data, at_ns)) is not None:

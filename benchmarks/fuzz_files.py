@@ -9,7 +9,7 @@ import random
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,6 +31,7 @@ MORE_BYTES = 500_000_000  # of address space, above that of the start
 PLACE_DEG = 48.0, 11.0
 REFUSALS = (ObuError, ValueError, BadMap)
 VEHICLES = REPOSITORY / "deploy" / "vehicles"
+Feed = Callable[[str, int, float, Path], tuple[int, list[str]]]  # reader, seed, seconds, folder of what fails
 
 
 def _recording(path: Path) -> None:
@@ -87,14 +88,14 @@ def failure_of(name: str, path: Path) -> str | None:
     return f"{taken_s:.1f} s" if taken_s > SLOWEST_S else None
 
 
-def fuzz(name: str, seed: int, seconds: float, folder: Path) -> tuple[int, list[str]]:
-    """Feed one reader for some seconds; return the number of files, and what failed."""
+def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> tuple[int, list[str]]:
+    """Feed one reader for some seconds and `least` files; return the number of files, and what failed."""
     chance, inputs, failures = random.Random(f"{name} {seed}"), 0, list[str]()
     with TemporaryDirectory() as made:
         sound = seed_of(name, Path(made))
         path = Path(made) / f"file{READERS[name][0]}"
         until = time.monotonic() + seconds
-        while time.monotonic() < until:
+        while inputs < least or time.monotonic() < until:
             path.write_bytes(damaged(sound, chance))
             if (failure := failure_of(name, path)) is not None:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -105,23 +106,30 @@ def fuzz(name: str, seed: int, seconds: float, folder: Path) -> tuple[int, list[
     return inputs, failures
 
 
-def main() -> None:
-    """Read the command line, and exit with 1 where a reader has failed."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("reader", nargs="*", choices=[*READERS, []], help="all where none is named")
+def limit_memory() -> None:
+    """Limit the address space of this process, so that what grows fails."""
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + MORE_BYTES, now + MORE_BYTES))
+
+
+def run(description: str | None, names: Sequence[str], feed: Feed, what: str) -> None:
+    """Read the command line, feed the readers that it names, and exit with 1 where one has failed."""
+    options = argparse.ArgumentParser(description=description)
+    options.add_argument("reader", nargs="*", choices=[*names, []], help="all where none is named")
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--seconds", type=float, default=60.0, help="time for each reader")
     given = options.parse_args()
-    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (now + MORE_BYTES, now + MORE_BYTES))
+    limit_memory()
     failed = False
-    for name in given.reader or READERS:
-        inputs, failures = fuzz(name, given.seed, given.seconds, REPOSITORY / ".obu" / "fuzz")
-        print(f"{name}: seed {given.seed}, {inputs} files in {given.seconds:g} s, {len(failures)} failures", flush=True)
+    for name in given.reader or names:
+        inputs, failures = feed(name, given.seed, given.seconds, REPOSITORY / ".obu" / "fuzz")
+        print(
+            f"{name}: seed {given.seed}, {inputs} {what} in {given.seconds:g} s, {len(failures)} failures", flush=True
+        )
         print("".join(f"  {failure}\n" for failure in failures[:5]), end="")
         failed = failed or bool(failures)
     sys.exit(failed)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, list(READERS), fuzz, "files")

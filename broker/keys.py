@@ -20,7 +20,7 @@ from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.runtime.config import VehicleFile
 from shared.runtime.credentials import ADDRESS, CHECK, OBSERVER, OBSERVERS, READERS, WATCH
-from shared.runtime.private import PAGE
+from shared.runtime.private import PAGE, UPLINK
 from shared.topics import REPLAY
 
 from .acl import access_list
@@ -94,18 +94,23 @@ def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
     return passwords, rules
 
 
-def separate(private: Path, page_user: int, evidence_group: int) -> None:
+def separate(private: Path, page_user: int, uplink_user: int, evidence_group: int) -> None:
     """Make the folders of what not every process may touch, in a folder of root.
 
-    `page` is of the user of monitoring.status; `keys` holds the key that signs, for the group of those that do.
+    `page` is of the user of monitoring.status, `uplink`, the enrolment at a centre, of that of monitoring.uplink;
+    `keys` holds the key that signs, for the group of those that do.
     """
-    page, signing = private / PAGE, keys_folder(private)
+    signing = keys_folder(private)
     try:
         _own_folder(private, 0o755)
-        page.mkdir(mode=0o700, exist_ok=True)
-        if page.is_symlink():
-            raise UserError(f"{page} is a link: somebody may have put it there; remove it")
-        os.chown(page, page_user, -1, follow_symlinks=False)
+        for name, user in ((PAGE, page_user), (UPLINK, uplink_user)):
+            folder = private / name
+            folder.mkdir(mode=0o700, exist_ok=True)
+            if folder.is_symlink():
+                raise UserError(f"{folder} is a link: somebody may have put it there; remove it")
+            os.chown(folder, user, -1, follow_symlinks=False)
+        for path in (private / UPLINK).iterdir():  # of an enrolment before the folder was made
+            os.chown(path, uplink_user, -1, follow_symlinks=False)
         _own_folder(signing, 0o750)
         os.chown(signing, -1, evidence_group)
         signing.chmod(0o750)

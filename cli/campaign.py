@@ -14,7 +14,7 @@ import platform
 import signal
 import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -59,6 +59,7 @@ class Job(Generic[Found]):
     reads: tuple[Path, ...] = ()
     makes: Path | None = None  # a file: the job is done where it is there
     also: tuple[str, ...] = ()  # modules of programs that it runs
+    identity: tuple[object, ...] | None = None  # what tells jobs apart in place of their arguments
 
     @property
     def key(self) -> str:
@@ -66,7 +67,8 @@ class Job(Generic[Found]):
         there = [(path, path.stat()) for path in self.reads if path.exists()]
         stamps = [(str(path), found.st_size, found.st_mtime_ns) for path, found in there]
         code = [code_of(module) for module in (self.work.__module__, *self.also)]
-        known = (code, self.work.__qualname__, self.arguments, stamps)
+        what = self.arguments if self.identity is None else self.identity
+        known = (code, self.work.__qualname__, what, stamps)
         return hashlib.sha256(repr(known).encode()).hexdigest()[:24]
 
     @property
@@ -80,6 +82,9 @@ class Failure:
     """Why there is no result of a job."""
 
     reason: str
+
+
+Results = Iterator[tuple[int, Found | Failure]]  # number and result of each job, as they are finished
 
 
 @dataclass(frozen=True)
@@ -100,11 +105,19 @@ class Outcome(Generic[Found]):
         return len(self.numbered) == self.planned
 
 
-def run(name: str, jobs: Sequence[Job[Found]], *, workers: int = 0, fresh: bool = False) -> Outcome[Found]:
+def run(
+    name: str,
+    jobs: Sequence[Job[Found]],
+    *,
+    workers: int = 0,
+    fresh: bool = False,
+    executor: Executor | None = None,
+) -> Outcome[Found]:
     """Do what is not done yet, as many jobs at once as there are workers (0: cores), and show how long it takes.
 
-    A job that fails, or whose process dies, is named on standard error and leaves the others alone. After Ctrl-C the
-    outcome holds what is finished. `fresh` does everything again.
+    An `executor` runs the jobs in place of processes of this machine, and decides how many at once. A job that fails,
+    or whose process dies, is named on standard error and leaves the others alone. After Ctrl-C the outcome holds what
+    is finished. `fresh` does everything again.
     """
     console = Console(stderr=True)
     paths = [state_dir() / "campaigns" / name / f"{job.key}.json" for job in jobs]
@@ -114,7 +127,7 @@ def run(name: str, jobs: Sequence[Job[Found]], *, workers: int = 0, fresh: bool 
     waiting = {number: job for number, job in enumerate(jobs) if number not in found}
     with suppress(KeyboardInterrupt), progress_on(console) as progress:
         task = progress.add_task(name, total=len(waiting))
-        for number, one in in_processes(waiting, workers):
+        for number, one in _done(waiting, workers, executor):
             progress.update(task, advance=1, description=f"{name}: {jobs[number].name}")
             if isinstance(one, Failure):
                 console.print(f"{name}: {jobs[number].name} failed: {one.reason}", markup=False, soft_wrap=True)
@@ -122,6 +135,13 @@ def run(name: str, jobs: Sequence[Job[Found]], *, workers: int = 0, fresh: bool 
             _keep(jobs[number], one, paths[number])
             found[number] = one
     return Outcome(sorted(found.items(), key=itemgetter(0)), len(jobs))
+
+
+def _done(jobs: Mapping[int, Job[Found]], workers: int, executor: Executor | None) -> Results[Found]:
+    if executor is None:
+        yield from in_processes(jobs, workers)
+    else:
+        yield from in_executor(jobs, executor)
 
 
 def _recalled(jobs: Sequence[Job[Found]], paths: Sequence[Path]) -> Iterator[tuple[int, Found]]:
@@ -137,7 +157,7 @@ def _keep(job: Job[Found], one: Found, path: Path) -> None:
     unfinished.rename(path)
 
 
-def in_processes(jobs: Mapping[int, Job[Found]], workers: int = 0) -> Iterator[tuple[int, Found | Failure]]:
+def in_processes(jobs: Mapping[int, Job[Found]], workers: int = 0) -> Results[Found]:
     """Do jobs in processes with one thread of linear algebra each, and yield them as they are finished.
 
     Each process has a group of its own, with all that it starts: Ctrl-C reaches the one alone that waits for the jobs.
@@ -151,6 +171,25 @@ def in_processes(jobs: Mapping[int, Job[Found]], workers: int = 0) -> Iterator[t
         for number, job in alone:
             if (yield from _until_one_dies([(number, job)], 1)):
                 yield number, Failure("its process died")
+
+
+def in_executor(jobs: Mapping[int, Job[Found]], executor: Executor) -> Results[Found]:
+    """Do jobs by an executor, such as that of a Dask cluster, and yield them as they are finished.
+
+    The death of a worker is the executor's affair; what it gives up is a failure of that job alone.
+    """
+    with _interruptible():
+        running = {executor.submit(_called, job): number for number, job in jobs.items()}
+        try:
+            for future in as_completed(running):
+                try:
+                    one = future.result()
+                except Exception as error:  # noqa: BLE001  # of the executor: the other jobs go on
+                    one = Failure(f"it was given up: {type(error).__name__}: {error}")
+                yield running[future], one
+        finally:
+            for future in running:
+                future.cancel()
 
 
 def _until_one_dies(

@@ -13,7 +13,7 @@ from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, folder_of
 from shared.runtime.private import private_folder
 
 MOST_READERS = 32
-PAGE_PROCESS = "monitoring.status"
+PAGE_PROCESS, UPLINK_PROCESS = "monitoring.status", "monitoring.uplink"
 TAKE_EFFECT = (
     "to take effect: `sudo systemctl reload obu-broker`, with containers `docker compose kill -s HUP broker`, "
     "otherwise restart the broker"
@@ -64,9 +64,12 @@ def make(
     if containers or group is not None:
         state = state_dir().resolve()
         keys.share(state, keys.CONTAINER_GROUP if group is None else _group(group))
-        page_user = keys.CONTAINER_USERS[PAGE_PROCESS] if group is None else _user(f"{group}-monitoring-status")
+        page_user, uplink_user = (
+            keys.CONTAINER_USERS[name] if group is None else _user(f"{group}-{name.replace('.', '-')}")
+            for name in (PAGE_PROCESS, UPLINK_PROCESS)
+        )
         signing = keys.CONTAINER_EVIDENCE_GROUP if group is None else _group(f"{group}-evidence")
-        keys.separate(private_folder(state), page_user, signing)
+        keys.separate(private_folder(state), page_user, uplink_user, signing)
     print(f"secrets of {unit.name!r} in {where}; the broker's files: {passwords} and {rules}")
     return 0
 

@@ -31,6 +31,25 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "enrol": ("enrol", "enrol"),
+    "centre up": ("centre.centre", "up"),
+    "centre run": ("centre.centre", "run"),
+    "centre prepare": ("centre.centre", "prepare"),
+    "centre token": ("centre.vehicles", "token"),
+    "centre tokens": ("centre.vehicles", "tokens"),
+    "centre vehicles": ("centre.vehicles", "vehicles"),
+    "centre revoke": ("centre.vehicles", "revoke"),
+    "centre erase": ("centre.vehicles", "erase"),
+    "centre retain": ("centre.vehicles", "retain"),
+    "centre tenant add": ("centre.tenants", "tenant_add"),
+    "centre tenant list": ("centre.tenants", "tenant_list"),
+    "centre tenant retention": ("centre.tenants", "tenant_retention"),
+    "centre tenant web-hook": ("centre.tenants", "tenant_web_hook"),
+    "centre account add": ("centre.tenants", "account_add"),
+    "centre account list": ("centre.tenants", "account_list"),
+    "centre account disable": ("centre.tenants", "account_disable"),
+    "fleet run": ("fleet.run", "run"),
+    "fleet simulate": ("fleet.simulate", "simulate"),
     "evidence-key show": ("evidence_key", "show"),
     "evidence-key rotate": ("evidence_key", "rotate"),
     "evidence-key export": ("evidence_key", "export"),
@@ -76,6 +95,26 @@ tokens = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(tokens, name="token")
+centre = typer.Typer(
+    help="Run and manage a control centre, to which vehicles report.\n\nExample: [bold]obu centre up[/]",
+    no_args_is_help=True,
+)
+app.add_typer(centre, name="centre")
+tenant = typer.Typer(
+    help="Tenants: each sees its own vehicles only.\n\nExample: [bold]obu centre tenant list[/]", no_args_is_help=True
+)
+centre.add_typer(tenant, name="tenant")
+account = typer.Typer(
+    help="Accounts for the pages of the centre.\n\nExample: [bold]obu centre account add anna --role admin[/]",
+    no_args_is_help=True,
+)
+centre.add_typer(account, name="account")
+fleet = typer.Typer(
+    help="Many recordings, and many vehicles, by one command.\n\n"
+    "Example: [bold]obu fleet run solve drives/ --out solved[/]",
+    no_args_is_help=True,
+)
+app.add_typer(fleet, name="fleet")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 keys_app = typer.Typer(
@@ -150,6 +189,10 @@ def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     vehicles: Annotated[
         int, typer.Option(min=1, max=200, metavar="COUNT", help="Vehicles at the toll plaza at a time.")
     ] = 50,
+    centre: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Report to the control centre that `obu centre up` runs from this folder."),
+    ] = None,
 ) -> None:
     """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
 
@@ -159,14 +202,16 @@ def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
     [bold]obu demo --role rsu --vehicles 50 --duration 60 --json[/]
     [bold]obu demo --attack drag_off@60[/]
+    [bold]obu demo --centre .obu/centre[/]
     [bold]obu demo --attack "drag_off(accel=0.1,speed=1)@60:120" --attack odometer_freeze@240 --duration 300[/]
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
     options = DemoOptions(
-        scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles, attacks=tuple(attack or ())
-    )
+        scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles, attacks=tuple(attack or ()),
+        centre=centre,
+    )  # fmt: skip
     raise typer.Exit(run(options))
 
 
@@ -639,6 +684,7 @@ def command_line(arguments: Sequence[str]) -> typer.Typer:
     """Give the command line with the command of `IN_MODULES` that is called; with all for help and unknown names."""
     groups = {
         "": app, "calibrate": calibrate, "record": recordings, "evidence-key": evidence_key, "token": tokens,
+        "centre": centre, "centre tenant": tenant, "centre account": account, "fleet": fleet,
     }  # fmt: skip
     here = {info.name or getattr(info.callback, "__name__", "") for info in app.registered_commands}
     first = arguments[0] if arguments else ""
@@ -646,5 +692,5 @@ def command_line(arguments: Sequence[str]) -> typer.Typer:
     for path, (module, function) in IN_MODULES.items():
         *group, name = path.split()
         if not known or first == path.split()[0]:
-            groups["".join(group)].command(name)(_ended(getattr(import_module(f".{module}", __package__), function)))
+            groups[" ".join(group)].command(name)(_ended(getattr(import_module(f".{module}", __package__), function)))
     return app

@@ -13,6 +13,7 @@ from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
 from shared.errors import UserError
+from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
 from shared.messages.trust import TrustLevel
 from shared.missing_sensors import MISSING
 from shared.processes import PROCESSES, Role, running
@@ -219,6 +220,7 @@ def pages() -> dict[str, str]:
         "attacks.md": HEAD + attacks_page(),
         "access.md": HEAD + access_page(),
         "asyncapi.json": asyncapi_json() + "\n",
+        "asyncapi-centre.json": centre_asyncapi_json() + "\n",
         "api.md": HEAD + api_page(cast("Json", (description := openapi()))),
         "openapi.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
     }

@@ -1,7 +1,8 @@
 """Writes the lock files: the installed versions of all dependencies of pyproject.toml, with the hashes of their files.
 
 Run by `make lock` in a fresh environment; it takes about ten minutes. `requirements.lock` holds the packages of the
-unit and its commands, and `requirements-dev.lock` those and the test tools. One line is one package:
+unit and its commands, `requirements-fleet.lock` those and what a control centre needs, and `requirements-dev.lock` all
+of them and the test tools. One line is one package:
 `name==version --hash=sha256:... --hash=sha256:...`, with the file that pip chooses for each Python and machine of
 `PYTHONS` and `MACHINES`, or the source archive where there is no wheel. Addresses are not written: any index that has
 the same files will do. `deploy/node.lock` is Node.js for `deploy/install_dashboard.py`, where there is no npm.
@@ -159,12 +160,14 @@ def main() -> None:
     """Write the files at the top of the repository, and that of Node.js."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     run_time: list[str] = project["dependencies"]
+    fleet: list[str] = project["optional-dependencies"]["fleet"]
     development: list[str] = project["optional-dependencies"]["dev"]
-    every = closure(run_time + development)
+    every = closure(run_time + fleet + development)
     digests, said = hashes(every)
     for sentence in (*said, *write_node()):
         sys.stderr.write(f"{sentence}\n")
     (ROOT / "requirements.lock").write_text(lock_text(closure(run_time), digests))
+    (ROOT / "requirements-fleet.lock").write_text(lock_text(closure(run_time + fleet), digests))
     (ROOT / "requirements-dev.lock").write_text(lock_text(every, digests))
 
 

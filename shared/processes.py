@@ -39,7 +39,8 @@ class ProcessRow:
 
     `consumes` and `produces` name rows of shared/topics.py. Topics that end in `/+` are produced by every process and
     are not listed; a process that observes all lists nothing that it consumes. A process with a `pause_s` reads the bus
-    no more often than that: most of the cost of a message at 100 Hz is to wake up for it.
+    no more often than that: most of the cost of a message at 100 Hz is to wake up for it. It may also read what
+    is `on_request`, and subscribes to it while somebody asks for it.
     """
 
     name: str
@@ -50,6 +51,7 @@ class ProcessRow:
     observes_all: bool = False
     roles: tuple[Role, ...] = (Role.OBU,)
     passes_on: tuple[str, ...] = ()  # of what it produces: data of another device that came through its own
+    on_request: tuple[str, ...] = ()
     pause_s: float = 0.0  # of a process of layers 2 to 4 whose output does not depend on such a delay
 
     @property
@@ -235,6 +237,19 @@ PROCESSES = (
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
         produces=("simulation/attack", "replay/control", "mode/command"), observes_all=True, roles=BOTH,
+    ),
+    ProcessRow(
+        "monitoring.uplink", Kind.OPTIONAL, "reports position, verdict and events to a control centre, each once",
+        consumes=(
+            "gnss/fix", "host/clock", "navigation/solution", "trust/state", "trust/event", "outage/event",
+            "toll/transaction", "origin/state",
+        ),
+        produces=("uplink/state",),
+        on_request=(
+            "gnss/satellites", "imu/sample", "vehicle/speed", "navigation/state", "navigation/aiding",
+            "navigation/set_up", "mode/state", "trust/monitor", "trust/hypotheses", "uplink/state", "deadline/report",
+        ),
+        roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

@@ -68,6 +68,7 @@ from .messages.toll import (
     UsedCams,
 )
 from .messages.trust import LearnedGrade, LearnedScale, TrustEvent, TrustHypotheses, TrustMonitor, TrustState
+from .messages.uplink import UplinkState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
@@ -224,6 +225,8 @@ TOPICS = (
     Topic("outage/event", Outage, "begin and end of an outage, with its root cause", qos=1),
     Topic("recording/state", RecordingState, "file in progress, and free space",
           rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
+    Topic("uplink/state", UplinkState, "connection to the control centre, what waits for it, and who watches",
+          rate_hz=0.1, silent_after_s=30.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
     Topic("replay/control", ReplayControl, "plays, pauses, seeks in a replay, or changes its speed"),
@@ -268,6 +271,11 @@ def subscriptions(process: str) -> tuple[Topic, ...]:
     """List what a process listens to."""
     everything = any(row.observes_all for row in PROCESSES if row.name == process)
     return tuple(t for t in TOPICS if everything or process in t.consumers)
+
+
+def on_request(process: str) -> tuple[Topic, ...]:
+    """List what a process may listen to while somebody asks for it."""
+    return tuple(BY_NAME[name] for row in PROCESSES if row.name == process for name in row.on_request)
 
 
 def publications(process: str) -> tuple[Topic, ...]:
@@ -332,7 +340,7 @@ def contradictions(processes: Sequence[ProcessRow], topics: Sequence[Topic]) -> 
 def _contradictions_of(row: ProcessRow, topics: Sequence[str]) -> Iterator[str]:
     if not PROCESS_NAME.fullmatch(row.name):
         yield f"shared/processes.py: {row.name!r} is not a layer ({', '.join(LAYERS)}), a dot and a noun; rename it"
-    for column, listed in (("consumes", row.consumes), ("produces", row.produces)):
+    for column, listed in (("consumes", row.consumes), ("produces", row.produces), ("on_request", row.on_request)):
         where = f"shared/processes.py: {row.name}: `{column}`"
         for name in dict.fromkeys(listed):
             if name not in topics:

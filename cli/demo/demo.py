@@ -65,6 +65,7 @@ class DemoOptions:
     attacks: tuple[str, ...] = ()  # each as name(parameters)@start:duration
     role: Role = Role.OBU
     vehicles: int = 50  # at the plaza of a road-side unit
+    centre: Path | None = None  # folder of a control centre of this machine, to which the unit reports
 
 
 def run(options: DemoOptions) -> int:
@@ -110,6 +111,10 @@ def _drive(options: DemoOptions, folder: Path) -> int:
         "OBU_STATE": str(folder),
         "OBU_KEYS": str(keys_folder(folder.parent)),  # the next demo empties its folder
     }
+    if options.centre is not None:
+        from .centre import join  # the centre's packages need not be installed
+
+        join(options.centre, vehicle.name, folder, Path(environment["OBU_KEYS"]))
     try:
         vehicle_path.write_text(vehicle.text, encoding="utf-8")
         (folder / "logs").mkdir()
@@ -173,6 +178,8 @@ def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
     tables.setdefault("monitoring.status", {}).update(
         port=http_port, recordings=["download", "keep", "delete", "replay", "solve"]
     )
+    if options.centre is not None:
+        tables.setdefault("monitoring.uplink", {})
     return parse_vehicle(as_toml(tables), "the demo's vehicle file")
 
 

@@ -3,8 +3,10 @@
 import contextlib
 import errno
 import fcntl
+import itertools
 import json
 import os
+import random
 import shutil
 import socket
 import sys
@@ -23,15 +25,27 @@ SERVICE = Path("/etc/systemd/system/obu-broker.service")
 ROADSIDE = Path(__file__).parents[2] / "deploy" / "vehicles" / "rsu.toml"
 
 
+# Below the ports that Linux gives outgoing connections (ip_local_port_range): one of those is taken before a program
+# that is told its number has started.
+PORTS = range(20_000, 32_000)
+_counter = itertools.count(random.randrange(len(PORTS)))
+
+
 def free_port() -> int:
-    """A loopback port that is not in use."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A loopback port that is not in use, for TCP and UDP; the same one again only after all others."""
+    for number in itertools.islice(_counter, len(PORTS)):
+        port = PORTS[number % len(PORTS)]
+        with contextlib.suppress(OSError), socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+            tcp.bind(("127.0.0.1", port))
+            udp.bind(("127.0.0.1", port))
+            return port
+    raise UserError(f"no port from {PORTS[0]} to {PORTS[-1]} is free: end a program that listens there (ss -lntup)")
 
 
 def port_or_free(wanted: int) -> tuple[int, str | None]:
     """The wanted loopback port, or a free one and the reason why the wanted one cannot be used."""
+    if wanted == 0:
+        return free_port(), None
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -39,7 +53,7 @@ def port_or_free(wanted: int) -> tuple[int, str | None]:
         except OSError as error:
             in_use = error.errno == errno.EADDRINUSE
             return free_port(), "is in use" if in_use else f"cannot be opened ({error.strerror})"
-        return int(probe.getsockname()[1]), None
+        return wanted, None
 
 
 @contextlib.contextmanager

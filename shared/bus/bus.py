@@ -30,6 +30,7 @@ from ..runtime.config import BrokerAddress
 from ..runtime.credentials import OBSERVER, Identity, identity_of, observer_of, replay_of
 from ..runtime.last_end import LastEnd
 from ..runtime.usage import ProportionalSize, resident_bytes
+from ..tls import reason_of
 from ..topics import BROKER_LOG, BY_MESSAGE, BY_NAME, TOPICS, Topic, may_send, topic_of
 from . import codec
 from .envelope import Envelope
@@ -99,6 +100,7 @@ class Bus:
         self._observer, self._guarded, self._hears_broker = observer, False, False
         self._identity = self._identify()
         self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
+        self._own = self._filters
         self._followed: frozenset[str] | None = None  # None: as constructed
         self._published: dict[str, tuple[int, int, bytes]] = {}  # of a fast topic: count, time and bytes of the newest
         self._received: dict[str, tuple[int, Envelope | None]] = {t.name: (0, None) for t in subscriptions if t.fast}
@@ -175,8 +177,16 @@ class Bus:
         followed = {f"{self._prefix}{t.name}/#": t.qos for t in TOPICS if not t.fast or t.name in fast}
         if self._hears_broker:
             followed[BROKER_LOG] = 0
-        before, self._filters, self._followed = self._filters, followed, fast
-        if not self.connected:
+        self._followed = fast
+        self._change_filters(followed)
+
+    def also(self, topics: Sequence[Topic]) -> None:
+        """Subscribe to these topics besides those of the process, in the place of those of the last call."""
+        self._change_filters(self._own | {self._prefix + topic.name: topic.qos for topic in topics})
+
+    def _change_filters(self, followed: dict[str, int]) -> None:
+        before, self._filters = self._filters, followed
+        if not self.connected or before == followed:
             return
         if new := [(name, qos) for name, qos in followed.items() if name not in before]:
             self._client.subscribe(new)
@@ -300,7 +310,7 @@ class Bus:
         try:
             self._client.connect(self.address.host, self.address.port, KEEP_ALIVE_S)
         except OSError as error:
-            self.last_error = f"no broker at {self.address.host}:{self.address.port}: {error.strerror or error}"
+            self.last_error = f"no broker at {self.address.host}:{self.address.port}: {reason_of(error)}"
             if self._attempts == 1:
                 log.warning("%s; connecting again until it responds", self.last_error)
         return self._client.socket() is not None

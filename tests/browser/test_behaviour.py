@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 
 from services.core.trust.facts import Monitor
 from shared.messages.operation import Origin, OriginKind
+from shared.messages.uplink import UplinkState
 from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
 from tests.support.dashboard.fake_unit import SIMULATED
@@ -87,6 +88,36 @@ def test_the_badge_says_where_the_data_are_from(
     speed = 4.0 if kind is OriginKind.REPLAY else 1.0
     bus.feed(Origin(now_ns=bus.now_ns(), kind=kind, name="truck", speed=speed), f"sensors.{kind}")
     expect(page.locator(".origin")).to_have_text(shown)
+
+
+def test_whoever_is_watched_from_a_control_centre_sees_it_on_every_page_while_it_lasts(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        page = open_page(server.address, theme="phone")
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
+        expect(page.locator(".watched")).to_have_count(0)
+        bus = server.bus
+        said = UplinkState(
+            now_ns=bus.now_ns(), connected=True, centre="centre.example:8883", tracking="live", watchers=2,
+            watched_until_ns=bus.now_ns() + 10**10, backlog_batches=3, backlog_bytes=4096, backlog_refused=1,
+            oldest_ns=1_796_000_000 * 10**9, sent=9, receipted=6, sent_bytes=12_000,
+        )  # fmt: skip
+        bus.feed(said, "monitoring.uplink")
+        expect(page.locator(".watched")).to_have_text("WATCHED by 2 people of the control centre")
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+        page.goto(f"{server.address}/#/system")
+        card = page.get_by_role("region", name="Control centre")
+        expect(card).to_contain_text("connected to centre.example:8883")
+        expect(card).to_contain_text("3 batches, 4.1 kB")
+        expect(card).to_contain_text("the oldest of 2026-11-30 00:53 UTC, 1 refused")
+        assert faults(page) == []
+
+        ended = said.model_copy(update={"watchers": 0, "connected": False, "offline": "no network"})
+        bus.feed(ended, "monitoring.uplink")
+        expect(page.locator(".watched")).to_have_count(0)
+        expect(card).to_contain_text("not connected no network")
 
 
 def test_the_reasons_of_the_banner_are_listed_with_what_is_not_evaluated(

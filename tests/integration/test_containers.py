@@ -7,55 +7,26 @@ where there is no engine with Compose, or where the base images can neither be f
 import json
 import os
 import signal
-import socket
-import subprocess
-import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import cast
 
 import pytest
 
 from broker.keys import CONTAINER_USERS
+from cli.demo.local import free_port
 from shared import VERSION
 from shared.processes import Role, running
+from tests.support.containers import engine_with, eventually, kill, run
 
 pytestmark = [pytest.mark.container, pytest.mark.slow]
 
-ROOT = Path(__file__).resolve().parents[2]
 BASE_IMAGES = ("python:3.11-slim-bookworm", "eclipse-mosquitto:2")
 EXPECTED = [row.name for row in running(Role.OBU, ["sensors.simulator"])]
 SERVICES = [name.replace(".", "-") for name in EXPECTED]
 MEMORY_BYTES = 700e6
-
-
-def run(*command: str, environment: dict[str, str] | None = None, timeout_s: float = 60.0) -> str:
-    """Run a command to its end; its standard output, or a failure with its error output."""
-    result = subprocess.run(
-        command, cwd=ROOT, env={**os.environ, **(environment or {})}, timeout=timeout_s, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
-    assert result.returncode == 0, f"{' '.join(command)}\n{result.stdout[-2000:]}\n{result.stderr[-4000:]}"
-    return result.stdout
-
-
-def succeeds(*command: str, timeout_s: float = 20.0) -> bool:
-    try:
-        return subprocess.run(command, timeout=timeout_s, capture_output=True, check=False).returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-
-
-def eventually(condition: Callable[[], bool], within_s: float) -> float:
-    """Wait for a condition; the seconds that it took."""
-    started = time.monotonic()
-    while not condition():
-        assert time.monotonic() - started < within_s, f"not within {within_s} s"
-        time.sleep(0.2)
-    return time.monotonic() - started
 
 
 @dataclass(frozen=True)
@@ -89,10 +60,7 @@ class Unit:
         return health["state"] == "ok" and [name for name in EXPECTED if processes[name]["ok"]] == EXPECTED
 
     def signal(self, service: str, number: signal.Signals) -> None:
-        """Send a signal as another process of the host would. (`docker kill` counts as a wish of the user's.)"""
-        pid = self.inspect(service, "{{.State.Pid}}")
-        run("docker", "run", "--rm", "--pid=host", "--user=0", "--network=none", "--entrypoint=python", "obu:local",
-            "-c", f"import os; os.kill({pid}, {int(number)})")  # fmt: skip
+        kill(f"{self.project}-{service}-1", "obu:local", number)
 
     def stop_program(self, service: str, name: str) -> None:
         """Stop the program behind the shell of a container; the shell goes on."""
@@ -109,16 +77,8 @@ class Unit:
 
 @pytest.fixture(scope="module")
 def unit() -> Iterator[Unit]:
-    if not succeeds("docker", "info"):
-        pytest.skip("no Docker engine answers here")
-    if not succeeds("docker", "compose", "version"):
-        pytest.skip("the Docker engine has no Compose plugin")
-    for image in BASE_IMAGES:
-        if not succeeds("docker", "image", "inspect", image) and not succeeds("docker", "pull", image, timeout_s=180):
-            pytest.skip(f"the image {image} is neither here nor to be had")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        running = Unit(f"obu-test-{os.getpid()}", probe.getsockname()[1])
+    engine_with(BASE_IMAGES)
+    running = Unit(f"obu-test-{os.getpid()}", free_port())
     try:
         running.compose("build", timeout_s=400)
         running.compose("up", "--detach", timeout_s=120)

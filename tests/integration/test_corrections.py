@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from cli.demo.local import free_port
 from services.sensors.corrections.process import Config
 from tests.support.bus import mosquitto
 from tests.support.gnss.correction_chain import chain
@@ -52,11 +53,6 @@ def base() -> Iterator[int]:
                 thread.join(5.0)
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
-
-
 def program(name: str, remedy: str) -> str:
     found = shutil.which(name) or shutil.which(name, path=str(Path(sys.executable).parent))
     if found is None:
@@ -69,7 +65,7 @@ def running(command: list[str], port: int) -> Iterator[None]:
     """Run a caster until its port is open, and end it."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 30.0
         while True:
             with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
                 break

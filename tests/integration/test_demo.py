@@ -17,6 +17,7 @@ import psutil
 import pytest
 from playwright.sync_api import Page, expect
 
+from cli.demo.local import free_port
 from shared.messages.base import Message, RawBytes
 from shared.messages.navigation import NavigationSolution
 from shared.processes import Role, running
@@ -35,12 +36,6 @@ EXPECTED = len(running(Role.OBU, ["sensors.simulator"])) + 1
 
 KINDS = ("mosquitto", "simulated")
 SIMULATED = set(load_vehicle(Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml").processes)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from cli.demo.local import free_port
 from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.world import Equipment, World
@@ -38,9 +39,7 @@ pytestmark = pytest.mark.skipif(shutil.which("gpsd") is None, reason="gpsd is no
 @contextmanager
 def gpsd(device: str) -> Iterator[socket.socket]:
     """Run gpsd on a device and a port of its own, and connect to it."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     command = [shutil.which("gpsd") or "gpsd", "-N", "-n", "-b", "-S", str(port), device]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 
+from cli.demo.local import free_port
 from services.monitoring.outputs.process import Config, Process
 from shared.messages.operation import OriginKind
 from tests.support.bus.live_bus import LiveBus, eventually, running
@@ -28,12 +29,6 @@ from tests.support.outputs import LATITUDE_DEG, LONGITUDE_DEG, fix, origin, sate
 Report = dict[str, Any]  # JSON of gpsd
 
 pytestmark = pytest.mark.skipif(shutil.which("gpspipe") is None, reason="no gpspipe: apt install gpsd-clients")
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @contextmanager

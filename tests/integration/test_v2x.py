@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from cli.demo.local import free_port
 from shared.bus.bus import Bus
 from shared.messages.operation import ProcessHealth
 from shared.messages.v2x import CamList, OwnCam
@@ -34,9 +35,7 @@ def radio() -> Iterator[socket.socket]:
 def unit(tmp_path: Path, radio: socket.socket) -> Iterator[tuple[int, int]]:
     """Run sensors.v2x and parsers.v2x; the ports of the broker and of the driver."""
     broker = brokers.start(brokers.SIMULATED, tmp_path)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     file = tmp_path / "vehicle.toml"
     file.write_text(
         f'[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\nsend_to = "udp://127.0.0.1:{radio.getsockname()[1]}"\n'

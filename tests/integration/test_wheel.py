@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.test_demo import free_port
+from cli.demo.local import free_port
 from tests.support.data import REPOSITORY
 from tests.support.wheel import built
 

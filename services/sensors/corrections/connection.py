@@ -172,6 +172,8 @@ class TcpConnection:
     def _greeted(self) -> bool:
         import ssl
 
+        from shared.tls import reason_of
+
         assert self._tls is not None
         try:
             self._tls.do_handshake()
@@ -188,9 +190,7 @@ class TcpConnection:
                 wait_s=RETRY_S,
             ) from error
         except OSError as error:
-            raise SourceFault(
-                f"no TLS with {self._name}: {error.strerror or error}; is it the port for TLS?"
-            ) from error
+            raise SourceFault(f"no TLS with {self._name}: {reason_of(error)}; is it the port for TLS?") from error
         self.wants_write = False
         return True
 

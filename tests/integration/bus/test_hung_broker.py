@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from broker import keys, local_config, probe
+from cli.demo.local import free_port
 from shared.runtime.config import parse_vehicle
 from tests.support.bus import mosquitto
 
@@ -110,7 +111,7 @@ def test_in_a_container_a_hung_broker_is_killed_and_its_script_ends(tmp_path: Pa
     if busybox:  # as in the image of Mosquitto
         for name in ("sh", "sed", "tail", "cat", "cut", "dd", "wc", "timeout", "nc", "sleep", "stat", "tr"):
             (tools / name).symlink_to(busybox)
-    port = mosquitto._free_port()
+    port = free_port()
     rules = tmp_path / "rules"
     keys.make(tmp_path / "credentials", parse_vehicle(""), keys.Made("", str(rules)))
     config = local_config.write(tmp_path, port, rules)

@@ -88,6 +88,20 @@ def test_what_no_row_describes_needs_the_highest_right_to_change() -> None:
     assert needed("GET", "//login") is Right.VIEW
 
 
+@pytest.mark.parametrize(("path", "right", "status"), [("/no/page", Right.VIEW, 404), ("/api/tokens", Right.VIEW, 403)])
+def test_a_browser_is_told_of_no_page_by_a_page_and_of_the_api_by_json(
+    page: Guarded, path: str, right: Right, status: int
+) -> None:
+    head = {"Authorization": f"Bearer {page.secrets[right]}", "Accept": "text/html"}
+    answer = httpx.get(page.server.address + path, headers=head)
+    assert answer.status_code == status
+    if path.startswith("/api/"):
+        assert answer.json()["detail"]
+    else:
+        assert "<h1>There is no such page</h1>" in answer.text and '<a href="../">' in answer.text
+        assert 'href="../style.css"' in answer.text
+
+
 @dataclass
 class Alone:
     """The guard alone, in front of an application that answers everything."""
@@ -133,6 +147,17 @@ def test_each_role_may_what_the_table_says(alone: Alone, row: Row) -> None:
                 assert status == 200, (method, path, role)
             else:
                 assert status == (403 if role else 401), (method, path, role)
+
+
+ENDS = ("%0A", "%0D%0A", "%00", "%20", ";", "/", "//", "%2F", "?x", "%E2%80%A8", "/../x")
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_no_end_of_a_path_gets_round_its_right(page: Guarded, end: str) -> None:
+    for row in ROWS:
+        if row.method == "GET" and row.right in (Right.OPERATE, Right.ADMIN):
+            status = page.ask("GET", sample(row.path) + end, Right.VIEW).status_code
+            assert status in (307, 400, 403, 404), (row.path, end)
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method != WEBSOCKET], ids=lambda row: row.path)

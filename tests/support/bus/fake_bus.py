@@ -1,12 +1,13 @@
 """A bus without a broker, for the loops of processes that own theirs: time advances in `receive` only."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
 from shared.bus.bus import Bus, Envelope
 from shared.messages.base import Message
+from shared.topics import Topic
 
 
 class FakeBus:
@@ -32,6 +33,7 @@ class FakeBus:
         self.refusals = 0
         self.refused: list[str] = []
         self.followed: frozenset[str] | None = None
+        self.asked: frozenset[str] = frozenset()  # topics besides those of the process
         self._script, self._step_ns = script, step_ns
         self._now_ns = start_ns
         self._calls = 0
@@ -47,6 +49,9 @@ class FakeBus:
 
     def follow(self, fast: frozenset[str]) -> None:
         self.followed = fast
+
+    def also(self, topics: Sequence[Topic]) -> None:
+        self.asked = frozenset(topic.name for topic in topics)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         if self.stopping:

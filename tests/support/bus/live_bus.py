@@ -3,12 +3,14 @@
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar, cast
 
 from shared.bus.bus import Bus, Envelope
 from shared.messages.base import Message
+from shared.topics import Topic
 from tests.support.bus.envelopes import sent
 
 M = TypeVar("M", bound=Message)
@@ -19,6 +21,8 @@ class LiveBus:
 
     def __init__(self) -> None:
         self.vehicle, self.process = "car", "test"
+        self.state_dir = Path()
+        self.asked: frozenset[str] = frozenset()  # topics besides those of the process
         self.stopping = False
         self.connected = True
         self.last_error: str | None = None
@@ -33,6 +37,9 @@ class LiveBus:
 
     def publish(self, message: Message) -> None:
         self.published.append(message)
+
+    def also(self, topics: Sequence[Topic]) -> None:
+        self.asked = frozenset(topic.name for topic in topics)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         now = time.monotonic()
@@ -57,9 +64,10 @@ class LiveBus:
 
 
 @contextmanager
-def running(run: Callable[[Bus], None]) -> Iterator[LiveBus]:
+def running(run: Callable[[Bus], None], state_dir: Path | None = None) -> Iterator[LiveBus]:
     """Run a driver's loop in a thread; an exception in it fails the test."""
     bus = LiveBus()
+    bus.state_dir = state_dir or bus.state_dir
     faults: list[BaseException] = []
 
     def work() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from broker import local_config
+from cli.demo.local import free_port
 from tests.support.bus import brokers
 
 READY_WITHIN_S = 5.0
@@ -20,7 +21,7 @@ class Mosquitto:
 
     def __init__(self, executable: str, folder: Path, acl: Path, *, closed: bool = False) -> None:
         self._executable, self._folder = executable, folder
-        self.port = _free_port()
+        self.port = free_port()
         self._config = local_config.write(folder, self.port, acl.parent)
         if not closed:
             self._config.write_text(opened(self._config.read_text(), acl))
@@ -85,9 +86,3 @@ def _program() -> str:
     if executable is None:
         pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")
     return executable
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -18,7 +18,7 @@ PRINTED = parse(access_list())
 def test_a_process_may_read_and_write_the_topics_of_its_row_only(row: ProcessRow) -> None:
     for topic, owner in itertools.product(TOPICS, NAMES):
         name = "obu/any-vehicle/" + topic.name.replace("+", owner)
-        reads = row.observes_all or row.name in topic.consumers
+        reads = row.observes_all or row.name in topic.consumers or topic.name in row.on_request
         writes = row.name in topic.producers and (not topic.per_process or owner == row.name)
         assert PRINTED.may_read(row.name, name) is reads
         assert PRINTED.may_write(row.name, name) is writes

@@ -24,7 +24,7 @@ def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperComm
         assert isinstance(command, TyperCommand | TyperGroup)
         yield f"{path} {name}".strip(), command
         if isinstance(command, TyperGroup):
-            yield from commands(command, name)
+            yield from commands(command, f"{path} {name}".strip())
 
 
 APP = command_line([])

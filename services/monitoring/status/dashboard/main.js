@@ -9,6 +9,7 @@ import { words } from "./words.js";
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
 const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
+const WATCHED = ["now", "map", "gnss", "trust"];
 const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map/map.js").then((m) => m.MapPage),
@@ -36,14 +37,36 @@ const go = (hash) => {
   if (location.hash !== hash) location.hash = hash;
 };
 
+// A unit that is seen from a control centre: what it passes on, and nothing that only it can do.
+const watch = () => state.value?.watch ?? null;
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name) && !(name === "recordings" && state.value?.replay));
+const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(name === "recordings" && state.value?.replay));
+
+// That the vehicle is seen from afar, how old the newest message is, and the way back.
+function Watch() {
+  clock.value;
+  const { heard_ns, last } = watch();
+  const t = words.watch;
+  const age = heard_ns === null ? null : Math.max(0, (nowMs() - heard_ns / 1e6) / 1000);
+  const report = last && t.last(words.trust[last.verdict], duration(Math.max(0, (Date.now() - last.utc_ms) / 1000)));
+  return html`<p class="origin watched" title=${t.title}><strong>${t.word}</strong><span>${age === null ? t.nothing : t.age(age < 10 ? `${age.toFixed(1)} s` : duration(age))}</span></p>
+    <p><a href=${`../../../#/vehicles/${encodeURIComponent(state.value.vehicle)}`}>${t.back}</a> ${watch().silent && report && html`<span class="dim">${report}</span>`}</p>`;
+}
 
 function Origin() {
   const origin = state.value?.origin;
   const kind = origin?.kind ?? "unknown";
   const [word, name, meaning] = words.origin[kind];
-  return html`<p class="origin ${kind}" title=${meaning}><strong>${word}</strong>${origin && html`<span>${name(origin)}</span>`}</p>`;
+  return html`${watch() && html`<${Watch} />`}<p class="origin ${kind}" title=${meaning}><strong>${word}</strong>${origin && html`<span>${name(origin)}</span>`}</p>`;
+}
+
+// Whoever drives or keeps the vehicle sees that its live data leave it.
+function Watched() {
+  clock.value;
+  const uplink = state.value?.uplink;
+  const t = words.uplink;
+  const on = uplink?.watchers > 0 && !isOld("uplink/state", uplink.updated_ns);
+  return html`<p class=${on ? "watched" : "sr"} role="status" title=${on ? t.watchedMeans : null}>${on && html`<strong>${t.watched}</strong> <span>${t.watchers(uplink.watchers)}</span>`}</p>`;
 }
 
 // While some have sent nothing since the start, that nothing is down says little.
@@ -97,7 +120,7 @@ function Header({ onHelp }) {
   const next = THEMES[(THEMES.indexOf(settings.value.theme) + 1) % THEMES.length];
   return html`<header class="top">
     <p class="who"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
-    <${Origin} /><${Chain} /><${Clock} />
+    <${Origin} />${!watch() && html`<${Watched} /><${Chain} />`}<${Clock} />
     <div class="tools">
       ${session.value?.session && html`<button class="ghost icon-only" onClick=${logOut} aria-label=${words.logOut(session.value.name)} title=${words.logOut(session.value.name)}><${Icon} name="logOut" /></button>`}
       <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
@@ -165,8 +188,8 @@ function LostBar() {
   }, [open, gap]);
   const full = why === "full";
   const visible = !open && lostS > LOST_BAR_AFTER_S && (state.value || !full); // without any data the page says it
-  const reason = full ? words.lost.full(link.value.viewers.connected) : words.lost.why[why] ?? "";
-  return html`<section class="notices" aria-label=${words.notices}>${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${reason}</span></p></div>`}
+  const reason = full ? words.lost.full(link.value.viewers.connected) : watch() ? "" : words.lost.why[why] ?? ""; // of a unit that is not asked
+  return html`<section class="notices" aria-label=${words.notices}>${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${!state.value ? words.lost.never : (watch() ? words.watch : words.lost).bar(duration(lostS))} <span>${reason}</span></p></div>`}
     ${outdated.value && html`<div class="bar"><p>${words.lost.outdated}</p><button onClick=${() => location.reload()}>${words.lost.reload}</button></div>`}
     ${paused.value && html`<div class="bar paused"><p>${words.paused(timeOfDay(nowMs()))}</p><button onClick=${togglePause}>${words.resume}</button></div>`}
     <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p></section>`;
@@ -200,6 +223,7 @@ function Footer() {
   const live = brokerAnswers();
   const v = verdict();
   const received = recording && !isOld("recording/state", recording.updated_ns);
+  if (watch()) return null; // of the unit as a whole nothing is passed on
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
     ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
@@ -220,7 +244,7 @@ function HelpDrawer({ onClose }) {
     <dl class="keys">${t.rows.map(([key, what]) => html`<div><dt>${key.split(" ").map((k) => html`<kbd>${k}</kbd> `)}</dt><dd>${what}</dd></div>`)}</dl>
     <h3>${t.states}</h3>
     <ul class="checks long">${Object.entries(t.stateNotes).map(([s, note]) => html`<li><${StateIcon} state=${s} word="" /><span>${words.trust[s]}</span><span class="dim">${note}</span></li>`)}</ul>
-    <p class="links"><a href="/docs">${t.api}</a><a href="/asyncapi.json">${t.topics}</a><a href="/metrics">${t.metrics}</a></p>
+    <p class="links"><a href="docs">${t.api}</a><a href="asyncapi.json">${t.topics}</a><a href="metrics">${t.metrics}</a></p>
   </${Drawer}>`;
 }
 

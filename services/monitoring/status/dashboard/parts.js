@@ -215,7 +215,7 @@ let library = null; // uPlot, from the first plot on
 function loadPlot() {
   library ??= new Promise((resolve, reject) => {
     const script = document.createElement("script");
-    script.src = "/lib/uplot.js";
+    script.src = "lib/uplot.js";
     script.onload = () => resolve(window.uPlot);
     script.onerror = reject;
     document.head.append(script);

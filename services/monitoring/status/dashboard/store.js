@@ -125,7 +125,7 @@ function recall() {
   recalling = setTimeout(async () => {
     const jump = epoch;
     try {
-      const answer = await fetch(`/api/history?seconds=${HISTORY_S}&fields=${PLOTTED.join(",")}`, { signal: AbortSignal.timeout(3000) });
+      const answer = await fetch(`api/history?seconds=${HISTORY_S}&fields=${PLOTTED.join(",")}`, { signal: AbortSignal.timeout(3000) });
       const past = await answer.json();
       if (answer.ok && jump === epoch) replaceRecent(past);
     } catch {
@@ -158,7 +158,7 @@ function take(frame) {
 // Why there is no connection, as far as an ordinary request can tell.
 async function findReason() {
   try {
-    const answer = await fetch("/api/viewers", { signal: AbortSignal.timeout(3000) });
+    const answer = await fetch("api/viewers", { signal: AbortSignal.timeout(3000) });
     if (answer.status === 401) toLogin();
     if (!answer.ok) return { why: answer.status === 421 ? "name" : "error" };
     const viewers = await answer.json();
@@ -178,11 +178,14 @@ async function lost() {
   if (!link.value.open) link.value = { ...link.value, ...found };
 }
 
+// Every address is relative to the document, so that the page works below any path.
+export const socketAddress = (path) => new URL(path, document.baseURI).href.replace(/^http/, "ws");
+
 const unpack = (data) => (typeof data === "string" ? JSON.parse(data)
   : new Response(data.stream().pipeThrough(new DecompressionStream("deflate"))).json());
 
 function connect() {
-  const opening = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${PACKED ? "?packed=1" : ""}`);
+  const opening = new WebSocket(socketAddress(`ws${PACKED ? "?packed=1" : ""}`));
   socket = opening;
   let before = Promise.resolve(); // frames are taken in their order, though they are unpacked in the background
   opening.onmessage = (event) => {
@@ -232,13 +235,13 @@ export function togglePause() {
 export const session = signal(null); // as /api/session states it
 
 export async function renew() {
-  const answer = await fetch("/api/session", { signal: AbortSignal.timeout(ANSWER_MS) });
+  const answer = await fetch("api/session", { signal: AbortSignal.timeout(ANSWER_MS) });
   if (answer.ok) session.value = await answer.json();
   return session.value;
 }
 
 // The page that is shown stays behind the #, so that the login comes back to it.
-export const toLogin = () => location.replace(`/login${location.hash}`);
+export const toLogin = () => location.replace(`login${location.hash}`);
 
 const post = (path, command) => fetch(path, {
   method: "POST",
@@ -258,6 +261,6 @@ export async function change(path, command) {
 }
 
 export async function logOut() {
-  await change("/api/logout", {});
-  location.replace("/login");
+  await change("api/logout", {});
+  location.replace("login");
 }

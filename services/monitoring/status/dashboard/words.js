@@ -28,6 +28,34 @@ export const words = {
     unknown: ["ORIGIN UNKNOWN", () => "", "No source has published whether its data are live"],
   },
 
+  watch: {
+    word: "SEEN FROM AFAR",
+    title: "This page is shown by a control centre; the vehicle knows that it is watched",
+    nothing: "nothing received",
+    age: (age) => `${age} old`,
+    back: "Control centre",
+    bar: (age) => `Connection to the control centre lost ${age} ago - showing last data. Retrying ...`,
+    last: (word, age) => `Last report: ${word}, ${age} ago`,
+  },
+
+  uplink: {
+    watched: "WATCHED",
+    watchers: (n) => `by ${n === 1 ? "1 person" : `${n} people`} of the control centre`,
+    watchedMeans: "The control centre receives live data of this vehicle; the setting tracking of [monitoring.uplink] allows it",
+    centre: "Control centre",
+    connected: (centre) => `connected to ${centre}`,
+    offline: "not connected",
+    tracking: "Reported to it",
+    trackings: { live: "positions, once a second", trips: "positions while the vehicle moves", verdict: "verdicts and events, no positions", off: "nothing" },
+    waiting: "Reports that wait for it",
+    batches: (n, size) => (n === 0 ? "none" : `${n} ${n === 1 ? "batch" : "batches"}, ${size}`),
+    lost: (refused, dropped) => [refused && `${refused} refused`, dropped && `${dropped} reports dropped`].filter(Boolean).join(", "),
+    since: (date) => `the oldest of ${date} UTC`,
+    sent: "Sent since the start",
+    sentReceipted: (size, receipted) => `${size}, ${receipted} ${receipted === 1 ? "batch" : "batches"} receipted`,
+    until: "Certificate until",
+  },
+
   recordings: {
     title: "Recordings",
     free: (size) => `newest first, ${size} free`,

@@ -15,6 +15,7 @@ from shared.messages.operation import (
     RecordingState,
 )
 from shared.messages.trust import TrustState
+from shared.messages.uplink import UplinkState
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import limits_of
 from shared.topics import TOPICS
@@ -78,6 +79,7 @@ def dashboard(state: State, now_ns: int) -> Json:
         "set_up": _dated(state, "navigation/set_up", SetUpState, now_ns),
         "mode": _dated(state, "mode/state", ModeState, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
+        "uplink": _dated(state, "uplink/state", UplinkState, now_ns),
         "topics": {name: {**traffic(flow), **_earlier(state, name)} for name, flow in state.topics.items()},
         "processes": processes(state, now_ns),
         "problems": problems(state),

@@ -10,12 +10,12 @@ from . import assets
 from .assets import Asset
 
 DOCS = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>OBU: API</title>
-<link rel="stylesheet" href="/lib/swagger-ui.css"></head><body><main id="api"></main>
-<script src="/lib/swagger-ui.js"></script>
-<script>SwaggerUIBundle({ url: "/openapi.json", dom_id: "#api", deepLinking: true, validatorUrl: null,
+<link rel="stylesheet" href="lib/swagger-ui.css"></head><body><main id="api"></main>
+<script src="lib/swagger-ui.js"></script>
+<script>SwaggerUIBundle({ url: "openapi.json", dom_id: "#api", deepLinking: true, validatorUrl: null,
   requestInterceptor: async (request) => {
     if (request.method === "POST") {
-      const { csrf } = await (await fetch("/api/session")).json();
+      const { csrf } = await (await fetch("api/session")).json();
       request.headers["X-OBU-CSRF"] = csrf ?? "none";
     }
     return request;

@@ -24,7 +24,7 @@ from ..history.columns import FIELDS
 from ..state import State
 from ..views import position, prometheus, reports
 from .access.access import Access, Rules
-from .access.guard import Guard
+from .access.guard import STYLE, Guard
 from .access.limits import BACKLOG, IDLE_S, Connections, CountedWebSocket, LimitedHttp, limit_logs, quiet_accept
 from .access.login import LoginApi, LoginRequest
 from .access.manage import AddToken, RevokeToken, TokensApi
@@ -57,6 +57,7 @@ from .series import SeriesApi
 from .simulation import SimulationApi
 from .stream.events import Events
 from .stream.websocket import Stream
+from .told import tell_browsers
 
 log = logging.getLogger(__name__)
 
@@ -287,6 +288,7 @@ def make_app(
     TokensApi(access.tokens).add_to(app)
     app.add_api_route("/asyncapi.json", lambda: json_response(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
+    tell_browsers(app, STYLE)
     app.add_middleware(Guard, access=access)
     return app
 

@@ -9,7 +9,7 @@ import pytest
 
 from cli.demo import demo
 from cli.demo.demo import DemoOptions
-from cli.demo.local import port_or_free
+from cli.demo.local import free_port, port_or_free
 from shared.errors import UserError
 from shared.processes import Role, running
 
@@ -31,9 +31,7 @@ def test_an_unknown_scenario_is_reported_before_any_process_is_started(
 
 
 def test_a_free_port_is_used_without_a_message() -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     assert port_or_free(port) == (port, None)
 
 

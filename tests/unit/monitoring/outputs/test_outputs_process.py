@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 import pytest
 from pydantic import ValidationError
 
+from cli.demo.local import free_port
 from services.monitoring.outputs import process as process_module
 from services.monitoring.outputs import server as server_module
 from services.monitoring.outputs.process import Config, Process, host_and_port
@@ -18,12 +19,6 @@ from tests.support.bus.live_bus import LiveBus, eventually, running
 from tests.support.outputs import fix, origin, satellites, solution, verdict
 
 NS = 1_000_000_000
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import pytest
 
+from cli.demo.local import free_port
 from services.sensors.corrections import connection
 from services.sensors.corrections import source as module
 from services.sensors.corrections.address import parse
@@ -133,9 +134,7 @@ def test_a_source_that_floods_is_left() -> None:
 
 
 def test_a_port_without_a_caster_and_an_unknown_host_are_said() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    run = Clocked(f"ntrip://127.0.0.1:{port}/M")
+    run = Clocked(f"ntrip://127.0.0.1:{free_port()}/M")
     run.reaches(SourcePhase.WAITING)
     assert "cannot connect" in run.reason
     run = Clocked("ntrip://no-such-host.invalid/M")
@@ -147,18 +146,15 @@ def test_each_address_of_a_host_has_its_turn(monkeypatch: pytest.MonkeyPatch) ->
     """The first refuses; the second does not answer: a server whose queue of connections is full; the third does."""
     with (
         fake_caster(saying(ICY + DATA, then_s=0.2)) as caster,
-        socket.create_server(("127.0.0.1", 0)) as free,
         socket.create_server(("127.0.0.1", 0), backlog=0) as deaf,
+        socket.create_connection(deaf.getsockname()),
     ):
-        closed_port = free.getsockname()[1]
-        free.close()
-        with socket.create_connection(deaf.getsockname()):
-            ports = (closed_port, deaf.getsockname()[1], caster.port)
-            rows = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", port)) for port in ports]
-            monkeypatch.setattr(socket, "getaddrinfo", lambda *_args, **_options: rows)
-            monkeypatch.setattr(connection, "ADDRESS_S", 0.1)
-            run = Clocked(caster.url())
-            run.until(lambda: run.data == DATA)
+        ports = (free_port(), deaf.getsockname()[1], caster.port)
+        rows = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", port)) for port in ports]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_args, **_options: rows)
+        monkeypatch.setattr(connection, "ADDRESS_S", 0.1)
+        run = Clocked(caster.url())
+        run.until(lambda: run.data == DATA)
 
 
 def fix(now_s: float, **values: object) -> GnssFix:

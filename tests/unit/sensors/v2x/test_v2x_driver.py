@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import pytest
 
+from cli.demo.local import free_port
 from services.sensors.v2x.process import MAX_BATCH_FRAMES, Config, Process
 from shared.errors import UserError
 from shared.messages.v2x import MAX_FRAME_BYTES, CamFrames, Encapsulation, V2xSend
@@ -16,16 +17,10 @@ from tests.support.bus.live_bus import LiveBus, eventually, running
 @contextmanager
 def peer() -> Iterator[tuple[socket.socket, int]]:
     """Open a UDP socket of a radio, and find a free port for the driver."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free,
-    ):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
         radio.bind(("127.0.0.1", 0))
         radio.settimeout(3.0)
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-        free.close()
-        yield radio, port
+        yield radio, free_port()
 
 
 def received(bus: LiveBus) -> list[tuple[int, bytes]]:

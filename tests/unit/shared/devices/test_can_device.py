@@ -1,6 +1,5 @@
 import os
 import pty
-import socket
 import time
 import tty
 from pathlib import Path
@@ -9,6 +8,7 @@ import can
 import pytest
 from can.io import CanutilsLogReader
 
+from cli.demo.local import free_port
 from shared.devices.can_device import candump_line, check_can_url, open_can
 from shared.devices.device import Device, DeviceBusy, DeviceLost
 from shared.errors import UserError
@@ -193,9 +193,7 @@ def test_a_recorded_log_is_replayed_as_parsed_by_python_can(tmp_path: Path) -> N
 
 def test_python_cans_multicast_is_read_on_loopback() -> None:
     """In a group and at a port of the test's own: a computer without multicast skips it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     try:
         device = open_can(f"udp-multicast://239.74.163.45?port={port}", 0x7DF, time.monotonic_ns)
         far = can.Bus("239.74.163.45", "udp_multicast", port=port, hop_limit=0)

@@ -20,7 +20,7 @@ function takeTheme() {
 
 function takeToken() {
   const match = /^#token=([A-Za-z0-9_-]+)$/.exec(location.hash);
-  if (location.hash.startsWith("#token=")) history.replaceState(null, "", "/login"); // the token leaves the history
+  if (location.hash.startsWith("#token=")) history.replaceState(null, "", "login"); // the token leaves the history
   return match?.[1] ?? null;
 }
 
@@ -28,14 +28,14 @@ async function logIn(token) {
   button.disabled = true;
   message.textContent = "";
   try {
-    const answer = await fetch("/api/login", {
+    const answer = await fetch("api/login", {
       method: "POST",
       headers: { "Content-Type": "application/json", "X-OBU-CSRF": "login" },
       body: JSON.stringify({ token }),
       signal: AbortSignal.timeout(ANSWER_MS),
     });
     if (answer.ok) {
-      location.replace(`/${wanted()}`);
+      location.replace(`./${wanted()}`);
       return;
     }
     message.textContent = answer.status === 401
@@ -52,8 +52,8 @@ async function begin() {
   takeTheme();
   const token = takeToken();
   if (token) return logIn(token);
-  const session = await fetch("/api/session").then((answer) => answer.json(), () => ({}));
-  if (session.role) location.replace(`/${wanted()}`); // logged in already: a link from elsewhere sends no cookie
+  const session = await fetch("api/session").then((answer) => answer.json(), () => ({}));
+  if (session.role) location.replace(`./${wanted()}`); // logged in already: a link from elsewhere sends no cookie
   else field.focus();
 }
 

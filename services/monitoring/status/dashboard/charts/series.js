@@ -1,6 +1,6 @@
 // Values of numeric fields over time: the past from the unit, then what is added, over a connection of its own.
 import { signal } from "@preact/signals";
-import { paused } from "../store.js";
+import { paused, socketAddress } from "../store.js";
 
 const RETRY_S = 2;
 
@@ -41,8 +41,7 @@ export function follow(fields, seconds) {
   held = null;
   series.value = { ...series.value, loaded: false, refused: null };
   const open = () => {
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const opened = new WebSocket(`${scheme}://${location.host}/ws/series?seconds=${seconds}&fields=${encodeURIComponent(fields.join())}`);
+    const opened = new WebSocket(socketAddress(`ws/series?seconds=${seconds}&fields=${encodeURIComponent(fields.join())}`));
     socket = opened;
     opened.onmessage = (event) => !ended && take(JSON.parse(event.data), seconds);
     opened.onclose = () => {

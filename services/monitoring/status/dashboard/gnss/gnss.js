@@ -274,8 +274,8 @@ function ReceiverCard({ receiver, kinds }) {
 
 export function GnssPage() {
   clock.value;
-  const answer = useAnswer("/api/gnss", POLL_MS);
-  const tracks = useAnswer("/api/gnss/tracks", TRACKS_MS) ?? {};
+  const answer = useAnswer("api/gnss", POLL_MS);
+  const tracks = useAnswer("api/gnss/tracks", TRACKS_MS) ?? {};
   const [chosen, setChosen] = useState(null);
   if (!answer) return html`<p class="note">${w.loading}</p>`;
   const sources = answer.receivers.map((r) => r.source).sort();

@@ -8,6 +8,7 @@ import { between, moved } from "./geodesy.js";
 import { hypothesesNow, useReport } from "../trust/hypotheses.js";
 import { COLOUR_KEYS, LAYERS, LEVELS_M, alternatives, collection, roads, sections } from "./layers.js";
 import { alternativeStyle, drawable, trackColours } from "./style.js";
+import { hasGraphics, loadArchiveReader, loadLibrary } from "./library.js";
 import { MapView, STREET_ZOOM, boundsOf } from "./view.js";
 import { w } from "./map_words.js";
 
@@ -15,43 +16,8 @@ const POLL_MS = 1000;
 const HIDDEN = "hidden map layers";
 const ALTERNATIVES = "map alternatives"; // shown or not as somebody chose; without a choice they are while a hypothesis is suspected
 
-let library = null; // loaded once, by the first visit of this page
 let track = null; // the answer of /api/track, with the rows that came since
 let lastCamera = null;
-
-function loadLibrary() {
-  library ??= (async () => {
-    const sheet = document.createElement("link");
-    Object.assign(sheet, { rel: "stylesheet", href: "/lib/maplibre.css" });
-    document.head.prepend(sheet);
-    const found = await import("maplibre-gl");
-    found.setWorkerUrl("/lib/maplibre-worker.js");
-    return found;
-  })();
-  library.catch(() => { library = null; });
-  return library;
-}
-
-// The reader of PMTiles is a classic script; it registers itself as the protocol "pmtiles".
-function loadArchiveReader(found) {
-  return new Promise((resolve, reject) => {
-    if (window.pmtiles) return resolve();
-    const script = document.createElement("script");
-    script.onload = () => {
-      found.addProtocol("pmtiles", new window.pmtiles.Protocol().tile);
-      resolve();
-    };
-    script.onerror = reject;
-    script.src = "/lib/pmtiles.js";
-    document.head.append(script);
-  });
-}
-
-function hasGraphics() {
-  const context = document.createElement("canvas").getContext("webgl2");
-  context?.getExtension("WEBGL_lose_context")?.loseContext();
-  return context !== null;
-}
 
 async function ask(path) {
   const answer = await fetch(path);
@@ -61,7 +27,7 @@ async function ask(path) {
 
 async function renewTrack() {
   const after = track?.columns.time_ns.at(-1) ?? 0;
-  const answer = await ask(`/api/track?generation=${track?.generation ?? -1}&after_ns=${after}`);
+  const answer = await ask(`api/track?generation=${track?.generation ?? -1}&after_ns=${after}`);
   if (!answer.complete) {
     for (const [name, values] of Object.entries(track.columns)) values.push(...answer.columns[name]);
     answer.columns = track.columns;
@@ -123,11 +89,11 @@ function useAnswers() {
   const afresh = useRef(true);
   const connected = link.value.open;
   useEffect(() => {
-    if (connected && !installed) ask("/api/map").then(setInstalled, () => {});
+    if (connected && !installed) ask("api/map").then(setInstalled, () => {});
   }, [connected, installed]);
   const simulated = received("simulation/roads");
   useEffect(() => {
-    if (simulated) ask("/api/topics/simulation/roads").then((answer) => setNetwork(answer.message), () => {});
+    if (simulated) ask("api/topics/simulation/roads").then((answer) => setNetwork(answer.message), () => {});
   }, [simulated]);
   useEffect(() => {
     let asking = false;
@@ -191,7 +157,7 @@ function useOverlay(view, ids) {
     const poll = async () => {
       if (!link.value.open || paused.value) return;
       const parts = await Promise.all(LAYERS.filter((layer) => ids.includes(layer.id)).map((layer) =>
-        ask(`/api/topics/${layer.topic}`).then((answer) => (answer.message && answer.freshness !== "stale" ? layer.draw(answer.message) : []), () => [])));
+        ask(`api/topics/${layer.topic}`).then((answer) => (answer.message && answer.freshness !== "stale" ? layer.draw(answer.message) : []), () => [])));
       const features = parts.flat();
       view.set("overlay", collection(features));
       if (!placesNow().place) view.placeOnce(features.find((f) => f.properties.role === "plaza")?.geometry.coordinates);
@@ -356,6 +322,6 @@ export function MapPage() {
     <p class="note map-message" role="status">${message}</p>
     ${[installed?.problem, grid].filter(Boolean).map((sentence) => html`<p class="note block">${sentence}</p>`)}
     <${Legend} colourBy=${colourBy} theme=${theme} sc=${sc} columns=${track?.columns} tracks=${alternative.report?.tracks ?? []} />
-    <p class="note map-foot"><span>${w.download} <a href="/api/track.gpx" download>${w.gpx}</a> <a href="/api/track.kml" download>${w.kml}</a> ${first ? w.thinned(metres(track.spacing_m)) : ""}</span>${credit && html`<span class="push">${credit}</span>`}</p>
+    <p class="note map-foot"><span>${w.download} <a href="api/track.gpx" download>${w.gpx}</a> <a href="api/track.kml" download>${w.kml}</a> ${first ? w.thinned(metres(track.spacing_m)) : ""}</span>${credit && html`<span class="push">${credit}</span>`}</p>
   </${Card}></div>`;
 }

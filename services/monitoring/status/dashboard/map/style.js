@@ -85,7 +85,7 @@ function vectorLayers(description, g) {
 export const drawable = (description) => description.tiles !== "mvt" || SCHEMAS.some((s) => s.is(description.layers));
 
 function baseSource(description) {
-  const here = location.origin;
+  const here = new URL(".", document.baseURI).href.slice(0, -1);
   const common = description.tiles === "mvt" ? { type: "vector" } : { type: "raster", tileSize: 256 };
   const limits = { minzoom: description.zoom_minimum, maxzoom: description.zoom_maximum, bounds: description.bounds_deg };
   if (description.container === "pmtiles") return { ...common, ...limits, tiles: [`pmtiles://${here}/map/tiles.pmtiles/{z}/{x}/{y}`] };

@@ -8,7 +8,7 @@ const w = words.recordings;
 const PERIOD_MS = 2000;
 
 async function ask(command) {
-  const answer = await (command ? change("/api/recordings", command) : fetch("/api/recordings"));
+  const answer = await (command ? change("api/recordings", command) : fetch("api/recordings"));
   const body = await answer.json();
   if (!answer.ok) throw new Error(body.detail);
   return body;
@@ -53,8 +53,8 @@ function Recording({ r, allowed, job, run }) {
       <p class="toolbar">
         ${may("replay") && html`<button disabled=${busy} title=${busy ? w.busy : r.recording ? w.soFar : null} onClick=${() => run("replay", r.name)}>${w.replay}</button>`}
         ${may("solve") && html`<button disabled=${busy} title=${busy ? w.busy : r.recording ? w.soFar : null} onClick=${() => run("solve", r.name)}>${w.solve}</button>`}
-        ${r.report && html`<a href=${`/api/recordings/${encodeURIComponent(r.name)}/report`} target="_blank" rel="noopener">${w.report}</a>`}
-        ${may("download") && html`<a href=${`/api/recordings/${encodeURIComponent(r.name)}`} download>${w.download}</a>`}
+        ${r.report && html`<a href=${`api/recordings/${encodeURIComponent(r.name)}/report`} target="_blank" rel="noopener">${w.report}</a>`}
+        ${may("download") && html`<a href=${`api/recordings/${encodeURIComponent(r.name)}`} download>${w.download}</a>`}
         ${may("keep") && html`<button onClick=${() => run(r.kept ? "release" : "keep", r.name)}>${r.kept ? w.release : w.keep}</button>`}
         ${may("delete") && !r.kept && !r.recording && (sure
           ? html`<button class="danger" onClick=${() => run("delete", r.name)}>${w.sure}</button><button onClick=${() => setSure(false)}>${w.cancel}</button>`

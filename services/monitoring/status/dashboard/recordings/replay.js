@@ -10,7 +10,7 @@ const SCRUB_MS = 100; // between two positions while the scrubber is dragged
 const STEP_S = { ",": -1, ".": 1 };
 
 async function send(command) {
-  const answer = await change("/api/replay", command);
+  const answer = await change("api/replay", command);
   if (!answer.ok) throw new Error((await answer.json()).detail);
 }
 

@@ -14,7 +14,7 @@ function Fields({ name }) {
   useEffect(() => {
     const ask = async () => {
       try {
-        const answer = await fetch(`/api/fields/${name}`);
+        const answer = await fetch(`api/fields/${name}`);
         if (answer.ok && !paused.value) setListed((await answer.json()).fields);
       } catch {
         // The unit does not answer: the drawer says so already.
@@ -45,7 +45,7 @@ function useTopic(name) {
     const ask = async () => {
       if (paused.value) return;
       try {
-        const answer = await fetch(`/api/topics/${name}`);
+        const answer = await fetch(`api/topics/${name}`);
         const text = await answer.text();
         if (stopped) return;
         const data = JSON.parse(text);

@@ -241,6 +241,24 @@ function UnitCard() {
   </dl></${Card}>`;
 }
 
+// The connection to the control centre, of a unit that has one.
+function CentreCard() {
+  const t = words.uplink;
+  const { uplink: u } = state.value;
+  clock.value;
+  if (!u) return null;
+  const dim = isOld("uplink/state", u.updated_ns);
+  const day = (ns) => new Date(ns / 1e6).toISOString().slice(0, 16).replace("T", " ");
+  const about = [u.oldest_ns && u.backlog_batches > 0 && t.since(day(u.oldest_ns)), t.lost(u.backlog_refused, u.dropped)].filter(Boolean).join(", ");
+  return html`<${Card} title=${t.centre} id="centre" aside=${html`<${Age} topic="uplink/state" stamp=${u.updated_ns} />`}><dl class="rows">
+    <${Row} dim=${dim} label=${words.chain.title} value=${u.connected ? t.connected(u.centre) : t.offline} extra=${u.offline} />
+    <${Row} dim=${dim} label=${t.tracking} value=${t.trackings[u.tracking] ?? u.tracking} extra=${u.watchers > 0 && `${t.watched.toLowerCase()} ${t.watchers(u.watchers)}`} />
+    <${Row} dim=${dim} label=${t.waiting} value=${t.batches(u.backlog_batches, bytes(u.backlog_bytes))} extra=${about} />
+    <${Row} dim=${dim} label=${t.sent} value=${t.sentReceipted(bytes(u.sent_bytes), u.receipted)} />
+    ${u.certificate_until_ns && html`<${Row} dim=${dim} label=${t.until} value=${day(u.certificate_until_ns)} unit=${words.utc} />`}
+  </dl></${Card}>`;
+}
+
 // What driving has shown of axes, signs, delays and scales; findings first.
 function SetUpCard() {
   const t = words.setUp;
@@ -264,7 +282,7 @@ export function SystemPage({ query, go }) {
   const back = () => go("#/system");
   const node = query.get("node");
   const topic = query.get("topic");
-  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${SetUpCard} /><${UnitCard} /></div>
+  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${SetUpCard} /><${UnitCard} /><${CentreCard} /></div>
     ${node && contract.value.processes[node] && html`<${NodeDrawer} key=${node} name=${node} onClose=${back} />`}
     ${topic && html`<${TopicDrawer} key=${topic} name=${topic} onClose=${back} />`}
   </div>`;

@@ -8,7 +8,7 @@ const w = words.attacks;
 const ANSWER_MS = 5000;
 
 async function send(command) {
-  const answer = await change("/api/simulation/attack", command);
+  const answer = await change("api/simulation/attack", command);
   const body = await answer.json();
   if (!answer.ok) throw new Error(typeof body.detail === "string" ? body.detail : w.failed(answer.status));
   return body.request_id;
@@ -18,7 +18,7 @@ function useCatalogue() {
   const [rows, setRows] = useState([]);
   useEffect(() => {
     if (rows.length || !link.value.open) return;
-    fetch("/api/simulation", { signal: AbortSignal.timeout(ANSWER_MS) })
+    fetch("api/simulation", { signal: AbortSignal.timeout(ANSWER_MS) })
       .then((answer) => answer.json())
       .then((body) => setRows(body.attacks))
       .catch(() => setRows([])); // the connection is lost, which the bar above says; opened again, it is asked again

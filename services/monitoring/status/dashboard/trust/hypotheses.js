@@ -54,7 +54,7 @@ export function useReport(wanted) {
     const poll = async () => {
       if (!link.value.open || paused.value) return;
       try {
-        const answer = await fetch("/api/hypotheses", { signal: AbortSignal.timeout(POLL_MS * 3) });
+        const answer = await fetch("api/hypotheses", { signal: AbortSignal.timeout(POLL_MS * 3) });
         if (answer.ok && !gone) setReport(await answer.json());
       } catch {
         // The connection is lost, which the bar above says; it is asked again in a second.

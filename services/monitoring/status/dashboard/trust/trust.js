@@ -129,7 +129,7 @@ function useHistory() {
     const renew = async () => {
       if (paused.value) return;
       try {
-        const answer = await fetch(`/api/trust?seconds=${SPAN_S}`, { signal: AbortSignal.timeout(RENEW_MS) });
+        const answer = await fetch(`api/trust?seconds=${SPAN_S}`, { signal: AbortSignal.timeout(RENEW_MS) });
         if (answer.ok && !gone) setHistory((await answer.json()).history);
       } catch {
         // The connection is lost, which the bar above says; the last history stays and moves to the left.

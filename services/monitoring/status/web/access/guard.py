@@ -10,6 +10,7 @@ from fastapi import HTTPException, Request, Response, WebSocketDisconnect
 from pydantic_core import to_json
 
 from .. import assets
+from ..told import readable
 from . import hosts
 from .access import CSRF_HEADER, Access, Visitor, csrf_agrees
 from .peer import Peer
@@ -24,7 +25,8 @@ TOKENS = "/api/tokens"  # every program of the machine is a visitor of a simulat
 VISITOR = "obu.visitor"  # in the scope of a request
 PEER = "obu.peer"
 LOGGED_OUT = 4401  # close code of a WebSocket whose session has ended
-LOGIN_PAGE = "/login"
+LOGIN_PAGE = "login"
+STYLE = "style.css"
 
 
 class _SessionEndedError(Exception):
@@ -43,41 +45,41 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        send = _with_headers(send)
+        send = with_headers(send)
         headers = headers_of(scope)
         peer = self._access.peer(scope, headers)
         refusal = self._refusal(scope, headers, peer)
         if refusal is not None:
-            await refusal(scope, receive, send)
+            await readable(refusal, scope, headers, STYLE)(scope, receive, send)
             return
         with self._counted(peer) as admitted:
             if not admitted:
                 text = "too many requests of this address at once; close some pages, then load this one again"
-                await _refuse(503, text, {"Retry-After": "5"})(scope, receive, send)
+                await refusal_of(503, text, {"Retry-After": "5"})(scope, receive, send)
             elif scope["type"] == "websocket":
                 await self._watch(scope, receive, send)
             elif scope["method"] == "HEAD":
-                await _head(self._app, scope, receive, send)
+                await answer_head(self._app, scope, receive, send)
             else:
                 await self._watch(scope, receive, send)
 
     def _refusal(self, scope: Scope, headers: Mapping[str, str], peer: Peer) -> Response | None:
         """Decide on a request; what may pass has its visitor in the scope."""
         if not hosts.host_allowed(headers.get("host"), self._access.rules.allowed_hosts):
-            return _refuse(
+            return refusal_of(
                 421, "this unit does not answer to that name; add it to allowed_hosts in [monitoring.status]"
             )
         if not hosts.same_origin(headers.get("origin"), headers.get("host")):
-            return _refuse(403, "this page is not from here")
+            return refusal_of(403, "this page is not from here")
         method = str(scope.get("method", WEBSOCKET)) if scope["type"] == "http" else WEBSOCKET
         right = needed(method, scope["path"])
         visitor = self._access.visitor(peer, headers)
         scope[VISITOR], scope[PEER] = visitor, peer
         if visitor is None and right is not Right.PUBLIC:
-            return _unknown(method, headers)
+            return _unknown(method, scope["path"], headers)
         if method not in (*SAFE_METHODS, WEBSOCKET) and not _is_from_page(visitor, right, headers):
-            return _refuse(403, f"a change needs the header {CSRF_HEADER} with the value of /api/session, or a token "
-                           "in the header Authorization")  # fmt: skip
+            text = f"a change needs the header {CSRF_HEADER} with the value of /api/session, or a token in the header"
+            return refusal_of(403, f"{text} Authorization")
         return _lacking(scope["path"], visitor, right) if visitor is not None else None
 
     @contextmanager
@@ -142,9 +144,9 @@ def headers_of(scope: Mapping[str, Any]) -> dict[str, str]:
 def _lacking(path: str, visitor: Visitor, right: Right) -> Response | None:
     """What a visitor may not do."""
     if path == TOKENS and visitor.session is None and visitor.bearer is None:
-        return _refuse(403, "tokens are managed after a login; `obu token show-link` prints a link for it")
+        return refusal_of(403, "tokens are managed after a login; `obu token show-link` prints a link for it")
     if not visitor.right.includes(right):
-        return _refuse(403, f"this needs the role {right}, and {visitor.name} has {visitor.right}; log in with "
+        return refusal_of(403, f"this needs the role {right}, and {visitor.name} has {visitor.right}; log in with "
                        "another token")  # fmt: skip
     return None
 
@@ -156,20 +158,22 @@ def _is_from_page(visitor: Visitor | None, right: Right, headers: Mapping[str, s
     return csrf_agrees(visitor, headers)
 
 
-def _unknown(method: str, headers: Mapping[str, str]) -> Response:
+def _unknown(method: str, path: str, headers: Mapping[str, str]) -> Response:
     """Send a browser that opens a page to the login; say to everyone else what is missing."""
     if method in SAFE_METHODS and "text/html" in headers.get("accept", ""):
-        return Response(status_code=303, headers={"Location": LOGIN_PAGE, "Cache-Control": "no-store"})
+        address = "../" * (path.count("/") - 1) + LOGIN_PAGE  # relative: a proxy may have put the page below a path
+        return Response(status_code=303, headers={"Location": address, "Cache-Control": "no-store"})
     text = "log in at /login, or send a token: `Authorization: Bearer TOKEN`; `obu token add` on the unit makes one"
-    return _refuse(401, text, {"WWW-Authenticate": 'Bearer realm="obu"'})
+    return refusal_of(401, text, {"WWW-Authenticate": 'Bearer realm="obu"'})
 
 
-def _refuse(status: int, detail: str, headers: Mapping[str, str] | None = None) -> Response:
+def refusal_of(status: int, detail: str, headers: Mapping[str, str] | None = None) -> Response:
+    """Answer with a status and what to try."""
     head = {"Cache-Control": "no-store", **(headers or {})}
     return Response(to_json({"detail": detail}), status, head, "application/json")
 
 
-async def _head(app: App, scope: Scope, receive: Receive, send: Send) -> None:
+async def answer_head(app: App, scope: Scope, receive: Receive, send: Send) -> None:
     """Answer HEAD by the head of the answer to GET; a stream ends with it."""
     ended = asyncio.Event()
 
@@ -189,7 +193,9 @@ async def _head(app: App, scope: Scope, receive: Receive, send: Send) -> None:
         answer.cancel()
 
 
-def _with_headers(send: Send) -> Send:
+def with_headers(send: Send) -> Send:
+    """Add the headers that keep a browser safe to what has none."""
+
     async def send_guarded(message: Scope) -> None:
         if message["type"] in ("http.response.start", "websocket.http.response.start"):
             present = {name for name, _ in message["headers"]}

@@ -31,16 +31,17 @@ class Connections:
     """The open connections by client; the oldest idle one gives way where there are too many.
 
     Clients on this machine, in front of a container, or behind a trusted proxy share one address. They may have half
-    of all connections; requests behind a proxy are counted by the guard.
+    of all connections; requests behind a proxy are counted by the guard. `place` gives what an address is counted by.
     """
 
     def __init__(
-        self, maximum: int, per_address: int, trusted: tuple[Network, ...] = (), published: str | None = None
-    ) -> None:
+        self, maximum: int, per_address: int, trusted: tuple[Network, ...] = (), published: str | None = None,
+        place: Callable[[str], str] = str,
+    ) -> None:  # fmt: skip
         files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         self.maximum = maximum if files == resource.RLIM_INFINITY else max(8, min(maximum, files - RESERVED_FILES))
         self._per_address = min(per_address, self.maximum)
-        self._trusted, self._published = trusted, published
+        self._trusted, self._published, self._place = trusted, published, place
         self._open: dict[asyncio.BaseTransport, tuple[str, LimitedHttp]] = {}
         self.refused = 0
 
@@ -49,14 +50,15 @@ class Connections:
 
     def admit(self, protocol: "LimitedHttp", transport: asyncio.BaseTransport, client: str) -> bool:
         """Count a new connection; False if it is to be closed at once."""
-        of_client = [entry for entry in self._open.items() if entry[1][0] == client]
+        place = self._place(client)
+        of_client = [entry for entry in self._open.items() if entry[1][0] == place]
         if len(of_client) >= self._limit_of(client):
             self._make_room([one for _, (_, one) in of_client])
-        if sum(one[0] == client for one in self._open.values()) < self._limit_of(client):
+        if sum(one[0] == place for one in self._open.values()) < self._limit_of(client):
             if len(self._open) >= self.maximum:
                 self._make_room([one for _, one in self._open.values()])
             if len(self._open) < self.maximum:
-                self._open[transport] = client, protocol
+                self._open[transport] = place, protocol
                 return True
         self.refused += 1
         log.warning(

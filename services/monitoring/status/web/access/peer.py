@@ -60,6 +60,14 @@ def as_address(text: str | None) -> Address | None:
     return mapped or address
 
 
+def place_of(client: str) -> str:
+    """What clients are counted by: the address, of IPv6 the network of 64 bits, which one machine may have whole."""
+    address = as_address(client)
+    if address is None:  # a socket of this machine
+        return client
+    return str(address) if isinstance(address, IPv4Address) else str(IPv6Network((int(address) >> 64 << 64, 64)))
+
+
 def networks(texts: Iterable[str]) -> tuple[Network, ...]:
     """Read addresses and networks; raises `ValueError` for another text."""
     return tuple(ip_network(text) for text in texts)

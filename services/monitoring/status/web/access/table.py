@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
+from starlette.routing import compile_path
+
 from .rights import Right
 
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")  # which change nothing
@@ -82,13 +84,10 @@ def needed(method: str, path: str) -> Right:
 
 
 def _matching(path: str) -> Iterator[Row]:
-    return (row for row in ROWS if _pattern(row.path).fullmatch(path))
+    return (row for row in ROWS if pattern_of(row.path).match(path))
 
 
 @cache
-def _pattern(path: str) -> re.Pattern[str]:
-    """Translate the path of a route into an expression, as the router does."""
-    parts = re.split(r"(\{\w+(?::path)?\})", path)
-    translated = ((".*" if part.endswith(":path}") else "[^/]+") if part.startswith("{") else re.escape(part)
-                  for part in parts)  # fmt: skip
-    return re.compile("".join(translated), re.DOTALL)
+def pattern_of(path: str) -> re.Pattern[str]:
+    """Translate the path of a route by the router itself: whatever it takes for this route has the right of its row."""
+    return compile_path(path)[0]

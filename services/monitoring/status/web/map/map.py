@@ -16,13 +16,61 @@ from shared.track_files import Segment, gpx_lines, kml_lines
 
 from ...history.track import columns, length_m, segments
 from ...state import State
-from ..answers import InstalledMap, TrackRows, described, file_of
+from ..answers import InstalledMap as InstalledMapAnswer
+from ..answers import TrackRows, described, file_of
 from ..body import json_response
 from . import tiles
 
 Source = Literal["fused", "gnss", "truth"]
 GZIP_FROM_BYTES = 2000
 ZOOM_MAXIMUM = 24
+
+
+class InstalledMap:
+    """The map file that is installed, and its tiles."""
+
+    def __init__(self, map_file: str | None) -> None:
+        self._path = Path(map_file).expanduser() if map_file else None
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        shown = described(InstalledMapAnswer, "The installed map, or why there is none")
+        app.add_api_route("/api/map", self.map, response_class=Response, tags=["unit"], responses={200: shown})
+        app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
+        app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
+
+    def map(self) -> Response:
+        """The installed map: container, format, zoom levels, bounds, layers; `problem` says why there is none."""
+        if self._path is None:
+            return json_response({"map": None, "problem": None})
+        try:
+            return json_response({"map": tiles.describe(self._path).as_json(), "problem": None})
+        except tiles.BadMap as error:
+            return json_response({"map": None, "problem": str(error)})
+
+    def archive(self) -> Response:
+        """The PMTiles file, in the ranges that are asked for."""
+        if self._path is None or self._path.suffix != ".pmtiles" or not self._path.is_file():
+            raise HTTPException(404, "no PMTiles file is installed; /api/map says why")
+        return FileResponse(self._path, media_type="application/octet-stream")
+
+    def tile(
+        self,
+        zoom: Annotated[int, PathParameter(ge=0, le=ZOOM_MAXIMUM)],
+        x: Annotated[int, PathParameter(ge=0, lt=2**ZOOM_MAXIMUM)],
+        y: Annotated[int, PathParameter(ge=0, lt=2**ZOOM_MAXIMUM)],
+    ) -> Response:
+        """One tile of an MBTiles file; 204 where the map has none."""
+        if self._path is None or self._path.suffix != ".mbtiles":
+            raise HTTPException(404, "no MBTiles file is installed; /api/map says why")
+        try:
+            description, data = tiles.describe(self._path), tiles.read_tile(self._path, zoom, x, y)
+        except tiles.BadMap as error:
+            raise HTTPException(404, str(error)) from error
+        if data is None:
+            return Response(status_code=204)
+        headers = {"Content-Encoding": "gzip"} if data[:2] == b"\x1f\x8b" else {}
+        return Response(data, 200, headers, tiles.CONTENT_TYPES[description.tiles])
 
 
 class MapApi:
@@ -32,7 +80,7 @@ class MapApi:
         self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], map_file: str | None
     ) -> None:
         self._state, self._lock, self._now_ns = state, lock, now_ns
-        self._path = Path(map_file).expanduser() if map_file else None
+        self._installed = InstalledMap(map_file)
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -40,12 +88,10 @@ class MapApi:
             "/api/track": (self.track, "position", described(TrackRows, "Columns of the track")),
             "/api/track.gpx": (self.gpx, "position", file_of("application/gpx+xml", "GPX 1.1")),
             "/api/track.kml": (self.kml, "position", file_of("application/vnd.google-earth.kml+xml", "Timed KML")),
-            "/api/map": (self.map, "unit", described(InstalledMap, "The installed map, or why there is none")),
         }
         for path, (answer, tag, shown) in routes.items():
             app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: shown})
-        app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
-        app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
+        self._installed.add_to(app)
 
     def track(
         self,
@@ -89,39 +135,6 @@ class MapApi:
         name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', vehicle)[:40]}-{source}.{suffix}"
         headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{name}"'}
         return Response(text, 200, headers, media_type)
-
-    def map(self) -> Response:
-        """The installed map: container, format, zoom levels, bounds, layers; `problem` says why there is none."""
-        if self._path is None:
-            return json_response({"map": None, "problem": None})
-        try:
-            return json_response({"map": tiles.describe(self._path).as_json(), "problem": None})
-        except tiles.BadMap as error:
-            return json_response({"map": None, "problem": str(error)})
-
-    def archive(self) -> Response:
-        """The PMTiles file, in the ranges that are asked for."""
-        if self._path is None or self._path.suffix != ".pmtiles" or not self._path.is_file():
-            raise HTTPException(404, "no PMTiles file is installed; /api/map says why")
-        return FileResponse(self._path, media_type="application/octet-stream")
-
-    def tile(
-        self,
-        zoom: Annotated[int, PathParameter(ge=0, le=ZOOM_MAXIMUM)],
-        x: Annotated[int, PathParameter(ge=0, lt=2**ZOOM_MAXIMUM)],
-        y: Annotated[int, PathParameter(ge=0, lt=2**ZOOM_MAXIMUM)],
-    ) -> Response:
-        """One tile of an MBTiles file; 204 where the map has none."""
-        if self._path is None or self._path.suffix != ".mbtiles":
-            raise HTTPException(404, "no MBTiles file is installed; /api/map says why")
-        try:
-            description, data = tiles.describe(self._path), tiles.read_tile(self._path, zoom, x, y)
-        except tiles.BadMap as error:
-            raise HTTPException(404, str(error)) from error
-        if data is None:
-            return Response(status_code=204)
-        headers = {"Content-Encoding": "gzip"} if data[:2] == b"\x1f\x8b" else {}
-        return Response(data, 200, headers, tiles.CONTENT_TYPES[description.tiles])
 
 
 def _packed(request: Request, data: bytes) -> Response:

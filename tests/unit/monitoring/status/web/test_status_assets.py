@@ -27,9 +27,9 @@ def test_only_the_dashboards_own_files_are_given_away(tmp_path: Path) -> None:
 
 def test_every_module_that_is_imported_is_served() -> None:
     page = (DASHBOARD / "index.html").read_text()
-    mapped = set(re.findall(r'"(/lib/[^"]+)"', page))
-    assert mapped <= {f"/lib/{name}" for name in (*assets.LIBRARIES, *assets.MAP_LIBRARIES)}
-    names = set(re.findall(r'"([^"]+)": "/lib', page))
+    mapped = set(re.findall(r'"(./lib/[^"]+)"', page))
+    assert mapped <= {f"./lib/{name}" for name in (*assets.LIBRARIES, *assets.MAP_LIBRARIES)}
+    names = set(re.findall(r'"([^"]+)": "./lib', page))
     own = assets.own_files(DASHBOARD)
     for path in own.values():
         for module in re.findall(r'from "([^"]+)"|import\("([^"]+)"\)', path.read_text()):

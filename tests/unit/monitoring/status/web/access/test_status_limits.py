@@ -6,7 +6,7 @@ from typing import cast
 import pytest
 
 from services.monitoring.status.web.access.limits import Connections, LimitedHttp, RateLimit, quiet_accept
-from services.monitoring.status.web.access.peer import networks
+from services.monitoring.status.web.access.peer import networks, place_of
 
 
 class FakeTransport:
@@ -33,6 +33,13 @@ def test_one_address_may_have_so_many_and_others_still_connect() -> None:
     assert [enter(connections, "192.0.2.1")[0] for _ in range(6)] == [True] * 4 + [False] * 2
     assert connections.refused == 2
     assert enter(connections, "192.0.2.2")[0]
+
+
+def test_a_network_of_ipv6_is_one_client_where_anybody_may_connect() -> None:
+    connections = Connections(100, 4, place=place_of)
+    assert sum(enter(connections, f"2001:db8::{n:x}")[0] for n in range(6)) == 4
+    assert enter(connections, "2001:db8:0:1::1")[0]
+    assert sum(enter(connections, f"{form}192.0.2.1")[0] for form in ("", "::ffff:") * 3) == 4
 
 
 def test_the_oldest_idle_one_gives_way() -> None:

@@ -1,0 +1,1 @@
+"""Whole fleets against a centre of this machine."""

@@ -1,0 +1,1 @@
+"""`obu centre`: run and manage a control centre."""

@@ -1,0 +1,1 @@
+"""`obu fleet`: many recordings, and many vehicles, by one command."""

@@ -1,0 +1,177 @@
+"""Serves enrolment and renewal over HTTPS, and answers the authorization callout of NATS."""
+
+import asyncio
+import logging
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from typing import Annotated, TypeVar
+
+import psycopg
+import uvicorn
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import JSONResponse
+from nats.aio.client import Client
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fleet.bus import closed, connected
+from fleet.centre import Centre
+from fleet.serving import until_cancelled
+from services.monitoring.status.web.access.limits import Connections, quiet_accept
+from services.monitoring.status.web.access.peer import place_of
+from services.monitoring.status.web.routes import make_server
+
+from .authority import Authority, BadRequest
+from .callout import Callout
+from .enrolment import Enrolment, Refusal
+from .known import Known
+from .limits import Refusals
+from .nkeys import Issuer
+from .revocation import Revocation
+from .streams import Streams
+
+log = logging.getLogger(__name__)
+
+MOST_BODY_BYTES = 32_768
+BODY_S = 10.0  # in which a body must be there
+AT_ONCE = 8  # requests that are verified; more wait
+CONNECTIONS, PER_ADDRESS = 400, 64  # vehicles of a whole fleet may share an address
+RENEW_PERIOD_S = 12 * 3600.0  # of looking at the certificate of the servers
+Text = Annotated[str, Field(max_length=8192)]
+Word = Annotated[str, Field(max_length=512)]
+Statement = Annotated[dict[Word, Word], Field(max_length=16)]
+Body = TypeVar("Body", bound=BaseModel)
+
+
+class EnrolRequest(BaseModel):
+    """Body of POST /enrol."""
+
+    model_config = ConfigDict(extra="forbid")
+    token: Annotated[str, Field(max_length=128)]
+    vehicle: Annotated[str, Field(max_length=48)]
+    request: Text
+    evidence: Statement
+
+
+class RenewRequest(BaseModel):
+    """Body of POST /renew."""
+
+    model_config = ConfigDict(extra="forbid")
+    certificate: Text
+    request: Text
+    made_ms: Annotated[int, Field(ge=0, le=4_102_444_800_000)]
+    signature: Annotated[str, Field(max_length=256, pattern=r"^([0-9a-f]{2})*$")]
+    evidence: Statement
+
+
+def make_app(enrolment: Enrolment, authority: Authority) -> FastAPI:
+    """Put the routes together."""
+    app = FastAPI(title="Admission of a control centre", docs_url=None, redoc_url=None, openapi_url=None)
+
+    answers = Answers()
+
+    @app.get("/authority.pem")
+    def give_authority() -> Response:
+        return Response(authority.pem, media_type="application/x-pem-file")
+
+    @app.post("/enrol")
+    async def enrol(request: Request) -> Response:
+        return await answers.answer(request, EnrolRequest, lambda body: enrolment.enrol(**body.model_dump()))
+
+    @app.post("/renew")
+    async def renew(request: Request) -> Response:
+        def work(body: RenewRequest) -> dict[str, object]:
+            given = body.model_dump(exclude={"signature"})
+            return enrolment.renew(**given, signature=bytes.fromhex(body.signature))
+
+        return await answers.answer(request, RenewRequest, work)
+
+    return app
+
+
+class Answers:
+    """Reads requests, has them done, and says what was wrong."""
+
+    def __init__(self) -> None:
+        self._refusals = Refusals()
+        self._working = asyncio.Semaphore(AT_ONCE)
+
+    async def answer(self, request: Request, kind: type[Body], work: Callable[[Body], dict[str, object]]) -> Response:
+        """Read a bounded body, and do the work in a thread."""
+        address = place_of(request.client.host) if request.client else ""
+        if wait_s := self._refusals.wait_s(address):
+            return _refused(429, f"too many requests of this address were refused; try again in {wait_s / 60:.0f} min")
+        data = await _body(request)
+        if data is None:
+            return _refused(413, "the request is too long or too slow")
+        try:
+            body = kind.model_validate_json(data)
+            async with self._working:
+                return JSONResponse(await asyncio.to_thread(work, body))
+        except ValidationError as error:
+            refusal = _refused(422, f"this is no request of a unit of this version: {error.errors()[0]['msg']}")
+        except (Refusal, BadRequest) as error:
+            log.warning("refused: %s", error)
+            refusal = _refused(403, str(error))
+        except psycopg.Error as error:
+            log.error("the database cannot be used: %s", error)
+            return _refused(503, "the centre cannot reach its database; try again later")
+        self._refusals.add(address)
+        return refusal
+
+
+async def _body(request: Request) -> bytes | None:
+    """Read the body; None: it is too long, or does not come."""
+    data = bytearray()
+    try:
+        async with asyncio.timeout(BODY_S):
+            async for part in request.stream():
+                data += part
+                if len(data) > MOST_BODY_BYTES:
+                    return None
+    except TimeoutError:
+        return None
+    return bytes(data)
+
+
+def _refused(status: int, text: str) -> Response:
+    return JSONResponse({"detail": text}, status)
+
+
+async def serve(centre: Centre, dsn: str) -> None:
+    """Serve until cancelled."""
+    asyncio.get_running_loop().set_exception_handler(quiet_accept)
+    authority = Authority(centre.authority)
+    enrolment = Enrolment(lambda: psycopg.connect(dsn, connect_timeout=5), authority, centre.address)
+    known = Known(dsn)
+    async with AsyncExitStack() as stack:
+        stack.push_async_callback(known.close)
+        callout, bus, system = [await _joined(centre, name, stack) for name in ("callout", "admission", "system")]
+        await Callout(Issuer(centre.secret("issuer", 32)), Streams(bus).make, known.is_valid).serve(callout)
+        revocation = asyncio.create_task(Revocation(bus, system, known.revoked).run())
+        stack.callback(revocation.cancel)
+        server = _server(make_app(enrolment, authority), centre)
+        renewal = asyncio.create_task(_renew_certificate(server, authority, centre))
+        stack.callback(renewal.cancel)
+        await until_cancelled(server)
+
+
+async def _joined(centre: Centre, name: str, stack: AsyncExitStack) -> Client:
+    client = await connected(centre.nats_url(name), name)
+    stack.push_async_callback(closed, client)
+    return client
+
+
+def _server(app: FastAPI, centre: Centre) -> uvicorn.Server:
+    server = make_server(app, Connections(CONNECTIONS, PER_ADDRESS, place=place_of))
+    server.config.host, server.config.port = centre.settings.listen, centre.settings.enrol_port
+    server.config.ssl_certfile, server.config.ssl_keyfile = map(str, Authority(centre.authority).server(centre.names))
+    return server
+
+
+async def _renew_certificate(server: uvicorn.Server, authority: Authority, centre: Centre) -> None:
+    """Make the certificate of the servers anew near its end; NATS is told by who has started it."""
+    while True:
+        await asyncio.sleep(RENEW_PERIOD_S)
+        files = await asyncio.to_thread(authority.server, centre.names)
+        if server.config.ssl is not None:
+            server.config.ssl.load_cert_chain(*files)  # for connections from now on

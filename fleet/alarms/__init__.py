@@ -1,0 +1,1 @@
+"""Raises and ends alarms by what is stored, and tells web hooks."""

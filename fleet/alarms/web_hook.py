@@ -1,0 +1,163 @@
+"""Tells the web hooks of tenants which alarms were raised, and which have ended.
+
+A tenant names an address, and this process reaches what its tenant does not: it is asked by HTTPS alone, never where it
+leads to this machine, no answer is followed, and nothing of one is read but whether it was taken.
+"""
+
+import asyncio
+import json
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Callable, Mapping
+from ipaddress import ip_address
+from itertools import groupby
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+import psycopg
+from psycopg.rows import dict_row
+
+from .signing import signed_headers
+
+log = logging.getLogger(__name__)
+
+PERIOD_S = 1.0
+TIMEOUT_S = 5.0  # of one alarm, from the name to the answer
+TURN_S = 10.0  # of one tenant, so that no other one waits for longer
+AGAIN_S = 60.0  # after a hook has not answered
+RETRY_S = 5.0  # after the database could not be used
+MOST_ADDRESS = 500  # characters of an address
+MOST = 20  # alarms of a tenant a turn
+FOR_HOURS = 24  # after which what could not be told is not tried any more
+# An end is told where the beginning was; an alarm that ended before it could be told comes once, with both.
+DUE = f"""
+SELECT * FROM (
+    SELECT alarm_id, tenant_id, vehicle, kind, since_ms, until_ms, late, detail, web_hook, web_hook_secret,
+        row_number() OVER (PARTITION BY tenant_id ORDER BY coalesce(ended, raised), alarm_id) AS place
+    FROM alarm JOIN tenant USING (tenant_id)
+    WHERE web_hook_secret IS NOT NULL AND NOT tenant_id = ANY(%s) AND (
+        hooked IS NULL AND raised > now() - interval '{FOR_HOURS} hours' OR
+        hooked IS NOT NULL AND hooked_end IS NULL AND ended > now() - interval '{FOR_HOURS} hours')
+) AS due WHERE place <= {MOST} ORDER BY tenant_id, place
+"""
+TOLD = """
+UPDATE alarm SET hooked = coalesce(hooked, now()), hooked_end = CASE WHEN %(ended)s THEN now() END
+WHERE alarm_id = %(alarm)s
+"""
+SET = "UPDATE tenant SET web_hook = %s, web_hook_secret = %s WHERE tenant_id = %s"
+URL_SIGNS = "/%?:@!$&'()*+,;=~"  # that stay in a path and its query
+Row = dict[str, Any]
+
+
+def is_web_hook(address: str) -> bool:
+    """Whether an address can be a web hook: https, and without user and password, which would be in the audit."""
+    try:
+        parts = urlsplit(address)
+        port = parts.port or 443
+    except ValueError:
+        return False
+    fits = len(address) <= MOST_ADDRESS and parts.scheme == "https" and bool(parts.hostname)
+    return fits and "@" not in parts.netloc and port > 0
+
+
+def is_elsewhere(address: str) -> bool:
+    """Whether an IP address is neither this machine nor one that only its neighbours have."""
+    ip = ip_address(address.partition("%")[0])
+    ip = getattr(ip, "ipv4_mapped", None) or ip
+    return not (ip.is_loopback or ip.is_link_local or ip.is_multicast or ip.is_unspecified)
+
+
+class WebHooks:
+    """Asks the database each second what is due; `trust` and `may_reach` are for tests."""
+
+    def __init__(
+        self, dsn: str, trust: ssl.SSLContext | None = None, may_reach: Callable[[str], bool] = is_elsewhere
+    ) -> None:
+        self._dsn = dsn
+        self._trust, self._may_reach = trust or ssl.create_default_context(), may_reach
+        self._db: psycopg.AsyncConnection | None = None
+        self._waiting: dict[int, float] = {}  # until when [s], by tenant
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+        try:
+            while True:
+                try:
+                    await self.turn()
+                    await asyncio.sleep(PERIOD_S)
+                except psycopg.Error as error:
+                    log.error("web hooks are not told, the database cannot be used: %s", error)
+                    await self.close()
+                    await asyncio.sleep(RETRY_S)
+        finally:
+            await self.close()
+
+    async def turn(self) -> None:
+        """Tell what is due, each tenant beside the others; raises errors of psycopg."""
+        if self._db is None or self._db.closed:
+            self._db = await psycopg.AsyncConnection.connect(self._dsn, autocommit=True, connect_timeout=5)
+        now_s = asyncio.get_running_loop().time()
+        self._waiting = {tenant: until_s for tenant, until_s in self._waiting.items() if until_s > now_s}
+        async with self._db.cursor(row_factory=dict_row) as cursor:
+            rows = await (await cursor.execute(DUE, (list(self._waiting),))).fetchall()
+        tenants = [(tenant, list(some)) for tenant, some in groupby(rows, lambda row: int(row["tenant_id"]))]
+        await asyncio.gather(*(self._tell(self._db, *one) for one in tenants))
+
+    async def close(self) -> None:
+        """End the connection."""
+        if self._db is not None:
+            await self._db.close()
+        self._db = None
+
+    async def _tell(self, db: psycopg.AsyncConnection, tenant: int, rows: list[Row]) -> None:
+        """Tell the alarms of a tenant in their order; one that is not taken lets the others wait."""
+        loop = asyncio.get_running_loop()
+        begun_s = loop.time()
+        for row in rows:
+            if loop.time() - begun_s > TURN_S:
+                return
+            try:
+                async with asyncio.timeout(TIMEOUT_S):
+                    await self._post(row["web_hook"], row)
+            except (OSError, ValueError, asyncio.LimitOverrunError, EOFError) as error:
+                log.warning("a web hook of tenant %d is tried again for %d h: %s", tenant, FOR_HOURS,
+                            str(error) or type(error).__name__)  # fmt: skip
+                self._waiting[tenant] = loop.time() + AGAIN_S
+                return
+            await db.execute(TOLD, {"alarm": row["alarm_id"], "ended": row["until_ms"] is not None})
+
+    async def _post(self, address: str, row: Mapping[str, Any]) -> None:
+        """Send an alarm; raises `OSError`, `ValueError` and what a stream raises if it was not taken."""
+        parts = urlsplit(address)
+        if not is_web_hook(address) or parts.hostname is None:
+            raise ValueError("its address does not begin with https://; change it on the page Alarms")
+        names = ("alarm_id", "vehicle", "kind", "since_ms", "until_ms", "late", "detail")
+        body = json.dumps({name: row[name] for name in names}).encode()
+        path = quote(parts._replace(scheme="", netloc="", fragment="").geturl() or "/", safe=URL_SIGNS)
+        message = f"alarm_{row['alarm_id']}_{'raised' if row['until_ms'] is None else 'ended'}"
+        headers = {
+            "Host": parts.netloc, "Content-Type": "application/json", "Content-Length": len(body),
+            "User-Agent": "obu-centre", "Connection": "close",
+            **signed_headers(row["web_hook_secret"], message, int(time.time()), body),
+        }  # fmt: skip
+        lines = [f"POST {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers.items()), "", ""]
+        ip, port = await self._resolved(parts.hostname, parts.port or 443)
+        reader, writer = await asyncio.open_connection(ip, port, ssl=self._trust, server_hostname=parts.hostname)
+        try:
+            writer.write("\r\n".join(lines).encode("ascii") + body)
+            await writer.drain()
+            words = (await reader.readuntil(b"\n")).split()
+            if len(words) < 2 or not words[0].startswith(b"HTTP/1.") or not words[1].startswith(b"2"):
+                raise ValueError(f"it answered {b' '.join(words[:2])[:40]!r}, and not 2xx")
+        finally:
+            writer.transport.abort()  # the rest of an answer is not waited for
+
+    async def _resolved(self, host: str, port: int) -> tuple[str, int]:
+        """Find an IP address that may be connected to: it is checked and used, so that no name can change between."""
+        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        for *_, place in found:
+            if self._may_reach(str(place[0])):
+                return str(place[0]), int(place[1])
+        raise ValueError("its name leads to this machine; name a server elsewhere")

@@ -1,0 +1,51 @@
+"""The connection of a process of the centre to NATS."""
+
+import contextlib
+import logging
+import time
+from collections.abc import Iterable
+
+import nats
+from nats.aio.client import Client
+
+log = logging.getLogger(__name__)
+
+AGAIN_S = 0.5
+SAY_AGAIN_S = 60.0  # a server that is away would fill the log with two lines a second
+TELL_S = 3  # in which a server that works answers
+
+
+async def connected(url: str, name: str) -> Client:
+    """Connect, as often as it takes; a connection that is lost comes back by itself."""
+    said, said_s = "", 0.0
+
+    async def tell(error: Exception) -> None:
+        """One line: the default logs where in the library it occurred. What goes on is said once a minute."""
+        nonlocal said, said_s
+        text, now_s = str(error) or type(error).__name__, time.monotonic()
+        if text == said and now_s - said_s < SAY_AGAIN_S:
+            return
+        said, said_s = text, now_s
+        log.warning("NATS at %s: %s", url.rpartition("@")[2], text)
+
+    return await nats.connect(
+        url, name=name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True, error_cb=tell
+    )
+
+
+async def closed(client: Client) -> None:
+    """End a connection, also one that is lost now."""
+    with contextlib.suppress(OSError, nats.errors.Error):
+        await client.close()
+
+
+async def told(client: Client, subject: str, contents: Iterable[bytes]) -> bool:
+    """Publish, and tell whether a server has it: what waits for a connection would be sent at some other time."""
+    try:
+        for content in contents:
+            await client.publish(subject, content)
+        await client.flush(TELL_S)
+    except (OSError, nats.errors.Error) as error:
+        log.warning("NATS does not answer: %s", str(error) or type(error).__name__)
+        return False
+    return client.is_connected

@@ -1,0 +1,1 @@
+"""The centre's database: schema, migrations, roles, partitions."""

@@ -1,0 +1,117 @@
+"""Is this batch of this vehicle? Pure: no bus, no database, and time is an argument."""
+
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+
+from shared.fleet.batch import BadBatch, Batch, Kind, Report
+from shared.fleet.receipts import REASONS, Refused, Stored
+from shared.fleet.sealed import Sealed, chain_digest, receipt_digest, unsealed
+
+from .keys import Key
+
+DAY_MS = 86_400_000
+FUTURE_MS = DAY_MS  # a clock that is wrong by more is none
+PAST_MS = 400 * DAY_MS  # nothing is kept that long; each day has a partition of its own
+SIGNATURE, KEY, VEHICLE, FORMAT, CONFLICT, EPOCHS = REASONS
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """Bytes from the topic of a vehicle, read as far as they can be without its key."""
+
+    vehicle: str
+    data: bytes
+    sealed: Sealed | None  # None: they are no batch
+
+    @classmethod
+    def of(cls, vehicle: str, data: bytes) -> "Arrived":
+        """Read the frame."""
+        try:
+            return cls(vehicle, data, unsealed(data))
+        except BadBatch:
+            return cls(vehicle, data, None)
+
+
+@dataclass(frozen=True)
+class Genuine:
+    """A batch that its vehicle has signed."""
+
+    vehicle: str
+    tenant_id: int
+    data: bytes
+    digest: bytes  # SHA-256
+    batch: Batch
+    aside: str | None  # why it is set aside: its stamps cannot be
+
+    @property
+    def stored(self) -> Stored:
+        """How a receipt names it."""
+        return Stored(self.batch.epoch_ms, self.batch.first, receipt_digest(self.data))
+
+    def refused(self, reason: str) -> Refused:
+        """How a receipt refuses it."""
+        return Refused(*self.stored, reason)
+
+    @property
+    def day(self) -> date:
+        """Day of its first stamp, UTC."""
+        return datetime.fromtimestamp(self.batch.span_ms[0] / 1000, UTC).date()
+
+    @property
+    def worst(self) -> int | None:
+        """Gravest verdict; None of events."""
+        return max((one.verdict for one in self.batch.reports), default=None)
+
+
+def verified(arrived: Arrived, key: Key | None, now_ms: int) -> Genuine | Refused:
+    """Verify bytes with the key that they name; what is refused is named by its digest alone."""
+
+    def refused(reason: str) -> Refused:
+        return Refused(0, 0, receipt_digest(arrived.data), reason)
+
+    sealed = arrived.sealed
+    if sealed is None:
+        return refused(FORMAT)
+    if key is None or key.revoked or key.public_key is None:
+        return refused(KEY)
+    if key.vehicle != arrived.vehicle:
+        return refused(VEHICLE)
+    if not sealed.is_genuine(key.public_key, arrived.vehicle):
+        return refused(SIGNATURE)
+    try:
+        batch = sealed.batch
+    except BadBatch:
+        return refused(FORMAT)
+    return Genuine(
+        arrived.vehicle, key.tenant_id, arrived.data, chain_digest(arrived.data), batch, _impossible(batch, now_ms)
+    )
+
+
+def _impossible(batch: Batch, now_ms: int) -> str | None:
+    begin, end = batch.span_ms
+    if max(end, batch.epoch_ms) > now_ms + FUTURE_MS:
+        return "future"
+    if begin < now_ms - PAST_MS:
+        return "past"
+    return None
+
+
+def newest(batch: Batch) -> tuple[Report, int, bool]:
+    """Give the newest report of positions, since when [ms] it has its verdict, and whether the whole batch has it."""
+    last = batch.reports[-1]
+    since = last.utc_ms
+    for report in reversed(batch.reports):
+        if report.verdict != last.verdict:
+            return last, since, False
+        since = report.utc_ms
+    return last, since, True
+
+
+def last_position(batch: Batch) -> Report | None:
+    """Give the newest report with a position."""
+    return next((one for one in reversed(batch.reports) if one.latitude_e7 is not None), None)
+
+
+def by_kind(batches: "list[Genuine]", kind: Kind) -> "list[Genuine]":
+    """Choose those of a kind that are not set aside."""
+    return [one for one in batches if one.batch.kind is kind and one.aside is None]

@@ -1,0 +1,1 @@
+"""The operator's pages of a centre: map, vehicles, alarms, enrolment, audit."""

@@ -1,0 +1,89 @@
+"""Serves the centre's pages: one process, which reads the database and listens to the centre's bus."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvicorn
+from nats.aio.client import Client
+
+from fleet.bus import closed, connected
+from fleet.centre import check_certificate
+from fleet.serving import until_cancelled
+from services.monitoring.status.web.access.limits import Connections
+from services.monitoring.status.web.access.peer import place_of
+from services.monitoring.status.web.map.map import InstalledMap
+from services.monitoring.status.web.routes import make_server
+
+from .access.accounts import AccountsApi
+from .access.attempts import Attempts
+from .access.login import LoginApi
+from .access.sessions import Sessions
+from .alarms import AlarmsApi
+from .app import make_app
+from .audit import AuditApi
+from .database import Database
+from .enrolment import EnrolmentApi
+from .live import Live
+from .passages import PassagesApi
+from .tiles import Tiles
+from .vehicles import VehiclesApi
+from .watch.gate import WatchGate
+
+log = logging.getLogger(__name__)
+
+CONNECTIONS, PER_ADDRESS = 600, 64  # of browsers
+
+
+@dataclass(frozen=True)
+class WebSettings:
+    """Where the pages listen, and what they show."""
+
+    dsn: str
+    nats_url: str
+    enrol_url: str = ""  # address that `obu enrol` is given
+    fingerprint: str = ""  # of the authority, a part of each token
+    host: str = "127.0.0.1"
+    port: int = 8090
+    names: tuple[str, ...] = ()  # further names by which browsers reach this centre
+    certificate: tuple[Path, Path] | None = None  # certificate and key; without them HTTP, for this machine alone
+    map_file: Path | None = None
+    session_h: float = 12.0
+
+
+async def serve(settings: WebSettings) -> None:
+    """Serve until cancelled."""
+    client = await connected(settings.nats_url, "web")
+    database = Database(settings.dsn)
+    try:
+        await until_cancelled(make(settings, database, client))
+    finally:
+        await database.close()
+        await closed(client)
+
+
+def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.Server:
+    """Put the parts together; raises `UserError`."""
+    sessions, live = Sessions(database, settings.session_h * 3600.0), Live(client)
+    map_file = None if settings.map_file is None else str(settings.map_file)
+    gate = WatchGate(database, client, map_file)
+    routes = (
+        LoginApi(database, sessions, Attempts()),
+        Tiles(database),
+        VehiclesApi(database),
+        InstalledMap(map_file),
+        AlarmsApi(database, live),
+        PassagesApi(database),
+        EnrolmentApi(database, client, settings.enrol_url, settings.fingerprint),
+        AccountsApi(database, sessions),
+        AuditApi(database),
+        live,
+        gate,
+    )
+    app = make_app(database, sessions, routes, (live, gate), settings.names)
+    server = make_server(app, Connections(CONNECTIONS, PER_ADDRESS, place=place_of))
+    server.config.host, server.config.port = settings.host, settings.port
+    if settings.certificate is not None:
+        check_certificate(*settings.certificate)
+        server.config.ssl_certfile, server.config.ssl_keyfile = map(str, settings.certificate)
+    return server

@@ -1,0 +1,339 @@
+"""What a start of a centre refuses, in seconds and in one sentence, and what is bounded while it runs."""
+
+import asyncio
+import os
+import pwd
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+
+import nats
+import psycopg
+import pytest
+
+from cli.centre.common import centre_of
+from cli.demo.local import free_port
+from fleet.admission.authority import Authority
+from fleet.bus import connected
+from fleet.centre import Centre
+from fleet.database.refusals import unusable
+from fleet.servers.logs import BoundedLog
+from fleet.servers.nats import Nats
+from fleet.servers.ports import is_of
+from fleet.servers.postgres import Postgres, name_of
+from fleet.up import LONGEST_AGAIN_S, Pauses, alone, check_rights, warn_if_away
+from shared.errors import UserError
+from tests.support.data import REPOSITORY
+from tests.support.fleet.running_centre import PORTS
+from tests.support.fleet.vehicle_link import obu, rows
+
+WITHIN_S = 30.0
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that every user may enter."""
+    with tempfile.TemporaryDirectory(prefix="obu-start-") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+@pytest.fixture
+def ordinary_user() -> Iterator[None]:
+    """Be a user whom rights of files bind, also where root runs the tests."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(pwd.getpwnam("nobody").pw_uid)
+    yield
+    os.seteuid(user)
+
+
+@pytest.fixture
+def stranger() -> Iterator[socket.socket]:
+    """Somebody who listens, and counts who connects."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        yield listening
+
+
+def up(folder: Path, *lines: str) -> subprocess.CompletedProcess[str]:
+    """Try to start a centre that does not start."""
+    if lines:
+        (folder / "centre.toml").write_text("\n".join(lines))
+    command = [sys.executable, "-m", "cli", "centre", "up", "--folder", str(folder)]
+    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=WITHIN_S)
+
+
+@pytest.mark.parametrize("setting", PORTS)
+def test_a_port_in_use_is_named_with_its_setting(tmp_path: Path, setting: str, stranger: socket.socket) -> None:
+    port = stranger.getsockname()[1]
+    ports = {name: free_port() for name in PORTS} | {setting: port}
+    done = up(tmp_path, *(f"{name} = {number}" for name, number in ports.items()))
+    assert done.returncode == 2
+    assert "centre in" not in done.stdout
+    assert f"port {port} of 127.0.0.1 is in use" in done.stderr
+    assert setting in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "postgres").exists()
+
+
+def test_two_settings_with_one_port_are_named(tmp_path: Path) -> None:
+    ports = {name: free_port() for name in PORTS}
+    ports["enrol_port"] = ports["mqtt_port"]
+    done = up(tmp_path, 'listen = "0.0.0.0"', *(f"{name} = {number}" for name, number in ports.items()))
+    assert done.returncode == 2
+    assert f"mqtt_port and enrol_port are both {ports['mqtt_port']}; give each a port of its own" in done.stderr
+    assert not (tmp_path / "postgres").exists()
+
+
+def test_a_second_centre_in_a_folder_says_that_one_runs_and_ends_no_part_of_it(folder: Path) -> None:
+    done = up(folder)
+    assert done.returncode == 2
+    assert f"a centre runs in {folder} already" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert rows(folder, "SELECT 1") == [(1,)]
+
+
+def test_a_folder_is_free_again_when_its_centre_has_ended(tmp_path: Path) -> None:
+    with alone(tmp_path), pytest.raises(UserError, match="already"), alone(tmp_path):
+        pass
+    with alone(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("taken", ["nats", "mqtt"])
+def test_nats_has_not_started_where_another_program_listens(
+    tmp_path: Path, stranger: socket.socket, taken: str
+) -> None:
+    port, other = stranger.getsockname()[1], free_port()
+    clients, mqtt = (port, other) if taken == "nats" else (other, port)
+    server = Nats(tmp_path, clients, mqtt)
+    text = f'server_name: "x"\nlisten: "127.0.0.1:{clients}"\njetstream {{ store_dir: "{tmp_path}/jetstream" }}\n'
+    with pytest.raises(UserError, match=r"nats-server did not start: .*address already in use"):
+        server.start(text + f'mqtt {{ listen: "127.0.0.1:{mqtt}" }}\n')
+    assert not server.is_running
+    assert is_of(os.getpid(), port)
+    assert not is_of(os.getpid(), other)
+
+
+def test_postgresql_has_not_started_where_another_one_holds_the_data(postgres: Postgres) -> None:
+    second = Postgres(postgres.folder, postgres.port)
+    with pytest.raises(UserError, match=r"PostgreSQL did not start: FATAL: .*lock file"):
+        second.start()
+    assert not second.is_running
+    with psycopg.connect(postgres.dsn) as db:
+        assert db.execute("SELECT 1").fetchone() == (1,)
+
+
+def test_root_leaves_the_database_of_another_user_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    owned = tmp_path / "postgres"
+    (owned / "data").mkdir(parents=True)
+    if os.geteuid() == 0:
+        os.chown(owned, 1, 1)
+    before = owned.stat()
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    server = Postgres(owned, 5433)
+    with pytest.raises(UserError, match=r"is of the user .*: give this command as"):
+        server.start()
+    after = owned.stat()
+    assert (before.st_uid, before.st_mode, before.st_mtime_ns) == (after.st_uid, after.st_mode, after.st_mtime_ns)
+
+
+@pytest.mark.parametrize(
+    ("cause", "advice"),
+    [
+        ("FATAL:  could not write to file: No space left on device", "make room on the disk"),
+        ('initdb: error: could not access directory "x": Permission denied', "must be able to enter the folders above"),
+    ],
+)
+def test_an_initdb_that_fails_says_its_cause_and_what_to_do(
+    open_folder: Path, monkeypatch: pytest.MonkeyPatch, cause: str, advice: str
+) -> None:
+    program = open_folder / "initdb"
+    program.write_text(f"#!/bin/sh\ncat >&2 <<'end'\n{cause}\ninitdb: removing data directory\nend\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setattr("fleet.servers.postgres.programs", lambda: open_folder)
+    with pytest.raises(UserError) as refused:
+        Postgres(open_folder / "postgres", 5433).start()
+    assert cause.removeprefix("initdb: ") in str(refused.value)
+    assert advice in str(refused.value)
+    assert "removing" not in str(refused.value)
+
+
+def test_commands_pass_on_what_the_database_says(tmp_path: Path) -> None:
+    assert "refuses: no space left" in unusable(psycopg.errors.DiskFull("no space left"))
+    starting = psycopg.OperationalError("connection to server failed: FATAL:  the database system is starting up\n")
+    assert "(FATAL:  the database system is starting up)" in unusable(starting)
+    (tmp_path / "centre.toml").touch()
+    assert "No such file or directory" in obu("centre", "vehicles", folder=tmp_path).stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("centre", "account", "add", "anna"), ("centre", "retain"), ("centre", "revoke", "car-1"), ("centre", "token"),
+        ("fleet", "simulate", "--vehicles", "1"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_stopped_centre_is_named_in_one_line_with_what_to_try(tmp_path: Path, command: tuple[str, ...]) -> None:
+    Authority(tmp_path / "authority").server(("127.0.0.1",))
+    (tmp_path / "centre.toml").touch()
+    done = obu(*command, folder=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "does not answer (No such file or directory); start it with `obu centre up`" in line
+
+
+@pytest.mark.parametrize("closed", [".", "logs", "authority", "nats", "secrets"])
+def test_a_folder_without_rights_is_named_with_its_user_before_anything_starts(
+    open_folder: Path, ordinary_user: None, closed: str
+) -> None:
+    user = os.geteuid()
+    os.seteuid(os.getuid())
+    path = open_folder / "centre" / closed
+    path.mkdir(parents=True)
+    path.parent.chmod(0o777)
+    path.chmod(0)
+    os.seteuid(user)
+    with pytest.raises(UserError, match=rf"cannot write to {path}: it is of the user {name_of(os.getuid())}; give"):
+        check_rights(open_folder / "centre")
+
+
+def test_a_folder_that_cannot_be_looked_into_is_named(open_folder: Path, ordinary_user: None) -> None:
+    user = os.geteuid()
+    os.seteuid(os.getuid())
+    (open_folder / "closed").mkdir(mode=0)
+    os.seteuid(user)
+    with pytest.raises(UserError, match=r"cannot look into .*closed/centre: Permission denied; give this command as"):
+        centre_of(open_folder / "closed" / "centre")
+
+
+def test_what_cannot_be_written_at_the_start_is_named(open_folder: Path) -> None:
+    ports = [f"{name} = {free_port()}" for name in PORTS]
+    (open_folder / "logs").touch()
+    done = up(open_folder, *ports)
+    assert done.returncode == 2
+    assert f"obu: cannot use {open_folder / 'logs'}: File exists; mend that" in done.stderr
+
+
+def test_who_does_not_own_the_database_is_told_so() -> None:
+    error = psycopg.OperationalError('connection failed: FATAL:  Peer authentication failed for user "fleet_owner"')
+    assert unusable(error).endswith("give this command as the user who has started the centre")
+
+
+def test_a_database_elsewhere_that_refuses_is_named_in_one_line_with_its_setting(tmp_path: Path) -> None:
+    ports = [f"{name} = {free_port()}" for name in PORTS]
+    done = up(tmp_path, *ports, f'database = "host=127.0.0.1 port={free_port()} dbname=fleet"')
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("obu: ")]
+    assert "the database cannot be used: Connection refused; check `database` in centre.toml" in line
+    assert "TCP/IP" not in done.stderr
+
+
+def test_a_wrong_certificate_of_the_pages_is_named_before_anything_starts(tmp_path: Path) -> None:
+    ports = [f"{name} = {free_port()}" for name in PORTS]
+    done = up(tmp_path, *ports, 'web_certificate = "/no/such.pem"', 'web_key = "/no/such.key"')
+    assert done.returncode == 2
+    assert "centre in" not in done.stdout
+    assert "web_certificate and web_key (/no/such.pem, /no/such.key): No such file or directory" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_who_does_not_reach_nats_says_where_and_why(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def unreachable(_url: str, **options: object) -> None:
+        tell = options["error_cb"]
+        assert callable(tell)
+        await tell(TimeoutError())
+
+    monkeypatch.setattr(nats, "connect", unreachable)
+    asyncio.run(connected("nats://alarms:secret@centre.example:4222", "alarms"))
+    assert caplog.messages == ["NATS at centre.example:4222: TimeoutError"]
+
+
+def test_a_server_that_stays_away_is_told_once_a_minute_and_another_reason_at_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = 1000.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+
+    async def away(_url: str, **options: Callable[[Exception], Awaitable[None]]) -> None:
+        nonlocal now_s
+        for _ in range(121):
+            await options["error_cb"](OSError("refused"))
+            now_s += 0.5
+        await options["error_cb"](TimeoutError())
+
+    monkeypatch.setattr(nats, "connect", away)
+    asyncio.run(connected("nats://alarms:secret@centre.example:4222", "alarms"))
+    place = "NATS at centre.example:4222"
+    assert caplog.messages == [f"{place}: refused", f"{place}: refused", f"{place}: TimeoutError"]
+
+
+def test_a_start_says_that_nats_elsewhere_does_not_answer(
+    stranger: socket.socket, caplog: pytest.LogCaptureFixture
+) -> None:
+    warn_if_away("127.0.0.1", stranger.getsockname()[1])
+    assert caplog.messages == []
+    port = free_port()
+    warn_if_away("127.0.0.1", port)
+    assert caplog.messages == [
+        f"NATS at 127.0.0.1:{port} does not answer: Connection refused; check nats_host and nats_port"
+    ]
+
+
+@pytest.mark.parametrize("host", ["localhost", "::1"])
+def test_processes_connect_to_the_address_that_nats_of_this_machine_listens_at(tmp_path: Path, host: str) -> None:
+    (tmp_path / "centre.toml").write_text(f'nats_host = "{host}"\n')
+    assert Centre(tmp_path).nats_url("web").endswith("@127.0.0.1:4222")
+
+
+def test_a_part_that_ends_at_once_waits_longer_each_time_and_says_its_reason_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = 1000.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    pauses, waited = Pauses("web"), list[float]()
+
+    def ends(reason: str, after_s: float = 1.0) -> float:
+        nonlocal now_s
+        begun_s = now_s
+        pauses.begin()
+        now_s += after_s
+        pauses.end(reason)
+        begun_s = now_s
+        while not pauses.is_over:
+            now_s += 0.5
+        return now_s - begun_s
+
+    waited = [ends("port in use") for _ in range(9)]
+    assert waited == [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, LONGEST_AGAIN_S, LONGEST_AGAIN_S]
+    assert caplog.messages == ["web has ended: port in use; it is started again"]
+    assert ends("another") == LONGEST_AGAIN_S
+    assert ends("another", after_s=3600.0) == 0.0
+    assert len(caplog.messages) == 3
+
+
+def test_a_log_keeps_its_end_and_does_not_grow_beyond_its_bound(tmp_path: Path) -> None:
+    log = BoundedLog(tmp_path / "noisy.log", most_bytes=200_000)
+    script = "for n in range(100_000): print('line', n)\nprint('2026-11-26 [7] FATAL:  the end')\nprint('after')"
+    with log.output() as output:
+        process = subprocess.Popen([sys.executable, "-c", script], stdout=output)
+    assert process.wait(WITHIN_S) == 0
+    assert log.cause() == "FATAL:  the end"
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["noisy.log", "noisy.log.1"]
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 400_000
+    assert log.path.read_text().endswith("after\n")
+
+
+def test_a_program_goes_on_where_its_log_cannot_be_written(tmp_path: Path) -> None:
+    log = BoundedLog(tmp_path / "missing" / "noisy.log")
+    with log.output() as output:
+        process = subprocess.Popen([sys.executable, "-c", "print('x' * 1_000_000)"], stdout=output)
+    assert process.wait(WITHIN_S) == 0
