@@ -4,12 +4,15 @@
 set -u
 sudo=${1:-}
 missing=
-for pair in mosquitto:mosquitto mosquitto_pub:mosquitto-clients chromium:chromium gpsd:gpsd gpspipe:gpsd-clients tshark:tshark gpsbabel:gpsbabel cc:gcc str2str:rtklib busybox:busybox; do
+for pair in mosquitto:mosquitto mosquitto_pub:mosquitto-clients gpsd:gpsd gpspipe:gpsd-clients tshark:tshark gpsbabel:gpsbabel cc:gcc str2str:rtklib busybox:busybox; do
     program=${pair%%:*}
     command -v "$program" >/dev/null 2>&1 || [ -x "/usr/sbin/$program" ] || missing="$missing ${pair#*:}"
 done
 [ -e /usr/include/mosquitto.h ] || missing="$missing libmosquitto-dev"
 command -v runuser >/dev/null 2>&1 || missing="$missing util-linux"
+# Chromium without its window, which costs about half; not every distribution has a package of it.
+browser=
+command -v chromium-headless-shell >/dev/null 2>&1 || command -v chromium >/dev/null 2>&1 || browser=chromium
 # The server of a centre; its package would make and start a cluster of its own on port 5432.
 postgres=
 [ -n "$(ls /usr/share/postgresql/*/extension/postgis.control 2>/dev/null)" ] || postgres=postgresql-15-postgis-3
@@ -17,13 +20,17 @@ postgres=
 unpacked=$(cd "$(dirname "$0")/.." && pwd)/.obu/test-programs
 nginx=
 command -v nginx >/dev/null 2>&1 || [ -x /usr/sbin/nginx ] || [ -x "$unpacked/usr/sbin/nginx" ] || nginx=nginx
-[ -n "$missing$nginx$postgres" ] || exit 0
+[ -n "$missing$browser$nginx$postgres" ] || exit 0
 if ! command -v apt-get >/dev/null 2>&1; then
-    echo "not installed, their tests will skip:$missing $nginx $postgres"
+    echo "not installed, their tests will skip:$missing $browser $nginx $postgres"
     exit 0
 fi
-echo "installing for the tests:$missing $nginx $postgres"
 $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq update
+if [ -n "$browser" ]; then
+    apt-cache show chromium-headless-shell >/dev/null 2>&1 && browser=chromium-headless-shell
+    missing="$missing $browser"
+fi
+echo "installing for the tests:$missing $nginx $postgres"
 if [ -n "$missing" ]; then
     # shellcheck disable=SC2086
     $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $missing >/dev/null ||

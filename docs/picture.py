@@ -16,6 +16,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 from benchmarks.long_drive import write
+from tests.support.dashboard.chromium import WEBGL, program
 
 HERE = Path(__file__).parent
 PATIENCE_S = 120.0
@@ -25,8 +26,6 @@ SUMMARY_S = 30.0  # the summary of the earlier drive is computed in this time
 COLOURS = (256, 128, 64, 32)  # of a picture: the most that stay below `LARGEST`
 LARGEST = 150_000  # bytes
 LIMIT_MS = 120_000  # for a screenshot, in software and on a busy machine
-# The map without a graphics card; the compositor in software copies a picture where it else waits for the next frame.
-WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
 WIDE: ViewportSize = {"width": 1360, "height": 850}
 PHONE: ViewportSize = {"width": 390, "height": 844}
 UNKNOWN = ("", "STARTING", "INITIALISING", "NO FIX", "NO DATA", "NO CONNECTION", "BROKER LOST")  # words of the banner
@@ -44,7 +43,7 @@ DEMOS = (  # arguments, the topic that is waited for, the pages
 
 def main() -> None:
     """Write the pictures."""
-    chromium = shutil.which("chromium")
+    chromium = program()
     if chromium is None:
         raise SystemExit("Chromium is not installed: `make picture` needs it")
     (HERE / "pages").mkdir(exist_ok=True)

@@ -298,7 +298,7 @@ def test_a_protection_level_above_its_limit_is_said_by_banner_footer_timeline_an
         )
         expect(page.get_by_role("alert")).to_contain_text("ABOVE LIMIT")
         expect(page.locator(".foot")).to_contain_text("ABOVE LIMIT")
-        expect(page.locator(".band .segment.above_limit")).to_be_attached()
+        expect(page.locator(".band .segment.above_limit").first).to_be_attached()
         shown = httpx.get(f"{server.address}/api/health", timeout=5.0).json()
         assert (shown["state"], shown["position"]["state"]) == ("degraded", "above_limit")
         judge_everywhere(page, "above-limit")
@@ -324,7 +324,7 @@ def test_after_a_restart_of_the_status_process_its_history_is_there_and_nothing_
         expect(page.locator("main .state.safe")).to_have_count(1, timeout=6000)  # the legend's
         page.keyboard.type("gn")
         expect(page.locator(".band .segment.safe").first).to_be_attached()
-        expect(page.locator(".band .segment.starting")).to_be_attached()
+        expect(page.locator(".band .segment.starting").first).to_be_attached()
         expect(page.locator("main .checks .state.safe")).to_have_count(0)
 
 
@@ -356,7 +356,7 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
         )
         expect(page.locator(".banner .word")).to_have_text("BROKER LOST")
         expect(page.locator(".foot")).to_contain_text("BROKER LOST")
-        expect(page.locator(".band .segment.broker_lost")).to_be_attached()
+        expect(page.locator(".band .segment.broker_lost").first).to_be_attached()
         expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
         services = page.get_by_role("region", name="Services")
         expect(services).to_contain_text("not known")

@@ -23,7 +23,7 @@ from tests.support.v2x.tolling import START_NS, Vehicle, ledger_at
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of at least three charges at the simulated plaza, without kills."""
     folder = tmp_path_factory.mktemp("toll")
-    made = Campaign(folder, 1, 40, float("inf"))
+    made = Campaign(folder, 1, 6, float("inf"))
     made.run(12)
     assert made.store is not None
     made.store.close()
