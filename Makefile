@@ -12,7 +12,7 @@ SCENARIO ?= urban
 # for another one. FRESH=1 does again what earlier runs of the same code have found.
 CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
 
-.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
+.PHONY: help setup demo test check calculating types running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -59,13 +59,15 @@ test: ## run every check that CI runs: all but `make slow` and `make containers`
 check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
-	@$(MAKE) --no-print-directory --jobs=2 calculating running
+	@$(MAKE) --no-print-directory --jobs=3 calculating types running
 
 # Tests that only calculate, and types, have the time that tests of running programs leave while they wait.
 LIVE := tests/integration tests/browser
 
 calculating:
 	@nice -n 19 $(PYTHON) -m pytest $(LIVE:%=--ignore=%) -n auto --dist loadfile --no-loadscope-reorder -m "not slow" --durations=20 $(PYTEST_ARGS)
+
+types:
 	@nice -n 19 $(PYTHON) -m mypy
 
 running:

@@ -1,4 +1,8 @@
-"""The time line of a unit as seen from the centre, from the stamps of what arrives."""
+"""The time line of a unit as seen from the centre, from the stamps of what arrives.
+
+Each topic arrives in the order of its stamps: one whose stamp is earlier than its last one is of a clock that was set
+back, as of a unit without a clock of its own that was restarted. What is merely late is not.
+"""
 
 from collections import deque
 
@@ -14,10 +18,15 @@ class TimeLine:
         self.offset_ns = 0  # of the unit's time line, to be added to the centre's clock
         self.known = False
         self._least: deque[tuple[int, int]] = deque()  # second of the centre's clock, and least lag in it
+        self._stamps_ns: dict[str, int] = {}  # newest one of each topic
 
-    def take(self, stamp_ns: int, now_ns: int) -> bool:
+    def take(self, topic: str, stamp_ns: int, now_ns: int) -> bool:
         """Take the stamp of a message that arrives; whether the time line is another one than before."""
         lag_ns, second = now_ns - stamp_ns, now_ns // NS
+        if stamp_ns < self._stamps_ns.get(topic, stamp_ns) - CLOSE_NS:
+            self._least.clear()
+            self._stamps_ns.clear()
+        self._stamps_ns[topic] = max(stamp_ns, self._stamps_ns.get(topic, stamp_ns))
         if self._least and self._least[-1][0] == second:
             self._least[-1] = second, min(self._least[-1][1], lag_ns)
         else:

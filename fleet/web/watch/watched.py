@@ -12,6 +12,7 @@ from fastapi import FastAPI, Response
 from nats.aio.msg import Msg
 from prometheus_client import CollectorRegistry
 
+from services.monitoring.status.judgement import BROKER_SILENT_NS
 from services.monitoring.status.state import State
 from services.monitoring.status.views.snapshot import Json
 from services.monitoring.status.web.body import json_response
@@ -33,13 +34,13 @@ from shared.topics import BY_NAME
 
 from ..access.guard import STYLE
 from ..database import Row
-from .time_line import NS, TimeLine
+from .time_line import TimeLine
 
 log = logging.getLogger(__name__)
 
 HISTORY_S = 900.0
 PAGES_OF_ONE = 20  # browsers that watch the same vehicle
-SILENT_NS = 3 * NS
+SILENT_NS = BROKER_SILENT_NS  # what is silence of the broker on the unit's own page is that of the vehicle here
 MOST_A_SECOND = 400  # messages; 17 topics at 5 Hz, and every monitor by itself, are some 200
 ALLOWED = frozenset(WATCHABLE)
 NO_ANSWER = (
@@ -85,7 +86,7 @@ class Watched:
         stamp_ns = codec.stamp_ns(topic, message.data) if topic is not None else None
         with self._lock, self._faults.handling(self.now_ns()):
             newest = stamp_ns is not None and topic is not None and not topic.retain  # what is kept may be of long ago
-            if newest and self._line.take(stamp_ns or 0, time.time_ns()):
+            if newest and self._line.take(name, stamp_ns or 0, time.time_ns()):
                 self.state.clear(self.now_ns())
             try:
                 self.state.receive(Envelope.of(name, message.data, self.now_ns()))
@@ -98,7 +99,7 @@ class Watched:
         last = None
         if self._last is not None:
             last = {"utc_ms": self._last["utc_ms"], "verdict": VERDICTS[self._last["verdict"]].value}
-        silent = self._heard_ns is None or self.now_ns() - self._heard_ns > SILENT_NS
+        silent = self._heard_ns is None or self.now_ns() - self._heard_ns >= SILENT_NS
         return {"heard_ns": self._heard_ns, "silent": silent, "last": last, "pages": len(self.stream.clients)}
 
     def _has_room(self) -> bool:

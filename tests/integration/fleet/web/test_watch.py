@@ -89,13 +89,35 @@ def test_the_time_line_of_a_unit_with_another_clock_is_found(offset_s: float) ->
     delays_s = (0.3, 0.05, 0.1, 0.8, 0.06)
     for number, delay_s in enumerate(delays_s):
         arrival_ns = now_ns + number * NS // 5
-        line.take(arrival_ns - round((delay_s - offset_s) * NS), arrival_ns)
+        line.take("imu/sample", arrival_ns - round((delay_s - offset_s) * NS), arrival_ns)
     assert line.offset_ns == (0 if offset_s == 0 else pytest.approx((offset_s - 0.05) * NS))
 
 
 def test_a_clock_that_is_set_makes_another_time_line() -> None:
     line, now_ns = TimeLine(), 1_796_000_000 * NS
-    assert not line.take(now_ns - NS // 10, now_ns), "equal clocks need no new beginning"
-    assert not line.take(now_ns, now_ns + NS)
-    assert line.take(now_ns + 3600 * NS, now_ns + 2 * NS)
-    assert not line.take(now_ns + 3601 * NS, now_ns + 3 * NS)
+    topic = "trust/state"
+    assert not line.take(topic, now_ns - NS // 10, now_ns), "equal clocks need no new beginning"
+    assert not line.take(topic, now_ns, now_ns + NS)
+    assert line.take(topic, now_ns + 3600 * NS, now_ns + 2 * NS)
+    assert not line.take(topic, now_ns + 3601 * NS, now_ns + 3 * NS)
+
+
+@pytest.mark.parametrize("back_s", [4, 20, 3600])
+def test_a_clock_that_is_set_back_is_found_by_the_first_message_of_a_topic_that_was_there(back_s: int) -> None:
+    line, now_ns = TimeLine(), 1_796_000_000 * NS
+    for second in range(40):
+        line.take("trust/state", now_ns + second * NS, now_ns + second * NS)
+    now_ns += 40 * NS
+    assert line.take("trust/state", now_ns - back_s * NS, now_ns)
+    assert line.offset_ns == -back_s * NS
+    assert not line.take("imu/sample", now_ns - back_s * NS, now_ns + NS // 100)
+
+
+def test_what_a_network_has_held_back_is_late_and_not_of_another_clock() -> None:
+    line, now_ns = TimeLine(), 1_796_000_000 * NS
+    for second in range(10):
+        line.take("trust/state", now_ns + second * NS, now_ns + second * NS)
+    for second in range(10, 20):  # all at once, behind ten seconds without a message
+        assert not line.take("trust/state", now_ns + second * NS, now_ns + 20 * NS)
+        assert not line.take("imu/sample", now_ns + (second - 2) * NS, now_ns + 20 * NS)
+    assert line.offset_ns == 0
