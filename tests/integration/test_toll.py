@@ -58,6 +58,7 @@ def test_with_killed_processes_no_vehicle_is_charged_twice_and_each_charge_is_re
     packs = [(each, parse(each)) for each in evidence]
     derived = {pack.charged.passage_id: differences_of(each, pack) for each, pack in packs}
     whole = [pack.charged.passage_id for _, pack in packs if not is_continued(pack)]
-    assert whole and not [text for passage_id in whole for text in derived[passage_id]]
+    assert whole
+    assert not [text for passage_id in whole for text in derived[passage_id]]
     other = [text for passage_id, texts in derived.items() if passage_id not in whole for text in texts]
     assert not [text for text in other if not text.startswith("cannot be derived: the crossing lies")]
