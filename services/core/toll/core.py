@@ -149,14 +149,15 @@ class Core:
             window_s=found.window_s,
         )
 
-    def use_delta(self, delta: TollDelta) -> None:
-        """Use a delta for the CAM that arrive from `delta.latency_s` after it on."""
+    def use_delta(self, delta: TollDelta) -> bool:
+        """Use a delta for the CAM that arrive from `delta.latency_s` after it on; whether it is used."""
         if not delta.valid or (self._deltas and delta.sampled_ns <= self._deltas[-1].sampled_ns):
-            return
+            return False
         if delta.sampled_ns + round(self._settings.delta.latency_s * SECOND_NS) < self._newest_cam_ns:
             self._rejected["late_delta"] += 1  # CAM that it belongs to are used already
-        else:
-            self._deltas.append(delta)
+            return False
+        self._deltas.append(delta)
+        return True
 
     def continue_passages(self, message: OpenPassages) -> Iterator[Statement]:
         """Take over what the ledger holds and this process does not; forget passages that are settled."""

@@ -186,8 +186,7 @@ class Process:
             deltas, anew = (), False
 
     def _use_delta(self, delta: TollDelta) -> None:
-        self._core.use_delta(delta)
-        if delta.valid:
+        if self._core.use_delta(delta):  # the process after this one must use no other ones
             self._new_deltas.append(delta)
 
     def _delta(self, now_ns: int, period_ns: int) -> Iterator[TollDelta]:

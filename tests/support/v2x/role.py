@@ -51,6 +51,7 @@ class Role:
     statements: list[TollPassage] = field(default_factory=list)
     core: Toll | None = None
     now_s: float = -15.0
+    fixes_late_s: float = 0.0  # how late those of the unit's receiver arrive
 
     def __post_init__(self) -> None:
         text = WITH_DETECTORS if self.detectors else WITHOUT_DETECTORS
@@ -108,7 +109,7 @@ class Role:
             )  # fmt: skip
             self.ledger.register(registration, stamp(t))
             self._tell(registration)
-        self._tell(fix(PLAZA, t, *COMMON))
+        self._tell(fix(PLAZA, t - self.fixes_late_s, *COMMON))
         self._tell(Tick(now_ns=stamp(t)))
         for number, pulse_s in enumerate(self.pulses_s):
             if self.detectors and pulse_s <= t:

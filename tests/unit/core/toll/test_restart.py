@@ -54,6 +54,23 @@ def test_after_a_restart_the_charge_is_derived_bit_for_bit_from_complete_evidenc
     assert len(before) >= (kill - (opened.opened_ns - START_NS) * 1e-9 - lost_s) * 10.0, "all but the last half second"
 
 
+@pytest.mark.parametrize("late_s", [1.5, 4.0])
+@pytest.mark.parametrize("kill", [12.2, 13.4])
+def test_a_delta_that_came_too_late_is_not_used_after_a_restart_either(
+    tmp_path: Path, kill: float, late_s: float
+) -> None:
+    """As on a busy machine: without a delta the lane is not certain, and a restart must not make it so."""
+    unit = unit_of(tmp_path)
+    unit.drive(3.0)
+    unit.fixes_late_s = late_s
+    unit.drive(kill)
+    assert unit.core is not None and unit.core.rejects["late_delta"] > 2
+    unit.restart_core()
+    unit.drive(40.0)
+    (final,) = unit.state().recent
+    assert (final.state, final.reason) == (PassageState.UNDECIDED, "no lane with a probability of 0.99")
+
+
 def test_without_the_memory_a_passage_that_cannot_be_derived_again_is_reviewed_and_not_charged(tmp_path: Path) -> None:
     """Both are killed just before the gate line: the new track begins behind it, and its evidence has no crossing."""
     unit = unit_of(tmp_path)
