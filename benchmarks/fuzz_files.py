@@ -30,6 +30,7 @@ from .fuzz import SLOWEST_S, mutated
 MORE_BYTES = 500_000_000  # of address space, above that of the start
 PLACE_DEG = 48.0, 11.0
 REFUSALS = (ObuError, ValueError, BadMap)
+LONGEST = 200  # characters of what an error says
 VEHICLES = REPOSITORY / "deploy" / "vehicles"
 Feed = Callable[[str, int, float, Path], tuple[int, list[str]]]  # reader, seed, seconds, folder of what fails
 
@@ -78,12 +79,17 @@ def damaged(seed: bytes, chance: random.Random) -> bytes:
 
 def failure_of(name: str, path: Path) -> str | None:
     """Read a file; what its reader did that it may not, or None."""
+    return failure_while(lambda: READERS[name][1](path), REFUSALS)
+
+
+def failure_while(read: Callable[[], object], refusals: tuple[type[Exception], ...]) -> str | None:
+    """Say what went wrong while something was read, but for refusals, or that it took too long."""
     begin = time.monotonic()
     try:
-        with suppress(*REFUSALS):
-            READERS[name][1](path)
+        with suppress(*refusals):
+            read()
     except BaseException as error:  # noqa: BLE001  # also MemoryError: whatever it raises is what is looked for
-        return f"{type(error).__name__}: {error}"
+        return f"{type(error).__name__}: {str(error)[:LONGEST]}"
     taken_s = time.monotonic() - begin
     return f"{taken_s:.1f} s" if taken_s > SLOWEST_S else None
 

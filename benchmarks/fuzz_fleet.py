@@ -39,8 +39,8 @@ from shared.fleet.receipts import Receipt, Refused, Stored
 from shared.fleet.sealed import unsealed
 from tests.support.fleet.reports import Unit
 
-from .fuzz import SLOWEST_S, mutated
-from .fuzz_files import run
+from .fuzz import mutated
+from .fuzz_files import failure_while, run
 
 VEHICLE = "car-1"
 UNIT = Unit(VEHICLE)
@@ -266,15 +266,7 @@ def message(reader: Reader, chance: random.Random) -> bytes:
 
 def failure_of(reader: Reader, data: bytes) -> str | None:
     """Read a message; what its reader did that it may not, or None."""
-    begin = time.monotonic()
-    try:
-        reader.read(data)
-    except reader.refusals:
-        pass
-    except BaseException as error:  # noqa: BLE001  # also MemoryError: whatever it raises is what is looked for
-        return f"{type(error).__name__}: {str(error)[:200]}"
-    taken_s = time.monotonic() - begin
-    return f"{taken_s:.1f} s" if taken_s > SLOWEST_S else None
+    return failure_while(lambda: reader.read(data), reader.refusals)
 
 
 def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> tuple[int, list[str]]:

@@ -64,11 +64,10 @@ trap 'kill -TERM "$broker"' TERM INT
 while sleep 3; do ask | nc 127.0.0.1 "$port" | listen; done &
 watch=$!
 # Waits before it looks: a broker that has ended already is gone for `kill -0`, and its code is still to be had.
-wait "$broker"
-code=$?
-while kill -0 "$broker" 2>/dev/null; do # A signal ended the wait.
+while
     wait "$broker"
     code=$?
-done
+    kill -0 "$broker" 2>/dev/null # A signal ended the wait.
+do :; done
 kill "$watch" 2>/dev/null
 exit "$code"

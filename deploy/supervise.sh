@@ -33,11 +33,10 @@ watch=
 case " $* " in *" run "*) watch "$@" & watch=$! ;; esac
 
 # Waits before it looks: a command that has ended already is gone for `kill -0`, and its code is still to be had.
-wait "$child"
-code=$?
-while kill -0 "$child" 2>/dev/null; do # A signal ended the wait.
+while
     wait "$child"
     code=$?
-done
+    kill -0 "$child" 2>/dev/null # A signal ended the wait.
+do :; done
 [ -z "$watch" ] || kill "$watch" 2>/dev/null
 exit "$code"

@@ -1,10 +1,9 @@
 """What each role may do, and which right each route needs: the one list that the guard decides by."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
-from services.monitoring.status.web.access.table import WEBSOCKET, pattern_of
+from services.monitoring.status.web.access.table import WEBSOCKET, Row, row_of
 
 
 class Right(StrEnum):
@@ -39,16 +38,6 @@ MEANING = {
     Role.TOLL: "sees passages of toll plazas, and neither positions nor tracks",
     Role.ADMIN: "besides all of these, enrols and revokes vehicles, manages accounts, reads the audit",
 }
-
-
-@dataclass(frozen=True)
-class Row:
-    """One method of one route; the first row whose path matches counts. HEAD is allowed wherever GET is."""
-
-    method: str
-    path: str  # {name} is one part of a path, {name:path} the rest
-    right: Right
-    purpose: str
 
 
 @dataclass(frozen=True)
@@ -106,12 +95,5 @@ ROWS = (
 
 def needed(method: str, path: str) -> Right:
     """The right that a request needs; what no row describes needs the highest."""
-    method = "GET" if method == "HEAD" else method
-    for row in _matching(path):
-        if row.method == method:
-            return row.right
-    return Right.ADMIN
-
-
-def _matching(path: str) -> Iterator[Row]:
-    return (row for row in ROWS if pattern_of(row.path).match(path))
+    row = row_of(ROWS, method, path)
+    return Right.ADMIN if row is None else row.right

@@ -17,6 +17,25 @@ from tests.support.fleet.watched_unit import watched_unit
 from tests.support.fleet.web import PASSWORD, RunningWeb
 
 
+class Line:
+    """The stream of a page, which can be cut."""
+
+    def __init__(self) -> None:
+        self.streams: list[WebSocketRoute] = []
+        self.is_lost = False
+
+    def connect(self, route: WebSocketRoute) -> None:
+        if self.is_lost:
+            route.close()
+            return
+        route.connect_to_server()
+        self.streams.append(route)
+
+    def cut(self) -> None:
+        self.is_lost = True
+        self.streams[-1].close()
+
+
 def wait_for_map(page: Page) -> None:
     expect(page.locator(".fleet-page .maplibregl-canvas")).to_be_visible(timeout=30_000)
     expect(page.locator(".map-wait")).to_have_count(0, timeout=30_000)
@@ -210,26 +229,16 @@ def test_a_page_that_loses_the_centre_says_so_and_keeps_what_it_knows(
     centre: RunningWeb, open_centre: Callable[..., Page]
 ) -> None:
     page = open_centre("api/session")
-    streams: list[WebSocketRoute] = []
-    lost: list[bool] = []
-
-    def connect(route: WebSocketRoute) -> None:
-        if lost:
-            route.close()
-            return
-        route.connect_to_server()
-        streams.append(route)
-
-    page.route_web_socket("**/ws", connect)
+    line = Line()
+    page.route_web_socket("**/ws", line.connect)
     page.goto(f"{centre.address}/#/map")
     expect(page.locator(".fleet-list tbody tr").first).to_be_visible(timeout=15_000)
-    lost.append(True)
     page.route("**/api/vehicles*", lambda route: route.fulfill(status=503, json={"detail": "the database is away"}))
-    streams[-1].close()
+    line.cut()
     expect(page.get_by_text("Connection to the centre lost")).to_be_visible(timeout=15_000)
     expect(page.get_by_text("The centre refused this: the database is away")).to_be_visible(timeout=15_000)
     expect(page.locator(".fleet-list tbody tr").first).to_be_visible()
-    lost.clear()
+    line.is_lost = False
     page.unroute("**/api/vehicles*")
     expect(page.get_by_text("Connection to the centre lost")).to_have_count(0, timeout=15_000)
     expect(page.get_by_text("the database is away")).to_have_count(0, timeout=15_000)
@@ -285,24 +294,14 @@ def test_a_vehicle_is_watched_on_its_own_page_and_seen_to_be_from_afar(
 def test_a_watched_page_that_loses_the_centre_names_the_centre(
     centre: RunningWeb, open_centre: Callable[..., Page], tmp_path: Path
 ) -> None:
-    streams: list[WebSocketRoute] = []
-    lost: list[bool] = []
-
-    def connect(route: WebSocketRoute) -> None:
-        if lost:
-            route.close()
-            return
-        route.connect_to_server()
-        streams.append(route)
-
+    line = Line()
     with watched_unit(centre, "car-safe", tmp_path):
         page = open_centre("api/session", "otto")
-        page.route_web_socket(re.compile(r"/live/ws"), connect)
+        page.route_web_socket(re.compile(r"/live/ws"), line.connect)
         page.goto(f"{centre.address}/vehicles/car-safe/live/")
         banner = page.get_by_role("region", name="Can the position be trusted?")
         expect(banner.locator(".word")).to_have_text("SAFE", timeout=15_000)
-        lost.append(True)
-        streams[-1].close()
+        line.cut()
         bar = page.locator(".bar.lost")
         expect(bar).to_contain_text("Connection to the control centre lost", timeout=15_000)
         expect(bar).not_to_contain_text("are you on its network")

@@ -136,7 +136,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Alone:
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method != WEBSOCKET], ids=lambda row: row.path)
-def test_each_role_may_what_the_table_says(alone: Alone, row: Row) -> None:
+def test_each_role_may_what_the_table_says(alone: Alone, row: Row[Right]) -> None:
     path = sample(row.path)
     for method in METHODS:
         right = needed(method, path)
@@ -161,13 +161,13 @@ def test_no_end_of_a_path_gets_round_its_right(page: Guarded, end: str) -> None:
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method != WEBSOCKET], ids=lambda row: row.path)
-def test_the_server_answers_nobody_but_who_needs_no_login(page: Guarded, row: Row) -> None:
+def test_the_server_answers_nobody_but_who_needs_no_login(page: Guarded, row: Row[Right]) -> None:
     status = page.ask(row.method, sample(row.path), None, **{"X-OBU-CSRF": "any"}).status_code
     assert status == 401 if row.right is not Right.PUBLIC else status in (200, 422)
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method == "GET"], ids=lambda row: row.path)
-def test_head_answers_as_get_without_a_body(page: Guarded, row: Row) -> None:
+def test_head_answers_as_get_without_a_body(page: Guarded, row: Row[Right]) -> None:
     path = sample(row.path)
     get, head = (page.ask(method, path, Right.ADMIN) for method in ("GET", "HEAD"))
     assert head.status_code == get.status_code

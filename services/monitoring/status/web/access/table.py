@@ -1,9 +1,11 @@
 """Which right each route needs: the one list that the guard decides by, and that the documentation prints."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cache
+from typing import Generic, TypeVar
 
 from starlette.routing import compile_path
 
@@ -11,15 +13,16 @@ from .rights import Right
 
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")  # which change nothing
 WEBSOCKET = "WEBSOCKET"
+R = TypeVar("R", bound=StrEnum)  # rights: those of the unit's page, or of a centre's
 
 
 @dataclass(frozen=True)
-class Row:
+class Row(Generic[R]):
     """One method of one route; the first row whose path matches counts. HEAD is allowed wherever GET is."""
 
     method: str
     path: str  # as the application writes it: {name} is one part of a path, {name:path} the rest
-    right: Right
+    right: R
     purpose: str
 
 
@@ -76,15 +79,15 @@ ROWS = (
 
 def needed(method: str, path: str) -> Right:
     """The right that a request needs; a change that no row describes needs the highest."""
-    method = "GET" if method == "HEAD" else method
-    for row in _matching(path):
-        if row.method == method:
-            return row.right
+    if (row := row_of(ROWS, method, path)) is not None:
+        return row.right
     return Right.VIEW if method in (*SAFE_METHODS, WEBSOCKET) else Right.ADMIN
 
 
-def _matching(path: str) -> Iterator[Row]:
-    return (row for row in ROWS if pattern_of(row.path).match(path))
+def row_of(rows: Iterable[Row[R]], method: str, path: str) -> Row[R] | None:
+    """Find the row that describes a request."""
+    method = "GET" if method == "HEAD" else method
+    return next((row for row in rows if row.method == method and pattern_of(row.path).match(path)), None)
 
 
 @cache
