@@ -11,8 +11,11 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Protocol
 
 from services.monitoring.status.web.map.tiles import BadMap, describe
 from services.parsers.can.database import load
@@ -32,7 +35,18 @@ PLACE_DEG = 48.0, 11.0
 REFUSALS = (ObuError, ValueError, BadMap)
 LONGEST = 200  # characters of what an error says
 VEHICLES = REPOSITORY / "deploy" / "vehicles"
-Feed = Callable[[str, int, float, Path], tuple[int, list[str]]]  # reader, seed, seconds, folder of what fails
+
+
+class Feed(Protocol):
+    """Feeds one reader with damaged inputs."""
+
+    def __call__(
+        self, name: str, seed: int, seconds: float, folder: Path, least: int = 0, *, slowest_s: float = inf
+    ) -> tuple[int, list[str]]:
+        """Feed it for some seconds and `least` inputs; return their number, and what failed.
+
+        What fails is stored in the folder. An input fails as well that takes more than `slowest_s` of processor time.
+        """
 
 
 def _recording(path: Path) -> None:
@@ -77,24 +91,21 @@ def damaged(seed: bytes, chance: random.Random) -> bytes:
     return seed[:start] + piece + seed[start + 512 :]
 
 
-def failure_of(name: str, path: Path) -> str | None:
-    """Read a file; what its reader did that it may not, or None."""
-    return failure_while(lambda: READERS[name][1](path), REFUSALS)
-
-
-def failure_while(read: Callable[[], object], refusals: tuple[type[Exception], ...]) -> str | None:
-    """Say what went wrong while something was read, but for refusals, or that it took too long."""
-    begin = time.monotonic()
+def failure_while(read: Callable[[], object], refusals: tuple[type[Exception], ...], slowest_s: float) -> str | None:
+    """Say what went wrong while something was read, but for refusals, or that it took too much processor time."""
+    begin_s = time.thread_time()
     try:
         with suppress(*refusals):
             read()
     except BaseException as error:  # noqa: BLE001  # also MemoryError: whatever it raises is what is looked for
         return f"{type(error).__name__}: {str(error)[:LONGEST]}"
-    taken_s = time.monotonic() - begin
-    return f"{taken_s:.1f} s" if taken_s > SLOWEST_S else None
+    taken_s = time.thread_time() - begin_s
+    return f"{taken_s:.1f} s" if taken_s > slowest_s else None
 
 
-def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> tuple[int, list[str]]:
+def fuzz(
+    name: str, seed: int, seconds: float, folder: Path, least: int = 0, *, slowest_s: float = inf
+) -> tuple[int, list[str]]:
     """Feed one reader for some seconds and `least` files; return the number of files, and what failed."""
     chance, inputs, failures = random.Random(f"{name} {seed}"), 0, list[str]()
     with TemporaryDirectory() as made:
@@ -103,7 +114,7 @@ def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> 
         until = time.monotonic() + seconds
         while inputs < least or time.monotonic() < until:
             path.write_bytes(damaged(sound, chance))
-            if (failure := failure_of(name, path)) is not None:
+            if (failure := failure_while(partial(READERS[name][1], path), REFUSALS, slowest_s)) is not None:
                 folder.mkdir(parents=True, exist_ok=True)
                 stored = folder / f"{name}-{seed}-{inputs}{path.suffix}"
                 stored.write_bytes(path.read_bytes())
@@ -128,7 +139,7 @@ def run(description: str | None, names: Sequence[str], feed: Feed, what: str) ->
     limit_memory()
     failed = False
     for name in given.reader or names:
-        inputs, failures = feed(name, given.seed, given.seconds, REPOSITORY / ".obu" / "fuzz")
+        inputs, failures = feed(name, given.seed, given.seconds, REPOSITORY / ".obu" / "fuzz", slowest_s=SLOWEST_S)
         print(
             f"{name}: seed {given.seed}, {inputs} {what} in {given.seconds:g} s, {len(failures)} failures", flush=True
         )

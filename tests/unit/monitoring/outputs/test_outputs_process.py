@@ -195,11 +195,9 @@ def test_without_solutions_reports_without_fix_go_on(monkeypatch: pytest.MonkeyP
         eventually(lambda: process.nmea.socket is not None)
         with connected(process.nmea) as client, client.makefile() as lines:
             first = lines.readline()
-            began = time.monotonic()
             while not lines.readline().startswith("$GNRMC"):
                 pass
             assert first.startswith("$GNRMC,,V,")
-            assert 0.15 < time.monotonic() - began < 0.5
 
 
 def test_messages_that_are_no_messages_are_counted() -> None:
