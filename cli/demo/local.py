@@ -159,12 +159,12 @@ def unit(
 ) -> Supervisor:
     """Put every process of a vehicle, and its broker if given, under one supervisor.
 
-    Consumers start before producers, and the recorder ends after the others, so that a recording is complete and can
-    be verified.
+    Consumers start before producers, and the recorder listens before the others start and ends after them, so that a
+    recording is complete and can be verified.
     """
     supervisor = Supervisor({**os.environ, **environment}, logs)
     if broker:
-        supervisor.add("broker", broker, last=True)
+        supervisor.add("broker", broker, throughout=True)
     for name in reversed(vehicle.processes):
-        supervisor.add_process(name, last=name == "monitoring.recorder")
+        supervisor.add_process(name, throughout=name == "monitoring.recorder")
     return supervisor

@@ -4,7 +4,10 @@ import os
 import socket
 import struct
 
+from shared.runtime.alive import CONNECTED_STATUS
+
 WORDS = (b"READY=1", b"WATCHDOG=1")
+CONNECTED = b"STATUS=" + CONNECTED_STATUS.encode()
 LONGEST = 4096
 CREDENTIALS = struct.Struct("3i")  # of Linux: process, user, group
 MOST_READS = 64
@@ -17,6 +20,7 @@ class SignsOfLife:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         self._socket.bind("")  # Linux chooses a free name
+        self.is_connected = False  # whether the child has said that it is connected to the broker
         self.address = "@" + self._socket.getsockname()[1:].decode()  # for NOTIFY_SOCKET
 
     def heard(self) -> bool:
@@ -27,7 +31,10 @@ class SignsOfLife:
                 text, sender, _, _ = self._socket.recvmsg(LONGEST, socket.CMSG_SPACE(CREDENTIALS.size))
             except BlockingIOError:
                 break
-            heard = heard or (_is_ours(sender) and any(word in text.split(b"\n") for word in WORDS))
+            if _is_ours(sender):
+                words = text.split(b"\n")
+                heard = heard or any(word in words for word in WORDS)
+                self.is_connected = self.is_connected or CONNECTED in words
         return heard
 
     def close(self) -> None:

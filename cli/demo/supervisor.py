@@ -23,6 +23,7 @@ SETTLED_S = 10.0  # run time after which earlier failures no longer lengthen the
 STOP_S = 4.0
 LAST_STOP_S = 0.5  # for those that end last
 HUNG_S = 14.0  # without a sign of life, after which a child is killed; one that can ends itself before, and tells where
+LISTENS_S = 20.0  # that the others wait for one that runs throughout
 START_S = 90.0  # until the first sign of a process, which may be long on a machine that starts everything at once
 UNATTENDED_S = 3.0  # between two calls of `watch`: the supervisor was stopped itself, perhaps with its children
 
@@ -34,7 +35,7 @@ class Child:
     name: str
     command: Sequence[str]
     log_file: Path | None
-    last: bool = False
+    throughout: bool = False
     start_limit_s: float | None = None  # None: a child that need not give signs of life
     signs: SignsOfLife = field(default_factory=SignsOfLife)
     seen: float | None = None  # when the last sign of this run came
@@ -60,29 +61,33 @@ class Supervisor:
         self._watched = time.monotonic()
         self.children: dict[str, Child] = {}
 
-    def add(self, name: str, command: Sequence[str], *, last: bool = False, start_limit_s: float | None = None) -> None:
+    def add(
+        self, name: str, command: Sequence[str], *, throughout: bool = False, start_limit_s: float | None = None
+    ) -> None:
         """Add a child, which `watch` starts.
 
-        With `last` it is stopped after the others. With `start_limit_s` it is killed unless it gives a sign of life
-        within this time [s].
+        One that runs `throughout` is started before the others and stopped after them. With `start_limit_s` a child is
+        killed unless it gives a sign of life within this time [s]; if it runs throughout, the others wait until it is
+        connected to the broker, but not for long.
         """
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
-        self.children[name] = Child(name, command, log_file, last, start_limit_s)
+        self.children[name] = Child(name, command, log_file, throughout, start_limit_s)
 
-    def add_process(self, name: str, *, last: bool = False) -> None:
+    def add_process(self, name: str, *, throughout: bool = False) -> None:
         """Add a process of the unit."""
-        self.add(name, [sys.executable, "-m", "cli", "run", name], last=last, start_limit_s=START_S)
+        command = [sys.executable, "-m", "cli", "run", name]
+        self.add(name, command, throughout=throughout, start_limit_s=START_S)
 
     def watch(self) -> None:
         """Start the children that are due, detect those that ended, kill those that hang; to be called often."""
         now = time.monotonic()
         late_s, self._watched = now - self._watched, now
-        for child in self.children.values():
+        for child in self._in_order():
             _listen(child, now)
             if late_s > UNATTENDED_S and child.seen is not None:
                 child.seen = now
             if child.process is None:
-                if now >= child.next_start:
+                if now >= child.next_start and (child.throughout or not self._waits(now)):
                     self._start(child)
             elif (code := child.process.poll()) is not None:
                 self._ended(child, code, now)
@@ -93,14 +98,14 @@ class Supervisor:
     def stop(self) -> None:
         """Stop every child: SIGTERM, and SIGKILL after four seconds."""
         deadline = time.monotonic() + STOP_S
-        for last in (False, True):
-            children = [child for child in self.children.values() if child.last is last]
+        for throughout in (False, True):
+            children = [child for child in self.children.values() if child.throughout is throughout]
             for child in children:
                 if child.process is not None and child.process.poll() is None:
                     child.process.send_signal(signal.SIGTERM)
                     child.process.send_signal(signal.SIGCONT)  # a stopped child does not receive SIGTERM
             for child in children:
-                _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
+                _wait_for_end(child, deadline if not throughout else deadline + LAST_STOP_S)
         for child in self.children.values():
             child.signs.close()
 
@@ -116,6 +121,18 @@ class Supervisor:
     def alive(self) -> int:
         """Number of running children."""
         return sum(c.process is not None and c.process.poll() is None for c in self.children.values())
+
+    def _in_order(self) -> list[Child]:
+        """Children in the order of their start."""
+        return sorted(self.children.values(), key=lambda child: not child.throughout)
+
+    def _waits(self, now: float) -> bool:
+        """Whether one that runs throughout does not listen yet; one that has ended once is waited for no more."""
+        return any(
+            not child.signs.is_connected and not child.exit_codes and now - child.started < LISTENS_S
+            for child in self.children.values()
+            if child.throughout and child.start_limit_s is not None and child.process is not None
+        )
 
     def _start(self, child: Child) -> None:
         output = child.log_file.open("ab") if child.log_file else None

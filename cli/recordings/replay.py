@@ -96,7 +96,7 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     }
     supervisor = Supervisor({**os.environ, **environment}, folder / "logs")
     broker = broker_command(folder, broker_port, "auto", load_vehicle(folder / "vehicle.toml"), replay=True)
-    supervisor.add("broker", broker, last=True)
+    supervisor.add("broker", broker, throughout=True)
     for name in RUN_HERE:
         supervisor.add_process(name)
     if taken:

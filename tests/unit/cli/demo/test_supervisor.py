@@ -97,6 +97,55 @@ while True:
 """
 
 
+CONNECTING = """
+import time
+from shared.runtime.alive import Alive
+alive = Alive()
+began = time.monotonic()
+while True:
+    alive.beat(connected=time.monotonic() - began > 0.3)
+    time.sleep(0.05)
+"""
+RECORDER = [sys.executable, "-c", CONNECTING]
+
+
+def test_the_others_start_when_one_that_runs_throughout_is_connected(supervisor: Supervisor) -> None:
+    supervisor.add("other", SLEEPER)
+    supervisor.add("recorder", RECORDER, throughout=True, start_limit_s=60.0)
+    other, recorder = supervisor.children["other"], supervisor.children["recorder"]
+    watch_until(supervisor, lambda: recorder.seen is not None)
+    assert other.process is None
+    watch_until(supervisor, lambda: other.process is not None)
+    assert recorder.signs.is_connected
+    assert recorder.process is not None
+    recorder.process.kill()
+    recorder.process.wait()
+    supervisor.watch()
+    assert other.process is not None
+    other.process.kill()
+    other.process.wait()
+    watch_until(supervisor, lambda: other.restarts == 1 and other.process is not None)
+
+
+@pytest.mark.parametrize("code", ["raise SystemExit(78)", "raise SystemExit(3)"])
+def test_nobody_waits_for_one_that_has_ended(supervisor: Supervisor, code: str) -> None:
+    supervisor.add("other", SLEEPER)
+    supervisor.add("recorder", [sys.executable, "-c", code], throughout=True, start_limit_s=60.0)
+    other = supervisor.children["other"]
+    watch_until(supervisor, lambda: other.process is not None)
+    assert supervisor.children["recorder"].exit_codes
+
+
+def test_one_that_does_not_connect_is_waited_for_a_while_alone(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cli.demo.supervisor.LISTENS_S", 0.5)
+    supervisor.add("recorder", SLEEPER, throughout=True, start_limit_s=60.0)
+    supervisor.add("other", SLEEPER)
+    watch_until(supervisor, lambda: supervisor.alive() == 2)
+    assert not supervisor.children["recorder"].signs.is_connected
+
+
 @pytest.fixture
 def impatient(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
     monkeypatch.setattr("cli.demo.supervisor.HUNG_S", 0.5)
