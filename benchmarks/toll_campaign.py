@@ -46,7 +46,6 @@ from shared.messages.toll import (
     TollPassage,
     TollReceipt,
     TollRegistration,
-    TollReview,
     TrafficPassage,
     TransactionKind,
     UsedCams,
@@ -76,7 +75,7 @@ LEDGER_STEPS = tuple(
         "INSERT INTO booking", "INSERT INTO outbox", "INSERT INTO evidence", "DELETE FROM passage",
         "INSERT INTO settled", "INSERT INTO crossing", "INSERT OR IGNORE INTO receipt", "DELETE FROM outbox",
         "INSERT INTO balance", "UPDATE pulse", "DELETE FROM crossing", "COMMIT", "publishing a transaction",
-        "publishing open passages",
+        "publishing a review", "UPDATE review", "publishing open passages",
     )
 )  # fmt: skip
 WARM_UP_NS = 30 * NS
@@ -108,7 +107,7 @@ class Result:
     wrong_charges: int = 0  # of a contract that has not passed
     lanes_right: int = 0
     decided: int = 0  # registered, and core.toll has found the lane
-    in_review: int = 0  # registered, and left to a person: not derivable after both processes were killed, or ghosts
+    in_review: int = 0  # registered, and left to a person: not derivable, of two contracts, or ghosts
     decided_uncharged: dict[str, int] = field(default_factory=dict)  # decided, but not charged: what it ended as
     undecided: dict[str, int] = field(default_factory=dict)  # registered, and no lane was found: what it ended as
     kills_core: int = 0
@@ -197,6 +196,7 @@ class Campaign:
         self.contract_of: dict[int, str] = {}
         self.ends: dict[str, set[str]] = defaultdict(set)  # final statements by contract, with their reasons
         self.decided: set[str] = set()  # contracts with a crossing in a lane
+        self.reviewed: set[str] = set()  # contracts of passages that were left to a person
         self.delta: TollDelta | None = None  # retained by the broker
         self._begin_ledger(START_NS)
 
@@ -346,6 +346,7 @@ class Campaign:
                 receipt = self.operator.receive(transaction, now_ns)
                 if self.rng.random() >= ANSWERS_LOST:
                     self.receipts.append(receipt)
+            self._publish_reviews(self.ledger, self.store)
             if second:
                 self._die_at("publishing open passages")
                 self._inform_core(self.ledger, now_ns)
@@ -354,6 +355,16 @@ class Campaign:
             self.store.close()
             self.ledger = self.store = None
             self.ledger_back_ns = now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
+
+    def _publish_reviews(self, ledger: Ledger, store: Store) -> None:
+        """Note who is left to a person: the ledger forgets a review without evidence after minutes."""
+        if reviews := ledger.reviews():
+            self._die_at("publishing a review")
+            for review in reviews:
+                self.reviewed |= {*review.contracts, *([review.contract] if review.contract else [])}
+            with store.transaction():
+                for review in reviews:
+                    ledger.reviewed(review)
 
     def _inform_core(self, ledger: Ledger, now_ns: int) -> None:
         """Send core.toll what an earlier process of it has used, and the open passages."""
@@ -372,7 +383,6 @@ class Campaign:
         registered = {p.contract: p for n, p in self.truth.items() if n in counted and p.contract}
         uncharged = {contract for contract in registered if contract not in charges}
         decided = {contract for contract in registered if contract in self.decided or contract in charges}
-        reviewed = self._reviewed()
         balances = self.ledger.balances(0)
         outcomes: Counter[str] = Counter()
         for lane in balances:
@@ -387,9 +397,9 @@ class Campaign:
             wrong_charges=sum(contract not in passed for contract in charges),
             lanes_right=sum(t.lane == passed[t.contract].lane for t in booked if t.contract in registered),
             decided=len(decided),
-            in_review=len(uncharged & reviewed),
-            decided_uncharged=self._endings((decided & uncharged) - reviewed),
-            undecided=self._endings(uncharged - decided - reviewed),
+            in_review=len(uncharged & self.reviewed),
+            decided_uncharged=self._endings((decided & uncharged) - self.reviewed),
+            undecided=self._endings(uncharged - decided - self.reviewed),
             kills_core=sum(n for step, n in self.kills.items() if step.startswith("core")),
             kills_ledger=sum(n for step, n in self.kills.items() if step.startswith("ledger")),
             kills_by_step=dict(self.kills.most_common()),
@@ -401,12 +411,6 @@ class Campaign:
             simulated_s=round(simulated_s, 1),
             cpu_s=round(cpu_s, 1),
         )
-
-    def _reviewed(self) -> set[str]:
-        """Contracts of passages that are in review."""
-        assert self.store is not None
-        rows = self.store.rows("SELECT content FROM review")
-        return {contract for row in rows if (contract := TollReview.model_validate_json(row["content"]).contract)}
 
     def _endings(self, contracts: set[str]) -> dict[str, int]:
         """Count what the passages of contracts ended as."""

@@ -320,7 +320,9 @@ class TollReview(Message):
     lane: Name | None = None
     crossing_ns: Nanoseconds | None = None
     overlaps: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()  # passages reviewed together with it
-    contract: Name | None = None  # None: not registered
+    contract: Name | None = None  # None: not registered, or several
+    # Where its station IDs belong to several; a person has to tell which of them has passed.
+    contracts: Annotated[tuple[Name, ...], Field(max_length=STATION_IDS)] = ()
     tariff_class: Name | None = None
     amount_cents: Cents | None = None  # that a charge would have
     currency: Name | None = None

@@ -8,7 +8,7 @@ import hashlib
 import json
 import zlib
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import hypot
 from typing import TypeVar
@@ -55,6 +55,7 @@ DOUBTFUL_NS = 30 * DAY_NS  # since the newest evidence, after which a date at th
 RECENT = 50
 USED_KEPT_NS = 70 * NS
 OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
+UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
 UNCONFIRMED = "not confirmed by a detector"
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 
@@ -525,15 +526,15 @@ class Ledger:
         crossed = (
             self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
         )
-        if message.state.is_final and self._merge(message, contracts, now_ns):
+        if len(contracts) > 1 and message.state not in UNCHARGED:
+            self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns, contracts)
+            return
+        if message.state.is_final and len(contracts) < 2 and self._merge(message, contracts, now_ns):
             return
         if message.state is PassageState.CHARGED:
             self._charge(message, crossed, contracts, now_ns)
         elif message.state.is_final:
-            known = next(iter(sorted(contracts)), (None, None))[0]
-            self._settle(message, message.state, message.reason, now_ns, known)
-        elif len(contracts) > 1:
-            self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns)
+            self._settle(message, message.state, message.reason, now_ns, contracts)
         elif not contracts:
             newest = self._unregistered.get(message.passage_id, message)
             if message.sampled_ns >= newest.sampled_ns:
@@ -561,19 +562,17 @@ class Ledger:
         waited_ns = now_ns - (message.exit_ns or message.crossing_ns or message.sampled_ns)
         if not contracts and waited_ns < self._settings.registration_wait_s * NS:
             return
-        if len(contracts) > 1:
-            self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns)
-        elif message.lane is None:
+        if message.lane is None:
             self._settle(message, PassageState.UNDECIDED, message.reason or "no lane is certain", now_ns)
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, "no contract for its station ID", now_ns)
         elif message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
             reason = "its statement has no crossing or no evidence"
-            self._settle(message, PassageState.SUSPECT, reason, now_ns, min(contracts)[0])
+            self._settle(message, PassageState.SUSPECT, reason, now_ns, contracts)
         elif min(contracts)[1] not in self._plaza.tariff.classes:  # the file has changed since
             self.rejects["tariff class"] += 1
             reason = f"the tariff has no class {min(contracts)[1]}: add it to the plaza's file"
-            self._settle(message, PassageState.SUSPECT, reason, now_ns, min(contracts)[0])
+            self._settle(message, PassageState.SUSPECT, reason, now_ns, contracts)
         else:
             self._hold(message, proof, *min(contracts), now_ns)
             if message.lane not in self._detectors and proof.derivable and not message.overlaps:
@@ -707,7 +706,8 @@ class Ledger:
         """Settle a passage of a vehicle that another passage of the same time has; the ID of the first one stays.
 
         A vehicle is known by its contract and its chain of station IDs. Two passages of it whose intervals from
-        approach to exit overlap are one: frames that were lost or left out gave the second another ID.
+        approach to exit overlap are one: frames that were lost or left out gave the second another ID. Station IDs of
+        two contracts name no vehicle: `core.toll` may have taken two for one.
         """
         if message.state not in (PassageState.CHARGED, PassageState.UNDECIDED, PassageState.UNREGISTERED):
             return False
@@ -745,7 +745,12 @@ class Ledger:
         self._store.execute("INSERT INTO outbox VALUES (?)", transaction.transaction_id)
 
     def _settle(
-        self, message: TollPassage, state: PassageState, reason: str, now_ns: int, contract: str | None = None
+        self,
+        message: TollPassage,
+        state: PassageState,
+        reason: str,
+        now_ns: int,
+        contracts: Collection[tuple[str, str]] = (),
     ) -> None:
         """Store the end of a passage: its state, and its crossing without station IDs for the reconciliation."""
         self._unregistered.pop(message.passage_id, None)
@@ -767,10 +772,12 @@ class Ledger:
                 json.dumps(message.overlaps), now_ns,
             )  # fmt: skip
         if state is PassageState.SUSPECT:
+            names = sorted({name for name, _ in contracts})
             self._ask(
                 TollReview(
                     sampled_ns=now_ns, passage_id=message.passage_id, plaza=self._plaza.name, reason=reason[:400],
-                    lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps, contract=contract,
+                    lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps,
+                    contract=names[0] if len(names) == 1 else None, contracts=tuple(names) if len(names) > 1 else (),
                 )
             )  # fmt: skip
 

@@ -269,7 +269,7 @@ def test_passages_of_one_vehicle_that_overlap_in_time_are_one_and_the_first_id_s
     assert all(lane.agrees for lane in found.lanes)
 
 
-def test_a_passage_that_joins_two_shows_that_they_are_one(any_gate: Gate) -> None:
+def test_a_passage_that_joins_two_contracts_is_reviewed_and_takes_neither_charge_back(any_gate: Gate) -> None:
     first, second = any_gate.vehicle("a", station_ids=(7,)), any_gate.vehicle("b", 15.5, station_ids=(8,))
     for vehicle in (first, second):
         any_gate.pulse(vehicle)
@@ -277,8 +277,9 @@ def test_a_passage_that_joins_two_shows_that_they_are_one(any_gate: Gate) -> Non
     joint = any_gate.vehicle("c", 16.0, station_ids=(7, 8))
     any_gate.ledger.passage(joint.says(UNREGISTERED, exit_ns=joint.crossing_ns + NS), joint.crossing_ns + NS)
     found = any_gate.state(joint, 5.0)
-    assert found.transactions - found.reversals == 1
-    assert any_gate.outcome(first) is CHARGED
+    assert (found.transactions, found.reversals) == (2, 0)
+    review = any_gate.reviews()[joint.passage_id]
+    assert review.contracts == ("contract of b", "contract-1")
 
 
 def test_the_next_passage_of_a_vehicle_is_charged(any_gate: Gate) -> None:

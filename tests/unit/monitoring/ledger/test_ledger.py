@@ -122,6 +122,23 @@ def test_station_ids_of_two_contracts_are_suspect(opened: tuple[Ledger, Store]) 
     ledger.register(vehicle.registration("contract-2", station_id=7), START_NS)
     ledger.passage(vehicle.says(CHARGED), LATER_NS)
     assert outcomes(ledger) == {vehicle.passage_id: PassageState.SUSPECT}
+    (review,) = ledger.reviews()
+    assert (review.contract, review.contracts) == (None, ("contract-1", "contract-2"))
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_station_ids_of_two_contracts_are_suspect_beside_the_passage_of_one_of_them(
+    opened: tuple[Ledger, Store], is_first: bool
+) -> None:
+    """It is no second passage of the one vehicle alone: the other has passed as well, and nobody else states it."""
+    ledger, _ = opened
+    both, one = Vehicle("both", station_ids=(STATION, 7)), Vehicle("one", station_ids=(7,))
+    ledger.register(both.registration("contract-1", station_id=STATION), START_NS)
+    ledger.register(one.registration("contract-2", station_id=7), START_NS)
+    for vehicle in (both, one) if is_first else (one, both):
+        ledger.passage(vehicle.says(CHARGED), LATER_NS)
+    assert outcomes(ledger) == {both.passage_id: PassageState.SUSPECT, one.passage_id: PassageState.CHARGED}
+    assert [charge.contract for charge in ledger.due(LATER_NS)] == ["contract-2"]
 
 
 def test_the_newest_registration_of_a_station_id_counts_and_an_expired_one_does_not(
