@@ -123,9 +123,9 @@ def first_seconds(inputs: Inputs, vehicle: VehicleFile, seconds: float) -> Messa
     ("mapping", "folder", "seconds", "truth_by_fixes"),
     [
         ("comma_segment", "comma_segment", 60.0, False),
-        ("wid_car", "wid_car/trial02", 140.0, True),
-        ("rtkexp_drive", "rtkexp_drive", 200.0, True),
-        ("navmatlab_car_0327", "navmatlab_car_0327", 200.0, False),
+        ("wid_car", "wid_car/trial02", 100.0, True),
+        ("rtkexp_drive", "rtkexp_drive", 120.0, True),
+        ("navmatlab_car_0327", "navmatlab_car_0327", 120.0, False),
     ],
 )
 def test_a_healthy_receiver_is_not_taken_away(
@@ -150,7 +150,7 @@ def test_a_healthy_receiver_is_not_taken_away(
 
 GYROSCOPE_SCALE = 0.02  # [-] of all axes
 FORCE_SD, RATE_SD = 0.1, 0.005  # [m/s², rad/s] white noise of each sample at 100 Hz, in addition to the simulated one
-DURATION_S = 150.0
+DURATION_S = 100.0
 
 
 def with_a_low_cost_imu(drive: Drive) -> Drive:

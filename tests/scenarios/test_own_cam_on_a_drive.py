@@ -26,7 +26,7 @@ reference_point_body_m = {list(FRONT_BODY_M)}
 
 [parsers.v2x]
 """
-DURATION_S = 90.0
+DURATION_S = 60.0
 NS = 1_000_000_000
 
 

@@ -118,10 +118,10 @@ def test_velocity_outliers_do_not_reset_a_correct_heading() -> None:
     for seed in range(2):
         start = Start(drive("parking_lot", seed, 100.0), Receiver(5), 10.0, 0.3, seed)
         made, rng = plain(start), np.random.default_rng(seed)
-        for i, navigator in start.lead(made, 80.0):
+        for i, navigator in start.lead(made, 50.0):
             solution = navigator.solution()
             if solution and rng.random() < 0.002:
                 north, east, _ = (20.0 * rng.standard_normal(3)).tolist()
                 navigator.fix(int(start.drive.t_ns[i]), position=solution.position, velocity=(north, east, 0.0))
         assert made.counts.resets == 0, made.reason
-        assert made.counts.fixes_used > 300
+        assert made.counts.fixes_used > 180

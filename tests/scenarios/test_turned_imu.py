@@ -15,7 +15,7 @@ from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
 
-SECONDS = 120.0
+SECONDS = 80.0
 FLAT = np.diag([1.0, -1.0, -1.0])
 FILE = """
 [vehicle.imu]
@@ -30,7 +30,7 @@ grade = "industrial"
 
 
 def driven(rpy_deg: tuple[float, float, float]) -> list[Message]:
-    """Every message of layers 2 to 4, and the truth, over two minutes in a town."""
+    """Every message of layers 2 to 4, and the truth, over 80 s in a town."""
     mounting = (ned_from_body(*np.radians(rpy_deg)) @ FLAT).round(7).tolist()
     unit = OfflineUnit(parse_vehicle(FILE.format(mounting=mounting)))
     world = World(scenario_of("urban", 1), 1, DEFAULT_START_NS, Equipment(mounting_rpy_deg=rpy_deg))

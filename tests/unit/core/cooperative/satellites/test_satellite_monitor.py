@@ -61,7 +61,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
 
 
 def test_false_alarms_come_at_the_design_rate() -> None:
-    rng, rate, epochs = np.random.default_rng(2), 0.05, 400
+    rng, rate, epochs = np.random.default_rng(2), 0.05, 200
     alarms = 0
     for _ in range(epochs):
         monitor = SatelliteMonitor(RaimSettings(false_alarm_rate=rate))
