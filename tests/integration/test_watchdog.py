@@ -389,18 +389,18 @@ def test_processes_that_are_killed_together_are_an_outage_each_and_no_verdict_is
 
 
 @on_mosquitto
-def test_processes_that_hang_together_are_shown_as_stale_in_their_rows(
+def test_processes_that_hang_together_are_shown_in_their_rows(
     unit: Unit, record_property: Callable[[str, object], None]
 ) -> None:
     children = unit.fail_together([f"run {name}" for name in TOGETHER], signal.SIGSTOP)
     seen: set[str] = set()
 
-    def each_was_stale(_: object) -> bool:
-        seen.update(stale(unit.demo.statuses()))  # each until the supervisor has killed it, 14 s after it stopped
+    def each_was_shown(_: object) -> bool:
+        seen.update(hung(unit.demo.statuses()))  # each until the supervisor has killed it, 14 s after it stopped
         return set(TOGETHER) <= seen
 
     try:
-        unit.until(each_was_stale, "every row says stale")
+        unit.until(each_was_shown, f"every row of {TOGETHER} says stale or lost")
         rows_s = time.monotonic() - unit.failed_s
         unit.until(lambda _: "stale" in unit.states, "no verdict is shown after the deadline of trust/state")
     finally:
@@ -412,8 +412,9 @@ def test_processes_that_hang_together_are_shown_as_stale_in_their_rows(
     record_property(f"{unit.kind}: rows after {rows_s:.1f} s; banner after hanging nine processes, s", unit.states)
 
 
-def stale(statuses: dict[str, str]) -> set[str]:
-    return {name for name, status in statuses.items() if status == "stale"}
+def hung(statuses: dict[str, str]) -> set[str]:
+    """List who is stale, or lost: Mosquitto ends a connection 7.5 to 12.5 s after its last packet."""
+    return {name for name, status in statuses.items() if status in ("stale", "lost")}
 
 
 @on_mosquitto
