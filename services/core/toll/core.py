@@ -385,14 +385,16 @@ class Core:
         if passage is None:
             return
         passage.registered = passage.registered or self._is_registered(passage.station_ids, here.time_ns)
-        exit_line = float(self._geometry.exit[here.lane])
-        if passage.advance(here, journey.crossing, exit_line, self._settings.passage):
+        settings, exit_line = self._settings.passage, float(self._geometry.exit[here.lane])
+        if passage.advance(here, journey.crossing, settings):
+            yield self._changed(passage, track, here)
+        if passage.leave(exit_line, settings):
             yield self._changed(passage, track, here)
         elif not passage.state.is_final and here.time_ns - passage.stated_ns >= SECOND_NS:
             passage.remember_lanes()
             yield self._statement(passage, here.time_ns, checkpoint=True)
         yield from self._command(passage, here)
-        has_left = here.along > exit_line + self._settings.passage.turned_m
+        has_left = here.along > exit_line + settings.turned_m
         if passage.state is PassageState.VOID or (passage.state.is_final and has_left):
             self._forget(passage)
             journey.passage = journey.crossing = journey.before = None

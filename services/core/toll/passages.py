@@ -94,7 +94,7 @@ def passage_id(plaza: str, frame: bytes) -> str:
 
 @dataclass
 class Passage:
-    """A passage in progress. `advance` moves it through its states; OPEN and CROSSED are the only ones that change."""
+    """A passage in progress. `advance` and `leave` move it through its states; OPEN and CROSSED alone change."""
 
     passage_id: str
     opened_ns: int
@@ -122,8 +122,8 @@ class Passage:
             self.posteriors.append((self.here.time_ns, self.here.lanes))
             del self.posteriors[:-POSTERIORS]
 
-    def advance(self, here: Here, crossing: Crossing | None, exit_line: float, settings: PassageSettings) -> bool:
-        """Use a position; return whether the state has changed.
+    def advance(self, here: Here, crossing: Crossing | None, settings: PassageSettings) -> bool:
+        """Use a position, but for the exit line; return whether the state has changed.
 
         Parameters
         ----------
@@ -131,8 +131,6 @@ class Passage:
             Position after the newest CAM, relative to the passage's direction.
         crossing : Crossing or None
             The crossing of the gate line, if the front point is behind it.
-        exit_line : float
-            [m] Coordinate of the exit line behind the gate line.
         settings : PassageSettings
             Limits.
         """
@@ -149,15 +147,24 @@ class Passage:
             self.posteriors = [*self.posteriors[1 - POSTERIORS :], (here.time_ns, crossing.lanes)]
         elif self.state is PassageState.CROSSED and self.crossing:
             self.crossing = self.crossing.widened(here)
-        if self.state is PassageState.CROSSED and here.along >= exit_line:
-            self.exit_ns = here.time_ns
-            if not self.registered:
-                self._end(PassageState.UNREGISTERED, "no contract is known for its station IDs")
-            elif self.crossing is None or self.crossing.lane is None:
-                self._end(PassageState.UNDECIDED, f"no lane with a probability of {settings.decided:g}")
-            else:
-                self._end(PassageState.CHARGED, "passed the exit line")
         return self.state is not before
+
+    def leave(self, exit_line: float, settings: PassageSettings) -> bool:
+        """End the passage if it has crossed and is behind the exit line [m behind the gate line]; whether it has.
+
+        Both lines may lie between two CAM. The crossing is stated before the end all the same: from it follow the
+        vehicles that it overlaps, and the evidence.
+        """
+        if self.state is not PassageState.CROSSED or self.here.along < exit_line:
+            return False
+        self.exit_ns = self.here.time_ns
+        if not self.registered:
+            self._end(PassageState.UNREGISTERED, "no contract is known for its station IDs")
+        elif self.crossing is None or self.crossing.lane is None:
+            self._end(PassageState.UNDECIDED, f"no lane with a probability of {settings.decided:g}")
+        else:
+            self._end(PassageState.CHARGED, "passed the exit line")
+        return True
 
     def contradict(self, other: "Passage") -> None:
         """Note that another passage has the same station ID, and that they cannot be of one vehicle."""

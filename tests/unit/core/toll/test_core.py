@@ -528,15 +528,21 @@ def test_a_station_that_comes_back_where_its_vehicle_can_be_continues_its_passag
     assert len({one.passage_id for one in plant.passages}) == 1
 
 
+@pytest.mark.parametrize("silent_s", [0.0, 2.0], ids=["", "silent from before the gate line to behind the exit line"])
 @pytest.mark.parametrize("lane", ["n2", "s2"])
-def test_a_station_id_that_comes_back_at_another_place_does_not_continue_the_passage(lane: str) -> None:
+def test_a_station_id_that_comes_back_at_another_place_does_not_continue_the_passage(
+    lane: str, silent_s: float
+) -> None:
     """Anybody can send unsigned CAM with the station ID of a vehicle that has fallen silent."""
     plant = Plant(COMMON)
     plant.register(7)
     plant.drive(CAR, until=8.0)
     first = plant.passages[0].passage_id
     plant.drive(since=8.0, until=15.0)
-    plant.drive(replace(CAR, lane=lane, since=15.0), since=15.0, until=31.0)
+    again = replace(CAR, lane=lane, since=15.0)
+    plant.drive(again, since=15.0, until=27.2)
+    plant.drive(since=27.2, until=27.2 + silent_s)
+    plant.drive(again, since=27.2 + silent_s, until=31.0)
     plant.drive(since=31.0, until=42.0)
     ends = {one.passage_id == first: one for one in plant.passages if one.state.is_final}
     assert ends[True].state is PassageState.VOID

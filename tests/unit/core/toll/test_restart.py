@@ -54,6 +54,25 @@ def test_after_a_restart_the_charge_is_derived_bit_for_bit_from_complete_evidenc
     assert len(before) >= (kill - (opened.opened_ns - START_NS) * 1e-9 - lost_s) * 10.0, "all but the last half second"
 
 
+@pytest.mark.parametrize("is_killed", [True, False])
+def test_a_vehicle_that_is_heard_again_behind_the_exit_line_is_charged_by_evidence_that_gives_the_same(
+    tmp_path: Path, is_killed: bool
+) -> None:
+    """Gate and exit line lie between two CAM; after a restart nothing but the end is stated, with the same evidence."""
+    unit = unit_of(tmp_path)
+    unit.drive(12.2)
+    if is_killed:
+        unit.restart_core(outage_s=2.3)
+    else:
+        unit.is_lost = lambda t, vehicle: vehicle is RENAMED or 12.2 <= t < 14.5
+    unit.drive(40.0)
+    (charged,) = [one for one in unit.state().recent if one.state is PassageState.CHARGED]
+    found = evidence_of(unit, charged.passage_id)
+    pack = parse(found)
+    assert pack.crossed.state is (PassageState.CHARGED if is_killed else PassageState.CROSSED)
+    assert not is_continued(pack) and differences_of(found, pack) == []
+
+
 @pytest.mark.parametrize("late_s", [1.5, 4.0])
 @pytest.mark.parametrize("kill", [12.2, 13.4])
 def test_a_delta_that_came_too_late_is_not_used_after_a_restart_either(
