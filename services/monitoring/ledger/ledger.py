@@ -21,6 +21,7 @@ from shared.messages.toll import (
     OVERLAPS,
     PASSAGES,
     SETTLED,
+    STATION_IDS,
     STATIONS,
     EvidencePack,
     LaneBalance,
@@ -527,7 +528,8 @@ class Ledger:
             self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
         )
         if len(contracts) > 1 and message.state not in UNCHARGED:
-            self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns, contracts)
+            several = "contracts" if len({name for name, _ in contracts}) > 1 else "tariff classes"
+            self._settle(message, PassageState.SUSPECT, f"station IDs of two {several}", now_ns, contracts)
             return
         if message.state.is_final and len(contracts) < 2 and self._merge(message, contracts, now_ns):
             return
@@ -777,7 +779,8 @@ class Ledger:
                 TollReview(
                     sampled_ns=now_ns, passage_id=message.passage_id, plaza=self._plaza.name, reason=reason[:400],
                     lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps,
-                    contract=names[0] if len(names) == 1 else None, contracts=tuple(names) if len(names) > 1 else (),
+                    contract=names[0] if len(names) == 1 else None,
+                    contracts=tuple(names[:STATION_IDS]) if len(names) > 1 else (),
                 )
             )  # fmt: skip
 

@@ -126,6 +126,17 @@ def test_station_ids_of_two_contracts_are_suspect(opened: tuple[Ledger, Store]) 
     assert (review.contract, review.contracts) == (None, ("contract-1", "contract-2"))
 
 
+def test_station_ids_of_one_contract_with_two_tariff_classes_are_suspect(opened: tuple[Ledger, Store]) -> None:
+    ledger, _ = opened
+    vehicle = Vehicle(station_ids=(STATION, 7))
+    for station_id, tariff_class in ((STATION, "car"), (7, "truck")):
+        ledger.register(vehicle.registration("contract-1", tariff_class, station_id=station_id), START_NS)
+    ledger.passage(vehicle.says(CHARGED), LATER_NS)
+    (review,) = ledger.reviews()
+    assert (review.contract, review.contracts) == ("contract-1", ())
+    assert review.reason == "station IDs of two tariff classes"
+
+
 @pytest.mark.parametrize("is_first", [True, False])
 def test_station_ids_of_two_contracts_are_suspect_beside_the_passage_of_one_of_them(
     opened: tuple[Ledger, Store], is_first: bool
