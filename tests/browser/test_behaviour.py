@@ -27,7 +27,7 @@ def test_a_lost_connection_is_said_and_its_return_as_well(tmp_path: Path, open_p
         expect(page.locator("svg.closeup")).to_be_visible()
         server.stop()
         bar = page.locator(".bar.lost")
-        expect(bar).to_be_visible(timeout=8000)
+        expect(bar).to_be_visible()
         expect(bar).to_contain_text(
             re.compile(r"Connection to the OBU lost \d s ago - showing last data. Retrying ...")
         )
@@ -44,7 +44,7 @@ def test_a_lost_connection_is_said_and_its_return_as_well(tmp_path: Path, open_p
         page.keyboard.type("gs")
         expect(page.get_by_text("This page has not been loaded yet.")).to_be_visible()
     with status_server(tmp_path, port=urlsplit(server.address).port):
-        expect(page.get_by_text(re.compile(r"Reconnected, \d+ s gap"))).to_be_visible(timeout=12_000)
+        expect(page.get_by_text(re.compile(r"Reconnected, \d+ s gap"))).to_be_visible()
         expect(bar).to_be_hidden()
         expect(page.locator(".banner .word")).to_have_text("SAFE")
         expect(page.get_by_role("heading", name="Processes by layer")).to_be_visible()
@@ -57,7 +57,7 @@ def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open
         expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
         server.unit.silent.add("core.fusion")
         silent = time.monotonic()
-        page.locator("svg.closeup .vehicle.old").wait_for(state="attached", timeout=6000)
+        page.locator("svg.closeup .vehicle.old").wait_for(state="attached")
         assert time.monotonic() - silent < DEADLINE_S + 1.5, "deadline, two frames, and the time to look"
         position = page.get_by_role("region", name="Position", exact=True)
         expect(position.locator(".age.stale").first).to_have_text(re.compile(r"last message \d\d:\d\d:\d\d, \d s ago"))
@@ -69,7 +69,7 @@ def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open
         assert within and float(within[1]) > 2.1 + 9.0 * DEADLINE_S + 1.5 * DEADLINE_S**2, "it may have sped up"
         assert label != first, "and it grows"
         server.unit.silent.clear()
-        expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached(timeout=3000)
+        expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_a_topic_that_never_spoke_says_who_would(units: dict[str, Running], open
 def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
     page = open_page(units["alarm"].address, path="system")
     node = page.get_by_role("link", name="lost: monitoring.recorder")
-    expect(node).to_be_visible(timeout=8000)
+    expect(node).to_be_visible()
     node.click()
     drawer = page.get_by_role("dialog", name="Process monitoring.recorder")
     expect(drawer).to_contain_text("Its connection ended without a disconnect: it crashed or was killed.")
@@ -226,7 +226,7 @@ def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open
 
 def test_problems_in_the_footer_lead_to_their_place(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
     page = open_page(units["stale"].address)
-    page.get_by_role("link", name="1 problem: core.fusion is stale").click(timeout=8000)
+    page.get_by_role("link", name="1 problem: core.fusion is stale").click()
     expect(page.get_by_role("dialog", name="Process core.fusion")).to_contain_text("no heartbeat within the deadline")
 
 
@@ -292,7 +292,7 @@ def test_a_protection_level_above_its_limit_is_said_by_banner_footer_timeline_an
         expect(page.locator(".banner .word")).to_have_text("SAFE")
         expect(page.locator(".foot")).to_contain_text("No problems")
         server.unit.protection_level_m = 25.0
-        expect(page.locator(".banner .word")).to_have_text("ABOVE LIMIT", timeout=3000)
+        expect(page.locator(".banner .word")).to_have_text("ABOVE LIMIT")
         expect(page.locator(".banner .sentence")).to_contain_text(
             "The position must not be used: its error may be above the alert limit."
         )
@@ -313,15 +313,15 @@ def test_after_a_restart_of_the_status_process_its_history_is_there_and_nothing_
         expect(page.locator(".banner .word")).to_have_text("SAFE")
         server.unit.kill("parsers.can")
         outages = page.get_by_role("region", name="Outages").locator("li")
-        expect(outages).to_have_count(1, timeout=6000)
+        expect(outages).to_have_count(1)
         server.unit.revive("parsers.can")
-        expect(outages.locator("em")).to_have_count(0, timeout=6000)
+        expect(outages.locator("em")).to_have_count(0)
     with status_server(tmp_path, unit=False, offset_ns=server.bus.offset_ns) as again:
         page = open_page(again.address, path="system")
         expect(page.get_by_role("region", name="Outages").locator("li")).to_contain_text("parsers.can was lost")
         expect(page.locator(".banner .word")).to_have_text("STARTING")
         expect(page.locator(".banner .sentence")).to_contain_text("waiting for the first verdict of core.trust")
-        expect(page.locator("main .state.safe")).to_have_count(1, timeout=6000)  # the legend's
+        expect(page.locator("main .state.safe")).to_have_count(1)  # the legend's
         page.keyboard.type("gn")
         expect(page.locator(".band .segment.safe").first).to_be_attached()
         expect(page.locator(".band .segment.starting").first).to_be_attached()
@@ -351,9 +351,7 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
     with status_server(tmp_path) as server:
         server.bus.connected = False
         page = open_page(server.address)
-        expect(page.locator(".banner .sentence")).to_contain_text(
-            "Nothing is known: the broker is not reachable", timeout=6000
-        )
+        expect(page.locator(".banner .sentence")).to_contain_text("Nothing is known: the broker is not reachable")
         expect(page.locator(".banner .word")).to_have_text("BROKER LOST")
         expect(page.locator(".foot")).to_contain_text("BROKER LOST")
         expect(page.locator(".band .segment.broker_lost").first).to_be_attached()
@@ -375,12 +373,12 @@ def test_without_monitoring_health_the_position_stays_and_the_rest_is_not_known(
         page = open_page(server.address)
         expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
         server.unit.kill("monitoring.health")
-        expect(page.locator(".foot .problems")).to_contain_text("monitoring.health does not report", timeout=6000)
+        expect(page.locator(".foot .problems")).to_contain_text("monitoring.health does not report")
         expect(page.locator(".banner .word")).to_have_text("SAFE")
         expect(page.locator(".foot .problems")).to_contain_text("1 problem: monitoring.health does not report")
         expect(page.locator(".chain li", has_text="Services")).to_have_class("unknown")
         server.unit.revive("monitoring.health")
-        expect(page.locator(".foot")).to_contain_text("No problems", timeout=6000)
+        expect(page.locator(".foot")).to_contain_text("No problems")
 
 
 def test_a_process_that_was_killed_is_the_cause_until_its_topics_are_back(
@@ -392,11 +390,11 @@ def test_a_process_that_was_killed_is_the_cause_until_its_topics_are_back(
         expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
         server.unit.kill("core.fusion")
         banner = page.locator(".banner .sentence")
-        expect(banner).to_contain_text("No position: ", timeout=6000)
-        expect(banner).to_contain_text("core.fusion was lost", timeout=6000)
+        expect(banner).to_contain_text("No position: ")
+        expect(banner).to_contain_text("core.fusion was lost")
         server.unit.aligning = True
         server.unit.revive("core.fusion")
-        expect(banner).to_contain_text("core.fusion was restarted and is starting again", timeout=6000)
+        expect(banner).to_contain_text("core.fusion was restarted and is starting again")
         page.keyboard.type("gs")
         expect(page.locator("[id='node-core.fusion']")).to_contain_text("restarting")
         outages = page.get_by_role("region", name="Outages").locator("li")
@@ -404,7 +402,7 @@ def test_a_process_that_was_killed_is_the_cause_until_its_topics_are_back(
         expect(outages).to_contain_text("core.fusion was lost")
         expect(outages).to_contain_text("affected: navigation/solution, navigation/state")
         server.unit.aligning = False
-        expect(page.locator(".foot")).to_contain_text("No problems", timeout=6000)
+        expect(page.locator(".foot")).to_contain_text("No problems")
         expect(outages).to_have_count(1)
 
 
@@ -416,7 +414,7 @@ def test_beyond_the_limit_a_page_says_how_many_watch_and_nothing_else(
         expect(first.locator("svg.closeup")).to_be_visible()
         second = open_page(server.address, theme="phone")
         page = second.locator("main")
-        expect(page).to_contain_text("Too many viewers: 1 is connected.", timeout=8000)
+        expect(page).to_contain_text("Too many viewers: 1 is connected.")
         expect(page).to_contain_text("tries again every 10 s")
         expect(second.locator(".banner .sentence")).to_have_text("Too many viewers: 1 is connected.")
         second.wait_for_timeout(3500)
@@ -427,7 +425,7 @@ def test_beyond_the_limit_a_page_says_how_many_watch_and_nothing_else(
         assert faults(second) == []
         first.close()
         second.get_by_role("button", name="Try again now").click()
-        expect(second.locator("svg.closeup")).to_be_visible(timeout=8000)
+        expect(second.locator("svg.closeup")).to_be_visible()
 
 
 def test_protection_levels_are_described_in_plain_words(tmp_path: Path, open_page: Callable[..., Page]) -> None:
@@ -452,7 +450,7 @@ def test_an_old_protection_level_is_not_shown_as_one_of_now(tmp_path: Path, open
         page = open_page(server.address)
         expect(page.locator("svg.closeup circle.level:not(.old)")).to_be_attached()
         server.unit.silent.add("core.fusion")
-        page.locator("svg.closeup circle.level.old").wait_for(state="attached", timeout=8000)
+        page.locator("svg.closeup circle.level.old").wait_for(state="attached")
         expect(page.get_by_role("region", name="Position", exact=True)).to_contain_text("not valid now")
         expect(page.locator(".glance")).not_to_contain_text("Protection level")
 
@@ -484,7 +482,7 @@ def test_a_silent_topic_and_one_of_events_look_different(
     page = open_page(units["alarm"].address, path="system")
     topics = page.get_by_role("region", name="Topics").first
     silent = topics.locator("tr", has_text="imu/raw")
-    expect(silent).to_contain_text("0 /s", timeout=20_000)  # the rate is that of the last ten seconds
+    expect(silent).to_contain_text("0 /s")  # the rate is that of the last ten seconds
     expect(silent.locator(".state.stale")).to_be_visible()
 
 
@@ -544,7 +542,7 @@ def test_without_core_trust_the_page_says_that_trust_is_not_evaluated(
         expect(monitors.locator(".state.safe").first).to_be_visible()
         server.unit.kill("core.trust")
         expect(page.locator(".banner .sentence")).to_contain_text(
-            re.compile(r"Trust is not evaluated: no verdict of core.trust \(core.trust was lost"), timeout=9000
+            re.compile(r"Trust is not evaluated: no verdict of core.trust \(core.trust was lost")
         )
         expect(page.locator(".banner .word")).to_have_text("NO DATA")
         expect(page.get_by_role("region", name="Verdict", exact=True)).to_contain_text("Trust is not evaluated")
@@ -566,8 +564,8 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
     with status_server(tmp_path) as server:
         page = open_page(server.address, path="trust")
         card = page.get_by_role("region", name="Attacks")
-        expect(card.get_by_text("No attack is active.")).to_be_visible(timeout=8000)
-        expect(card.get_by_text("Yes: SAFE, and the error is within the alert limits")).to_be_visible(timeout=8000)
+        expect(card.get_by_text("No attack is active.")).to_be_visible()
+        expect(card.get_by_text("Yes: SAFE, and the error is within the alert limits")).to_be_visible()
         card.get_by_label("Attack").select_option("drag_off")
         card.get_by_label("speed").fill("1")
         card.get_by_role("button", name="Start drag off").click()
@@ -594,5 +592,5 @@ def test_attacks_are_offered_only_where_the_data_are_simulated(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="trust")
-    expect(page.get_by_role("region", name="Monitors")).to_be_visible(timeout=8000)
+    expect(page.get_by_role("region", name="Monitors")).to_be_visible()
     expect(page.get_by_role("region", name="Attacks")).to_have_count(0)

@@ -32,9 +32,9 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
     page.on("request", lambda request: requests.append(request.url))
     page.goto(f"{units[state].address}/#/{path}")
     heading = FIRST_HEADING.get((path, state), FIRST_HEADING[path, "normal"])
-    expect(page.get_by_role("heading", level=2, name=heading, exact=True)).to_be_visible(timeout=8000)
+    expect(page.get_by_role("heading", level=2, name=heading, exact=True)).to_be_visible()
     if path == "charts" and state != "empty":
-        expect(page.locator(".plot canvas").first).to_be_visible(timeout=8000)
+        expect(page.locator(".plot canvas").first).to_be_visible()
     assert sum(sizes) <= PAGE_BYTES, sum(sizes)
     judge_everywhere(page, f"{state}-{path}", phone=state == "normal")
     assert all(url.startswith((units[state].address, "data:")) for url in requests if url != "about:blank")
@@ -45,7 +45,7 @@ def test_the_sky_shows_used_tracked_and_excluded_satellites_and_the_table_says_w
 ) -> None:
     page = open_page(units["normal"].address, path="gnss")
     sky = page.get_by_role("img", name="Sky plot, north up: 16 satellites used, 7 not used, 1 excluded")
-    expect(sky).to_be_visible(timeout=8000)
+    expect(sky).to_be_visible()
     expect(sky.locator("g.satellite")).to_have_count(24)
     expect(sky.locator("g.satellite.excluded .cross")).to_have_count(1)
     expect(sky.locator("g.satellite.used.galileo rect").first).to_be_attached()
@@ -71,7 +71,7 @@ def test_signals_fix_interference_and_settings_of_the_receiver_are_shown(
     page = open_page(units["normal"].address, path="gnss")
     signals = page.get_by_role("region", name="Signals", exact=True)
     galileo = signals.locator("li", has_text="E02")
-    expect(galileo.locator(".signal-name")).to_have_text(["E1", "E5a"], timeout=8000)
+    expect(galileo.locator(".signal-name")).to_have_text(["E1", "E5a"])
     expect(galileo.locator(".signal .value")).to_have_text(["31", "28"])
     expect(galileo.locator(".signal.used .signal-name")).to_have_text(["E1"])
     expect(galileo).to_contain_text("code tracked, carrier not")
@@ -106,7 +106,7 @@ def test_the_port_and_what_became_of_each_kind_of_message_are_shown(
         server.unit.port = server.unit.port.model_copy(
             update={"found": DeviceFound.NOISE, "sentence": "bytes that are no message"}
         )
-        expect(receiver).to_contain_text("no messages in its bytes", timeout=8000)
+        expect(receiver).to_contain_text("no messages in its bytes")
         expect(receiver).to_contain_text("bytes that are no message")
 
 
@@ -114,7 +114,7 @@ def test_without_a_receiver_the_page_says_what_to_connect(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="gnss")
-    expect(page.get_by_text("No message of a GNSS receiver yet")).to_be_visible(timeout=8000)
+    expect(page.get_by_text("No message of a GNSS receiver yet")).to_be_visible()
     expect(page.get_by_text("name its port under [sensors.gnss]")).to_be_visible()
 
 
@@ -130,14 +130,14 @@ def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_th
     drawer.get_by_role("button", name="Plot velocity_ned_m_s.1").click()
     drawer.get_by_role("link", name="2 fields are on the page Charts").click()
     radians = page.get_by_role("region", name="Chosen fields in rad", exact=True)
-    expect(radians.locator("li")).to_contain_text("navigation/solution:roll_rad0.01rad", timeout=8000)
+    expect(radians.locator("li")).to_contain_text("navigation/solution:roll_rad0.01rad")
     expect(page.get_by_role("region", name="Chosen fields in m/s", exact=True)).to_contain_text(
         "velocity_ned_m_s.1 (east)"
     )
     page.get_by_role("button", name="1 min").click()
     speed = page.get_by_role("region", name="Speed", exact=True)
     chart = speed.get_by_role("img", name=re.compile("Speed over time. Fused 32.4 km"))
-    expect(chart.locator("canvas")).to_be_visible(timeout=8000)
+    expect(chart.locator("canvas")).to_be_visible()
     speed.locator(".u-over").hover()
     expect(page.locator(".cursor-time")).to_have_text(re.compile(r"At \d\d:\d\d:\d\d UTC"))
     shown = page.locator(".u-cursor-x").evaluate_all("all => all.map((e) => e.style.transform)")
@@ -157,7 +157,7 @@ def test_charts_stand_still_while_the_display_is_paused(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address, path="charts")
-    expect(page.locator(".plot canvas").first).to_be_visible(timeout=8000)
+    expect(page.locator(".plot canvas").first).to_be_visible()
     page.locator(".chart-tools").get_by_role("button", name="Pause").click()
     innovations = page.get_by_role("region", name="Latency", exact=True)
     innovations.get_by_role("button", name="Table").click()
@@ -165,4 +165,4 @@ def test_charts_stand_still_while_the_display_is_paused(
     page.wait_for_timeout(2200)
     assert innovations.get_by_role("table").inner_text() == first
     page.locator(".chart-tools").get_by_role("button", name="Resume").click()
-    expect(innovations.get_by_role("table")).not_to_have_text(first, timeout=4000)
+    expect(innovations.get_by_role("table")).not_to_have_text(first)

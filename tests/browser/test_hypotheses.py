@@ -29,12 +29,12 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
     page = open_page(suspecting.address, path="trust")
     banner = page.get_by_role("region", name="Can the position be trusted?")
     expect(banner.locator(".sentence")).to_contain_text(
-        "GNSS or the inertial sensors are wrong, and nothing decides which", timeout=8000
+        "GNSS or the inertial sensors are wrong, and nothing decides which"
     )
     card = page.get_by_role("region", name="Hypotheses")
     gnss = card.locator("tr", has=page.get_by_role("button", name="GNSS is wrong"))
     for text in ("62 %", "prior 1 × 10⁻⁴", "survives", "18.0 m away", "5.2 m", "the free run is 18 m from GNSS"):
-        expect(gnss).to_contain_text(text, timeout=8000)
+        expect(gnss).to_contain_text(text)
     expect(card.locator("tr", has_text="Nothing is wrong")).to_contain_text("ruled out")
     expect(card.locator("tr", has_text="The receiver's time")).to_contain_text(
         "not evaluated: the delay is not estimated while the vehicle stands still"
@@ -48,7 +48,7 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
     expect(first).to_contain_text("G17")
     expect(first).to_contain_text("0.94")
     strip = page.get_by_role("img", name="GNSS is wrong: probability 62 % now, at most 62 % in 15 minutes")
-    expect(strip).to_be_attached(timeout=8000)
+    expect(strip).to_be_attached()
     card.scroll_into_view_if_needed()
     judge_everywhere(page, "hypotheses")
 
@@ -60,7 +60,7 @@ def test_the_map_draws_the_alternatives_while_one_is_suspected_and_as_somebody_c
     assert unit
     page = open_page(suspecting.address, path="map", reduced_motion="reduce", viewport=SMALL)
     legend = page.locator(".map-legend")
-    expect(legend).to_contain_text("If GNSS is wrong (survives)", timeout=20_000)
+    expect(legend).to_contain_text("If GNSS is wrong (survives)")
     expect(legend).to_contain_text("If the odometer is wrong")
     expect(legend).not_to_contain_text("receiver's time")  # it has no solution
     keep_picture(page, "alternatives")
@@ -74,14 +74,14 @@ def test_the_map_draws_the_alternatives_while_one_is_suspected_and_as_somebody_c
             for one in unit.beliefs
         ),
     )
-    expect(layer).not_to_be_checked(timeout=8000)
+    expect(layer).not_to_be_checked()
     expect(legend).not_to_contain_text("If GNSS is wrong")
     layer.check()
-    expect(legend).to_contain_text("If GNSS is wrong", timeout=8000)
+    expect(legend).to_contain_text("If GNSS is wrong")
     assert faults(page) == []
     unit.beliefs = suspected
     layer.uncheck()
-    expect(legend).not_to_contain_text("If GNSS is wrong", timeout=8000)
+    expect(legend).not_to_contain_text("If GNSS is wrong")
 
 
 def test_without_beliefs_and_positions_the_page_trust_says_what_is_missing(

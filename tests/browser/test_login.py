@@ -96,7 +96,7 @@ def test_a_token_by_hand_leads_to_the_page_that_was_asked_for(guarded: Guarded, 
     expect(page.locator(".banner")).to_be_visible()
     assert page.url.endswith("/#/system")
     guarded.tokens.revoke("hand")  # the open page notices it, and asks again
-    page.wait_for_url(is_login, timeout=10_000)
+    page.wait_for_url(is_login)
     context.close()
 
 

@@ -75,7 +75,7 @@ def test_the_map_page_is_accessible_asks_nobody_else_and_keeps_to_its_budget(
     drawn(page, SAFE, 0.0005)
     drawn(page, WATER, 0.2)
     expect(page.get_by_text("© test mappers")).to_be_visible()
-    expect(page.locator(".map-wait")).to_have_count(0, timeout=20_000)
+    expect(page.locator(".map-wait")).to_have_count(0)
     judge_everywhere(page, "map")
     assert {urlsplit(url).netloc for url in asked if not url.startswith("data:")} == {urlsplit(tiled.address).netloc}
     code = {url for url in asked if not re.search(r"/api/|/map/tiles|^data:", url)} | {
@@ -191,7 +191,7 @@ def test_roads_of_the_simulation_and_tiles_of_an_mbtiles_file_are_drawn(
         keep_picture(page, "map-roads")
         assert server.unit
         server.unit.silent.add("core.fusion")
-        expect(page.locator(".map-marker .vehicle.old")).to_be_attached(timeout=8000)
+        expect(page.locator(".map-marker .vehicle.old")).to_be_attached()
         expect(page.locator(".map-legend")).to_contain_text("could be up to")
         page.wait_for_timeout(300)
         keep_picture(page, "map-stale")
@@ -203,7 +203,7 @@ def test_without_a_map_a_position_or_webgl_the_page_says_so(tmp_path: Path, open
         expect(page.get_by_text("No position yet")).to_be_visible()
         expect(page.get_by_text("the map lost.pmtiles named by map_file is not there")).to_be_visible()
         expect(page.get_by_text("No map is installed: the grid shows latitude and longitude")).to_be_visible()
-        expect(page.locator(".map-wait")).to_have_count(0, timeout=15_000)
+        expect(page.locator(".map-wait")).to_have_count(0)
         keep_picture(page, "map-empty")
         assert faults(page) == []
         page = open_page("about:blank")

@@ -85,8 +85,8 @@ def test_a_page_is_right_accessible_and_asks_nobody_else(
     page.on("request", lambda request: requests.append(request.url))
     page.goto(f"{units[state].address}/#/{path}")
     banner = page.get_by_role("region", name="Can the position be trusted?")
-    expect(banner.locator(".word")).to_have_text(WORDS[state], timeout=8000)
-    expect(banner.locator(".sentence")).to_contain_text(SENTENCES[state], timeout=8000)
+    expect(banner.locator(".word")).to_have_text(WORDS[state])
+    expect(banner.locator(".sentence")).to_contain_text(SENTENCES[state])
     expect(page.get_by_role("heading", level=2).first).to_be_visible()
     judge_everywhere(page, f"{state}-{path}", phone=state == "normal")
     hosts = {urlsplit(url).netloc for url in requests if not url.startswith("data:")}

@@ -65,7 +65,7 @@ def test_a_recording_is_kept_and_deleted_only_when_that_is_confirmed(
         page.get_by_role("button", name=f"Delete {NAME}").click()
         assert path.exists(), "the first click only asks"
         page.get_by_role("button", name="Delete for good").click()
-        expect(page.get_by_text("There is no recording")).to_be_visible(timeout=8000)
+        expect(page.get_by_text("There is no recording")).to_be_visible()
         assert not list(path.parent.iterdir()), "with its mark and its summary"
 
 
@@ -75,7 +75,7 @@ def test_what_the_configuration_does_not_allow_is_neither_offered_nor_done(
     path = stored(tmp_path)
     with status_server(tmp_path, recordings=[]) as server:
         page = open_page(server.address, path="recordings")
-        expect(page.locator(".recording")).to_be_visible(timeout=8000)
+        expect(page.locator(".recording")).to_be_visible()
         expect(page.locator(".recording button")).to_have_count(0)
         url = f"{server.address}/api/recordings"
         for action in ("keep", "delete", "replay", "solve"):

@@ -124,24 +124,24 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         replay_and_scrub(popup.value)
         page.get_by_role("button", name="Stop").click()
         job = page.locator(".job")
-        expect(job).to_contain_text("has ended", timeout=15_000)
+        expect(job).to_contain_text("has ended")
         short.get_by_role("button", name="Reprocess").click()
         expect(job).to_contain_text("runs")
         report = short.get_by_role("link", name="Report")
         expect(report).to_be_visible(timeout=60_000)
-        expect(job).to_contain_text(re.compile("has ended.*Wrote .*report.html"), timeout=10_000)
+        expect(job).to_contain_text(re.compile("has ended.*Wrote .*report.html"))
         with page.expect_popup() as popup:
             report.click()
         expect(popup.value.get_by_role("heading", level=1)).to_be_visible()
         page.locator(".recording", has_text="broken").get_by_role("button", name="Reprocess").click()
-        expect(job).to_contain_text("is no recording, not even a damaged one", timeout=20_000)
+        expect(job).to_contain_text("is no recording, not even a damaged one")
         expect(job).to_contain_text("failed")
-        expect(page.locator(".recording", has_text="broken")).to_contain_text("cannot be read", timeout=20_000)
+        expect(page.locator(".recording", has_text="broken")).to_contain_text("cannot be read")
 
 
 def replay_and_scrub(page: Page) -> None:
     """Pause, choose a speed and drag to a position: the page shows recorded time as a replay."""
-    expect(page.locator(".origin")).to_contain_text("REPLAY", timeout=15_000)
+    expect(page.locator(".origin")).to_contain_text("REPLAY")
     page.get_by_role("button", name="Pause the replay").click()
     expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
     page.get_by_label("Speed of the replay").select_option("10")

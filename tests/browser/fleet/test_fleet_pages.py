@@ -37,8 +37,8 @@ class Line:
 
 
 def wait_for_map(page: Page) -> None:
-    expect(page.locator(".fleet-page .maplibregl-canvas")).to_be_visible(timeout=30_000)
-    expect(page.locator(".map-wait")).to_have_count(0, timeout=30_000)
+    expect(page.locator(".fleet-page .maplibregl-canvas")).to_be_visible()
+    expect(page.locator(".map-wait")).to_have_count(0)
 
 
 @pytest.mark.parametrize("path", ["map", "vehicles/car-unsafe", "alarms", "passages", "enrolment", "accounts", "audit",
@@ -50,7 +50,7 @@ def test_each_page_is_accessible_in_light_and_dark_and_on_a_phone_and_asks_nobod
     page = open_centre("api/session")
     page.on("request", lambda request: requests.append(request.url))
     page.goto(f"{centre.address}/#/{path}")
-    expect(page.get_by_role("heading", level=2).first).to_be_visible(timeout=15_000)
+    expect(page.get_by_role("heading", level=2).first).to_be_visible()
     if path == "map":
         wait_for_map(page)
     judge_everywhere(page, f"centre-{path.replace('/', '-')}")
@@ -117,7 +117,7 @@ def test_a_change_of_verdict_reaches_the_open_map(centre: RunningWeb, open_centr
     wait_for_map(page)
     expect(page.locator(".fleet-list tr", has_text="car-turns")).to_contain_text("SAFE")
     centre.report(unit, 5)
-    expect(page.locator(".fleet-list tr", has_text="car-turns")).to_contain_text("UNSAFE", timeout=4000)
+    expect(page.locator(".fleet-list tr", has_text="car-turns")).to_contain_text("UNSAFE")
     expect(page.get_by_role("alert").filter(has_text="car-turns: UNSAFE")).to_be_attached()
 
 
@@ -132,7 +132,7 @@ def test_an_alarm_is_acknowledged_and_another_one_appears_by_itself(
     expect(page.get_by_role("heading", name="Web hook")).to_have_count(0)
     centre.rows("INSERT INTO alarm (tenant_id, vehicle, kind, since_ms) VALUES (1, 'car-lost', 'gap', 1) RETURNING 1")
     centre.publish("centre.alarm", {"tenant_id": 1, "alarm_id": 99, "vehicle": "car-lost", "kind": "gap"})
-    expect(page.locator("tr", has_text="car-lost")).to_contain_text("Gap in the evidence", timeout=4000)
+    expect(page.locator("tr", has_text="car-lost")).to_contain_text("Gap in the evidence")
 
 
 def test_a_token_is_shown_with_its_command_and_a_vehicle_is_revoked_after_a_question(
@@ -232,16 +232,16 @@ def test_a_page_that_loses_the_centre_says_so_and_keeps_what_it_knows(
     line = Line()
     page.route_web_socket("**/ws", line.connect)
     page.goto(f"{centre.address}/#/map")
-    expect(page.locator(".fleet-list tbody tr").first).to_be_visible(timeout=15_000)
+    expect(page.locator(".fleet-list tbody tr").first).to_be_visible()
     page.route("**/api/vehicles*", lambda route: route.fulfill(status=503, json={"detail": "the database is away"}))
     line.cut()
-    expect(page.get_by_text("Connection to the centre lost")).to_be_visible(timeout=15_000)
-    expect(page.get_by_text("The centre refused this: the database is away")).to_be_visible(timeout=15_000)
+    expect(page.get_by_text("Connection to the centre lost")).to_be_visible()
+    expect(page.get_by_text("The centre refused this: the database is away")).to_be_visible()
     expect(page.locator(".fleet-list tbody tr").first).to_be_visible()
     line.is_lost = False
     page.unroute("**/api/vehicles*")
-    expect(page.get_by_text("Connection to the centre lost")).to_have_count(0, timeout=15_000)
-    expect(page.get_by_text("the database is away")).to_have_count(0, timeout=15_000)
+    expect(page.get_by_text("Connection to the centre lost")).to_have_count(0)
+    expect(page.get_by_text("the database is away")).to_have_count(0)
 
 
 @pytest.mark.parametrize(("path", "where", "number"), [("map", ".fleet-list tr", 93), ("vehicles/car-94", "main", 94)])
@@ -255,11 +255,11 @@ def test_what_is_shown_of_a_lost_centre_goes_on_to_age(
     page.clock.install()
     page.goto(f"{centre.address}/#/{path}")
     verdict = page.locator(where, has_text=f"car-{number}").locator(".fleet-verdict")
-    expect(verdict).to_have_text("SAFE", timeout=15_000)
+    expect(verdict).to_have_text("SAFE")
     page.route("**/api/vehicles*", lambda route: route.abort("connectionrefused"))
     page.route("**/api/vehicles/*", lambda route: route.abort("connectionrefused"))
     page.clock.fast_forward(200_000)
-    expect(page.get_by_text("The centre does not answer").first).to_be_visible(timeout=15_000)
+    expect(page.get_by_text("The centre does not answer").first).to_be_visible()
     page.clock.run_for(12_000)  # asked again, and not answered
     expect(verdict).to_contain_text("OLD")
 
@@ -273,7 +273,7 @@ def test_a_vehicle_is_watched_on_its_own_page_and_seen_to_be_from_afar(
         page.on("response", lambda answer: missing.append(answer.url) if answer.status >= 400 else None)
         page.get_by_role("link", name="Watch live").click()
         banner = page.get_by_role("region", name="Can the position be trusted?")
-        expect(banner.locator(".word")).to_have_text("SAFE", timeout=15_000)
+        expect(banner.locator(".word")).to_have_text("SAFE")
         expect(page.locator(".origin.watched")).to_contain_text("SEEN FROM AFAR")
         expect(page.get_by_role("navigation").get_by_role("link")).to_have_text(["Now", "Map", "GNSS", "Trust"])
         expect(page.get_by_role("region", name="Position", exact=True)).to_contain_text("32.4 km/h")
@@ -285,7 +285,7 @@ def test_a_vehicle_is_watched_on_its_own_page_and_seen_to_be_from_afar(
             page.goto(f"{centre.address}/vehicles/car-safe/live/#/{name}")
             expect(page.get_by_role("heading", level=2).first).to_be_visible()
         page.goto(f"{centre.address}/vehicles/car-safe/live/#/map")
-        page.wait_for_selector(".maplibregl-canvas", timeout=15_000)
+        page.wait_for_selector(".maplibregl-canvas")
         page.get_by_role("link", name="Control centre").click()
         assert missing == []
         expect(page).to_have_url(f"{centre.address}/#/vehicles/car-safe")
@@ -300,16 +300,16 @@ def test_a_watched_page_that_loses_the_centre_names_the_centre(
         page.route_web_socket(re.compile(r"/live/ws"), line.connect)
         page.goto(f"{centre.address}/vehicles/car-safe/live/")
         banner = page.get_by_role("region", name="Can the position be trusted?")
-        expect(banner.locator(".word")).to_have_text("SAFE", timeout=15_000)
+        expect(banner.locator(".word")).to_have_text("SAFE")
         line.cut()
         bar = page.locator(".bar.lost")
-        expect(bar).to_contain_text("Connection to the control centre lost", timeout=15_000)
+        expect(bar).to_contain_text("Connection to the control centre lost")
         expect(bar).not_to_contain_text("are you on its network")
 
 
 def test_a_vehicle_that_does_not_answer_is_said_to_be_away(open_centre: Callable[..., Page]) -> None:
     page = open_centre("vehicles/car-caution/live/", "otto")
     banner = page.get_by_role("region", name="Can the position be trusted?")
-    expect(banner.locator(".word")).to_have_text("NO CONNECTION", timeout=15_000)
+    expect(banner.locator(".word")).to_have_text("NO CONNECTION")
     expect(banner).to_contain_text("The vehicle sends nothing")
     expect(page.get_by_text("Last report: CAUTION")).to_be_visible()

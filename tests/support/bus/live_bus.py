@@ -88,7 +88,7 @@ def running(run: Callable[[Bus], None], state_dir: Path | None = None) -> Iterat
         raise faults[0]
 
 
-def eventually(condition: Callable[[], bool], within_s: float = 3.0) -> None:
+def eventually(condition: Callable[[], bool], within_s: float = 20.0) -> None:
     """Wait until a condition holds."""
     deadline = time.monotonic() + within_s
     while not condition():

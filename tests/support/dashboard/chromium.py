@@ -6,11 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, expect, sync_playwright
 
 from services.monitoring.status.process import DASHBOARD
 
 AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
+PATIENCE_MS = 30_000  # with what a page must show: a machine that also does something else may need seconds
+expect.set_options(timeout=PATIENCE_MS)
 # WebGL in software; pages are drawn without it, which is far faster where there is no graphics card.
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
 

@@ -69,7 +69,7 @@ def change(address: str, path: str, body: object, **headers: str) -> httpx.Respo
     return httpx.post(f"{address}{path}", json=body, headers={"X-OBU-CSRF": csrf, **headers}, timeout=5.0)
 
 
-def eventually(condition: Callable[[], object], *, within_s: float = 5.0) -> None:
+def eventually(condition: Callable[[], object], *, within_s: float = 20.0) -> None:
     """Wait until something holds."""
     deadline = time.monotonic() + within_s
     while not condition():
