@@ -196,7 +196,7 @@ class Campaign:
         self.contract_of: dict[int, str] = {}
         self.ends: dict[str, set[str]] = defaultdict(set)  # final statements by contract, with their reasons
         self.decided: set[str] = set()  # contracts with a crossing in a lane
-        self.reviewed: set[str] = set()  # contracts of passages that were left to a person
+        self.reviewed: set[str | None] = set()  # contracts of passages that were left to a person
         self.delta: TollDelta | None = None  # retained by the broker
         self._begin_ledger(START_NS)
 
@@ -361,7 +361,7 @@ class Campaign:
         if reviews := ledger.reviews():
             self._die_at("publishing a review")
             for review in reviews:
-                self.reviewed |= {*review.contracts, *([review.contract] if review.contract else [])}
+                self.reviewed |= {review.contract, *review.contracts}
             with store.transaction():
                 for review in reviews:
                     ledger.reviewed(review)

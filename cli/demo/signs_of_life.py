@@ -4,10 +4,8 @@ import os
 import socket
 import struct
 
-from shared.runtime.alive import CONNECTED_STATUS
+from shared.runtime.alive import CONNECTED, READY, WATCHDOG
 
-WORDS = (b"READY=1", b"WATCHDOG=1")
-CONNECTED = b"STATUS=" + CONNECTED_STATUS.encode()
 LONGEST = 4096
 CREDENTIALS = struct.Struct("3i")  # of Linux: process, user, group
 MOST_READS = 64
@@ -32,8 +30,8 @@ class SignsOfLife:
             except BlockingIOError:
                 break
             if _is_ours(sender):
-                words = text.split(b"\n")
-                heard = heard or any(word in words for word in WORDS)
+                words = text.decode(errors="replace").split("\n")
+                heard = heard or READY in words or WATCHDOG in words
                 self.is_connected = self.is_connected or CONNECTED in words
         return heard
 

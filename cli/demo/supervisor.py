@@ -82,7 +82,7 @@ class Supervisor:
         """Start the children that are due, detect those that ended, kill those that hang; to be called often."""
         now = time.monotonic()
         late_s, self._watched = now - self._watched, now
-        for child in self._in_order():
+        for child in self.children.values():
             _listen(child, now)
             if late_s > UNATTENDED_S and child.seen is not None:
                 child.seen = now
@@ -122,16 +122,12 @@ class Supervisor:
         """Number of running children."""
         return sum(c.process is not None and c.process.poll() is None for c in self.children.values())
 
-    def _in_order(self) -> list[Child]:
-        """Children in the order of their start."""
-        return sorted(self.children.values(), key=lambda child: not child.throughout)
-
     def _waits(self, now: float) -> bool:
         """Whether one that runs throughout does not listen yet; one that has ended once is waited for no more."""
         return any(
-            not child.signs.is_connected and not child.exit_codes and now - child.started < LISTENS_S
+            not child.signs.is_connected and (child.process is None or now - child.started < LISTENS_S)
             for child in self.children.values()
-            if child.throughout and child.start_limit_s is not None and child.process is not None
+            if child.throughout and child.start_limit_s is not None and not child.exit_codes
         )
 
     def _start(self, child: Child) -> None:

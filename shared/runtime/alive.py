@@ -12,7 +12,7 @@ from pathlib import Path
 
 LOOP_SUFFIX = ".loop"
 READY, WATCHDOG, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
-CONNECTED_STATUS, WAITING_STATUS = "connected to the broker", "waiting for the broker"
+CONNECTED, WAITING = "STATUS=connected to the broker", "STATUS=waiting for the broker"
 
 
 class Alive:
@@ -31,7 +31,7 @@ class Alive:
         """Say that the loop turns; a process is ready with its first turn, also while there is no broker."""
         words = [WATCHDOG]
         if connected is not self._told:
-            words = [READY, f"STATUS={CONNECTED_STATUS if connected else WAITING_STATUS}", WATCHDOG]
+            words = [READY, CONNECTED if connected else WAITING, WATCHDOG]
             self._told = connected
         self._send("\n".join(words))
         if self._file:

@@ -531,7 +531,7 @@ class Ledger:
             several = "contracts" if len({name for name, _ in contracts}) > 1 else "tariff classes"
             self._settle(message, PassageState.SUSPECT, f"station IDs of two {several}", now_ns, contracts)
             return
-        if message.state.is_final and len(contracts) < 2 and self._merge(message, contracts, now_ns):
+        if message.state.is_final and self._merge(message, contracts, now_ns):
             return
         if message.state is PassageState.CHARGED:
             self._charge(message, crossed, contracts, now_ns)
@@ -711,7 +711,8 @@ class Ledger:
         approach to exit overlap are one: frames that were lost or left out gave the second another ID. Station IDs of
         two contracts name no vehicle: `core.toll` may have taken two for one.
         """
-        if message.state not in (PassageState.CHARGED, PassageState.UNDECIDED, PassageState.UNREGISTERED):
+        ends = (PassageState.CHARGED, PassageState.UNDECIDED, PassageState.UNREGISTERED)
+        if message.state not in ends or len(contracts) > 1:
             return False
         from_ns, to_ns = _interval(message)
         names = _names(message, contracts)

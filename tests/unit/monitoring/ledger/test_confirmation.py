@@ -278,6 +278,7 @@ def test_a_passage_that_joins_two_contracts_is_reviewed_and_takes_neither_charge
     any_gate.ledger.passage(joint.says(UNREGISTERED, exit_ns=joint.crossing_ns + NS), joint.crossing_ns + NS)
     found = any_gate.state(joint, 5.0)
     assert (found.transactions, found.reversals) == (2, 0)
+    assert any_gate.outcome(first) is CHARGED
     review = any_gate.reviews()[joint.passage_id]
     assert review.contracts == ("contract of b", "contract-1")
 
