@@ -112,7 +112,7 @@ class Result:
     undecided: dict[str, int] = field(default_factory=dict)  # registered, and no lane was found: what it ended as
     kills_core: int = 0
     kills_ledger: int = 0
-    kills_by_step: dict[str, int] = field(default_factory=dict)
+    kills_by_step: dict[str, int] = field(default_factory=dict)  # of each step that there was, also of none
     detections: int = 0
     outcomes: dict[str, int] = field(default_factory=dict)
     reconciliation_exact: bool = True
@@ -153,7 +153,7 @@ class Result:
 
 def _sum(one: Any, other: Any) -> Any:
     """Add two numbers, or two dictionaries of numbers by their keys."""
-    return dict(Counter(one) + Counter(other)) if isinstance(one, dict) else one + other
+    return {key: one.get(key, 0) + other.get(key, 0) for key in one | other} if isinstance(one, dict) else one + other
 
 
 class KillableStore(Store):
@@ -402,7 +402,7 @@ class Campaign:
             undecided=self._endings(uncharged - decided - self.reviewed),
             kills_core=sum(n for step, n in self.kills.items() if step.startswith("core")),
             kills_ledger=sum(n for step, n in self.kills.items() if step.startswith("ledger")),
-            kills_by_step=dict(self.kills.most_common()),
+            kills_by_step={step: self.kills[step] for step in CORE_STEPS + LEDGER_STEPS},
             detections=detections,
             outcomes=dict(outcomes),
             reconciliation_exact=detections == sum(outcomes.values()),
@@ -447,7 +447,7 @@ def table(result: Result) -> str:
         "simulated passages, each with a detection": f"{result.detections}",
         "of these after 30 s of a part, before its end": f"{result.passages} ({result.registered} registered)",
         "kills": f"{result.kills_core} of `core.toll`, {result.kills_ledger} of the ledger, "
-        f"at {len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)} steps",
+        f"at {sum(kills > 0 for kills in result.kills_by_step.values())} of {len(result.kills_by_step)} steps",
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
         "lane decided": f"{result.decided}, charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",
@@ -474,8 +474,7 @@ def part(seed: int, passages: int, kills: int, vehicles: int) -> Result:
 def store(result: Result) -> None:
     """Write the result as JSON, as a page, and into the explanation of charging."""
     (RESULTS / "toll_campaign.json").write_text(result.as_json() + "\n", encoding="utf-8")
-    steps = {step: result.kills_by_step.get(step, 0) for step in CORE_STEPS + LEDGER_STEPS}
-    page = TITLE + table(result) + "\n" + _table(("killed", "times"), steps)
+    page = TITLE + table(result) + "\n" + _table(("killed", "times"), result.kills_by_step)
     (RESULTS / "toll_campaign.md").write_text(page, encoding="utf-8")
     before, rest = EXPLANATION.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END, 1)[1]
