@@ -12,6 +12,7 @@ import pytest
 from services.monitoring.status.process import DASHBOARD
 from shared.bus.contract import asyncapi_json
 from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
+from tests.support.patience import HANGS_S
 
 # Reads documents as a JSON list of texts; prints for each the list of its errors.
 SCRIPT = """
@@ -31,7 +32,7 @@ def test_asyncapis_own_parser_finds_no_error_but_a_reference_to_nothing() -> Non
     broken = document.replace('"#/components/schemas/FixType"', '"#/$defs/FixType"')
     result = subprocess.run(
         [node, "-e", SCRIPT], cwd=DASHBOARD, input=json.dumps([document, of_centre, broken]), capture_output=True,
-        text=True, timeout=60, check=True,
+        text=True, timeout=HANGS_S, check=True,
     )  # fmt: skip
     of_document, of_link, of_broken = json.loads(result.stdout)
     assert (of_document, of_link) == ([], [])

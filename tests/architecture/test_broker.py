@@ -11,6 +11,7 @@ from broker import local_config
 from broker.acl import access_list
 from broker.simulated import Limits
 from shared.bus.codec import MAXIMUM_PAYLOAD
+from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).parents[2]
 LOCAL = local_config.configuration(18_830, Path("/data"), Path("/rules"))
@@ -24,7 +25,7 @@ def setting(name: str) -> str:
 
 def test_the_command_prints_the_access_list() -> None:
     command = [sys.executable, "-m", "broker.acl", "--vehicle", "car-7"]
-    printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=20).stdout
+    printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=HANGS_S).stdout
     assert printed == access_list("car-7")
 
 

@@ -13,6 +13,7 @@ from cli.demo import supervisor
 from shared.bus import bus
 from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
 from shared.topics import BY_NAME, hot_path
+from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEMD = ROOT / "deploy" / "systemd"
@@ -249,7 +250,8 @@ def test_systemd_understands_every_unit(name: str, tmp_path: Path) -> None:
     shutil.copytree(SYSTEMD, tmp_path / "units")
     result = subprocess.run(
         ["systemd-analyze", "verify", str(tmp_path / "units" / f"{name}.service")],
-        env={"SYSTEMD_UNIT_PATH": f"{tmp_path / 'units'}:"}, capture_output=True, text=True, timeout=60, check=False,
+        env={"SYSTEMD_UNIT_PATH": f"{tmp_path / 'units'}:"}, capture_output=True, text=True, timeout=HANGS_S,
+        check=False,
     )  # fmt: skip
     # The installation is not here; systemd before 254 does not know how to wait longer each time.
     expected = ("is not executable", "Unknown key 'RestartSteps'", "Unknown key 'RestartMaxDelaySec'")

@@ -17,6 +17,7 @@ from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
 from tests.support.dashboard.fake_unit import SIMULATED
 from tests.support.dashboard.status_server import Running, status_server
+from tests.support.patience import HANGS_S
 
 DEADLINE_S = 2.0  # of navigation/solution
 
@@ -299,7 +300,7 @@ def test_a_protection_level_above_its_limit_is_said_by_banner_footer_timeline_an
         expect(page.get_by_role("alert")).to_contain_text("ABOVE LIMIT")
         expect(page.locator(".foot")).to_contain_text("ABOVE LIMIT")
         expect(page.locator(".band .segment.above_limit").first).to_be_attached()
-        shown = httpx.get(f"{server.address}/api/health", timeout=5.0).json()
+        shown = httpx.get(f"{server.address}/api/health", timeout=HANGS_S).json()
         assert (shown["state"], shown["position"]["state"]) == ("degraded", "above_limit")
         judge_everywhere(page, "above-limit")
 

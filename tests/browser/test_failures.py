@@ -14,6 +14,7 @@ from playwright.sync_api import Browser, Page
 
 from shared.processes import Role, running
 from tests.integration.test_demo import Demo, start_demo
+from tests.support.patience import HANGS_S
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker, pytest.mark.slow]
 
@@ -146,7 +147,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
     started.wait(started.all_ready, 90.0, "every process is ready")
     yield started
     started.process.terminate()
-    started.process.communicate(timeout=15.0)
+    started.process.communicate(timeout=HANGS_S)
 
 
 @pytest.fixture(scope="module")

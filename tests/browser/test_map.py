@@ -45,7 +45,7 @@ def tiled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("tiled")
     write_pmtiles(folder / "a.pmtiles", LATITUDE_DEG, LONGITUDE_DEG, protomaps=True)
     with status_server(folder, map_file=str(folder / "a.pmtiles")) as server:
-        eventually(lambda: len(rows(server)) > 10, within_s=10.0)
+        eventually(lambda: len(rows(server)) > 10)
         yield server
 
 
@@ -62,7 +62,7 @@ def share(page: Page, colour: tuple[int, int, int]) -> float:
 
 
 def drawn(page: Page, colour: tuple[int, int, int], at_least: float) -> None:
-    eventually(lambda: share(page, colour) > at_least, within_s=20.0)
+    eventually(lambda: share(page, colour) > at_least)
 
 
 def test_the_map_page_is_accessible_asks_nobody_else_and_keeps_to_its_budget(

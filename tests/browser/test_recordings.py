@@ -13,6 +13,7 @@ from shared.recording.summary import write_summary
 from tests.browser.test_pages import judge_everywhere
 from tests.support.dashboard.status_server import Running, change, eventually, status_server
 from tests.support.drives.meridian import record
+from tests.support.patience import HANGS_S
 
 ALL = ["download", "keep", "delete", "replay", "solve"]
 NAME = "20231114T221320Z_car.mcap"
@@ -37,7 +38,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def listed(server: Running) -> list[dict[str, object]]:
-    found = httpx.get(f"{server.address}/api/recordings", timeout=5.0).json()["recordings"]
+    found = httpx.get(f"{server.address}/api/recordings", timeout=HANGS_S).json()["recordings"]
     assert isinstance(found, list)
     return found
 
@@ -81,7 +82,7 @@ def test_what_the_configuration_does_not_allow_is_neither_offered_nor_done(
         for action in ("keep", "delete", "replay", "solve"):
             answer = change(server.address, "/api/recordings", {"action": action, "name": NAME})
             assert (answer.status_code, "is not allowed" in answer.text) == (403, True)
-        assert httpx.get(f"{url}/{NAME}", timeout=5.0).status_code == 403
+        assert httpx.get(f"{url}/{NAME}", timeout=HANGS_S).status_code == 403
         assert path.exists()
 
 
@@ -92,5 +93,5 @@ def test_no_other_site_and_no_other_file(server: Running) -> None:
     assert change(server.address, "/api/recordings", command, **evil).status_code == 403
     other = {"action": "delete", "name": "../status.address"}
     assert change(server.address, "/api/recordings", other).status_code == 404
-    assert httpx.get(f"{url}/..%2Fstatus.address", timeout=5.0).status_code == 404
-    assert httpx.get(f"{url}/{NAME}", timeout=5.0).content[:5] == b"\x89MCAP"
+    assert httpx.get(f"{url}/..%2Fstatus.address", timeout=HANGS_S).status_code == 404
+    assert httpx.get(f"{url}/{NAME}", timeout=HANGS_S).content[:5] == b"\x89MCAP"

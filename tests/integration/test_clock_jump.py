@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from tests.integration.test_demo import Demo, start_demo
+from tests.support.patience import HANGS_S
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 TEN_YEARS_S = 3652 * 86_400
@@ -41,7 +42,7 @@ def demo(clock_file: Path, tmp_path: Path) -> Iterator[Demo]:
         yield made
     finally:
         made.process.terminate()
-        made.process.communicate(timeout=15.0)
+        made.process.communicate(timeout=HANGS_S)
 
 
 @pytest.mark.slow
@@ -60,7 +61,7 @@ def test_after_a_jump_every_process_is_back_and_every_recording_there(demo: Demo
     old = [child for child in psutil.Process(demo.process.pid).children() if child.is_running()]
     for child in old:
         child.send_signal(signal.SIGKILL)
-    psutil.wait_procs(old, timeout=10.0)
+    psutil.wait_procs(old, timeout=HANGS_S)
     demo.wait(demo.all_ready, 20.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), "back within 20 s")
 
     now = {path.name: path.stat().st_size for path in recordings.glob("*.mcap")}

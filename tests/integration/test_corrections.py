@@ -17,6 +17,7 @@ from services.sensors.corrections.process import Config
 from tests.support.bus import mosquitto
 from tests.support.gnss.correction_chain import chain
 from tests.support.gnss.frames import rtcm, spartn
+from tests.support.patience import HANGS_S
 
 FRAMES = [rtcm(1005, 19), rtcm(1077, 400), rtcm(1087, 300), rtcm(1230, 10)]
 SIMPLE = {"RTCM 1005 station position", "RTCM 1230 GLONASS biases"}
@@ -50,7 +51,7 @@ def base() -> Iterator[int]:
         finally:
             stop.set()
             for thread in threads:
-                thread.join(5.0)
+                thread.join(HANGS_S)
 
 
 def program(name: str, remedy: str) -> str:
@@ -65,7 +66,7 @@ def running(command: list[str], port: int) -> Iterator[None]:
     """Run a caster until its port is open, and end it."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 30.0
+        deadline = time.monotonic() + HANGS_S
         while True:
             with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
                 break

@@ -28,6 +28,7 @@ from shared.runtime.offline import OfflineUnit
 from tests.support.dashboard.chromium import chromium
 from tests.support.dashboard.status_server import change
 from tests.support.drives.golden import record_golden_drive
+from tests.support.patience import HANGS_S
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -49,7 +50,7 @@ class Demo:
     def get(self, path: str) -> dict[str, object]:
         """Request from the API; an empty answer while it is not reachable."""
         try:
-            return dict(httpx.get(f"http://127.0.0.1:{self.port}{path}", timeout=2.0).json())
+            return dict(httpx.get(f"http://127.0.0.1:{self.port}{path}", timeout=20.0).json())
         except (httpx.HTTPError, json.JSONDecodeError):
             return {}
 
@@ -99,7 +100,7 @@ def demo(tmp_path: Path) -> Iterator[Demo]:
     running.wait(running.all_ready, 40.0, "every process is ready")
     yield running
     running.process.terminate()
-    running.process.communicate(timeout=10.0)
+    running.process.communicate(timeout=HANGS_S)
 
 
 @pytest.mark.browser
@@ -157,7 +158,7 @@ def replay_and_scrub(page: Page) -> None:
 
 def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Path) -> None:
     demo = start_demo(tmp_path, "--scenario", "parking_lot", "--duration", "32", "--json")
-    output, errors = demo.process.communicate(timeout=120.0)
+    output, errors = demo.process.communicate(timeout=HANGS_S)
     assert demo.process.returncode == 0, errors
     summary = json.loads(output)
     assert summary["processes_alive"] == summary["processes_expected"] == EXPECTED
@@ -173,7 +174,7 @@ def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Pat
         [sys.executable, "-m", "cli", "verify", str(file)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANGS_S,
         check=False,
         env=os.environ | {"OBU_STATE": str(tmp_path)},  # whose keys outlive the demo
     )
@@ -214,7 +215,7 @@ def assert_live_and_offline_agree(messages: list[Message], vehicle: Path) -> Non
 )
 def test_a_user_error_is_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "cli", *arguments], capture_output=True, text=True, timeout=60, check=False,
+        [sys.executable, "-m", "cli", *arguments], capture_output=True, text=True, timeout=HANGS_S, check=False,
         env=os.environ | {"OBU_STATE": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 2
@@ -229,7 +230,7 @@ def test_with_its_port_in_use_the_dashboard_uses_a_free_one(tmp_path: Path) -> N
         port = taken.getsockname()[1]
         done = subprocess.run(
             [sys.executable, "-m", "cli", "demo", "--port", str(port), "--duration", "2"],
-            env=os.environ | {"OBU_STATE": str(tmp_path)}, capture_output=True, text=True, timeout=60, check=False,
+            env=os.environ | {"OBU_STATE": str(tmp_path)}, capture_output=True, text=True, timeout=HANGS_S, check=False,
         )  # fmt: skip
     assert "dashboard: http://127.0.0.1:" in done.stderr
     assert f"127.0.0.1:{port}" not in done.stderr

@@ -26,6 +26,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.navigation import TruthState
 from shared.runtime.config import BrokerAddress
 from tests.support.bus import simulated
+from tests.support.patience import HANGS_S
 
 NS = 1_000_000_000
 START_NS = time.time_ns()  # gpsd rejects times far from its own clock
@@ -54,7 +55,7 @@ def gpsd(device: str) -> Iterator[socket.socket]:
 
 
 def connect(port: int) -> socket.socket:
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + HANGS_S
     while True:
         with suppress(ConnectionRefusedError):
             return socket.create_connection(("127.0.0.1", port), 1.0)
@@ -147,6 +148,6 @@ def test_gpsdecode_reads_the_output_of_obu_tail_raw(tmp_path: Path) -> None:
         broker.stop()
     written, _ = tail.communicate()
     assert written and written in sent
-    decoded = subprocess.run(["gpsdecode"], input=written, capture_output=True, check=True, timeout=10).stdout
+    decoded = subprocess.run(["gpsdecode"], input=written, capture_output=True, check=True, timeout=HANGS_S).stdout
     fixes = [report for line in decoded.splitlines() if (report := json.loads(line))["class"] == "TPV"]
     assert any("lat" in fix for fix in fixes)

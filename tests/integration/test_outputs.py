@@ -25,6 +25,7 @@ from services.monitoring.outputs.process import Config, Process
 from shared.messages.operation import OriginKind
 from tests.support.bus.live_bus import LiveBus, eventually, running
 from tests.support.outputs import LATITUDE_DEG, LONGITUDE_DEG, fix, origin, satellites, solution, verdict
+from tests.support.patience import HANGS_S
 
 Report = dict[str, Any]  # JSON of gpsd
 
@@ -58,7 +59,7 @@ def unit(kind: OriginKind = OriginKind.LIVE) -> Iterator[tuple[LiveBus, int, int
 
 def piped(port: int, *options: str) -> list[bytes]:
     command = ["gpspipe", *options, f"127.0.0.1:{port}"]
-    return subprocess.run(command, capture_output=True, check=True, timeout=20).stdout.splitlines()
+    return subprocess.run(command, capture_output=True, check=True, timeout=HANGS_S).stdout.splitlines()
 
 
 def test_gpspipe_reads_json() -> None:
@@ -98,7 +99,7 @@ def test_cgps_shows_the_position() -> None:
     with unit() as (_, port, _):
         cgps = subprocess.Popen(["cgps", f"127.0.0.1:{port}"], env={"TERM": "xterm"}, stdin=slave, stdout=slave)
         try:
-            deadline = time.monotonic() + 8.0
+            deadline = time.monotonic() + HANGS_S
             while str(LATITUDE_DEG)[:8].encode() not in shown and time.monotonic() < deadline:
                 if select.select([master], [], [], 0.2)[0]:
                     shown += os.read(master, 65536)
@@ -131,7 +132,7 @@ def test_gpsd_itself_reads_nmea_over_tcp(kind: OriginKind, status: int | None) -
 
 
 def first_position(port: int) -> Report:
-    deadline = time.monotonic() + 15.0
+    deadline = time.monotonic() + HANGS_S
     while time.monotonic() < deadline:
         with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as client:
             client.settimeout(5.0)

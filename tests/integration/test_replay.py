@@ -18,6 +18,7 @@ from services.monitoring.status.web.stream.patch import merge
 from shared.library.summary import SUFFIX
 from tests.support.dashboard.status_server import change, eventually
 from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
+from tests.support.patience import HANGS_S
 
 Json = dict[str, Any]
 ROOT = Path(__file__).parents[2]
@@ -34,7 +35,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             [sys.executable, "-m", "cli", "replay", str(drive), "--port", "0"],
             cwd=ROOT, env={**os.environ, "OBU_STATE": str(folder)}, stdout=output, stderr=subprocess.STDOUT,
         )  # fmt: skip
-    eventually(lambda: "replayed at" in log.read_text(), within_s=40.0)
+    eventually(lambda: "replayed at" in log.read_text())
     yield log.read_text().split("replayed at ")[1].split()[0]
     process.send_signal(signal.SIGTERM)
     assert process.wait(15.0) == 0
@@ -47,7 +48,7 @@ def command(address: str, **fields: object) -> httpx.Response:
 
 
 def state(address: str) -> Json:
-    found = httpx.get(f"{address}/api/state", timeout=5.0).json()
+    found = httpx.get(f"{address}/api/state", timeout=HANGS_S).json()
     assert isinstance(found, dict)
     return found
 
@@ -79,17 +80,17 @@ def test_after_a_jump_back_nothing_newer_and_the_minute_before_it_is_shown(addre
     eventually(lambda: shown_s(address) == pytest.approx(90.0, abs=0.11))
 
     def past() -> list[float]:
-        columns = httpx.get(f"{address}/api/history?seconds=60&fields=speed_fused_m_s", timeout=5.0).json()
+        columns = httpx.get(f"{address}/api/history?seconds=60&fields=speed_fused_m_s", timeout=HANGS_S).json()
         return [(stamp - BEGIN_NS) / SECOND for stamp in columns["time_ns"]]
 
     eventually(lambda: past() and past()[0] < 32.0)
     assert 89.0 < past()[-1] < 90.2
 
     def events() -> dict[str, list[dict[str, str]]]:
-        found: dict[str, list[dict[str, str]]] = httpx.get(f"{address}/api/replay", timeout=5.0).json()["replay"]
+        found: dict[str, list[dict[str, str]]] = httpx.get(f"{address}/api/replay", timeout=HANGS_S).json()["replay"]
         return found
 
-    eventually(lambda: events()["trust"], within_s=20.0)  # the recording is read for them while it plays
+    eventually(lambda: events()["trust"])  # the recording is read for them while it plays
     assert [change["state"] for change in events()["trust"][:3]] == ["safe", "unsafe", "safe"]
     assert [outage["what"] for outage in events()["outages"]] == ["sensors.imu"]
 
@@ -113,8 +114,11 @@ def test_recorded_time_passes_at_the_requested_speed_and_not_while_paused(addres
 def test_at_least_16_of_20_seeks_in_two_seconds_are_shown(address: str) -> None:
     command(address, command="pause")
     shown: set[int] = set()
-    with connect(address.replace("http", "ws") + "/ws", max_size=None) as socket, httpx.Client(timeout=5.0) as client:
-        view = json.loads(socket.recv(timeout=5.0))["state"]
+    with (
+        connect(address.replace("http", "ws") + "/ws", max_size=None) as socket,
+        httpx.Client(timeout=HANGS_S) as client,
+    ):
+        view = json.loads(socket.recv(timeout=HANGS_S))["state"]
         client.headers["X-OBU-CSRF"] = client.get(f"{address}/api/session").json()["csrf"]
         began = time.monotonic()
         for step in range(20):

@@ -33,6 +33,7 @@ from shared.runtime.config import ADDRESS_FILE
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.fake_unit import FakeBus
 from tests.support.dashboard.status_server import Running, change, eventually, status_server
+from tests.support.patience import HANGS_S
 
 Json = dict[str, Any]
 ROOT = Path(__file__).parents[2]
@@ -50,7 +51,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def ask(server: Running, path: str, **headers: str) -> httpx.Response:
-    return httpx.get(server.address + path, headers=headers, timeout=5.0)
+    return httpx.get(server.address + path, headers=headers, timeout=HANGS_S)
 
 
 def get(server: Running, path: str) -> Json:
@@ -64,7 +65,7 @@ def watch(server: Running, **headers: str) -> ClientConnection:
 
 
 def frame(socket_: ClientConnection) -> Json:
-    found = json.loads(socket_.recv(timeout=5.0))
+    found = json.loads(socket_.recv(timeout=HANGS_S))
     assert isinstance(found, dict)
     return found
 
@@ -117,7 +118,7 @@ def test_a_fast_topic_comes_here_only_while_somebody_asks_and_is_shown_then(
         assert "imu/raw" in server.bus.followed
         eventually(lambda: get(server, "/api/state")["topics"]["can/raw"]["message"] is not None)
         eventually(lambda: bool(get(server, "/api/fields/imu/sample")["fields"]))
-        eventually(lambda: not {"imu/raw", "can/raw", "imu/sample"} & server.bus.followed, within_s=8.0)
+        eventually(lambda: not {"imu/raw", "can/raw", "imu/sample"} & server.bus.followed)
         health = get(server, "/api/health")["topics"]["imu/raw"]
         assert (health["freshness"], health["cause"]) == ("fresh", None)
 
@@ -159,7 +160,7 @@ def test_only_attacks_can_be_commanded_over_http(server: Running) -> None:
     head = {"X-OBU-CSRF": get(server, "/api/session")["csrf"]}
     for path in ("/", "/api/state", "/api/topics/gnss/fix", "/ws"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
-            assert httpx.request(method, server.address + path, headers=head, timeout=5.0).status_code in (404, 405)
+            assert httpx.request(method, server.address + path, headers=head, timeout=HANGS_S).status_code in (404, 405)
 
 
 def test_metrics_are_in_the_format_of_prometheus(server: Running) -> None:
@@ -215,7 +216,7 @@ def test_all_browsers_receive_the_same_frame_five_times_a_second(server: Running
         frame(one), frame(two)
         started, size = time.monotonic(), 0
         for _ in range(10):
-            mine, theirs = one.recv(timeout=5.0), two.recv(timeout=5.0)
+            mine, theirs = one.recv(timeout=HANGS_S), two.recv(timeout=HANGS_S)
             assert mine == theirs
             size += len(mine)
         elapsed_s = time.monotonic() - started
@@ -315,12 +316,12 @@ def test_a_viewer_above_the_limit_is_rejected_with_their_number_and_not_logged(
     with status_server(tmp_path, unit=False, clients_maximum=1) as server, watch(server) as first:
         frame(first)
         with watch(server) as second, pytest.raises(ConnectionClosed) as rejected:
-            second.recv(timeout=5.0)
+            second.recv(timeout=HANGS_S)
         assert rejected.value.rcvd == Close(1013, "too many viewers: 1 are connected; try again")
         assert get(server, "/api/viewers") == {"connected": 1, "events": 0, "maximum": 1}
         charts = server.address.replace("http", "ws") + "/ws/series?fields=gnss/fix:hdop"
         with connect(charts), connect(charts) as other:
-            assert json.loads(other.recv(timeout=5.0))["reason"].startswith("too many pages of charts are open")
+            assert json.loads(other.recv(timeout=HANGS_S))["reason"].startswith("too many pages of charts are open")
         with pytest.raises(InvalidStatus):
             connect(charts, additional_headers={"Origin": "http://elsewhere.example"})
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
@@ -329,14 +330,14 @@ def test_a_viewer_above_the_limit_is_rejected_with_their_number_and_not_logged(
 def test_a_packed_frame_is_the_same_frame_in_less_than_half_the_bytes(server: Running) -> None:
     packed = connect(server.address.replace("http", "ws") + "/ws?packed=1", max_size=None)
     with packed, watch(server) as plain:
-        one, other = packed.recv(timeout=5.0), plain.recv(timeout=5.0)
+        one, other = packed.recv(timeout=HANGS_S), plain.recv(timeout=HANGS_S)
         assert isinstance(one, bytes) and json.loads(zlib.decompress(one))["kind"] == frame_of(other)["kind"]
         sizes, frames = [0, 0], {}
         for _ in range(10):
-            text = plain.recv(timeout=5.0)
+            text = plain.recv(timeout=HANGS_S)
             frames[frame_of(text)["sequence"]] = text
             sizes[0] += len(text)
-            body = packed.recv(timeout=5.0)
+            body = packed.recv(timeout=HANGS_S)
             assert isinstance(body, bytes)
             sizes[1] += len(body)
             unpacked = zlib.decompress(body).decode()
@@ -366,7 +367,7 @@ def test_events_give_the_verdict_when_it_changes_the_solution_each_second_and_he
     with status_server(tmp_path, clients_maximum=1) as server:
         assert server.unit is not None
         eventually(lambda: get(server, "/api/health")["position"]["state"] == "safe")
-        with httpx.stream("GET", server.address + "/api/events", timeout=8.0) as stream:
+        with httpx.stream("GET", server.address + "/api/events", timeout=HANGS_S) as stream:
             assert stream.headers["content-type"].startswith("text/event-stream")
             seen: list[tuple[str, Json | None]] = []
             for kind, content in events(stream):
@@ -389,7 +390,7 @@ def test_the_begin_and_the_end_of_an_outage_are_events(tmp_path: Path) -> None:
         unit = server.unit
         assert unit is not None
         eventually(lambda: get(server, "/api/health")["state"] == "ok")
-        with httpx.stream("GET", server.address + "/api/events", timeout=8.0) as stream:
+        with httpx.stream("GET", server.address + "/api/events", timeout=HANGS_S) as stream:
             seen = []
             for kind, content in events(stream):
                 if kind == "verdict":
@@ -493,7 +494,7 @@ def test_the_end_is_quick_and_leaves_no_address_behind(tmp_path: Path) -> None:
         assert not (tmp_path / ADDRESS_FILE).exists()
         with pytest.raises(ConnectionClosed):
             while True:
-                browser.recv(timeout=2.0)
+                browser.recv(timeout=HANGS_S)
 
 
 def test_a_host_name_of_the_settings_is_accepted(tmp_path: Path) -> None:
@@ -519,16 +520,16 @@ def test_the_process_has_less_than_64_mib(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, cwd=ROOT) as process:
         assert process.stdin is not None
         file = tmp_path / ADDRESS_FILE
-        eventually(lambda: file.exists() and file.read_text().endswith("/"), within_s=15.0)
+        eventually(lambda: file.exists() and file.read_text().endswith("/"))
         address = file.read_text().rstrip("/")
         with connect(address.replace("http", "ws") + "/ws", max_size=None) as browser:
             for _ in range(10):
-                browser.recv(timeout=5.0)
+                browser.recv(timeout=HANGS_S)
             for path in ("/", "/api/state", "/metrics", "/api/history?seconds=900"):
-                httpx.get(address + path, timeout=5.0)
+                httpx.get(address + path, timeout=HANGS_S)
             status = Path(f"/proc/{process.pid}/status").read_text()
         process.stdin.close()
-        assert process.wait(timeout=8.0) == 0
+        assert process.wait(timeout=HANGS_S) == 0
     resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
     # Measured: 60 MiB on two machines. 46 MiB are imported libraries, 6 MiB imports of our own, 1.3 MiB the simulated
     # unit, 1.2 MiB the last hour of the charts, 5 MiB routes and connections. A new version of a library moves the sum
@@ -640,12 +641,12 @@ def known(series: Json, name: str) -> int:
 def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(server: Running) -> None:
     address = server.address.replace("http", "ws")
     with connect(f"{address}/ws/series?fields=computed:speed_m_s&seconds=20") as socket:
-        frames = [json.loads(socket.recv(timeout=5.0)) for _ in range(6)]
+        frames = [json.loads(socket.recv(timeout=HANGS_S)) for _ in range(6)]
     assert [frame["kind"] for frame in frames] == ["past", *["more"] * 5]
     stamps = [ns for frame in frames for ns in frame["time_ns"]]
     assert {b - a for a, b in pairwise(stamps)} == {200_000_000}
     with connect(f"{address}/ws/series?fields=nothing") as socket:
-        refused = json.loads(socket.recv(timeout=5.0))
+        refused = json.loads(socket.recv(timeout=HANGS_S))
     assert refused["kind"] == "refused"
     assert "write topic:field" in refused["reason"]
 
@@ -664,10 +665,10 @@ def test_the_history_of_charts_is_read_from_the_recording_after_a_restart(tmp_pa
     folder.flush()  # not closed, as while the recorder writes
     with status_server(tmp_path, unit=False) as running:
         address = "/api/series?fields=gnss/fix:hdop,gnss/fix:satellites_used&seconds=1100"
-        eventually(lambda: known(get(running, address), "gnss/fix:hdop") > 1000, within_s=20.0)
+        eventually(lambda: known(get(running, address), "gnss/fix:hdop") > 1000)
         found = [value for value in get(running, address)["values"]["gnss/fix:hdop"] if value is not None]
         assert found == sorted(found) and found[-1] == pytest.approx(2.199)
         chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # not requested before the restart
-        eventually(lambda: known(get(running, chosen), "gnss/fix:@latency_s") > 1000, within_s=20.0)
+        eventually(lambda: known(get(running, chosen), "gnss/fix:@latency_s") > 1000)
         assert next(v for v in get(running, chosen)["values"]["gnss/fix:@latency_s"] if v) == pytest.approx(1e-3)
     folder.close()

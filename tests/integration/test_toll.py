@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from cli.verify_toll import differences_of, is_continued, parse, read
+from tests.support.patience import HANGS_S
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -35,7 +36,7 @@ def test_with_killed_processes_no_vehicle_is_charged_twice_and_each_charge_is_re
     kills = 0
     try:
         ledger = tmp_path / "demo" / "toll" / "ledger.sqlite"
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + HANGS_S
         while not ledger.exists() and time.monotonic() < deadline:
             time.sleep(0.2)
         time.sleep(12.0)

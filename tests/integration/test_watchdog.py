@@ -27,6 +27,7 @@ from shared.runtime.config import BrokerAddress
 from shared.topics import TOPICS
 from tests.integration.test_demo import KINDS, Demo, start_demo
 from tests.support.bus import intruder
+from tests.support.patience import HANGS_S
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -163,7 +164,7 @@ def unit(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         yield made
     finally:
         made.demo.process.terminate()
-        made.demo.process.communicate(timeout=10.0)
+        made.demo.process.communicate(timeout=HANGS_S)
 
 
 on_mosquitto = pytest.mark.parametrize("unit", KINDS[:1], indirect=True, scope="module")
@@ -451,7 +452,7 @@ def test_sigterm_ends_all_processes_within_five_seconds(unit: Unit) -> None:
     children = psutil.Process(demo.process.pid).children(recursive=True)
     started = time.monotonic()
     demo.process.terminate()
-    output, errors = demo.process.communicate(timeout=10.0)
+    output, errors = demo.process.communicate(timeout=HANGS_S)
     assert time.monotonic() - started < 5.0
     assert "Traceback" not in output + errors
     assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]

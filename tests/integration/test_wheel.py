@@ -13,6 +13,7 @@ import pytest
 
 from cli.demo.local import free_port
 from tests.support.data import REPOSITORY
+from tests.support.patience import HANGS_S
 from tests.support.wheel import built
 
 pytestmark = [pytest.mark.slow, pytest.mark.whole_unit, pytest.mark.broker]
@@ -37,7 +38,7 @@ def obu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(obu: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     outside = {key: value for key, value in os.environ.items() if not key.startswith(("OBU_", "PYTHONPATH"))}
     return subprocess.run(
-        [str(obu), *arguments], cwd=folder, env=outside, capture_output=True, text=True, timeout=120, check=False
+        [str(obu), *arguments], cwd=folder, env=outside, capture_output=True, text=True, timeout=HANGS_S, check=False
     )
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import HANGS_S
+
 ROOT = Path(__file__).parents[2]
 UNPACKED = ROOT / ".obu" / "test-programs" / "usr" / "sbin" / "nginx"
 PAGE = ROOT / "docs" / "how-to" / "let-others-look.md"
@@ -69,7 +71,7 @@ def nginx(folder: Path, port: int, upstream: str) -> Iterator[str]:
 
 
 def _await_pid(path: Path, process: subprocess.Popen[str]) -> None:
-    until = time.monotonic() + 10.0
+    until = time.monotonic() + HANGS_S
     while not path.exists():
         assert process.poll() is None, process.stderr.read() if process.stderr else ""
         assert time.monotonic() < until, "nginx does not start"

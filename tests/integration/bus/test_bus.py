@@ -25,6 +25,7 @@ from shared.runtime.config import BrokerAddress
 from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions
 from tests.support.bus import brokers, mqtt
+from tests.support.patience import HANGS_S
 
 LAST = LastPosition(
     sampled_ns=1, utc_ns=None, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
@@ -168,7 +169,7 @@ def state(bus: Bus) -> ModeState:
 
 def run_until(reactor: LiveReactor, bus: Bus, condition: Callable[[], bool], others: Callable[[], object]) -> None:
     """Run a reactor in this thread until a condition holds, feeding others from the bus's own receive."""
-    original, deadline = bus.receive, time.monotonic() + 10.0
+    original, deadline = bus.receive, time.monotonic() + HANGS_S
 
     def receive(timeout_s: float) -> list[Envelope]:
         others()
@@ -280,7 +281,7 @@ def test_sigterm_ends_a_process_regularly_and_without_an_error(
     process = start_process("parsers.can", broker.port, tmp_path)
     wait_for(lambda: any(e.topic == "health/parsers.can" for e in observer.receive(0.02)))
     process.send_signal(signal.SIGTERM)
-    output, _ = process.communicate(timeout=5.0)
+    output, _ = process.communicate(timeout=HANGS_S)
     assert process.returncode == 0
     assert "Traceback" not in output
 
@@ -295,7 +296,7 @@ def test_without_a_broker_a_process_waits_and_logs_it(tmp_path: Path) -> None:
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(0.5)
     process.send_signal(signal.SIGTERM)
-    output += process.communicate(timeout=5.0)[0]
+    output += process.communicate(timeout=HANGS_S)[0]
     lines = [json.loads(line) for line in output.splitlines()]
     assert [line["level"] for line in lines] == ["warning"]
     assert "no broker at 127.0.0.1:1" in lines[0]["event"]
@@ -303,7 +304,7 @@ def test_without_a_broker_a_process_waits_and_logs_it(tmp_path: Path) -> None:
 
 def test_a_mistyped_setting_is_an_error_of_one_sentence(tmp_path: Path) -> None:
     process = start_process("core.fusion", 1, tmp_path, "[core.fusion]\nlever_arm_body = [0, 0, 0]\n")
-    output, _ = process.communicate(timeout=20.0)
+    output, _ = process.communicate(timeout=HANGS_S)
     assert process.returncode == os.EX_CONFIG
     assert output.startswith("obu: ") and "did you mean [vehicle.gnss] lever_arm_body_m?" in output
     assert len(output.strip().splitlines()) == 1

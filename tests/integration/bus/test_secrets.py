@@ -18,6 +18,7 @@ from shared.runtime.config import BrokerAddress, parse_vehicle
 from shared.topics import TOPICS, on_request, subscriptions
 from tests.support.bus import brokers
 from tests.support.bus.mqtt import Client
+from tests.support.patience import HANGS_S
 
 VEHICLE = parse_vehicle('[vehicle]\nname = "car"\n\n[sensors.gnss]\n\n[sensors.imu]\n')
 NAMES = tuple(row.name for row in rows_of(VEHICLE))
@@ -52,7 +53,7 @@ def bus(broker: brokers.RunningBroker, process: str, *, observer: bool = False) 
 
 
 def wait_for(condition: Callable[[], bool], *buses: Bus) -> None:
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + HANGS_S
     while not condition():
         assert time.monotonic() < deadline, [each.last_error for each in buses]
         for each in buses:

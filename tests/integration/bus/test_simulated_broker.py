@@ -18,6 +18,7 @@ from broker import simulated
 from broker.simulated import Handle, Limits
 from tests.support.bus import raw_mqtt
 from tests.support.bus.mqtt import Client
+from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).parents[3]
 
@@ -52,7 +53,7 @@ def listen(handle: Handle, *arguments: str, client_id: str = "listener") -> subp
     """Start mosquitto_sub and wait until it is subscribed."""
     command = mosquitto_client("mosquitto_sub", handle.port, "-i", client_id, *arguments)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + HANGS_S
     while not (found := handle.broker.sessions.get(client_id)) or not found.subscriptions:
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -64,17 +65,17 @@ def test_mosquittos_own_clients_exchange_messages(handle: Handle) -> None:
     listener = listen(handle, "-t", "car/+", "-q", "1", "-C", "2", "-F", "%t %q %r %p")
     for qos in ("0", "1"):
         command = mosquitto_client("mosquitto_pub", handle.port, "-t", "car/speed", "-q", qos, "-m", f"qos {qos}")
-        subprocess.run(command, check=True, timeout=5)
-    output, _ = listener.communicate(timeout=5)
+        subprocess.run(command, check=True, timeout=HANGS_S)
+    output, _ = listener.communicate(timeout=HANGS_S)
     assert output.splitlines() == [f"car/speed {qos} 0 qos {qos}" for qos in (0, 1)]
 
 
 @pytest.mark.broker
 def test_mosquitto_sub_receives_the_retained_message(handle: Handle) -> None:
     command = mosquitto_client("mosquitto_pub", handle.port, "-t", "car/state", "-r", "-m", "kept")
-    subprocess.run(command, check=True, timeout=5)
+    subprocess.run(command, check=True, timeout=HANGS_S)
     command = mosquitto_client("mosquitto_sub", handle.port, "-t", "car/state", "-C", "1", "-F", "%r %p")
-    output = subprocess.run(command, check=True, timeout=5, capture_output=True, text=True).stdout
+    output = subprocess.run(command, check=True, timeout=HANGS_S, capture_output=True, text=True).stdout
     assert output.split() == ["1", "kept"]
 
 
@@ -92,14 +93,14 @@ def test_the_will_of_mosquitto_sub_is_published_when_it_is_killed_and_not_when_i
             listener.kill()
         else:
             client.publish("enough", "x")
-        listener.communicate(timeout=5)
+        listener.communicate(timeout=HANGS_S)
         assert client.receives_nothing() is not killed
 
 
 @pytest.mark.broker
 def test_mosquitto_pub_with_mqtt_5_is_rejected_for_its_version(handle: Handle) -> None:
     command = [*mosquitto_client("mosquitto_pub", handle.port), "-t", "x", "-m", "x", "-V", "5"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANGS_S, check=False)
     assert done.returncode
     assert "protocol" in done.stderr
 
@@ -126,7 +127,7 @@ def connect_of(level: int, client_id: str = "a", flags: int = 2) -> bytes:
     ],
 )
 def test_a_client_of_another_protocol_is_rejected_and_disconnected(handle: Handle, sent: bytes, answer: str) -> None:
-    with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
+    with socket.create_connection(("127.0.0.1", handle.port), timeout=HANGS_S) as raw:
         raw.sendall(sent)
         assert raw_mqtt.read_all(raw).hex() == answer
     assert serves(handle)
@@ -179,7 +180,7 @@ def test_the_broker_survives_any_stream_of_bytes(handle: Handle, caplog: pytest.
         stream = bytearray(b"".join(generator.choices(proper, k=6)))
         for _ in range(generator.randrange(4)):
             stream[generator.randrange(len(stream))] = generator.randrange(256)
-        with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
+        with socket.create_connection(("127.0.0.1", handle.port), timeout=HANGS_S) as raw:
             raw.sendall(raw_mqtt.connect_packet(f"fuzz-{number % 10}", "tester"))
             cut = generator.randrange(len(stream))
             raw.sendall(stream[:cut])
@@ -194,7 +195,7 @@ def test_the_broker_survives_any_stream_of_bytes(handle: Handle, caplog: pytest.
 
 def test_connections_without_a_connect_packet_are_closed() -> None:
     with simulated.start(limits=Limits(connect_within_s=0.2)) as handle:
-        with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
+        with socket.create_connection(("127.0.0.1", handle.port), timeout=HANGS_S) as raw:
             assert raw.recv(100) == b"", "closed"
         assert serves(handle)
 
@@ -270,7 +271,7 @@ def test_an_invalid_access_list_is_an_error_with_a_remedy(tmp_path: Path, text: 
     if text is not None:
         acl.write_text(text)
     command = [sys.executable, "-m", "broker.simulated", "--port", "0", "--acl", str(acl)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=10, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANGS_S, check=False)
     assert done.returncode == 1
     assert words in done.stderr
     assert done.stderr.rstrip().endswith("try `python -m broker.acl` for a valid one")
@@ -279,7 +280,7 @@ def test_an_invalid_access_list_is_an_error_with_a_remedy(tmp_path: Path, text: 
 
 def test_a_port_in_use_is_reported(handle: Handle) -> None:
     command = [sys.executable, "-m", "broker.simulated", "--port", str(handle.port)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=10, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANGS_S, check=False)
     assert done.returncode == 1
     assert "address already in use" in done.stderr
     assert done.stderr.rstrip().endswith("try --port 0 for any free port")

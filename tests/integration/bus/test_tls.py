@@ -17,6 +17,7 @@ from shared.messages.navigation import LastPosition
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from shared.topics import TOPICS, subscriptions
 from tests.support.bus import mosquitto
+from tests.support.patience import HANGS_S
 
 pytestmark = pytest.mark.broker
 
@@ -44,7 +45,7 @@ def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 def wait_for(condition: Callable[[], bool], *buses: Bus) -> None:
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + HANGS_S
     while not condition():
         assert time.monotonic() < deadline, [bus.last_error for bus in buses]
         for bus in buses:

@@ -308,7 +308,7 @@ def test_what_is_judged_while_a_vehicle_is_erased_leaves_no_alarm(
         assert erase(other, "car-1", "anna") is not None  # not committed
         judging = threading.Thread(target=work)
         judging.start()
-        eventually(lambda: not judging.is_alive() or bool(watching.execute(waiting).fetchall()), within_s=20.0)
+        eventually(lambda: not judging.is_alive() or bool(watching.execute(waiting).fetchall()))
     judging.join(20.0)
     assert told(db) == []
 

@@ -32,7 +32,7 @@ def filled(link: Link, qos: int, count: int = FILLING) -> None:
             return
         sent = link.client.publish(f"obu/{link.vehicle}/live/x/n{number}", b"x" * 100_000, qos, retain=True)
         if number % 20 == 19:
-            eventually(partial(is_over, link, sent), within_s=60.0)
+            eventually(partial(is_over, link, sent))
 
 
 def is_over(link: Link, sent: MQTTMessageInfo) -> bool:
@@ -48,7 +48,7 @@ def has_receipt(unit: Unit, vehicle: Link) -> bool:
         time.sleep(0.2)
         return any(receipt.stored for receipt in vehicle.receipts)
 
-    eventually(stored, within_s=60.0)
+    eventually(stored)
     return stored()
 
 
@@ -72,9 +72,9 @@ def test_what_one_vehicle_has_the_broker_keep_stops_no_other(folder: Path, tmp_p
     vehicle = link(bob)
     assert has_receipt(unit, vehicle)
     assert kill(folder, "nats-server") is not None
-    eventually(lambda: vehicle.ended, within_s=60.0)
-    eventually(lambda: pids_of(folder, "nats-server"), within_s=60.0)
-    eventually(lambda: has_come_back(link, bob), within_s=60.0)
+    eventually(lambda: vehicle.ended)
+    eventually(lambda: pids_of(folder, "nats-server"))
+    eventually(lambda: has_come_back(link, bob))
     filled(link(mallory, clean=False), 0, 50)
     again = link(bob)
     assert has_receipt(unit, again)
@@ -99,6 +99,6 @@ def test_a_vehicle_connects_by_its_own_client_id_alone(
 def test_connections_of_one_certificate_replace_one_another(folder: Path, tmp_path: Path, link: Connect) -> None:
     identity = enrolled(folder, tmp_path, "twin-1")
     links = [link(identity) for _ in range(6)]
-    eventually(lambda: sum(not one.ended for one in links) <= 1, within_s=30.0)
+    eventually(lambda: sum(not one.ended for one in links) <= 1)
     time.sleep(1.0)  # NATS holds a client id that is replaced again and again for a second
     assert link(identity).ready

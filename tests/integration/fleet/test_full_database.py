@@ -10,6 +10,7 @@ from fleet.servers.postgres import programs
 from shared.errors import UserError
 from tests.support.data import REPOSITORY
 from tests.support.fleet.database import missing
+from tests.support.patience import HANGS_S
 
 # Mounted as root of a namespace; PostgreSQL refuses root, and is nobody in another one within.
 SMALL_DISK = (
@@ -100,7 +101,7 @@ def test_a_full_database_answers_nothing_and_stores_each_report_once_when_there_
         cwd=REPOSITORY,
         capture_output=True,
         text=True,
-        timeout=170,
+        timeout=HANGS_S,
         check=False,
     )
     assert done.stdout.endswith("whole\n"), done.stdout[-2000:] + done.stderr[-3000:]

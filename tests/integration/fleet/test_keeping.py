@@ -19,6 +19,7 @@ from fleet.ingest.verification import Arrived, Genuine, verified
 from fleet.servers.postgres import Postgres
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.web import tenant
+from tests.support.patience import HANGS_S
 
 PASSWORDS = {name: f"of-{name}" for name in ROLES}
 DAY_MS = 86_400_000
@@ -235,7 +236,7 @@ def test_a_day_is_dropped_while_ingest_inserts_into_others(dsn: str, owner: psyc
             "SELECT count(*) FROM pg_stat_activity WHERE query LIKE 'ALTER TABLE%CONCURRENTLY' "
             "AND wait_event_type = 'Lock'"
         )
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + HANGS_S
         while owner.execute(waits).fetchone() == (0,):
             assert time.monotonic() < deadline, "the removal has not begun"
         owner.execute("SET statement_timeout = '5s'")

@@ -26,6 +26,7 @@ from shared.fleet.batch import BadBatch
 from shared.fleet.receipts import Refused, Stored
 from shared.fleet.sealed import chain_digest
 from tests.support.fleet.reports import START_MS, Unit, genuine
+from tests.support.patience import HANGS_S
 
 DAY_MS = 86_400_000
 
@@ -165,10 +166,10 @@ def test_a_batch_that_is_stored_while_its_vehicle_is_erased_does_not_stay(dsn: s
         storing = threading.Thread(target=store.store, args=(found,))
         storing.start()
         waiting = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + HANGS_S
         while watching.execute(waiting).fetchone() == (0,):
             assert time.monotonic() < deadline, "ingest does not wait for the erasure"
-    storing.join(20.0)
+    storing.join(HANGS_S)
     assert rows(dsn, "SELECT count(*) FROM segment") == [(0,)]
     assert rows(dsn, "SELECT count(*) FROM erased_batch") == [(1,)]
 
@@ -295,12 +296,12 @@ class Other:
         """Start, and wait until it ends or waits for somebody."""
         self.start()
         waiting = "SELECT count(*) FROM pg_locks WHERE NOT granted"
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + HANGS_S
         while self._thread.is_alive() and rows(self._dsn, waiting) == [(0,)]:
             assert time.monotonic() < deadline, "the other ingest neither ends nor waits"
 
     def end(self) -> None:
-        self._thread.join(20.0)
+        self._thread.join(HANGS_S)
         self._store.close()
         assert self._failures == []
 

@@ -14,6 +14,7 @@ from tests.support.fleet.bad_network import BadNetwork
 from tests.support.fleet.certificates import Authority
 from tests.support.fleet.small_centre import Broker, Courier, Memory, SmallCentre
 from tests.support.fleet.uplink_unit import UplinkUnit
+from tests.support.patience import HANGS_S
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,7 @@ def test_a_day_without_a_centre_arrives_once_and_in_one_chain(
         assert not centre.memory.batches and unit.state_message().backlog_batches > 1000
 
         network.weather.is_away = False
-        unit.work_until(lambda: unit.state_message().connected and is_drained(unit), within_s=120.0)
+        unit.work_until(lambda: unit.state_message().connected and is_drained(unit))
 
         times = [one.utc_ms for one in centre.memory.reports()]
         assert len(times) >= 3 * 3600 + 300 + 21 * 60 - 11 and times == sorted(set(times))
@@ -96,7 +97,7 @@ def test_batches_and_receipts_that_are_lost_repeated_and_reordered_are_stored_on
 
     unit.drive(600)
     # Ten seconds of the unit in each turn: what got no receipt is sent again.
-    unit.work_until(lambda: unit.state_message().connected and is_drained(unit), step_s=0.5, within_s=60.0)
+    unit.work_until(lambda: unit.state_message().connected and is_drained(unit), step_s=0.5)
 
     times = [one.utc_ms for one in centre.memory.reports()]
     assert times == sorted(set(times)) and len(times) >= 589
@@ -113,13 +114,13 @@ def test_a_network_that_resets_within_packets_and_a_broker_that_is_killed_cost_n
         unit = unit_at(network.port, tmp_path, authority)
         centre = SmallCentre(nats, memory_of(unit))
         unit.drive(900)
-        unit.work_until(lambda: network.resets >= 3, within_s=60.0)
+        unit.work_until(lambda: network.resets >= 3)
         nats.stop()
         nats.start()
         network.weather.reset_after_bytes = None
         network.weather.delay_s = 0.01
         network.cut()
-        unit.work_until(lambda: is_drained(unit), step_s=0.1, within_s=90.0)
+        unit.work_until(lambda: is_drained(unit), step_s=0.1)
 
         times = [one.utc_ms for one in centre.memory.reports()]
         assert times == sorted(set(times)) and len(times) >= 889
@@ -225,15 +226,15 @@ def test_a_server_without_tls_or_of_another_authority_is_told_nothing(tmp_path: 
     foreign.stop()
 
     with socket.create_server(("127.0.0.1", 0)) as plain:
-        plain.settimeout(5.0)
+        plain.settimeout(HANGS_S)
         other = UplinkUnit(tmp_path / "other", plain.getsockname()[1], authority=authority)
         other.drive(1)
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + HANGS_S
         received = b""
         while not received and time.monotonic() < deadline:
             other.turn(step_s=0.1)
             client, _ = plain.accept()
-            client.settimeout(5.0)
+            client.settimeout(HANGS_S)
             received = client.recv(4096)
             client.sendall(b"\x20\x02\x00\x00")  # CONNACK without TLS
             client.close()

@@ -17,6 +17,7 @@ from services.monitoring.status.web import body
 from services.monitoring.status.web.access import limits
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).parents[3]
 REQUEST = b"GET /api/alive HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -146,7 +147,7 @@ def limited_server(folder: Path, settings: str = '{"port": 0}') -> Iterator[tupl
         command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=environment, cwd=ROOT
     ) as process:  # fmt: skip
         address = folder / ADDRESS_FILE
-        eventually(lambda: address.exists() and address.read_text().endswith("/"), within_s=20.0)
+        eventually(lambda: address.exists() and address.read_text().endswith("/"))
         port = urlsplit(address.read_text()).port
         assert port
         try:
@@ -154,7 +155,7 @@ def limited_server(folder: Path, settings: str = '{"port": 0}') -> Iterator[tupl
         finally:
             assert process.stdin
             process.stdin.close()
-            assert process.wait(timeout=10.0) == 0
+            assert process.wait(timeout=HANGS_S) == 0
 
 
 @pytest.mark.parametrize("sources", [1, 100], ids=["one address", "a hundred addresses"])
@@ -170,7 +171,7 @@ def test_more_connections_than_files_leave_the_page_answering_and_the_log_short(
             for source in ("127.0.0.9", "127.0.0.10"):
                 with opened(port, source) as other:
                     assert status_of(other) == b"HTTP/1.1 200 OK"
-            eventually(lambda: ended(flood) >= FLOOD - 1024 + limits.RESERVED_FILES, within_s=20.0)
+            eventually(lambda: ended(flood) >= FLOOD - 1024 + limits.RESERVED_FILES)
             assert log.stat().st_size < LOG_BYTES, log.read_text()[:2000]
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

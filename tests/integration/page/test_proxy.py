@@ -17,6 +17,7 @@ from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens
 from tests.support.dashboard.status_server import Running, status_server
 from tests.support.nginx import nginx
+from tests.support.patience import HANGS_S
 
 PER_CLIENT = 6
 
@@ -30,7 +31,7 @@ class Proxied:
     tokens: Tokens
 
     def client(self) -> httpx.Client:
-        return httpx.Client(base_url=self.address, verify=False, timeout=10.0, headers={"X-OBU-CSRF": "login"})
+        return httpx.Client(base_url=self.address, verify=False, timeout=HANGS_S, headers={"X-OBU-CSRF": "login"})
 
     def log_in(self, client: httpx.Client) -> httpx.Response:
         secret = self.tokens.add_temporary("link", Right.ADMIN, seconds=60.0, single_use=True)
@@ -51,7 +52,7 @@ def test_a_simulated_unit_asks_for_a_login_through_a_proxy_only(proxied: Proxied
     with proxied.client() as client:
         assert client.get("/api/state").status_code == 401
         assert client.get("/api/alive").status_code == 200
-    assert httpx.get(f"{proxied.unit.address}/api/state", timeout=5.0).status_code == 200
+    assert httpx.get(f"{proxied.unit.address}/api/state", timeout=HANGS_S).status_code == 200
 
 
 def test_the_login_is_a_cookie_of_https_and_ends_with_the_logout(proxied: Proxied) -> None:
@@ -82,7 +83,7 @@ def test_streams_pass_through_the_proxy(proxied: Proxied) -> None:
         proxied.log_in(client)
         head = {"Cookie": "; ".join(f"{name}={value}" for name, value in client.cookies.items())}
         with connect(stream, ssl=context, additional_headers=head, max_size=None) as socket:
-            assert json.loads(socket.recv(timeout=5.0))["kind"] == "snapshot"
+            assert json.loads(socket.recv(timeout=HANGS_S))["kind"] == "snapshot"
         with client.stream("GET", "/api/events") as events:
             assert next(events.iter_text()).startswith("retry:")
 
@@ -94,7 +95,7 @@ def test_requests_are_counted_by_the_address_that_the_proxy_states(proxied: Prox
             stream = stack.enter_context(client.stream("GET", "/api/events"))
             assert stream.status_code == 200
         assert client.get("/api/alive").status_code == 503
-        assert httpx.get(f"{proxied.unit.address}/api/alive", timeout=5.0).status_code == 200
+        assert httpx.get(f"{proxied.unit.address}/api/alive", timeout=HANGS_S).status_code == 200
 
 
 def test_what_a_client_states_of_itself_is_overwritten(proxied: Proxied) -> None:

@@ -22,6 +22,7 @@ from services.monitoring.status.web.access.tokens import FILE, Tokens
 from services.monitoring.status.web.answers import TokenList
 from services.monitoring.status.web.routes import app_without_unit
 from tests.support.dashboard.status_server import Running, status_server
+from tests.support.patience import HANGS_S
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 ALL = ["download", "keep", "delete", "replay", "solve"]
@@ -38,7 +39,7 @@ class Guarded:
     def ask(self, method: str, path: str, right: Right | None, **headers: str) -> httpx.Response:
         """Ask with the token of a role, and read no more than the head of the answer."""
         head = {"Authorization": f"Bearer {self.secrets[right]}"} if right else {}
-        with httpx.stream(method, self.server.address + path, headers={**head, **headers}, timeout=10.0) as answer:
+        with httpx.stream(method, self.server.address + path, headers={**head, **headers}, timeout=HANGS_S) as answer:
             return answer
 
 
@@ -177,13 +178,13 @@ def test_head_answers_as_get_without_a_body(page: Guarded, row: Row[Right]) -> N
 def test_admin_makes_and_revokes_tokens_over_the_page(page: Guarded) -> None:
     def change(**body: object) -> httpx.Response:
         head = {"Authorization": f"Bearer {page.secrets[Right.ADMIN]}"}
-        return httpx.post(f"{page.server.address}/api/tokens", json=body, headers=head, timeout=5.0)
+        return httpx.post(f"{page.server.address}/api/tokens", json=body, headers=head, timeout=HANGS_S)
 
     made = change(action="add", name="van", role="view", days=1.0).json()["token"]
     found = page.tokens.find(made)
     assert found and (found.name, found.role) == ("van", Right.VIEW)
     head = {"Authorization": f"Bearer {page.secrets[Right.ADMIN]}"}
-    listed = httpx.get(f"{page.server.address}/api/tokens", headers=head, timeout=5.0)
+    listed = httpx.get(f"{page.server.address}/api/tokens", headers=head, timeout=HANGS_S)
     TokenList.model_validate_json(listed.content)
     assert "van" in listed.text and made not in listed.text and found.hash not in listed.text
     assert change(action="add", name="van", role="view").status_code == 409
@@ -197,7 +198,7 @@ def test_a_recording_is_deleted_by_admin_alone(page: Guarded) -> None:
     def delete(right: Right) -> httpx.Response:
         head = {"Authorization": f"Bearer {page.secrets[right]}"}
         body = {"action": "delete", "name": "a.mcap"}
-        return httpx.post(f"{page.server.address}/api/recordings", json=body, headers=head, timeout=5.0)
+        return httpx.post(f"{page.server.address}/api/recordings", json=body, headers=head, timeout=HANGS_S)
 
     for right, allowed in (
         (Right.VIEW, []),
@@ -218,7 +219,7 @@ def test_streams_ask_for_a_login(page: Guarded, path: str) -> None:
     assert refused.value.response.status_code == 401
     head = {"Authorization": f"Bearer {page.secrets[Right.VIEW]}"}
     with connect(address, additional_headers=head, max_size=None) as socket:
-        assert json.loads(socket.recv(timeout=5.0))["kind"] in ("snapshot", "past")
+        assert json.loads(socket.recv(timeout=HANGS_S))["kind"] in ("snapshot", "past")
 
 
 @pytest.mark.parametrize("path", ["/ws", "/ws/series?fields=navigation/solution:roll_rad&seconds=60"])
@@ -226,18 +227,18 @@ def test_a_stream_ends_when_its_token_is_revoked(page: Guarded, path: str) -> No
     secret = page.tokens.add("short", Right.VIEW)
     head = {"Authorization": f"Bearer {secret}"}
     with connect(page.server.address.replace("http", "ws") + path, additional_headers=head, max_size=None) as socket:
-        socket.recv(timeout=5.0)
+        socket.recv(timeout=HANGS_S)
         page.tokens.revoke("short")
         with pytest.raises(ConnectionClosed) as ended:
             while True:
-                socket.recv(timeout=5.0)
+                socket.recv(timeout=HANGS_S)
     assert ended.value.rcvd and ended.value.rcvd.code == 4401
 
 
 def test_an_event_stream_ends_when_its_token_is_revoked(page: Guarded) -> None:
     secret = page.tokens.add("short", Right.VIEW)
     head = {"Authorization": f"Bearer {secret}"}
-    with httpx.stream("GET", f"{page.server.address}/api/events", headers=head, timeout=10.0) as answer:
+    with httpx.stream("GET", f"{page.server.address}/api/events", headers=head, timeout=HANGS_S) as answer:
         parts = answer.iter_raw()
         next(parts)
         page.tokens.revoke("short")
@@ -247,17 +248,17 @@ def test_an_event_stream_ends_when_its_token_is_revoked(page: Guarded) -> None:
 def test_tokens_that_change_while_the_page_runs_are_seen(page: Guarded) -> None:
     secret = page.tokens.add("guest", Right.VIEW)
     head = {"Authorization": f"Bearer {secret}"}
-    assert httpx.get(f"{page.server.address}/api/state", headers=head, timeout=5.0).status_code == 200
+    assert httpx.get(f"{page.server.address}/api/state", headers=head, timeout=HANGS_S).status_code == 200
     page.tokens.revoke("guest")
-    assert httpx.get(f"{page.server.address}/api/state", headers=head, timeout=5.0).status_code == 401
+    assert httpx.get(f"{page.server.address}/api/state", headers=head, timeout=HANGS_S).status_code == 401
 
 
 def test_a_file_of_tokens_that_cannot_be_read_lets_nobody_in(tmp_path: Path) -> None:
     secret = Tokens(tmp_path).add("guest", Right.ADMIN)
     with status_server(tmp_path, unit=False, login_on_loopback=True) as server:
         head = {"Authorization": f"Bearer {secret}"}
-        assert httpx.get(f"{server.address}/api/state", headers=head, timeout=5.0).status_code == 200
+        assert httpx.get(f"{server.address}/api/state", headers=head, timeout=HANGS_S).status_code == 200
         (tmp_path / FILE).write_text('{"tokens": "all"}')
-        assert httpx.get(f"{server.address}/api/state", headers=head, timeout=5.0).status_code == 401
+        assert httpx.get(f"{server.address}/api/state", headers=head, timeout=HANGS_S).status_code == 401
         (tmp_path / FILE).unlink()
-        assert httpx.get(f"{server.address}/api/state", headers=head, timeout=5.0).status_code == 401
+        assert httpx.get(f"{server.address}/api/state", headers=head, timeout=HANGS_S).status_code == 401

@@ -12,6 +12,7 @@ from shared.bus.bus import Bus, Envelope
 from shared.messages.base import Message
 from shared.topics import Topic
 from tests.support.bus.envelopes import sent
+from tests.support.patience import HANGS_S
 
 M = TypeVar("M", bound=Message)
 
@@ -82,13 +83,13 @@ def running(run: Callable[[Bus], None], state_dir: Path | None = None) -> Iterat
         yield bus
     finally:
         bus.stopping = True
-        thread.join(5.0)
+        thread.join(HANGS_S)
     assert not thread.is_alive(), "the driver did not stop"
     if faults:
         raise faults[0]
 
 
-def eventually(condition: Callable[[], bool], within_s: float = 20.0) -> None:
+def eventually(condition: Callable[[], bool], within_s: float = HANGS_S) -> None:
     """Wait until a condition holds."""
     deadline = time.monotonic() + within_s
     while not condition():

@@ -14,6 +14,7 @@ from services.monitoring.status.process import Config, Process
 from shared.bus.bus import Bus
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
+from tests.support.patience import HANGS_S
 from tests.support.v2x.fake_plaza import FakePlaza
 
 
@@ -65,11 +66,11 @@ def status_server(
 
 def change(address: str, path: str, body: object, **headers: str) -> httpx.Response:
     """Send a change as a page does, with the value of /api/session."""
-    csrf = httpx.get(f"{address}/api/session", timeout=5.0).json()["csrf"]
-    return httpx.post(f"{address}{path}", json=body, headers={"X-OBU-CSRF": csrf, **headers}, timeout=5.0)
+    csrf = httpx.get(f"{address}/api/session", timeout=HANGS_S).json()["csrf"]
+    return httpx.post(f"{address}{path}", json=body, headers={"X-OBU-CSRF": csrf, **headers}, timeout=HANGS_S)
 
 
-def eventually(condition: Callable[[], object], *, within_s: float = 20.0) -> None:
+def eventually(condition: Callable[[], object], *, within_s: float = HANGS_S) -> None:
     """Wait until something holds."""
     deadline = time.monotonic() + within_s
     while not condition():

@@ -39,7 +39,7 @@ def running_centre() -> Iterator[Path]:
         process = subprocess.Popen(command, cwd=REPOSITORY, stdout=log, stderr=log)
     try:
         port = Centre(folder).settings.enrol_port
-        eventually(lambda: answers(port) or process.poll() is not None, within_s=60.0)
+        eventually(lambda: answers(port) or process.poll() is not None)
         assert process.poll() is None, (top / "log").read_text()
         yield folder
         process.terminate()

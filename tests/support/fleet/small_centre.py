@@ -30,6 +30,7 @@ from shared.fleet.receipts import Receipt, Refused, Stored
 from shared.fleet.sealed import chain_digest, receipt_digest, unsealed
 from tests.support.fleet.certificates import Authority
 from tests.support.fleet.database import missing
+from tests.support.patience import HANGS_S
 
 
 class Memory:
@@ -121,7 +122,7 @@ class Broker:
     def start(self) -> None:
         with (self._folder / "log").open("ab") as log:
             self._process = subprocess.Popen(self._command, stdout=log, stderr=log)
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + HANGS_S
         for port in (self.port, self.inner_port):
             while not answers(port):
                 assert self._process.poll() is None, (self._folder / "log").read_text()
@@ -204,7 +205,7 @@ class NatsLine:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
-        self._client = asyncio.run_coroutine_threadsafe(self._connected(port, take), self._loop).result(10.0)
+        self._client = asyncio.run_coroutine_threadsafe(self._connected(port, take), self._loop).result(HANGS_S)
 
     async def _connected(self, port: int, take: Take) -> Client:
         client = await nats.connect(
@@ -224,9 +225,9 @@ class NatsLine:
         asyncio.run_coroutine_threadsafe(sending, self._loop)
 
     def close(self) -> None:
-        asyncio.run_coroutine_threadsafe(self._client.close(), self._loop).result(10.0)
+        asyncio.run_coroutine_threadsafe(self._client.close(), self._loop).result(HANGS_S)
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(5.0)
+        self._thread.join(HANGS_S)
         self._loop.close()
 
 

@@ -14,6 +14,7 @@ from tests.support.bus.envelopes import sent
 from tests.support.bus.fake_bus import FakeBus
 from tests.support.fleet.certificates import Authority
 from tests.support.outputs import fix, solution, verdict
+from tests.support.patience import HANGS_S
 
 NS = 1_000_000_000
 START_NS = 1_796_000_000 * NS  # of the OBU time line, and of UTC where a test says nothing else
@@ -64,7 +65,7 @@ class UplinkUnit:
             fixes = (fix(at_ns, at_ns + self.offset_ns),) if utc else ()
             self.turn(*fixes, verdict(at_ns, level), moving, *also, step_s=step_s)
 
-    def work_until(self, condition: Callable[[], bool], step_s: float = 0.02, within_s: float = 30.0) -> None:
+    def work_until(self, condition: Callable[[], bool], step_s: float = 0.02, within_s: float = HANGS_S) -> None:
         """Let the process work in real time until a condition holds."""
         deadline = time.monotonic() + within_s
         while not condition():

@@ -60,7 +60,7 @@ class Link:
             self.ended = True
             return
         self.client.loop_start()
-        eventually(lambda: self.ready or self.ended, within_s=60.0)
+        eventually(lambda: self.ready or self.ended)
 
     def _connected(self, _client: object, _data: object, _flags: object, reason: ReasonCode, _more: object) -> None:
         if not reason.is_failure:

@@ -27,6 +27,7 @@ from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.database import missing
 from tests.support.fleet.ports import answers
 from tests.support.fleet.reports import Unit
+from tests.support.patience import HANGS_S
 
 T = TypeVar("T")
 PASSWORD = "three words and one"
@@ -47,7 +48,7 @@ def bus() -> Iterator[str]:
         [command, "-a", "127.0.0.1", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
-        eventually(lambda: answers(port), within_s=20.0)
+        eventually(lambda: answers(port))
         yield f"nats://127.0.0.1:{port}"
     finally:
         process.terminate()
@@ -82,7 +83,7 @@ class RunningWeb:
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Do something in the loop of the pages."""
-        return asyncio.run_coroutine_threadsafe(work, self.loop).result(10.0)
+        return asyncio.run_coroutine_threadsafe(work, self.loop).result(HANGS_S)
 
     def publish(self, name: str, content: object) -> None:
         """Publish JSON on the bus, as a process of the centre does."""
@@ -98,7 +99,7 @@ class RunningWeb:
             query = "SELECT 1 FROM vehicle_now WHERE vehicle = %s AND sequence = %s"
             return bool(self.rows(query, unit.vehicle, unit.next - 1))
 
-        eventually(is_stored, within_s=20.0)
+        eventually(is_stored)
 
     def send(self, vehicle: str, data: bytes) -> None:
         """Publish a batch as the vehicle does."""
@@ -106,7 +107,7 @@ class RunningWeb:
 
     def wait_for(self, query: str, *values: object) -> None:
         """Wait until a query finds a row."""
-        eventually(lambda: self.rows(query, *values), within_s=20.0)
+        eventually(lambda: self.rows(query, *values))
 
     def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         """Ask the database as its owner."""
@@ -123,7 +124,7 @@ class Visitor:
     """Somebody who has logged in, as a program."""
 
     def __init__(self, address: str, name: str) -> None:
-        self.http = httpx.Client(base_url=address, timeout=20.0)
+        self.http = httpx.Client(base_url=address, timeout=HANGS_S)
         answer = self.log_in(name)
         assert answer.status_code == 200, answer.text
         self.csrf = self.http.get("/api/session").json()["csrf"]
@@ -158,24 +159,24 @@ def web(dsn: str, nats_url: str, *, ingest: bool = True, **more: Any) -> Iterato
     tasks = [asyncio.run_coroutine_threadsafe(serve(settings), loop)]
     if ingest:
         tasks.append(asyncio.run_coroutine_threadsafe(take_batches(nats_url, as_process["ingest"]), loop))
-    client = asyncio.run_coroutine_threadsafe(nats.connect(nats_url), loop).result(10.0)
+    client = asyncio.run_coroutine_threadsafe(nats.connect(nats_url), loop).result(HANGS_S)
     running = RunningWeb(f"http://127.0.0.1:{port}", dsn, loop, client)
     try:
-        eventually(lambda: answers(port) or tasks[0].done(), within_s=20.0)
+        eventually(lambda: answers(port) or tasks[0].done())
         if tasks[0].done():
             tasks[0].result()
         yield running
     finally:
         for visitor in running.visitors:
             visitor.http.close()
-        asyncio.run_coroutine_threadsafe(client.close(), loop).result(10.0)
+        asyncio.run_coroutine_threadsafe(client.close(), loop).result(HANGS_S)
         for task in tasks:
             task.cancel()
         deadline = time.monotonic() + 10.0
-        while asyncio.run_coroutine_threadsafe(_others(), loop).result(5.0) and time.monotonic() < deadline:
+        while asyncio.run_coroutine_threadsafe(_others(), loop).result(HANGS_S) and time.monotonic() < deadline:
             time.sleep(0.02)
         loop.call_soon_threadsafe(loop.stop)
-        thread.join(10.0)
+        thread.join(HANGS_S)
 
 
 async def _others() -> int:

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.patience import HANGS_S
+
 ETHERTYPE_GEONETWORKING = bytes.fromhex("8947")
 ENHANCED_PACKET_BLOCK, INTERFACE_DESCRIPTION_BLOCK = 6, 1
 NANOSECONDS = 9
@@ -94,6 +96,6 @@ def dissect_file(path: Path) -> list[Dissection]:
     if executable is None:
         pytest.skip("tshark is not installed: apt-get install tshark, or deploy/install_test_programs.sh")
     command = [executable, "-n", "-r", str(path), "-T", "json", "--no-duplicate-keys"]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=HANGS_S, check=True)
     shown: list[dict[str, Any]] = json.loads(result.stdout)
     return [Dissection(frame["_source"]["layers"]) for frame in shown]

@@ -124,7 +124,7 @@ def interruptible() -> Iterator[None]:
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_keeps_what_is_finished(state: Path) -> None:
     jobs = [Job(f"seed {seed}", first_at_once, (seed,)) for seed in (0, 1, 2, 3)]
-    folder, began = state / "campaigns" / "stopped", time.monotonic()
+    folder = state / "campaigns" / "stopped"
 
     def interrupt() -> None:
         while len(list(folder.glob("*.json"))) < 2:
@@ -133,7 +133,7 @@ def test_an_interrupt_keeps_what_is_finished(state: Path) -> None:
 
     threading.Thread(target=interrupt, daemon=True).start()
     outcome = campaign.run("stopped", jobs, workers=2)
-    assert outcome.results == [0, 1] and not outcome.complete and time.monotonic() - began < 30.0
+    assert outcome.results == [0, 1] and not outcome.complete
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

@@ -32,6 +32,7 @@ from shared.messages.operation import (
 )
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from tests.support.bus import brokers
+from tests.support.patience import HANGS_S
 
 
 def test_a_missing_broker_is_reported_with_its_remedy(
@@ -185,9 +186,9 @@ def test_up_without_a_broker_says_one_line_and_waits_and_the_broker_command_ends
             assert broker.stdout is not None and broker.stdout.readline().startswith("broker at mqtt://127.0.0.1:")
             assert "started" in unit.stdout.readline() or unit.poll() is None
             unit.send_signal(signal.SIGTERM)
-            unit.communicate(timeout=30.0)
+            unit.communicate(timeout=HANGS_S)
             broker.send_signal(signal.SIGTERM)
-            broker.communicate(timeout=10.0)
+            broker.communicate(timeout=HANGS_S)
 
 
 CORRECTIONS = '[sensors.corrections]\nsources = ["ntrip://me@127.0.0.1/M"]\n'

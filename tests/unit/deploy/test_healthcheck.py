@@ -10,13 +10,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import HANGS_S
+
 SCRIPT = Path(__file__).resolve().parents[3] / "deploy" / "healthcheck.py"
 
 
 def check(alive: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-S", str(SCRIPT), *arguments],
-        env={"OBU_ALIVE": str(alive)}, capture_output=True, text=True, timeout=20, check=False,
+        env={"OBU_ALIVE": str(alive)}, capture_output=True, text=True, timeout=HANGS_S, check=False,
     )  # fmt: skip
 
 

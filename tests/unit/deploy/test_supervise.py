@@ -11,8 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.support.patience import HANGS_S
+
 SCRIPT = Path(__file__).resolve().parents[3] / "deploy" / "supervise.sh"
-WITHIN_S = 30.0
 BEATING = """
 import signal, sys, time
 from shared.runtime.alive import Alive
@@ -38,12 +39,12 @@ def start(tmp_path: Path) -> Iterator[Start]:
     yield start
     for shell in started:
         shell.terminate()
-        shell.wait(WITHIN_S)
+        shell.wait(HANGS_S)
 
 
 def beating(folder: Path, shell: subprocess.Popen[bytes]) -> psutil.Process:
     """Wait for the first turn of the loop, and find the program."""
-    deadline = time.monotonic() + WITHIN_S
+    deadline = time.monotonic() + HANGS_S
     while not (folder / "alive.loop").exists():
         assert time.monotonic() < deadline and shell.poll() is None
         time.sleep(0.05)
@@ -51,8 +52,8 @@ def beating(folder: Path, shell: subprocess.Popen[bytes]) -> psutil.Process:
 
 
 def test_exit_codes_pass_and_a_command_that_gives_no_signs_is_left_alone(start: Start) -> None:
-    assert start(sys.executable, "-c", "raise SystemExit(78)").wait(WITHIN_S) == 78
-    assert start("true").wait(WITHIN_S) == 0
+    assert start(sys.executable, "-c", "raise SystemExit(78)").wait(HANGS_S) == 78
+    assert start("true").wait(HANGS_S) == 0
 
 
 def test_the_exit_code_of_a_command_that_ends_before_the_shell_waits_for_it_is_kept(
@@ -63,14 +64,14 @@ def test_the_exit_code_of_a_command_that_ends_before_the_shell_waits_for_it_is_k
     text = SCRIPT.read_text()
     assert "child=$!\n" in text
     slow.write_text(text.replace("child=$!\n", "child=$!\nsleep 0.3\n/bin/true\n"))
-    assert start("sh", "-c", "exit 78", script=slow).wait(WITHIN_S) == 78
+    assert start("sh", "-c", "exit 78", script=slow).wait(HANGS_S) == 78
 
 
 def test_sigterm_reaches_the_process_whose_exit_code_is_kept(start: Start, tmp_path: Path) -> None:
     shell = start(sys.executable, "-c", BEATING, "run", "x")
     beating(tmp_path, shell)
     shell.terminate()
-    assert shell.wait(WITHIN_S) == 78
+    assert shell.wait(HANGS_S) == 78
 
 
 @pytest.mark.slow
@@ -78,7 +79,7 @@ def test_a_process_that_is_stopped_is_killed(start: Start, tmp_path: Path) -> No
     shell = start(sys.executable, "-c", BEATING, "run", "x")
     child = beating(tmp_path, shell)
     child.send_signal(signal.SIGSTOP)
-    assert shell.wait(WITHIN_S) == 128 + signal.SIGKILL
+    assert shell.wait(HANGS_S) == 128 + signal.SIGKILL
     assert "hangs: no turn of its loop for 14 s" in (tmp_path / "log").read_text()
 
 

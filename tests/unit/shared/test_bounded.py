@@ -18,6 +18,7 @@ import pytest
 from shared import bounded
 from shared.bounded import TooMuch, checked, lines, load_json, load_toml, read_bytes, read_text
 from tests.support.dashboard.tile_files import write_pmtiles
+from tests.support.patience import HANGS_S
 
 SPACE = 200_000_000  # bytes
 LIMITED = """
@@ -42,7 +43,7 @@ def outcome(path: Path, imports: str, read: str, refusal: str, *, mapped: int = 
     """Read a file in a process with little memory; return what it prints."""
     program = LIMITED.format(imports=imports, read=read, refusal=refusal, space=SPACE + mapped)
     done = subprocess.run(
-        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=HANGS_S, check=False
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.strip()

@@ -14,6 +14,7 @@ from shared.errors import UserError
 from shared.evidence.signer import FileSigner
 from shared.fleet.enrolling import command_for, enrol
 from shared.tls import reason_of
+from tests.support.patience import HANGS_S
 
 TOKEN = "secret." + "ab" * 16
 
@@ -31,7 +32,7 @@ def answering(answer: bytes, wrap: Callable[[socket.socket], socket.socket] = la
         thread = threading.Thread(target=serve)
         thread.start()
         yield listening.getsockname()[1]
-        thread.join(10)
+        thread.join(HANGS_S)
 
 
 def refusal(port: int, to: Path) -> str:

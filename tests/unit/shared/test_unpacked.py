@@ -12,6 +12,7 @@ import pytest
 import zstandard
 
 from shared.unpacked import BadPack, Form, check_size, compression_of, unpacked, unpacked_size
+from tests.support.patience import HANGS_S
 
 PACK: dict[Form, Callable[[bytes], bytes]] = {
     "gzip": gzip.compress, "zlib": zlib.compress, "zstd": zstandard.compress, "lz4": lz4.frame.compress,
@@ -73,7 +74,9 @@ try:
 except BadPack as error:
     print(error, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=30).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=HANGS_S
+    ).stdout
     assert "unpack to more than" in said
     assert int(said.split()[-1]) < 60_000, "[kB] beyond the limit of 8 MB and its copies"
 

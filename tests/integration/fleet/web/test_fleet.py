@@ -21,6 +21,7 @@ from shared.fleet.topics import REVOKED
 from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.web import FINGERPRINT, PASSWORD, RunningWeb, Visitor, bus
+from tests.support.patience import HANGS_S
 
 
 def now_ms() -> int:
@@ -156,7 +157,7 @@ def test_a_change_of_verdict_and_an_alarm_reach_an_open_page(running: RunningWeb
     unit = enter(running, "push-1", 0)
     headers = {"Cookie": f"obu-centre={anna.http.cookies['obu-centre']}"}
     with connect(running.address.replace("http", "ws") + "/ws", additional_headers=headers) as socket:
-        first = json.loads(socket.recv(timeout=10))
+        first = json.loads(socket.recv(timeout=HANGS_S))
         assert first["bus"] is True and first["changes"] == []
         running.report(unit, 5)
         change = next_with(socket, "changes")
@@ -185,7 +186,7 @@ def test_a_first_report_and_one_that_a_newer_one_has_overtaken_are_no_change(
     long_ago = now_ms() - 3_600_000
     headers = {"Cookie": f"obu-centre={anna.http.cookies['obu-centre']}"}
     with connect(running.address.replace("http", "ws") + "/ws", additional_headers=headers) as socket:
-        socket.recv(timeout=10)
+        socket.recv(timeout=HANGS_S)
         for some in (
             [row("known-before", 5, 9, long_ago), row("new-1", 5, 0, now_ms())],
             [row("known-before", 0, 8, long_ago)],
@@ -197,15 +198,15 @@ def test_a_first_report_and_one_that_a_newer_one_has_overtaken_are_no_change(
             time.sleep(0.6)  # two frames
         running.publish("centre.alarm", {"tenant_id": 1, "alarm_id": 7, "vehicle": "new-1", "kind": "unsafe"})
         changes = list[tuple[str, int]]()
-        while not (frame := json.loads(socket.recv(timeout=10)))["alarms"]:
+        while not (frame := json.loads(socket.recv(timeout=HANGS_S)))["alarms"]:
             changes += [(one["vehicle"], one["verdict"]) for one in frame["changes"]]
     assert changes == [("new-1", 5), ("new-1", 1)]
 
 
 def next_with(socket: Any, part: str) -> list[dict[str, Any]]:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + HANGS_S
     while time.monotonic() < deadline:
-        frame = json.loads(socket.recv(timeout=10))
+        frame = json.loads(socket.recv(timeout=HANGS_S))
         if frame[part]:
             return list(frame[part])
     raise AssertionError(f"no frame with {part}")
@@ -287,7 +288,7 @@ def test_a_server_that_is_away_is_not_taken_for_told() -> None:
         with bus() as url:
             client = await connected(url, "test")
             assert await told(client, REVOKED, [b"{}"])
-        eventually_s = time.monotonic() + 20.0
+        eventually_s = time.monotonic() + HANGS_S
         while client.is_connected:
             assert time.monotonic() < eventually_s
             await asyncio.sleep(0.05)

@@ -14,6 +14,7 @@ from fleet.web.database import OPTIONS
 from fleet.web.watch import gate
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.web import RunningWeb, Visitor
+from tests.support.patience import HANGS_S
 
 TABLES = (
     "tenant", "vehicle", "certificate", "segment", "gap", "epoch", "set_aside", "vehicle_now", "event", "alarm",
@@ -108,7 +109,7 @@ def test_a_tenant_opens_its_share_of_pages_and_leaves_the_others_theirs(
             return stack.enter_context(connect(address, additional_headers=headers))
 
         for _ in range(3):
-            assert json.loads(opened(anna).recv(timeout=10))["bus"]
+            assert json.loads(opened(anna).recv(timeout=HANGS_S))["bus"]
         with pytest.raises(ConnectionClosed, match="too many pages of this tenant are open; close one"):
-            opened(anna).recv(timeout=10)
-        assert json.loads(opened(olga).recv(timeout=10))["bus"]
+            opened(anna).recv(timeout=HANGS_S)
+        assert json.loads(opened(olga).recv(timeout=HANGS_S))["bus"]

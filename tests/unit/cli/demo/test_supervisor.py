@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cli.demo.supervisor import Supervisor
+from tests.support.patience import HANGS_S
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(60)"]
 IGNORING = """
@@ -27,7 +28,7 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     made.stop()
 
 
-def watch_until(supervisor: Supervisor, condition: Callable[[], bool], limit_s: float = 10.0) -> float:
+def watch_until(supervisor: Supervisor, condition: Callable[[], bool], limit_s: float = HANGS_S) -> float:
     """Poll until a condition holds; return the time before the last poll."""
     last_look = time.monotonic()
     deadline = last_look + limit_s
@@ -71,9 +72,7 @@ def test_the_output_of_a_child_is_logged(supervisor: Supervisor, tmp_path: Path)
     assert "a line" in (tmp_path / "printing.log").read_text()
 
 
-def test_children_that_ignore_sigterm_or_are_stopped_end_within_five_seconds(
-    supervisor: Supervisor, tmp_path: Path
-) -> None:
+def test_children_that_ignore_sigterm_or_are_stopped_end_all_the_same(supervisor: Supervisor, tmp_path: Path) -> None:
     ignores = tmp_path / "ignores"
     supervisor.add("ignoring", [sys.executable, "-c", IGNORING, str(ignores)])
     supervisor.add("stopped", SLEEPER)
@@ -81,10 +80,10 @@ def test_children_that_ignore_sigterm_or_are_stopped_end_within_five_seconds(
     stopped = supervisor.children["stopped"].process
     assert stopped
     stopped.send_signal(signal.SIGSTOP)
-    started = time.monotonic()
     supervisor.stop()
-    assert time.monotonic() - started < 5.0
     assert supervisor.alive() == 0
+    ignoring = supervisor.children["ignoring"].process
+    assert ignoring and (ignoring.returncode, stopped.returncode) == (-signal.SIGKILL, -signal.SIGTERM)
 
 
 BEATING = """

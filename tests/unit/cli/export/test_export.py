@@ -29,6 +29,7 @@ from tests.support.drives.meridian import (
     record,
     solution,
 )
+from tests.support.patience import HANGS_S
 from tests.support.rewritten import chunk, file_of, rewrite
 
 SECONDS = 20
@@ -81,7 +82,7 @@ def test_gpsbabel_reads_the_places_heights_and_times_of_the_drive(drive: Path, t
         pytest.skip("gpsbabel is not installed: apt-get install gpsbabel")
     out = exported(drive, form, tmp_path, period=1.0)
     command = ["gpsbabel", "-t", "-i", form.value, "-f", str(out), "-o", "gpx,gpxver=1.1", "-F", "-"]
-    read = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    read = subprocess.run(command, capture_output=True, text=True, check=True, timeout=HANGS_S)
     assert read.stderr == "", "not even a warning"
     points = ElementTree.fromstring(read.stdout).findall(".//g:trkpt", GPX)
     latitudes = [float(p.attrib["lat"]) for p in points]
@@ -114,7 +115,7 @@ def test_nmea_has_valid_checksums_and_the_positions(drive: Path, tmp_path: Path)
 @pytest.mark.skipif(shutil.which("gpsdecode") is None, reason="gpsdecode is not installed: apt install gpsd-clients")
 def test_gpsd_reads_the_nmea(drive: Path, tmp_path: Path) -> None:
     text = exported(drive, Format.NMEA, tmp_path, period=1.0).read_bytes()
-    output = subprocess.run(["gpsdecode"], input=text, capture_output=True, check=True, timeout=20).stdout
+    output = subprocess.run(["gpsdecode"], input=text, capture_output=True, check=True, timeout=HANGS_S).stdout
     reports = [json.loads(line) for line in output.splitlines()]
     fixes = [report for report in reports if report.get("class") == "TPV" and "lat" in report]
     assert len(fixes) >= SECONDS - 1

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tests.support.data import REPOSITORY
 from tests.support.drives.golden import record_golden_drive
+from tests.support.patience import HANGS_S
 
 ROOM = 500  # bytes of the largest file that may be written
 
@@ -16,7 +17,7 @@ def test_a_full_disk_is_reported_with_a_remedy(tmp_path: Path) -> None:
     environment = {"OBU_STATE": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}  # half a file would stay behind
     done = subprocess.run(
         [sys.executable, "-m", "cli", "replay", str(drive), "--port", "0"],
-        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=60, check=False,
+        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=HANGS_S, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM)),  # as a disk that is full
     )  # fmt: skip
     assert done.returncode == 2

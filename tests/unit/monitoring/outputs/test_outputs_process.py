@@ -17,6 +17,7 @@ from services.monitoring.outputs.server import QUEUE_BYTES, Listener, Servers, T
 from shared.messages.operation import OriginKind
 from tests.support.bus.live_bus import LiveBus, eventually, running
 from tests.support.outputs import fix, origin, satellites, solution, verdict
+from tests.support.patience import HANGS_S
 
 NS = 1_000_000_000
 
@@ -43,7 +44,7 @@ def first_line(bus: LiveBus, client: socket.socket) -> str:
     """Drive until the client receives something."""
     client.settimeout(0.05)
     received = b""
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + HANGS_S
     while b"\n" not in received:
         assert time.monotonic() < deadline
         deliver(bus)
@@ -53,8 +54,8 @@ def first_line(bus: LiveBus, client: socket.socket) -> str:
 
 
 def connected(server: TcpServer) -> socket.socket:
-    client = socket.create_connection(server.address, 3.0)
-    client.settimeout(3.0)
+    client = socket.create_connection(server.address, HANGS_S)
+    client.settimeout(HANGS_S)
     return client
 
 
@@ -81,7 +82,7 @@ def test_a_reader_of_nmea_receives_sentences_at_once_and_may_send_anything() -> 
 def test_datagrams_reach_their_address() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(3.0)
+        receiver.settimeout(HANGS_S)
         with unit(nmea_udp=(f"127.0.0.1:{receiver.getsockname()[1]}",), nmea_port=0, gpsd_port=0):
             assert receiver.recv(2000).startswith(b"$GN")
 

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import HANGS_S
+
 REPOSITORY = Path(__file__).resolve().parents[4]
 IN_A_NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-ec"]
 ON_A_SMALL_DISK = """
@@ -53,7 +55,7 @@ def test_on_a_disk_that_is_really_full_the_recorder_waits_and_resumes(tmp_path: 
         pytest.skip("this system lets no ordinary user mount a small disk")
 
     command = [*IN_A_NAMESPACE, f'{small} && exec "$@"', "sh", sys.executable, "-c", ON_A_SMALL_DISK, str(tmp_path)]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=HANGS_S, check=False)
 
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("resumed after")

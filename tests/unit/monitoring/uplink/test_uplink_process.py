@@ -23,6 +23,7 @@ from shared.processes import BY_NAME
 from tests.support.bus.envelopes import sent
 from tests.support.fleet.uplink_unit import NS, START_NS, UplinkUnit
 from tests.support.outputs import solution, verdict
+from tests.support.patience import HANGS_S
 
 REPOSITORY = Path(__file__).resolve().parents[4]
 IN_A_NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-ec"]
@@ -343,5 +344,5 @@ def test_on_a_disk_that_is_really_full_reports_are_counted_and_the_rest_goes_on(
     if subprocess.run([*IN_A_NAMESPACE, small], capture_output=True, check=False).returncode:
         pytest.skip("this system lets no ordinary user mount a small disk")
     command = [*IN_A_NAMESPACE, f'{small} && exec "$@"', "sh", sys.executable, "-c", ON_A_SMALL_DISK, str(tmp_path)]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=HANGS_S, check=False)
     assert done.stdout.endswith("whole\n"), done.stdout[-2000:] + done.stderr[-3000:]

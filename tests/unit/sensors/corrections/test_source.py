@@ -21,6 +21,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import TrustLevel, TrustState
 from tests.support.gnss.casters import FakeCaster, fake_caster, saying
 from tests.support.gnss.frames import rtcm
+from tests.support.patience import HANGS_S
 
 NS = 1_000_000_000
 DATA = rtcm(1005, 19)
@@ -43,7 +44,7 @@ class Clocked:
         self.data += self.source.turn(self.now_s, round(self.now_s * NS))
 
     def until(self, condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 3.0
+        deadline = time.monotonic() + HANGS_S
         while not condition():
             assert time.monotonic() < deadline, self.source.statement(self.now_s)
             self.turn()

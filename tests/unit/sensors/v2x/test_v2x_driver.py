@@ -12,6 +12,7 @@ from shared.errors import UserError
 from shared.messages.v2x import MAX_FRAME_BYTES, CamFrames, Encapsulation, V2xSend
 from shared.v2x import frames
 from tests.support.bus.live_bus import LiveBus, eventually, running
+from tests.support.patience import HANGS_S
 
 
 @contextmanager
@@ -19,7 +20,7 @@ def peer() -> Iterator[tuple[socket.socket, int]]:
     """Open a UDP socket of a radio, and find a free port for the driver."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
         radio.bind(("127.0.0.1", 0))
-        radio.settimeout(3.0)
+        radio.settimeout(HANGS_S)
         yield radio, free_port()
 
 
@@ -29,7 +30,7 @@ def received(bus: LiveBus) -> list[tuple[int, bytes]]:
 
 def until_open(bus: LiveBus, radio: socket.socket, port: int) -> None:
     """Send until the first frame has arrived."""
-    deadline = time.monotonic() + 3.0
+    deadline = time.monotonic() + HANGS_S
     while not bus.of(CamFrames):
         assert time.monotonic() < deadline, "the driver did not open its socket"
         radio.sendto(b"first", ("127.0.0.1", port))

@@ -6,6 +6,7 @@ import pytest
 
 from cli.demo.local import free_port
 from shared.runtime.last_end import LastEnd
+from tests.support.patience import HANGS_S
 
 HUNG = """
 import sys, time
@@ -34,7 +35,7 @@ time.sleep(0.6)
 def ended(folder: Path, how: str) -> "subprocess.CompletedProcess[str]":
     """Run a process that serves the bus for three times as long as it may hang, and then hangs or closes."""
     command = [sys.executable, "-c", HUNG, str(free_port()), str(folder), how]
-    return subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=HANGS_S, check=False)
 
 
 def test_a_hung_process_ends_itself_and_its_next_run_tells_where_it_hung(tmp_path: Path) -> None:

@@ -13,11 +13,12 @@ from shared.devices.can_device import candump_line, check_can_url, open_can
 from shared.devices.device import Device, DeviceBusy, DeviceLost
 from shared.errors import UserError
 from tests.support.data import recording
+from tests.support.patience import HANGS_S
 
 REQUEST = bytes.fromhex("02010D0000000000")
 
 
-def read_lines(device: Device, n: int, within_s: float = 3.0) -> list[str]:
+def read_lines(device: Device, n: int, within_s: float = HANGS_S) -> list[str]:
     data = b""
     deadline = time.monotonic() + within_s
     while data.count(b"\n") < n and time.monotonic() < deadline:

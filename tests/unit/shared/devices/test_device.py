@@ -12,6 +12,7 @@ import pytest
 from shared.devices.device import Device, DeviceBusy, DeviceLost, open_device
 from shared.errors import UserError
 from tests.support.bus.live_bus import eventually
+from tests.support.patience import HANGS_S
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def port() -> Iterator[tuple[int, str]]:
 
 def read_until(device: Device, size: int) -> bytes:
     data = b""
-    deadline = time.monotonic() + 3.0
+    deadline = time.monotonic() + HANGS_S
     while len(data) < size and time.monotonic() < deadline:
         data += device.read(0.02)
     return data

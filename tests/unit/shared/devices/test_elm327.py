@@ -10,6 +10,7 @@ from shared.devices.elm327_lines import AnswerLines, ElmFrame
 from shared.errors import UserError
 from shared.messages.operation import DeviceFound
 from tests.support.fake_elm327 import BANNER, FakeElm327, Habits, SerialFake, TcpFake
+from tests.support.patience import HANGS_S
 
 SPEED = bytes.fromhex("010D")
 OBD = bytes.fromhex("02010D0000000000")
@@ -229,10 +230,10 @@ def test_any_bytes_are_survived_within_bounds() -> None:
     assert bench.frames[-1] == ANSWER
 
 
-def read_for(url: str, seconds: float, fake: SerialFake | TcpFake) -> list[str]:
+def read_three(url: str, fake: SerialFake | TcpFake) -> list[str]:
     device, data = open_can(url, 0x7DF, time.monotonic_ns), b""
     with fake:
-        until = time.monotonic() + seconds
+        until = time.monotonic() + HANGS_S
         while time.monotonic() < until and data.count(b"\n") < 3:
             device.write(OBD)
             data += device.read(0.02)
@@ -242,14 +243,14 @@ def read_for(url: str, seconds: float, fake: SerialFake | TcpFake) -> list[str]:
 
 def test_a_serial_adapter_gives_candump_lines() -> None:
     fake = SerialFake(Habits(delay_s=0.005))
-    lines = read_for(fake.url, 4.0, fake)
+    lines = read_three(fake.url, fake)
     assert len(lines) == 3
     assert {line.split()[1] for line in lines} == {"7E8#03410D32"}
 
 
 def test_an_adapter_over_tcp_gives_candump_lines() -> None:
     fake = TcpFake()
-    assert read_for(fake.url, 4.0, fake) == ["127.0.0.1 7E8#03410D32"] * 3
+    assert read_three(fake.url, fake) == ["127.0.0.1 7E8#03410D32"] * 3
 
 
 def test_an_unplugged_adapter_is_lost() -> None:

@@ -14,6 +14,7 @@ from shared.devices.v2x_device import Radio, open_radio
 from shared.messages.v2x import MAX_FRAME_BYTES, Encapsulation
 from shared.v2x import cam, geonetworking
 from tests.support.bus import brokers
+from tests.support.patience import HANGS_S
 from tests.support.v2x import cams
 
 OPEN_TO_ALL = "topic readwrite #\n"
@@ -46,7 +47,7 @@ def far(port: int) -> Iterator[mqtt.Client]:
 
 def read_until(radio: Radio, enough: Callable[[list[tuple[int, bytes]]], bool]) -> list[tuple[int, bytes]]:
     found: list[tuple[int, bytes]] = []
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + HANGS_S
     while not enough(found):
         assert time.monotonic() < deadline, f"only {len(found)} frames arrived"
         found += radio.read(100)
@@ -57,7 +58,7 @@ def read_until(radio: Radio, enough: Callable[[list[tuple[int, bytes]]], bool]) 
 def connected(port: int, far: mqtt.Client, rejects: Counter[str]) -> Radio:
     """Open a radio and wait until its subscription is there."""
     radio = open_radio(f"mqtt://127.0.0.1:{port}/plaza", None, rejects)
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + HANGS_S
     while not radio.read(100):
         assert time.monotonic() < deadline, "the radio did not subscribe"
         far.publish("plaza/received", b"first")
@@ -96,7 +97,7 @@ def test_a_packet_is_sent_as_bare_cam(port: int, far: mqtt.Client) -> None:
     payload = cam.encode(cams.BRAKING, 1)
     radio.write(geonetworking.encode_packet(payload, cams.SENDER))
     kept: list[bytes] = far.user_data_get()
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + HANGS_S
     while not kept:
         assert time.monotonic() < deadline
         radio.read(1)
@@ -113,7 +114,7 @@ def test_a_lost_or_absent_broker_raises_device_lost(broker: brokers.RunningBroke
     far.disconnect()
     broker.stop()
     with pytest.raises(DeviceLost, match="check the broker"):
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + HANGS_S
         while time.monotonic() < deadline:
             radio.read(1)
             time.sleep(0.02)

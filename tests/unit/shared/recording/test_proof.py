@@ -28,6 +28,7 @@ from shared.recording.proof import Proof, prove
 from shared.recording.reader import records
 from shared.recording.seals import KIND, SEAL, Seal, Sealer
 from tests.support.bus.envelopes import sent
+from tests.support.patience import HANGS_S
 from tests.support.rewritten import MAGIC, rewrite
 from tests.unit.shared.recording.test_recording import START_NS, FullDisk, envelopes
 
@@ -491,7 +492,7 @@ def test_a_recorder_that_is_killed_leaves_a_recording_that_is_proven_until_its_l
     assert process.stdout is not None
     assert process.stdout.readline() == b"written\n"
     process.send_signal(signal.SIGKILL)
-    process.communicate(timeout=30.0)
+    process.communicate(timeout=HANGS_S)
     proof = check(path, key.ring)
     assert proof.outcome is Outcome.CUT
     assert "proven until 2026-09-21 14:13:30 UTC, then cut" in proof.text

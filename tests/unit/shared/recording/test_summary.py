@@ -10,6 +10,7 @@ from shared.library.summary import SUFFIX, SummaryWorker, read_summary
 from shared.recording import RecordingWriter
 from shared.recording.summary import POINTS, summarise, write_summary
 from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
+from tests.support.patience import HANGS_S
 
 
 def test_a_summary_has_the_course_of_the_drive(tmp_path: Path) -> None:
@@ -58,7 +59,7 @@ def test_a_stored_summary_is_valid_for_the_stored_file_size_only(tmp_path: Path)
 def test_a_worker_computes_a_summary_once(tmp_path: Path) -> None:
     drive = record(tmp_path / "drive.mcap", 10)
     worker = SummaryWorker(drive, tmp_path)
-    worker.wait(20.0)
+    worker.wait(HANGS_S)
     assert worker.result() == summarise(drive)
     stamp = (tmp_path / f"drive.mcap{SUFFIX}").stat().st_mtime_ns
     again = SummaryWorker(drive, tmp_path)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from shared.runtime.alive import LOOP_SUFFIX, Alive
+from tests.support.patience import HANGS_S
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -14,7 +15,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify") if request.param == "path" else "")
         name = listener.getsockname()
-        listener.settimeout(5.0)
+        listener.settimeout(HANGS_S)
         yield listener, name if isinstance(name, str) else "@" + name[1:].decode()
 
 

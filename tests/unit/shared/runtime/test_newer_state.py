@@ -36,6 +36,7 @@ from shared.runtime.last_end import FOLDER, LastEnd
 from shared.runtime.live import LiveReactor
 from tests.support.bus.envelopes import sent, sent_bytes
 from tests.support.data import REPOSITORY
+from tests.support.patience import HANGS_S
 
 NOW_NS = 1_800_000_000_000_000_000
 
@@ -229,7 +230,7 @@ def test_a_setting_of_a_newer_version_is_refused_with_what_to_do_by_solve(tmp_pa
         writer.finish()  # type: ignore[no-untyped-call]
     done = subprocess.run(
         [sys.executable, "-m", "cli", "solve", str(path), "--out", str(tmp_path / "out")],
-        cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=False,
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=HANGS_S, check=False,
     )  # fmt: skip
     assert done.returncode != 0
     assert "of_the_future" in done.stderr

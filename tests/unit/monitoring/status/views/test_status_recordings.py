@@ -12,6 +12,7 @@ from shared.library.summary import SUFFIX, SummaryWorker
 from shared.recording.summary import write_summary
 from tests.support.dashboard.status_server import change, eventually, status_server
 from tests.support.drives.meridian import record
+from tests.support.patience import HANGS_S
 
 NAME = "20231114T221320Z_car.mcap"
 
@@ -44,7 +45,7 @@ def test_a_job_that_cannot_start_is_answered_with_the_reason_and_what_to_do(tmp_
     write_summary(drive, drive.with_name(NAME + SUFFIX))
     with status_server(tmp_path, unit=False, recordings=["solve"]) as server:
         url = f"{server.address}/api/recordings"
-        eventually(lambda: httpx.get(url, timeout=5.0).json()["recordings"])
+        eventually(lambda: httpx.get(url, timeout=HANGS_S).json()["recordings"])
         answer = change(server.address, "/api/recordings", {"action": "solve", "name": NAME})
     assert answer.status_code == 503
     assert answer.json()["detail"] == "it cannot start: File exists; make room, for example by deleting a recording"
@@ -59,7 +60,7 @@ def test_a_summary_beside_the_recording_is_not_computed_again(tmp_path: Path, kn
         write_summary(drive, drive.with_name(NAME + SUFFIX))
     worker = SummaryWorker(drive, elsewhere)
     assert worker.running is not known
-    worker.wait(20.0)
+    worker.wait(HANGS_S)
     assert worker.result() is not None
     assert bool(list(elsewhere.iterdir())) is not known
 
