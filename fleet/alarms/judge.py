@@ -115,16 +115,18 @@ SELECT * FROM counted UNION ALL SELECT * FROM made
 """
 
 
-def judge(db: psycopg.Connection, now_ms: int, hears_since_ms: int) -> list[Row]:
+def judge(db: psycopg.Connection, now_ms: int, hears_since_ms: int, *, finds_missing: bool = True) -> list[Row]:
     """Raise and end alarms in one transaction; return the rows that changed.
 
-    `hears_since_ms` is when this process began to hear of vehicles, or heard of them again.
+    `hears_since_ms` is when this process began to hear of vehicles, or heard of them again. To find missing numbers
+    reads each epoch of each vehicle that is kept.
     """
     values = {**LIMITS, "now": now_ms, "hears_since": hears_since_ms}
     with db.transaction(), db.cursor(row_factory=dict_row) as cursor:
         wait_for_erasures(cursor)
         cursor.execute(MISSING)
-        cursor.execute(FIND_MISSING, values)
+        if finds_missing:
+            cursor.execute(FIND_MISSING, values)
         cursor.execute(FORGET_FOUND)
         changed = list[Row]()
         for statement in (END, RAISE, DROPPED):

@@ -21,7 +21,7 @@ from .web_hook import WebHooks
 log = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
-LATE_PERIOD_S, LATE_BACK_S = 10.0, 60.0  # a transaction of ingest is seen some time after it has begun
+SLOW_PERIOD_S, LATE_BACK_S = 10.0, 60.0  # a transaction of ingest is seen some time after it has begun
 RETRY_S = 5.0  # after the database could not be used
 DEAF_S = 35.0  # without a word of any ingest, which says something every ten seconds
 
@@ -32,7 +32,7 @@ class Alarms:
     def __init__(self, dsn: str) -> None:
         self._dsn = dsn
         self._db: psycopg.Connection | None = None
-        self._late_s = 0.0
+        self._slow_s = 0.0  # when what reads much is due
         self._back_s = float(DAY_S)
         self.deaf()
 
@@ -46,10 +46,11 @@ class Alarms:
         try:
             if self._db is None or self._db.closed:
                 self._db = psycopg.connect(self._dsn, autocommit=True, connect_timeout=5)
-            changed = judge(self._db, now_ms, self._hears_since_ms)
-            if now_s >= self._late_s:
+            is_slow = now_s >= self._slow_s
+            changed = judge(self._db, now_ms, self._hears_since_ms, finds_missing=is_slow)
+            if is_slow:
                 changed += judge_late(self._db, now_ms, self._back_s)
-                self._late_s, self._back_s = now_s + LATE_PERIOD_S, LATE_BACK_S
+                self._slow_s, self._back_s = now_s + SLOW_PERIOD_S, LATE_BACK_S
         except psycopg.Error:
             self.close()
             self._back_s = float(DAY_S)
