@@ -8,6 +8,10 @@ from collections.abc import Iterable
 import nats
 from nats.aio.client import Client
 
+from shared.tls import reason_of
+
+from .servers.nats import NatsAccess
+
 log = logging.getLogger(__name__)
 
 AGAIN_S = 0.5
@@ -15,22 +19,23 @@ SAY_AGAIN_S = 60.0  # a server that is away would fill the log with two lines a 
 TELL_S = 3  # in which a server that works answers
 
 
-async def connected(url: str, name: str) -> Client:
+async def connected(server: NatsAccess, name: str) -> Client:
     """Connect, as often as it takes; a connection that is lost comes back by itself."""
     said, said_s = "", 0.0
 
     async def tell(error: Exception) -> None:
         """One line: the default logs where in the library it occurred. What goes on is said once a minute."""
         nonlocal said, said_s
-        text, now_s = str(error) or type(error).__name__, time.monotonic()
+        text, now_s = reason_of(error), time.monotonic()
         if text == said and now_s - said_s < SAY_AGAIN_S:
             return
         said, said_s = text, now_s
-        log.warning("NATS at %s: %s", url.rpartition("@")[2], text)
+        log.warning("NATS at %s: %s", server.url.rpartition("@")[2], text)
 
     return await nats.connect(
-        url, name=name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True, error_cb=tell
-    )
+        server.url, name=name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True,
+        error_cb=tell, **server.tls,
+    )  # fmt: skip
 
 
 async def closed(client: Client) -> None:

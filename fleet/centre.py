@@ -16,7 +16,7 @@ from shared.errors import UserError
 
 from .admission.authority import AUTHORITY, SERVER, SERVER_KEY
 from .database.roles import ROLES, dsn_of_process
-from .servers.nats import LOOPBACK, USERS, bracketed
+from .servers.nats import LOOPBACK, USERS, NatsAccess, bracketed
 from .servers.ports import must_be_free
 from .servers.postgres import USER, Postgres
 
@@ -113,10 +113,11 @@ class Centre:
     def _password(self, server: str, name: str) -> str:
         return self.secret(f"{server}-{name}", 24).hex()
 
-    def nats_url(self, user: str) -> str:
-        """Where a process connects to NATS."""
+    def nats(self, user: str) -> NatsAccess:
+        """Where a process connects to NATS, and how that proves to be the centre's. Raises `UserError`."""
         host = LOOPBACK if is_loopback(self.settings.nats_host) else bracketed(self.settings.nats_host)
-        return f"nats://{user}:{self._password('nats', user)}@{host}:{self.settings.nats_port}"
+        url = f"tls://{user}:{self._password('nats', user)}@{host}:{self.settings.nats_port}"
+        return NatsAccess(url, self.authority_pem, self.settings.host)
 
     @property
     def postgres(self) -> Postgres:

@@ -24,13 +24,13 @@ def _admission(centre: Centre) -> Work:
 def _ingest(centre: Centre) -> Work:
     from .ingest.process import serve
 
-    return serve(centre.nats_url("ingest"), centre.dsn("ingest"))
+    return serve(centre.nats("ingest"), centre.dsn("ingest"))
 
 
 def _alarms(centre: Centre) -> Work:
     from .alarms.process import serve
 
-    return serve(centre.nats_url("alarms"), centre.dsn("alarms"))
+    return serve(centre.nats("alarms"), centre.dsn("alarms"))
 
 
 def _maintenance(centre: Centre) -> Work:
@@ -46,7 +46,7 @@ def _web(centre: Centre) -> Work:
     return serve(
         WebSettings(
             centre.dsn("web"),
-            centre.nats_url("web"),
+            centre.nats("web"),
             enrol_url=centre.enrol_url,
             fingerprint=fingerprint_of(centre.authority_pem),
             host=settings.web_listen,

@@ -22,4 +22,6 @@ def reason_of(error: Exception) -> str:
         return f"its certificate is not accepted: {error.verify_message.rstrip('.')}"
     if isinstance(error, ssl.SSLError) and error.reason:
         return WORDS.get(error.reason) or f"TLS fails: {error.reason.lower().replace('_', ' ')}"
+    if isinstance(error, TimeoutError) and not str(error):
+        return "it does not answer in time"
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -200,8 +200,9 @@ async def _tell(centre: "Centre", keys: list[str]) -> bool:
     from fleet.bus import TELL_S, told
 
     with contextlib.suppress(OSError, TimeoutError, nats.errors.Error):
+        server = centre.nats("admission")
         client = await nats.connect(
-            centre.nats_url("admission"), name="command", connect_timeout=TELL_S, allow_reconnect=False, error_cb=_quiet
+            server.url, name="command", connect_timeout=TELL_S, allow_reconnect=False, error_cb=_quiet, **server.tls
         )
         is_told = await told(client, REVOKED, (json.dumps({"key": key}).encode() for key in keys))
         await client.close()

@@ -156,7 +156,7 @@ async def serve(centre: Centre, dsn: str) -> None:
 
 
 async def _joined(centre: Centre, name: str, stack: AsyncExitStack) -> Client:
-    client = await connected(centre.nats_url(name), name)
+    client = await connected(centre.nats(name), name)
     stack.push_async_callback(closed, client)
     return client
 

@@ -12,6 +12,7 @@ from nats.aio.msg import Msg
 
 from fleet.bus import closed, connected
 from fleet.database.refusals import reason_of
+from fleet.servers.nats import NatsAccess
 from shared.fleet.topics import ALARM, CHANGED
 
 from .judge import Row, judge
@@ -65,9 +66,9 @@ class Alarms:
         self._db = None
 
 
-async def serve(nats_url: str, dsn: str) -> None:
+async def serve(server: NatsAccess, dsn: str) -> None:
     """Work until cancelled."""
-    client = await connected(nats_url, "alarms")
+    client = await connected(server, "alarms")
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(_judge(client, Alarms(dsn)))

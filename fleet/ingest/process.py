@@ -12,6 +12,7 @@ from nats.aio.client import Client
 from nats.aio.msg import Msg
 
 from fleet.bus import closed, connected
+from fleet.servers.nats import NatsAccess
 from shared.fleet.receipts import MOST_BATCHES, Receipt, Refused, Stored
 from shared.fleet.topics import BATCH, CHANGED, RECEIPT, REVOKED, subject, vehicle_of
 
@@ -129,9 +130,9 @@ class Ingest:
                 await self._client.publish(subject(vehicle, RECEIPT), receipt.encode())
 
 
-async def serve(nats_url: str, dsn: str) -> None:
+async def serve(server: NatsAccess, dsn: str) -> None:
     """Run one ingest until cancelled; the connection to NATS comes back by itself."""
-    client = await connected(nats_url, "ingest")
+    client = await connected(server, "ingest")
     store = Store(dsn)
     try:
         await Ingest(client, store).run()

@@ -1,13 +1,15 @@
-"""A nats-server of our own: vehicles by MQTT over mutual TLS, the processes of the centre on loopback."""
+"""A nats-server of our own: vehicles by MQTT over mutual TLS, the processes of the centre by TLS with passwords."""
 
 import os
 import shutil
 import signal
+import ssl
 import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from shared.errors import UserError
 
@@ -42,6 +44,23 @@ class Certificates:
     authority: Path
 
 
+@dataclass(frozen=True)
+class NatsAccess:
+    """Where a server is, with the user and password of who connects, and how it proves to be the centre's."""
+
+    url: str
+    authority_pem: str | None = None  # certificate of the authority; None: a server without TLS
+    host: str | None = None  # of its certificate, whatever the address
+
+    @property
+    def tls(self) -> dict[str, Any]:
+        """Options of a connection. TLS comes first: the client believes a server that says it has none."""
+        if self.authority_pem is None:
+            return {}
+        context = ssl.create_default_context(cadata=self.authority_pem)
+        return {"tls": context, "tls_hostname": self.host, "tls_handshake_first": True}
+
+
 def program() -> str:
     """Find nats-server; raises `UserError` where there is none."""
     beside = Path(sys.executable).parent / "nats-server"
@@ -65,6 +84,12 @@ def configuration(
     return f"""# Written by `obu centre`; a change is lost at the next start.
 server_name: "centre"
 listen: "{bracketed(clients[0])}:{clients[1]}"
+tls {{
+  cert_file: "{certificates.certificate}"
+  key_file: "{certificates.key}"
+  handshake_first: true
+  timeout: 10
+}}
 max_payload: 131072
 max_connections: 50000
 write_deadline: "5s"
@@ -132,7 +157,7 @@ class Nats(Child):
             file.write(configuration_text)
         self._run([self._program, "-c", str(path)], {"GOGC": COLLECT_PERCENT, **os.environ})
         deadline = time.monotonic() + START_S
-        # That somebody answers is not enough: it may be another program, which must not be sent passwords.
+        # That somebody answers is not enough: it may be another program.
         while not all(is_of(self.pid, port) for port in (self.port, self.mqtt_port)):
             if not self.is_running or time.monotonic() > deadline:
                 self.stop()

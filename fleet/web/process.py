@@ -9,6 +9,7 @@ from nats.aio.client import Client
 
 from fleet.bus import closed, connected
 from fleet.centre import check_certificate
+from fleet.servers.nats import NatsAccess
 from fleet.serving import until_cancelled
 from services.monitoring.status.web.access.limits import Connections
 from services.monitoring.status.web.access.peer import place_of
@@ -40,7 +41,7 @@ class WebSettings:
     """Where the pages listen, and what they show."""
 
     dsn: str
-    nats_url: str
+    nats: NatsAccess
     enrol_url: str = ""  # address that `obu enrol` is given
     fingerprint: str = ""  # of the authority, a part of each token
     host: str = "127.0.0.1"
@@ -53,7 +54,7 @@ class WebSettings:
 
 async def serve(settings: WebSettings) -> None:
     """Serve until cancelled."""
-    client = await connected(settings.nats_url, "web")
+    client = await connected(settings.nats, "web")
     database = Database(settings.dsn)
     try:
         await until_cancelled(make(settings, database, client))

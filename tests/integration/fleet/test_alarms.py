@@ -21,6 +21,7 @@ from fleet.database.erasure import erase
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from fleet.ingest import process as ingest
 from fleet.ingest.store import Store
+from fleet.servers.nats import NatsAccess
 from shared.fleet.topics import ALARM
 from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit, genuine
@@ -181,7 +182,7 @@ def test_the_process_publishes_what_it_raises_and_outlives_its_connection_to_the
 
         client = await nats.connect(url)
         await client.subscribe(ALARM, cb=take)
-        task = asyncio.create_task(process.serve(url, alarms_dsn))
+        task = asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn))
         try:
             async with asyncio.timeout(20.0):
                 await asyncio.to_thread(on_time, unit, put, [UNSAFE] * 61)
@@ -221,11 +222,11 @@ def test_a_fleet_is_not_silent_while_no_ingest_works(
             return owner.execute("SELECT kind FROM alarm").fetchall()
 
     async def work(url: str) -> None:
-        tasks = [asyncio.create_task(process.serve(url, alarms_dsn))]
+        tasks = [asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn))]
         try:
             await asyncio.sleep(2.0)
             assert raised() == []
-            tasks.append(asyncio.create_task(ingest.serve(url, dsn)))
+            tasks.append(asyncio.create_task(ingest.serve(NatsAccess(url), dsn)))
             async with asyncio.timeout(20.0):
                 while raised() != [("silent",)]:
                     await asyncio.sleep(0.1)

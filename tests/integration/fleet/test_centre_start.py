@@ -4,6 +4,7 @@ import asyncio
 import os
 import pwd
 import socket
+import ssl
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,7 @@ from fleet.bus import connected
 from fleet.centre import Centre
 from fleet.database.refusals import unusable
 from fleet.servers.logs import BoundedLog
-from fleet.servers.nats import Nats
+from fleet.servers.nats import Nats, NatsAccess
 from fleet.servers.ports import is_of
 from fleet.servers.postgres import Postgres, name_of
 from fleet.up import LONGEST_AGAIN_S, Pauses, alone, check_rights, warn_if_away
@@ -252,8 +253,8 @@ def test_who_does_not_reach_nats_says_where_and_why(
         await tell(TimeoutError())
 
     monkeypatch.setattr(nats, "connect", unreachable)
-    asyncio.run(connected("nats://alarms:secret@centre.example:4222", "alarms"))
-    assert caplog.messages == ["NATS at centre.example:4222: TimeoutError"]
+    asyncio.run(connected(NatsAccess("tls://alarms:secret@centre.example:4222"), "alarms"))
+    assert caplog.messages == ["NATS at centre.example:4222: it does not answer in time"]
 
 
 def test_a_server_that_stays_away_is_told_once_a_minute_and_another_reason_at_once(
@@ -270,9 +271,9 @@ def test_a_server_that_stays_away_is_told_once_a_minute_and_another_reason_at_on
         await options["error_cb"](TimeoutError())
 
     monkeypatch.setattr(nats, "connect", away)
-    asyncio.run(connected("nats://alarms:secret@centre.example:4222", "alarms"))
+    asyncio.run(connected(NatsAccess("tls://alarms:secret@centre.example:4222"), "alarms"))
     place = "NATS at centre.example:4222"
-    assert caplog.messages == [f"{place}: refused", f"{place}: refused", f"{place}: TimeoutError"]
+    assert caplog.messages == [f"{place}: refused", f"{place}: refused", f"{place}: it does not answer in time"]
 
 
 def test_a_start_says_that_nats_elsewhere_does_not_answer(
@@ -290,7 +291,44 @@ def test_a_start_says_that_nats_elsewhere_does_not_answer(
 @pytest.mark.parametrize("host", ["localhost", "::1"])
 def test_processes_connect_to_the_address_that_nats_of_this_machine_listens_at(tmp_path: Path, host: str) -> None:
     (tmp_path / "centre.toml").write_text(f'nats_host = "{host}"\n')
-    assert Centre(tmp_path).nats_url("web").endswith("@127.0.0.1:4222")
+    Authority(tmp_path / "authority")
+    assert Centre(tmp_path).nats("web").url.endswith("@127.0.0.1:4222")
+
+
+@pytest.mark.parametrize("proof", ["none", "another authority"])
+def test_who_took_the_port_of_nats_is_told_no_password(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, proof: str
+) -> None:
+    Authority(tmp_path / "authority")
+    heard = b""
+
+    async def impostor(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal heard
+        writer.write(b'INFO {"server_id":"NX","version":"2.10.4","max_payload":1048576,"proto":1}\r\n')
+        while data := await reader.read(4096):
+            heard += data
+        writer.close()
+
+    async def meet() -> None:
+        context = None
+        if proof != "none":
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(*Authority(tmp_path / "other").server(["localhost"]))
+        stranger = await asyncio.start_server(impostor, "127.0.0.1", 0, ssl=context)
+        port = stranger.sockets[0].getsockname()[1]
+        (tmp_path / "centre.toml").write_text(f"nats_port = {port}\n")
+        joining = asyncio.create_task(connected(Centre(tmp_path).nats("alarms"), "alarms"))
+        while not caplog.messages:
+            await asyncio.sleep(0.01)
+        joining.cancel()
+        stranger.close()
+
+    asyncio.run(meet())
+    assert b"CONNECT" not in heard and Centre(tmp_path).passwords["alarms"].encode() not in heard
+    assert not heard or heard[:2] == b"\x16\x03", "the first bytes are those of a TLS handshake"
+    # What came before the server's part of a handshake may be lost: it is not known then what it was.
+    whys = ("does not speak TLS", "does not answer") if proof == "none" else ("its certificate is not accepted",)
+    assert any(why in caplog.messages[0] for why in whys)
 
 
 def test_a_part_that_ends_at_once_waits_longer_each_time_and_says_its_reason_once(

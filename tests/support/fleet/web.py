@@ -18,7 +18,7 @@ from nats.aio.client import Client
 from cli.demo.local import free_port
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from fleet.ingest.process import serve as take_batches
-from fleet.servers.nats import program
+from fleet.servers.nats import NatsAccess, program
 from fleet.web.access.passwords import hashed
 from fleet.web.process import WebSettings, serve
 from shared.errors import UserError
@@ -151,14 +151,19 @@ def web(dsn: str, nats_url: str, *, ingest: bool = True, **more: Any) -> Iterato
     let_in(dsn, passwords)
     as_process = {name: dsn_of_process(dsn, name, password) for name, password in passwords.items()}
     settings = WebSettings(
-        as_process["web"], nats_url, enrol_url="https://centre.example:8444", fingerprint=FINGERPRINT, port=port, **more
+        as_process["web"],
+        NatsAccess(nats_url),
+        enrol_url="https://centre.example:8444",
+        fingerprint=FINGERPRINT,
+        port=port,
+        **more,
     )
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
     tasks = [asyncio.run_coroutine_threadsafe(serve(settings), loop)]
     if ingest:
-        tasks.append(asyncio.run_coroutine_threadsafe(take_batches(nats_url, as_process["ingest"]), loop))
+        tasks.append(asyncio.run_coroutine_threadsafe(take_batches(NatsAccess(nats_url), as_process["ingest"]), loop))
     client = asyncio.run_coroutine_threadsafe(nats.connect(nats_url), loop).result(HANGS_S)
     running = RunningWeb(f"http://127.0.0.1:{port}", dsn, loop, client)
     try:

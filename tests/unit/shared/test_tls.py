@@ -74,7 +74,7 @@ def test_what_openssl_says_otherwise_is_told_without_its_source() -> None:
     error.reason = "NO_SHARED_CIPHER"
     assert reason_of(error) == "TLS fails: no shared cipher"
     assert reason_of(ConnectionRefusedError(111, "Connection refused")) == "Connection refused"
-    assert reason_of(TimeoutError()) == "TimeoutError"
+    assert reason_of(TimeoutError()) == "it does not answer in time"
 
 
 @pytest.mark.parametrize(("vehicle", "end"), [("car-7", " --name car-7"), (None, ""), ("", "")])

@@ -13,6 +13,7 @@ import pytest
 from websockets.sync.client import connect
 
 from fleet.bus import closed, connected, told
+from fleet.servers.nats import NatsAccess
 from fleet.web import enrolment, vehicles
 from fleet.web.vehicles import TRAIL_POINTS, TRAIL_REPORTS, columns_of
 from shared.fleet.batch import MOST_REPORTS
@@ -286,7 +287,7 @@ def test_a_revocation_that_could_not_be_told_holds_and_the_answer_says_so(
 def test_a_server_that_is_away_is_not_taken_for_told() -> None:
     async def work() -> None:
         with bus() as url:
-            client = await connected(url, "test")
+            client = await connected(NatsAccess(url), "test")
             assert await told(client, REVOKED, [b"{}"])
         eventually_s = time.monotonic() + HANGS_S
         while client.is_connected:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import ssl
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +16,41 @@ from fleet.admission.authority import Authority as OwnAuthority
 from fleet.centre import EXAMPLE, Centre, Settings
 from fleet.database.roles import let_in
 from fleet.processes import work_of
+from fleet.servers.nats import Nats
+from fleet.up import nats_configuration
 from shared.errors import UserError
 from tests.support.dashboard.tile_files import write_pmtiles
 from tests.support.data import REPOSITORY
 from tests.support.fleet.certificates import Authority
-from tests.support.fleet.web import PASSWORD, bus, tenant
+from tests.support.fleet.database import missing
+from tests.support.fleet.web import PASSWORD, tenant
+from tests.support.patience import HANGS_S
 
 HOW_TO = REPOSITORY / "docs/how-to/run-a-control-centre.md"
 
 
 def centre_with(folder: Path, dsn: str = "", **settings: object) -> Centre:
     folder.mkdir(exist_ok=True)
-    lines = [f"{name} = {value!r}\n" for name, value in {"database": dsn, **settings}.items()]
+    given = {"database": dsn, "nats_port": free_port(), "mqtt_port": free_port(), **settings}
+    lines = [f"{name} = {value!r}\n" for name, value in given.items()]
     (folder / "centre.toml").write_text("".join(lines))
     centre = Centre(folder)
     OwnAuthority(centre.authority)
     return centre
+
+
+@contextlib.contextmanager
+def nats_of(centre: Centre) -> Iterator[None]:
+    """Run the NATS of a centre."""
+    try:
+        nats = Nats(centre.folder / "nats", centre.settings.nats_port, centre.settings.mqtt_port)
+    except UserError:
+        missing("nats-server")
+    nats.start(nats_configuration(centre, nats.folder))
+    try:
+        yield
+    finally:
+        nats.stop()
 
 
 def test_the_file_that_is_made_and_the_how_to_name_every_setting_with_its_default() -> None:
@@ -46,12 +65,12 @@ def test_the_pages_answer_by_https_to_the_names_of_the_settings_and_show_the_map
     pem, certificate, key = Authority().write(tmp_path / "files", "127.0.0.1")
     write_pmtiles(tmp_path / "region.pmtiles", 48.1, 11.5)
     tenant(dsn)
-    with bus() as url:
-        port = free_port()
-        centre = centre_with(
-            tmp_path / "centre", dsn, web_port=port, web_names=["fleet.example"], web_certificate=str(certificate),
-            web_key=str(key), map_file=str(tmp_path / "region.pmtiles"), nats_port=int(url.rpartition(":")[2]),
-        )  # fmt: skip
+    port = free_port()
+    centre = centre_with(
+        tmp_path / "centre", dsn, web_port=port, web_names=["fleet.example"], web_certificate=str(certificate),
+        web_key=str(key), map_file=str(tmp_path / "region.pmtiles"),
+    )  # fmt: skip
+    with nats_of(centre):
         assert centre.web_url == f"https://127.0.0.1:{port}"
         let_in(dsn, centre.database_passwords)
 
@@ -98,13 +117,12 @@ def test_a_certificate_that_cannot_be_used_names_its_settings(tmp_path: Path, ce
     Authority().write(tmp_path, "127.0.0.1")
     (tmp_path / "other.key").write_text(Authority().certified("127.0.0.1")[0])
     (tmp_path / "empty").write_text("")
-    with bus() as url:
-        centre = centre_with(
-            tmp_path / "centre", "host=127.0.0.1 port=1", web_port=free_port(), nats_port=int(url.rpartition(":")[2]),
-            web_certificate=str(tmp_path / certificate), web_key=str(tmp_path / key),
-        )  # fmt: skip
-        with pytest.raises(UserError, match="web_certificate and web_key"):
-            asyncio.run(asyncio.wait_for(_run(centre), 20.0))
+    centre = centre_with(
+        tmp_path / "centre", "host=127.0.0.1 port=1", web_port=free_port(),
+        web_certificate=str(tmp_path / certificate), web_key=str(tmp_path / key),
+    )  # fmt: skip
+    with nats_of(centre), pytest.raises(UserError, match="web_certificate and web_key"):
+        asyncio.run(asyncio.wait_for(_run(centre), HANGS_S))
 
 
 async def _run(centre: Centre) -> None:
