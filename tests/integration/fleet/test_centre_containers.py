@@ -93,7 +93,7 @@ def unit() -> Unit:
 @pytest.fixture(scope="module")
 def identity(centre: Composed, unit: Unit, tmp_path_factory: pytest.TempPathFactory) -> UplinkIdentity:
     eventually(centre.is_ready, within_s=60)
-    *_, url, token = centre.centre("token", "--vehicle", "car-1").split()
+    _, _, url, token, *_ = centre.centre("token", "--vehicle", "car-1").split()  # obu enrol URL TOKEN --vehicle NAME
     return enrol(url, token, "car-1", tmp_path_factory.mktemp("car"), unit.signer)
 
 
