@@ -120,7 +120,8 @@ def encode(batch: Batch) -> bytes:
 def decode(data: bytes) -> Batch:
     """Read a batch of anybody; raises `BadBatch`."""
     try:
-        content = decoded(unpacked(data, "zlib", MOST_UNPACKED))
+        # It is signed as it was compressed, for which there are many forms as well: another form is another batch.
+        content = decoded(unpacked(data, "zlib", MOST_UNPACKED), canonical=False)
     except (BadPack, BadCbor) as error:
         raise BadBatch(str(error)) from error
     match content:

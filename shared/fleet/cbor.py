@@ -1,6 +1,7 @@
 """CBOR (RFC 8949) of this protocol: arrays, maps, numbers, bytes and text in canonical form; no tags."""
 
 from collections.abc import Callable, Mapping
+from io import BytesIO
 from typing import Any, cast
 
 import cbor2
@@ -26,18 +27,19 @@ def encoded(content: object) -> bytes:
     return cbor2.dumps(content, canonical=True)
 
 
-def decoded(data: bytes) -> object:
-    """Decode one item that fills the bytes; raises `BadCbor`."""
+def decoded(data: bytes, *, canonical: bool = True) -> object:
+    """Decode one item that fills the bytes, and has their one form if that matters; raises `BadCbor`."""
+    stream = BytesIO(data)
     try:
-        content: object = cbor2.loads(
-            data,
+        content: object = cbor2.CBORDecoder(
+            stream,
             semantic_decoders=_DECODERS,
             tag_hook=_refused,
             max_depth=MOST_DEPTH,
             allow_indefinite=False,
             allow_duplicate_keys=False,
-        )
-        whole = encoded(content) == data
+        ).decode()
+        whole = encoded(content) == data if canonical else stream.tell() == len(data)
     except (cbor2.CBORError, ValueError, TypeError, OverflowError) as error:
         raise BadCbor(f"no CBOR of this protocol: {error}") from error
     if not whole:

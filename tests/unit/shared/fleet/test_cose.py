@@ -128,6 +128,14 @@ def test_tags_endless_items_double_keys_and_long_forms_are_no_cbor_of_this_proto
         decoded(bytes.fromhex(text))
 
 
+def test_where_the_form_does_not_matter_one_item_still_fills_the_bytes() -> None:
+    long_form = bytes.fromhex("8218011801")
+    assert decoded(long_form, canonical=False) == [1, 1]
+    for data in (long_form + b"\x00", long_form[:-1], bytes.fromhex("9f01ff"), bytes.fromhex("a201020103")):
+        with pytest.raises(BadCbor):
+            decoded(data, canonical=False)
+
+
 def test_signed_by_a_unit_it_verifies_with_its_key_and_external_data_alone() -> None:
     signer, other = FileSigner(bytes(32)), FileSigner(b"1" * 32)
     read = read_sign1(sign1(b"content", signer, b"name", b"car-1"))
