@@ -23,6 +23,7 @@ from .servers.postgres import USER, Postgres
 FILE = "centre.toml"
 MOST_BYTES = 65_536
 SECRETS, OWNER_PASSFILE = "secrets", "database-owner.pgpass"  # of libpq, where `prepare` has made it
+OWN_NAME = "localhost"  # in each certificate of the servers: `host` may be changed while they have one for another
 NAME = r"^[A-Za-z0-9._:-]+$"  # or address
 EXAMPLE = """# A control centre; see docs/how-to/run-a-control-centre.md. What is not given has the value shown.
 # host = "127.0.0.1"          # name or address by which vehicles reach this centre
@@ -117,7 +118,7 @@ class Centre:
         """Where a process connects to NATS, and how that proves to be the centre's. Raises `UserError`."""
         host = LOOPBACK if is_loopback(self.settings.nats_host) else bracketed(self.settings.nats_host)
         url = f"tls://{user}:{self._password('nats', user)}@{host}:{self.settings.nats_port}"
-        return NatsAccess(url, self.authority_pem, self.settings.host)
+        return NatsAccess(url, self.authority_pem, OWN_NAME)
 
     @property
     def postgres(self) -> Postgres:
@@ -162,7 +163,7 @@ class Centre:
     @property
     def names(self) -> tuple[str, ...]:
         """Names that the certificate of the servers is for."""
-        return tuple(dict.fromkeys((self.settings.host, *self.settings.web_names, "localhost", "127.0.0.1")))
+        return tuple(dict.fromkeys((self.settings.host, *self.settings.web_names, OWN_NAME, LOOPBACK)))
 
     @property
     def web_certificate(self) -> tuple[Path, Path] | None:

@@ -21,6 +21,7 @@ VEHICLE_DAYS, SERVER_DAYS, AUTHORITY_DAYS = 30, 365, 3650
 SERVER_AGAIN_DAYS = 30  # before its end, when a server's certificate is made anew
 CLOCK_SKEW = timedelta(days=1)  # a vehicle's clock may be slow by so much
 MOST_REQUEST_BYTES = 8192
+MOST_COMMON_NAME = 64  # characters (RFC 5280); clients look at the alternative names
 UNREADABLE = (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion)  # of a certificate of anybody
 AUTHORITY, AUTHORITY_KEY, SERVER, SERVER_KEY = "ca.pem", "ca.key", "server.pem", "server.key"
 
@@ -106,7 +107,7 @@ class Authority:
         now = datetime.now(UTC)
         begin, end = now - CLOCK_SKEW, now + timedelta(days=SERVER_DAYS)
         built = (
-            _builder(_name(names[0]), self._certificate.subject, key.public_key(), begin, end)
+            _builder(_name(names[0][:MOST_COMMON_NAME]), self._certificate.subject, key.public_key(), begin, end)
             .add_extension(x509.SubjectAlternativeName([_general(name) for name in names]), critical=False)
             .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
             .sign(self._key, hashes.SHA256())
@@ -152,13 +153,14 @@ def _builder(
 
 
 def _serves(path: Path, names: Sequence[str]) -> bool:
-    """Whether a server's certificate is for these names and does not end soon."""
+    """Whether a server's certificate is for these names, has begun, as the clock is now, and does not end soon."""
     try:
         found = x509.load_pem_x509_certificate(path.read_bytes())
         there = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except (OSError, ValueError, x509.ExtensionNotFound):
         return False
-    lasts = found.not_valid_after_utc > datetime.now(UTC) + timedelta(days=SERVER_AGAIN_DAYS)
+    now = datetime.now(UTC)
+    lasts = found.not_valid_before_utc <= now < found.not_valid_after_utc - timedelta(days=SERVER_AGAIN_DAYS)
     return lasts and set(there) == {_general(name) for name in names}
 
 

@@ -1,7 +1,6 @@
 """Enrols vehicles and renews their certificates: what a request must prove, and what the database remembers."""
 
 import hashlib
-import secrets
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 
@@ -13,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from fleet.database.retention import RENEW_AFTER_END
 from fleet.database.revoking import LOCK_VEHICLE
 from shared.evidence.statement import KEY, PUBLIC_KEY, is_genuine
-from shared.fleet.enrolling import STATEMENT, fingerprint_of, renewal_text, request_digest
+from shared.fleet.enrolling import STATEMENT, fingerprint_of, new_secret, renewal_text, request_digest
 from shared.fleet.topics import VEHICLE
 
 from .authority import Authority, Certified, name_in
@@ -55,7 +54,7 @@ def make_token(
     ).fetchone()
     if owner is not None:  # its enrolment would be refused
         raise Refusal(f"the vehicle {vehicle} belongs to the tenant {owner[0]}; name that one, or another vehicle")
-    secret = secrets.token_urlsafe(24)
+    secret = new_secret()
     expires = datetime.now(UTC) + timedelta(hours=hours)
     db.execute(
         "INSERT INTO enrolment (token_hash, tenant_id, vehicle, made_by, expires) VALUES (%s, %s, %s, %s, %s)",

@@ -172,6 +172,10 @@ async def _renew_certificate(server: uvicorn.Server, authority: Authority, centr
     """Make the certificate of the servers anew near its end; NATS is told by who has started it."""
     while True:
         await asyncio.sleep(RENEW_PERIOD_S)
-        files = await asyncio.to_thread(authority.server, centre.names)
-        if server.config.ssl is not None:
-            server.config.ssl.load_cert_chain(*files)  # for connections from now on
+        try:
+            files = await asyncio.to_thread(authority.server, centre.names)
+            if server.config.ssl is not None:
+                server.config.ssl.load_cert_chain(*files)  # for connections from now on
+        except (OSError, ValueError) as error:  # such as a full disk; ssl.SSLError is an OSError
+            log.error("the certificate of the servers is not made anew, tried again in %d h: %s",
+                      RENEW_PERIOD_S // 3600, error)  # fmt: skip

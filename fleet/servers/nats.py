@@ -165,6 +165,6 @@ class Nats(Child):
             time.sleep(0.05)
 
     def reload(self) -> None:
-        """Read configuration and certificates anew; connections stay."""
+        """Read configuration and certificates anew; vehicles, whom the callout has admitted, connect again."""
         if self._process is not None:
             self._process.send_signal(signal.SIGHUP)

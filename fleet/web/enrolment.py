@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-import secrets
 from typing import Annotated
 
 from fastapi import FastAPI, HTTPException, Query, Request, Response
@@ -13,7 +12,7 @@ from pydantic import Field
 from fleet.bus import told
 from fleet.database.revoking import END_TOKEN, END_TOKENS, LOCK_VEHICLE, REVOKE
 from services.monitoring.status.web.body import json_response
-from shared.fleet.enrolling import command_for
+from shared.fleet.enrolling import command_for, new_secret
 from shared.fleet.topics import REVOKED, VEHICLE
 
 from .access.guard import visitor_of
@@ -98,7 +97,7 @@ class EnrolmentApi:
         visitor, given = visitor_of(request), await read(request, NewToken)
         if given.vehicle and not VEHICLE.fullmatch(given.vehicle):
             raise HTTPException(422, "a vehicle's name has letters, digits, - and _, at most 48; change it")
-        secret = secrets.token_urlsafe(24)
+        secret = new_secret()
         values = hashlib.sha256(secret.encode()).digest(), visitor.tenant_id, given.vehicle or None, visitor.name
         async with self._database.tenant(visitor.tenant_id) as cursor:
             await cursor.execute(ADD, (*values, given.hours))

@@ -1,5 +1,6 @@
 """Serves the centre's pages: one process, which reads the database and listens to the centre's bus."""
 
+import asyncio
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from services.monitoring.status.web.access.limits import Connections
 from services.monitoring.status.web.access.peer import place_of
 from services.monitoring.status.web.map.map import InstalledMap
 from services.monitoring.status.web.routes import make_server
+from shared.errors import UserError
 
 from .access.accounts import AccountsApi
 from .access.attempts import Attempts
@@ -34,6 +36,7 @@ from .watch.gate import WatchGate
 log = logging.getLogger(__name__)
 
 CONNECTIONS, PER_ADDRESS = 600, 64  # of browsers
+READ_PERIOD_S = 12 * 3600.0  # of reading the certificate again: it is replaced while this process runs
 
 
 @dataclass(frozen=True)
@@ -56,9 +59,12 @@ async def serve(settings: WebSettings) -> None:
     """Serve until cancelled."""
     client = await connected(settings.nats, "web")
     database = Database(settings.dsn)
+    server = make(settings, database, client)
+    reading = asyncio.create_task(_read_again(server, settings.certificate))
     try:
-        await until_cancelled(make(settings, database, client))
+        await until_cancelled(server)
     finally:
+        reading.cancel()
         await database.close()
         await closed(client)
 
@@ -88,3 +94,15 @@ def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.S
         check_certificate(*settings.certificate)
         server.config.ssl_certfile, server.config.ssl_keyfile = map(str, settings.certificate)
     return server
+
+
+async def _read_again(server: uvicorn.Server, certificate: tuple[Path, Path] | None) -> None:
+    """Read the certificate of the pages again, for connections from then on; one that cannot be used is left."""
+    while certificate is not None:
+        await asyncio.sleep(READ_PERIOD_S)
+        try:
+            await asyncio.to_thread(check_certificate, *certificate)
+            if server.config.ssl is not None:
+                server.config.ssl.load_cert_chain(*certificate, password="")
+        except (UserError, OSError) as error:
+            log.error("the pages keep the certificate that they have: %s", error)

@@ -8,6 +8,7 @@ a vehicle that was parked for a winter could not come back.
 import hashlib
 import http.client
 import json
+import secrets
 import ssl
 import time
 from pathlib import Path
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 STATEMENT = "uplink enrolment"
 RENEWAL = b"obu renewal 1\n"
+SECRET_BYTES = 24  # of a token
 FINGERPRINT_BYTES = 16  # of the SHA-256 of the authority's certificate (DER)
 TIMEOUT_S = 15.0
 MOST_ANSWER_BYTES = 65_536
@@ -98,6 +100,11 @@ def renew(identity: UplinkIdentity, signer: Signer, utc_ms: int | None = None) -
             "the centre, and run `obu enrol URL TOKEN` again for another name"
         )
     return _written(identity.folder, answer, key, signer.key_id)
+
+
+def new_secret() -> str:
+    """Make the secret of a token, in letters and digits: a command line takes what begins with - for an option."""
+    return secrets.token_hex(SECRET_BYTES)
 
 
 def command_for(url: str, token: str, vehicle: str | None) -> str:

@@ -16,7 +16,7 @@ from collections import Counter, deque
 from typing import cast
 
 import paho.mqtt.client as mqtt
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -35,6 +35,9 @@ MOST_WAITING = 64  # messages that are not taken yet
 MOST_BYTES = 65_536  # of a message from the centre
 MOST_PACKET_BYTES = 2 * MOST_BYTES  # that are read at all: a packet of MQTT may state 256 MB
 MOST_READS = 16  # in one turn
+# What a centre sends: CONNACK, PUBLISH of QoS 0 (retained too), SUBACK, PINGRESP. Of others the client keeps messages,
+# and answers that it owes, without bound.
+PACKETS = frozenset((0x20, 0x30, 0x31, 0x90, 0xD0))
 FIXED_BYTES = 4  # header and lengths of a PUBLISH
 
 
@@ -63,6 +66,11 @@ class TlsClient(mqtt.Client):
         if bufsize > MOST_PACKET_BYTES:  # the rest of a packet
             raise OSError(f"a message of {bufsize} bytes")
         return super()._sock_recv(bufsize)
+
+    def _packet_handle(self) -> MQTTErrorCode:
+        if self._in_packet["command"] not in PACKETS:
+            return MQTTErrorCode.MQTT_ERR_PROTOCOL
+        return super()._packet_handle()
 
 
 class Link:

@@ -3,16 +3,21 @@
 import asyncio
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
+from errno import ENOSPC
 from pathlib import Path
 from unittest.mock import Mock
 
 import httpx
 import psycopg
 import pytest
+import uvicorn
+from cryptography import x509
 
+from fleet.admission import authority as authorities
+from fleet.admission import process as admission
 from fleet.admission.authority import Authority
 from fleet.admission.enrolment import MOST_RENEWALS, Enrolment, Refusal
 from fleet.admission.limits import FREE
@@ -40,7 +45,6 @@ def enrolled(folder: Path, to: Path, vehicle: str, seed: bytes) -> UplinkIdentit
 
 def aged(folder: Path, identity: UplinkIdentity, days: float) -> None:
     """Replace the certificate of a vehicle by one of the same key that was made days ago."""
-    from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509.oid import NameOID
@@ -303,6 +307,55 @@ def test_the_certificate_of_the_servers_is_made_anew_near_its_end_and_for_other_
     assert {path.name: oct(path.stat().st_mode & 0o777) for path in tmp_path.iterdir() if path.suffix == ".key"} == {
         "ca.key": "0o400", "server.key": "0o400",
     }  # fmt: skip
+
+
+def test_a_certificate_of_a_clock_that_was_ahead_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    authority = Authority(tmp_path)
+    with monkeypatch.context() as ahead:
+        ahead.setattr(authorities, "datetime", Ahead)
+        certificate, _ = authority.server(["127.0.0.1"])
+    assert x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_before_utc > datetime.now(UTC)
+    authority.server(["127.0.0.1"])
+    assert x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_before_utc < datetime.now(UTC)
+
+
+class Ahead(datetime):
+    """A clock that is wrong by four hundred days."""
+
+    @classmethod
+    def now(cls, tz: tzinfo | None = None) -> "Ahead":
+        return cls.fromtimestamp(time.time() + 400 * 86_400, tz)
+
+
+def test_the_servers_have_a_certificate_for_any_name_that_the_settings_take(tmp_path: Path) -> None:
+    host = f"{'a' * 60}.centre.example"
+    certificate, _ = Authority(tmp_path).server([host, "localhost"])
+    names = x509.load_pem_x509_certificate(certificate.read_bytes()).extensions.get_extension_for_class(
+        x509.SubjectAlternativeName
+    )
+    assert names.value.get_values_for_type(x509.DNSName) == [host, "localhost"]
+
+
+def test_a_renewal_of_the_servers_certificate_that_fails_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(admission, "RENEW_PERIOD_S", 0.01)
+    asked: list[int] = []
+
+    class Full(Authority):
+        def server(self, names: Sequence[str]) -> tuple[Path, Path]:
+            asked.append(len(names))
+            raise OSError(ENOSPC, "No space left on device")
+
+    async def work() -> None:
+        server = uvicorn.Server(uvicorn.Config(app=lambda: None))
+        task = asyncio.create_task(admission._renew_certificate(server, Full(tmp_path / "ca"), Centre(tmp_path)))
+        async with asyncio.timeout(HANGS_S):
+            while len(asked) < 2:
+                await asyncio.sleep(0.01)
+        task.cancel()
+
+    asyncio.run(work())
 
 
 def test_no_renewal_slips_past_a_revocation(folder: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """What a start of a centre refuses, in seconds and in one sentence, and what is bounded while it runs."""
 
 import asyncio
+import contextlib
 import os
 import pwd
 import socket
@@ -293,6 +294,23 @@ def test_processes_connect_to_the_address_that_nats_of_this_machine_listens_at(t
     (tmp_path / "centre.toml").write_text(f'nats_host = "{host}"\n')
     Authority(tmp_path / "authority")
     assert Centre(tmp_path).nats("web").url.endswith("@127.0.0.1:4222")
+
+
+def test_another_host_in_the_settings_keeps_no_process_from_nats_before_a_restart(tmp_path: Path) -> None:
+    certificate, key = Authority(Centre(tmp_path).authority).server(Centre(tmp_path).names)
+    (tmp_path / "centre.toml").write_text('host = "centre.example"\n')
+    access = Centre(tmp_path).nats("ingest")
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server.load_cert_chain(certificate, key)
+    theirs, ours = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = (
+        access.tls["tls"].wrap_bio(theirs, ours, server_hostname=access.tls["tls_hostname"]),
+        server.wrap_bio(ours, theirs, server_side=True),
+    )
+    for end in ends * 3:
+        with contextlib.suppress(ssl.SSLWantReadError):
+            end.do_handshake()
+    assert ends[0].version() is not None
 
 
 @pytest.mark.parametrize("proof", ["none", "another authority"])

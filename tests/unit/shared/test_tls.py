@@ -1,6 +1,7 @@
 """A server of another kind is named in words, and not by lines of OpenSSL's source."""
 
 import contextlib
+import secrets
 import socket
 import ssl
 import threading
@@ -12,7 +13,7 @@ import pytest
 from fleet.admission.authority import Authority
 from shared.errors import UserError
 from shared.evidence.signer import FileSigner
-from shared.fleet.enrolling import command_for, enrol
+from shared.fleet.enrolling import command_for, enrol, new_secret
 from shared.tls import reason_of
 from tests.support.patience import HANGS_S
 
@@ -82,3 +83,9 @@ def test_the_command_of_a_token_names_the_vehicle_that_it_is_for(vehicle: str | 
     assert command_for("https://centre.example:8444", TOKEN, vehicle) == (
         f"obu enrol https://centre.example:8444 {TOKEN}{end}"
     )
+
+
+def test_no_token_is_an_option_of_a_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(secrets, "token_bytes", lambda size: b"\xfb" * size)
+    assert secrets.token_urlsafe(24).startswith("-")  # as a token once was made
+    assert new_secret().isalnum()

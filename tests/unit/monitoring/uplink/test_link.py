@@ -21,3 +21,31 @@ def test_a_packet_that_states_more_than_is_ever_sent_ends_the_connection(length:
     assert (client.socket() is None) == ends
     theirs.close()
     ours.close()
+
+
+# What the centre has no reason to send: the client keeps messages of QoS 2 and answers that it owes without bound.
+@pytest.mark.parametrize(
+    ("packet", "ends"),
+    [
+        (b"\x34\x07\x00\x03a/b\x00\x01", True),
+        (b"\x32\x07\x00\x03a/b\x00\x01", True),
+        (b"\xc0\x00", True),
+        (b"\x62\x02\x00\x01", True),
+        (b"\x30\x05\x00\x03a/b", False),
+        (b"\x31\x05\x00\x03a/b", False),
+        (b"\xd0\x00", False),
+    ],
+    ids=["QoS 2", "QoS 1", "PINGREQ", "PUBREL", "QoS 0", "retained", "PINGRESP"],
+)
+def test_a_packet_that_this_protocol_does_not_have_ends_the_connection(packet: bytes, ends: bool) -> None:
+    client = TlsClient(ssl.create_default_context(), "car")
+    ours, theirs = socket.socketpair()
+    ours.setblocking(False)
+    client._sock = ours
+    theirs.sendall(packet)
+    for _ in range(3):
+        client.loop_read()
+    assert (client.socket() is None) == ends
+    assert not client._in_messages
+    theirs.close()
+    ours.close()
