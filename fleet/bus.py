@@ -21,6 +21,7 @@ TELL_S = 3  # in which a server that works answers
 
 async def connected(server: NatsAccess, name: str) -> Client:
     """Connect, as often as it takes; a connection that is lost comes back by itself."""
+    logging.getLogger("asyncio").addFilter(_is_of_use)
     said, said_s = "", 0.0
 
     async def tell(error: Exception) -> None:
@@ -36,6 +37,11 @@ async def connected(server: NatsAccess, name: str) -> Client:
         server.url, name=name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True,
         error_cb=tell, **server.tls,
     )  # fmt: skip
+
+
+def _is_of_use(record: logging.LogRecord) -> bool:
+    """Of each connection by TLS that ends, asyncio says how the library's stream is written."""
+    return "eof_received() has no effect" not in record.msg
 
 
 async def closed(client: Client) -> None:
