@@ -41,7 +41,7 @@ def test_the_driver_requests_the_speed_with_the_configured_period() -> None:
     started_s = time.monotonic()
     with can.Bus("ask", "virtual") as far, running(Process(Config(device="virtual://ask", obd_period_s=0.1)).run):
         while len(requests) < 4:
-            frame = far.recv(3.0)
+            frame = far.recv(HANGS_S)
             assert frame is not None, "no request was transmitted"
             requests.append((frame.arbitration_id, bytes(frame.data)))
         assert time.monotonic() - started_s >= 0.3

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.bus.bus import Bus
+from shared.bus.bus import HUNG_S, Bus
 from shared.devices.device import open_device
 from shared.devices.driver import Link, run_driver
 from shared.messages.imu import ImuRaw
@@ -79,7 +79,7 @@ def test_the_loss_and_return_of_a_device_are_logged_once_each(tmp_path: Path, ca
         far = plug(tmp_path)
         eventually(lambda: _says(far, b"here", bus))
         assert bus.last_error is None
-        assert bus.longest_gap_s < 0.2
+        assert bus.longest_gap_s < HUNG_S, "the process would end itself"
     os.close(far)
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
     assert bus.rejects["device_lost"] == 0
