@@ -169,13 +169,15 @@ def account_add(
         row = db.execute(
             "INSERT INTO account AS old (tenant_id, name, password, role) VALUES (%s, %s, %s, coalesce(%s, %s)) "
             "ON CONFLICT (name) DO UPDATE SET password = excluded.password, role = coalesce(%s, old.role), "
-            "disabled = NULL WHERE old.tenant_id = excluded.tenant_id RETURNING account_id, role",
+            "disabled = NULL WHERE old.tenant_id = excluded.tenant_id RETURNING account_id, role, xmax = 0",
             (owner, name, hashed(password), given, Role.VIEWER.value, given),
         ).fetchone()
         if row is None:
-            raise UserError(f"the name {name} belongs to an account of another tenant; choose another one")
+            raise UserError(
+                f"the name {name} belongs to an account of another tenant; name that by --tenant, or give another name"
+            )
         db.execute("DELETE FROM session WHERE account_id = %s", row[:1])
-        note(db, owner, "added an account", None, name=name, role=row[1])
+        note(db, owner, "added an account" if row[2] else "gave an account a password", None, name=name, role=row[1])
     print(f"account {name} of {tenant} with the role {row[1]} logs in at {centre.web_url}")
     if not password_stdin:
         print(f"password, shown this once: {password}")

@@ -42,8 +42,10 @@ class Child:
         self._process = None
 
     def cause(self) -> str:
-        """Why it has ended, by its log."""
+        """Why it has ended: by its log, unless it had no time to say so."""
         code = None if self._process is None else self._process.poll()
+        if code == -signal.SIGKILL:
+            return "it was killed"
         return f"{self.log.cause()} ({how_ended(code)})"
 
     def _run(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:

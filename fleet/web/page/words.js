@@ -21,7 +21,7 @@ export const w = {
     viewer: "sees the map, vehicles with their tracks, and alarms",
     operator: "besides, acknowledges alarms and watches vehicles",
     toll: "sees passages of toll plazas, and neither positions nor tracks",
-    admin: "all of these; besides, enrols and revokes vehicles, manages accounts, reads the audit",
+    admin: "all of these; besides, enrols and revokes vehicles, manages accounts, sets the web hook, reads the audit",
   },
   ago: (age) => `${age} ago`,
   never: "never",

@@ -250,7 +250,7 @@ def test_accounts_and_tenants_by_commands(folder: Path) -> None:
     web = Centre(folder).web_url
     log_in = {"name": "nora", "password": password}
     assert httpx.post(f"{web}/api/login", json=log_in, headers={"X-OBU-CSRF": "login"}).status_code == 200
-    assert "another tenant" in obu("centre", "account", "add", "nora", folder=folder).stderr
+    assert "another tenant; name that by --tenant" in obu("centre", "account", "add", "nora", folder=folder).stderr
     weak = obu("centre", "account", "add", "otto", "--password-stdin", folder=folder, given="short\n")
     assert "12 to 200 characters" in weak.stderr
     assert obu("centre", "account", "disable", "nora", folder=folder).returncode == 0
@@ -266,8 +266,8 @@ def test_another_password_leaves_an_account_its_role(folder: Path) -> None:
 
     assert role() == "viewer"
     assert [role("--role", "admin"), role(), role("--role", "toll"), role()] == ["admin", "admin", "toll", "toll"]
-    noted = rows(folder, "SELECT detail->>'role' FROM audit WHERE detail->>'name' = 'erna' ORDER BY at DESC LIMIT 1")
-    assert noted == [("toll",)]
+    noted = rows(folder, "SELECT action, detail->>'role' FROM audit WHERE detail->>'name' = 'erna' ORDER BY at")
+    assert [noted[0], noted[-1]] == [("added an account", "viewer"), ("gave an account a password", "toll")]
 
 
 def test_no_token_is_made_for_a_vehicle_of_another_tenant(folder: Path, tmp_path: Path) -> None:

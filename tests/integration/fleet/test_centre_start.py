@@ -23,12 +23,14 @@ from fleet.admission.authority import Authority
 from fleet.bus import connected
 from fleet.centre import Centre
 from fleet.database.refusals import unusable
+from fleet.servers.children import Child
 from fleet.servers.logs import BoundedLog
 from fleet.servers.nats import Nats, NatsAccess
 from fleet.servers.ports import is_of
 from fleet.servers.postgres import Postgres, name_of
 from fleet.up import LONGEST_AGAIN_S, Pauses, alone, check_rights, warn_if_away
 from shared.errors import UserError
+from tests.support.dashboard.status_server import eventually
 from tests.support.data import REPOSITORY
 from tests.support.fleet.running_centre import PORTS
 from tests.support.fleet.vehicle_link import obu, rows
@@ -347,6 +349,22 @@ def test_who_took_the_port_of_nats_is_told_no_password(
     # What came before the server's part of a handshake may be lost: it is not known then what it was.
     whys = ("does not speak TLS", "does not answer") if proof == "none" else ("its certificate is not accepted",)
     assert any(why in caplog.messages[0] for why in whys)
+
+
+@pytest.mark.parametrize(
+    ("end", "cause"), [("kill -9 $$", "it was killed"), ("exit 3", "the database is full (exit code 3)")]
+)
+def test_a_part_that_was_killed_is_not_said_to_have_ended_by_its_last_line(
+    tmp_path: Path, end: str, cause: str
+) -> None:
+    class Part(Child):
+        def start(self) -> None:
+            self._run(["sh", "-c", f"echo the database is full; {end}"])
+
+    part = Part(tmp_path / "log")
+    part.start()
+    eventually(lambda: not part.is_running)
+    assert part.cause() == cause
 
 
 def test_a_part_that_ends_at_once_waits_longer_each_time_and_says_its_reason_once(
