@@ -78,7 +78,7 @@ def test_a_request_is_transmitted_with_its_identifier(identifier: int, extended:
     device = open_can("virtual://requests", identifier, time.monotonic_ns)
     with can.Bus("requests", "virtual") as far:
         device.write(REQUEST)
-        frame = far.recv(1.0)
+        frame = far.recv(HANGS_S)
     assert frame is not None
     assert (frame.arbitration_id, frame.is_extended_id, bytes(frame.data)) == (identifier, extended, REQUEST)
     device.close()
@@ -222,11 +222,11 @@ def test_an_answer_of_several_frames_is_let_on_only_after_a_request(answer: int,
         assert len(read_lines(device, 1)) == 1
         assert far.recv(0.02) is None  # nothing is transmitted unasked
         device.write(REQUEST)
-        assert far.recv(0.5) is not None
+        assert far.recv(HANGS_S) is not None
         far.send(other)
         far.send(first)
         assert len(read_lines(device, 2)) == 2
-        flow = far.recv(0.5)
+        flow = far.recv(HANGS_S)
         assert flow is not None and far.recv(0.02) is None
     device.close()
     assert (flow.arbitration_id, flow.is_extended_id, flow.data[0]) == (target, extended, 0x30)
