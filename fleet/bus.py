@@ -4,6 +4,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Iterable
+from typing import Any
 
 import nats
 from nats.aio.client import Client
@@ -19,9 +20,14 @@ SAY_AGAIN_S = 60.0  # a server that is away would fill the log with two lines a 
 TELL_S = 3  # in which a server that works answers
 
 
+async def connect(server: NatsAccess, name: str, **options: Any) -> Client:
+    """Connect with options of the library, by TLS where the server has it."""
+    logging.getLogger("asyncio").addFilter(_is_of_use)
+    return await nats.connect(server.url, name=name, **server.tls, **options)
+
+
 async def connected(server: NatsAccess, name: str) -> Client:
     """Connect, as often as it takes; a connection that is lost comes back by itself."""
-    logging.getLogger("asyncio").addFilter(_is_of_use)
     said, said_s = "", 0.0
 
     async def tell(error: Exception) -> None:
@@ -33,10 +39,9 @@ async def connected(server: NatsAccess, name: str) -> Client:
         said, said_s = text, now_s
         log.warning("NATS at %s: %s", server.url.rpartition("@")[2], text)
 
-    return await nats.connect(
-        server.url, name=name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True,
-        error_cb=tell, **server.tls,
-    )  # fmt: skip
+    return await connect(
+        server, name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True, error_cb=tell
+    )
 
 
 def _is_of_use(record: logging.LogRecord) -> bool:

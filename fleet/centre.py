@@ -16,14 +16,13 @@ from shared.errors import UserError
 
 from .admission.authority import AUTHORITY, SERVER, SERVER_KEY
 from .database.roles import ROLES, dsn_of_process
-from .servers.nats import LOOPBACK, USERS, NatsAccess, bracketed
+from .servers.nats import LOOPBACK, OWN_NAME, USERS, NatsAccess, bracketed
 from .servers.ports import must_be_free
 from .servers.postgres import USER, Postgres
 
 FILE = "centre.toml"
 MOST_BYTES = 65_536
 SECRETS, OWNER_PASSFILE = "secrets", "database-owner.pgpass"  # of libpq, where `prepare` has made it
-OWN_NAME = "localhost"  # in each certificate of the servers: `host` may be changed while they have one for another
 NAME = r"^[A-Za-z0-9._:-]+$"  # or address
 EXAMPLE = """# A control centre; see docs/how-to/run-a-control-centre.md. What is not given has the value shown.
 # host = "127.0.0.1"          # name or address by which vehicles reach this centre
@@ -118,7 +117,7 @@ class Centre:
         """Where a process connects to NATS, and how that proves to be the centre's. Raises `UserError`."""
         host = LOOPBACK if is_loopback(self.settings.nats_host) else bracketed(self.settings.nats_host)
         url = f"tls://{user}:{self._password('nats', user)}@{host}:{self.settings.nats_port}"
-        return NatsAccess(url, self.authority_pem, OWN_NAME)
+        return NatsAccess(url, self.authority_pem)
 
     @property
     def postgres(self) -> Postgres:

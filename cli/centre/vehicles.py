@@ -197,12 +197,11 @@ async def _tell(centre: "Centre", keys: list[str]) -> bool:
     """Tell the processes of a centre which keys are revoked."""
     import nats
 
-    from fleet.bus import TELL_S, told
+    from fleet.bus import TELL_S, connect, told
 
     with contextlib.suppress(OSError, TimeoutError, nats.errors.Error):
-        server = centre.nats("admission")
-        client = await nats.connect(
-            server.url, name="command", connect_timeout=TELL_S, allow_reconnect=False, error_cb=_quiet, **server.tls
+        client = await connect(
+            centre.nats("admission"), "command", connect_timeout=TELL_S, allow_reconnect=False, error_cb=_quiet
         )
         is_told = await told(client, REVOKED, (json.dumps({"key": key}).encode() for key in keys))
         await client.close()

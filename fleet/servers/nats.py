@@ -17,6 +17,7 @@ from .children import Child
 from .ports import is_of
 
 START_S = 20.0
+OWN_NAME = "localhost"  # in each certificate of the servers, whatever the address and the other names are
 LOOPBACK, EVERYWHERE = "127.0.0.1", ("0.0.0.0", "::")
 COLLECT_PERCENT = "20"  # growth of its heap after which it collects: most of it is idle connections
 INSTALL = (
@@ -50,7 +51,6 @@ class NatsAccess:
 
     url: str
     authority_pem: str | None = None  # certificate of the authority; None: a server without TLS
-    host: str | None = None  # of its certificate, whatever the address
 
     @property
     def tls(self) -> dict[str, Any]:
@@ -58,7 +58,7 @@ class NatsAccess:
         if self.authority_pem is None:
             return {}
         context = ssl.create_default_context(cadata=self.authority_pem)
-        return {"tls": context, "tls_hostname": self.host, "tls_handshake_first": True}
+        return {"tls": context, "tls_hostname": OWN_NAME, "tls_handshake_first": True}
 
 
 def program() -> str:
