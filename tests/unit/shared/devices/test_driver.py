@@ -2,6 +2,7 @@ import contextlib
 import logging
 import os
 import pty
+import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
@@ -71,7 +72,16 @@ def test_writes_to_an_absent_device_are_counted() -> None:
     assert bus.rejects["write_lost"] == 1
 
 
-def test_the_loss_and_return_of_a_device_are_logged_once_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_loss_and_return_of_a_device_are_logged_once_each(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept_s, sleep = list[float](), time.sleep
+
+    def wait(wait_s: float) -> None:
+        slept_s.append(wait_s)
+        sleep(wait_s)
+
+    monkeypatch.setattr(time, "sleep", wait)
     url = f"serial://{tmp_path / 'device'}"
     with caplog.at_level(logging.INFO), running(driving(url)) as bus:
         eventually(lambda: bus.last_error is not None)
@@ -80,6 +90,7 @@ def test_the_loss_and_return_of_a_device_are_logged_once_each(tmp_path: Path, ca
         eventually(lambda: _says(far, b"here", bus))
         assert bus.last_error is None
         assert bus.longest_gap_s < HUNG_S, "the process would end itself"
+        assert max(slept_s) < 0.2, "it looks at the bus also while the device is away"
     os.close(far)
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
     assert bus.rejects["device_lost"] == 0
