@@ -28,7 +28,15 @@ LARGEST = 150_000  # bytes
 LIMIT_MS = 120_000  # for a screenshot, in software and on a busy machine
 WIDE: ViewportSize = {"width": 1360, "height": 850}
 PHONE: ViewportSize = {"width": 390, "height": 844}
-UNKNOWN = ("", "STARTING", "INITIALISING", "NO FIX", "NO DATA", "NO CONNECTION", "BROKER LOST")  # words of the banner
+UNKNOWN = (
+    "",
+    "STARTING",
+    "INITIALISING",
+    "NO POSITION",
+    "NO DATA",
+    "NO CONNECTION",
+    "BROKER LOST",
+)  # words of the banner
 MORE = ("now", "map")  # pages that are shown dark and on a phone as well
 EARLIER = ("20260921T141320Z_demo.mcap", 120.0)  # a drive of this length [s] for the page Recordings
 DEMOS = (  # arguments, the topic that is waited for, the pages
@@ -109,7 +117,7 @@ def photograph(browser: Browser, base: str, names: tuple[str, ...]) -> None:
 
 
 def wait_for_verdict(page: Page) -> None:
-    """Wait until the position is known: a machine that was too busy for a moment shows NO FIX."""
+    """Wait until the position is known: a machine that was too busy for a moment shows NO POSITION."""
     word = page.locator(".banner .word")
     while word.inner_text() in UNKNOWN:
         page.wait_for_timeout(500)

@@ -171,11 +171,11 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "estimates position, velocity and attitude with their covariance",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "trust/state", "gnss/fault_free_fix", "mode/state",
+            "navigation/filter_state", "trust/state", "gnss/fault_free_fix", "mode/state", "health/load",
         ),
         produces=(
             "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding",
-            "navigation/set_up", "trust/hypotheses",
+            "navigation/set_up", "trust/hypotheses", "health/load",
         ),
     ),
     ProcessRow(
@@ -189,7 +189,7 @@ PROCESSES = (
         "core.spoofing", Kind.STANDING, "compares GNSS, inertial sensors and wheels over 5 s to 5 minutes",
         consumes=(
             "imu/sample", "gnss/fix", "vehicle/speed", "vehicle/wheel_speed", "navigation/solution",
-            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state", "mode/state",
+            "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state", "mode/state", "health/load",
         ),
         produces=("trust/monitor", "trust/grade"),
         pause_s=0.1,
@@ -206,7 +206,10 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
-        consumes=("trust/monitor", "trust/hypotheses", "navigation/solution", "navigation/state", "trust/state"),
+        consumes=(
+            "trust/monitor", "trust/hypotheses", "navigation/solution", "navigation/state", "trust/state",
+            "health/load",
+        ),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(

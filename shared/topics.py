@@ -45,6 +45,7 @@ from .messages.operation import (
     Origin,
     Outage,
     ProcessHealth,
+    ProcessLoad,
     RecordingState,
 )
 from .messages.power import PowerEvent, PowerRaw, PowerState
@@ -114,6 +115,11 @@ class Topic:
     def per_process(self) -> bool:
         """Whether every process produces it, with its own name as the last level of the topic."""
         return self.name.endswith("/+")
+
+    @cached_property
+    def is_covered(self) -> bool:
+        """Whether the pattern of a topic of all processes covers this one too, so that one filter finds both."""
+        return not self.per_process and f"{self.name.split('/')[0]}/+" in BY_NAME
 
     @cached_property
     def producers(self) -> tuple[str, ...]:
@@ -239,6 +245,8 @@ TOPICS = (
     Topic("simulation/roads", RoadNetwork, "the roads of the simulated world, for a map", qos=1, retain=True),
     Topic("truth/state", TruthState, "true position of the simulated vehicle",
           rate_hz=10.0, silent_after_s=5.0, fast=True),
+    Topic("health/load", ProcessLoad, "how far core.fusion is behind its inputs, and which work is paused for it",
+          qos=1, retain=True),
     Topic("health/+", ProcessHealth, "start, heartbeat, disconnect and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("consumed/+", Consumed, "the order in which a process consumed its messages",

@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from shared.maths import earth, rotation
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
-from shared.messages.operation import DeadlineReport, ProcessHealth, ProcessState, TopicAge
+from shared.messages.operation import DeadlineReport, ProcessHealth, ProcessLoad, ProcessState, TopicAge
 from shared.messages.simulation import SimulationState
 from shared.messages.trust import TrustLevel, TrustState
 from shared.runtime.config import VehicleFile
@@ -24,6 +24,9 @@ from .detection import NS, AttackSummary, seconds_in_states, summarise
 T = TypeVar("T")
 FloatArray = npt.NDArray[np.float64]
 WITHOUT_FIX_S = 10.0  # at the end of a run that is healthy; a receiver sends a fix a second
+LATE_S = 1.0  # median delay of solutions from which a computer is too slow
+MISSING_SHARE = 0.1  # of a run without a position, from which it is not usable
+PAUSED_SHARE = 0.25  # of a run with paused checks, from which the computer is too slow
 KEPT = 36_000  # the last hour of what comes ten times a second
 
 
@@ -61,7 +64,19 @@ class Summary:
     without_fix_s: float | None  # at the end, since the last GNSS fix with a position; None without any
     trust: dict[str, float]  # seconds in each state
     safe_above_alert_limit_s: float  # time in which the verdict was SAFE and the error above the alert limit
+    checks_paused_s: float  # time in which checks were paused because the computer was too slow
     attacks: tuple[AttackSummary, ...]
+
+    @property
+    def too_slow(self) -> bool:
+        """Whether this computer could not run the unit."""
+        late = self.end_to_end_latency_p50_ms is not None and self.end_to_end_latency_p50_ms > LATE_S * 1e3
+        return late or self.checks_paused_s > PAUSED_SHARE * self.duration_s
+
+    @property
+    def position_missing(self) -> bool:
+        """Whether the position was lost for a large part of the run."""
+        return self.trust.get("no_fix", 0.0) > MISSING_SHARE * self.duration_s
 
 
 class Balance:
@@ -82,13 +97,13 @@ class Balance:
         self._first_ns = self._last_ns = 0
         self._fixed_ns: int | None = None  # arrival of the last fix with a position
         self._solved = False
+        self._paused_since_ns: int | None = None
+        self._paused_ns = 0
         self.messages = self.broken_messages = 0
 
     def add(self, topic: str, message: Message, received_ns: int) -> None:
         """Take one message as it arrived."""
-        self._solved |= isinstance(message, NavigationSolution)
-        if isinstance(message, GnssFix) and _fix_position(message) is not None:
-            self._fixed_ns = received_ns
+        self._note(message, received_ns)
         match message:
             case TruthState() if self._keep:
                 _keep(self._truth, message)
@@ -113,6 +128,20 @@ class Balance:
             case _:
                 pass
 
+    def _note(self, message: Message, received_ns: int) -> None:
+        """Note what even a run whose messages are not kept is judged by."""
+        self._solved |= isinstance(message, NavigationSolution)
+        if isinstance(message, GnssFix) and _fix_position(message) is not None:
+            self._fixed_ns = received_ns
+        if isinstance(message, ProcessLoad):
+            self._follow_load(message)
+
+    def _follow_load(self, load: ProcessLoad) -> None:
+        """Add up the time in which work was paused."""
+        if self._paused_since_ns is not None:
+            self._paused_ns += load.sampled_ns - self._paused_since_ns
+        self._paused_since_ns = load.sampled_ns if load.paused else None
+
     def summary(self, alive: int, expected: int, restarts: int) -> Summary:
         """Add everything up."""
         judged = [s for s in self._solutions if self._knows(s.sampled_ns)]
@@ -126,7 +155,7 @@ class Balance:
         worst = max(dated, key=lambda t: t.age_s or 0.0, default=None)
         without_fix_s = None if self._fixed_ns is None else max((self._last_ns - self._fixed_ns) * 1e-9, 0.0)
         located = self._solved and without_fix_s is not None and without_fix_s <= WITHOUT_FIX_S
-        return Summary(
+        summary = Summary(
             healthy=alive == expected and len(ready) >= expected - 1 and located,
             duration_s=round((self._last_ns - self._first_ns) * 1e-9, 1),
             processes_alive=alive,
@@ -154,8 +183,10 @@ class Balance:
             without_fix_s=None if without_fix_s is None else round(without_fix_s, 1),
             trust=seconds_in_states(self._verdicts),
             safe_above_alert_limit_s=self._misleading_s([s.sampled_ns for s in judged], fusion),
+            checks_paused_s=round(self._paused_ns * 1e-9, 1),
             attacks=summarise(runs, self._verdicts, self._begin_ns or self._first_ns),
         )
+        return replace(summary, healthy=summary.healthy and not summary.too_slow and not summary.position_missing)
 
     def _same_epochs(self, fixes: list[tuple[int, tuple[float, float, float]]]) -> tuple[FloatArray, FloatArray]:
         """Errors of fixes and of the solution at their times [m, NED], where both are known, shape (n, 3) each.

@@ -46,8 +46,9 @@ from .words import lines
 
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
 OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw",
-            "trust/state", "simulation/state")  # fmt: skip
+            "trust/state", "simulation/state", "health/load")  # fmt: skip
 START_LIMIT_S = 60.0
+NOT_USABLE = "not usable"
 LINK_S = 3600.0  # in which a link may log in
 
 
@@ -137,7 +138,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     address = f"http://127.0.0.1:{http_port}"
     observed = OBSERVED if options.role is Role.OBU else plaza_balance.OBSERVED
     bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
-              [t for t in TOPICS if t.name in observed], folder, observer=True)  # fmt: skip
+              [t for t in TOPICS if t.name in observed and not t.is_covered], folder, observer=True)  # fmt: skip
     balance: Balance | PlazaBalance = PlazaBalance()
     if options.role is Role.OBU:
         balance = Balance(vehicle, keep=options.duration_s is not None)
@@ -236,12 +237,31 @@ def _how_to_listen(bus: Bus) -> str:
 
 
 def why_unhealthy(summary: Summary | PlazaSummary) -> str:
+    """Say why a run counts as failed, and what to do."""
     if summary.processes_alive < summary.processes_expected:
         return (
             f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
         )
     if isinstance(summary, PlazaSummary):
         return "no passage was charged: the first one takes about 30 s; try --duration 60"
+    return why_not_usable(summary) or _without_position(summary)
+
+
+def why_not_usable(summary: Summary) -> str | None:
+    """Say why the positions of a run could not be used although all processes ran; None if they could."""
+    missing = f"no position for {summary.trust.get('no_fix', 0.0):.0f} of {summary.duration_s:.0f} s"
+    if summary.too_slow:
+        return (
+            f"{NOT_USABLE}: this computer is too slow: {missing}, checks paused for {summary.checks_paused_s:.0f} s, "
+            f"positions {(summary.end_to_end_latency_p50_ms or 0.0) / 1e3:.1f} s late at the median; end other "
+            "programs, or use a faster computer"
+        )
+    return (
+        f"{NOT_USABLE}: {missing}; the page System shows which input was missing" if summary.position_missing else None
+    )
+
+
+def _without_position(summary: Summary) -> str:
     if summary.solutions and summary.without_fix_s is None:
         return "no GNSS fix with a position was received: check the receiver and its antenna"
     if summary.without_fix_s is not None and summary.without_fix_s > WITHOUT_FIX_S:
@@ -260,7 +280,8 @@ def _detection(attack: AttackSummary) -> str:
 
 def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Console) -> None:
     if not summary.healthy:
-        console.print(f"not healthy: {why_unhealthy(summary)}", soft_wrap=True, highlight=False)
+        why = why_unhealthy(summary)
+        console.print(why if why.startswith(NOT_USABLE) else f"not healthy: {why}", soft_wrap=True, highlight=False)
     if options.json_output:
         print(json.dumps(asdict(summary)))
         return

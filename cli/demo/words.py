@@ -34,7 +34,11 @@ def _shares(value: object) -> str:
 def _verdicts(value: object) -> str:
     """Seconds in each state; those that did not occur are left out."""
     assert isinstance(value, Mapping)
-    said = [f"{str(state).upper().replace('_', ' ')} {seconds:g} s" for state, seconds in value.items() if seconds]
+    said = [
+        f"{str(state).replace('no_fix', 'no_position').upper().replace('_', ' ')} {seconds:g} s"
+        for state, seconds in value.items()
+        if seconds
+    ]
     return ", ".join(said) or "none was published"
 
 
@@ -71,6 +75,7 @@ FIELDS: Mapping[str, tuple[str, Shown]] = {
     "without_fix_s": ("since the last GNSS fix with a position", _seconds),
     "trust": ("verdicts", _verdicts),
     "safe_above_alert_limit_s": ("SAFE with an error above the alert limit", _seconds),
+    "checks_paused_s": ("checks paused, because the computer was too slow", _seconds),
     "passages": ("passages", str),
     "passages_equipped": ("of vehicles that send CAM", str),
     "passages_registered": ("of registered vehicles", str),

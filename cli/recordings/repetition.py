@@ -17,6 +17,7 @@ from shared.runtime.live import Reactor, handled
 from shared.topics import topic_of
 
 PATIENCE_NS = 5_000_000_000  # QoS 1 may overtake QoS 0 on the way to the recorder by less than this
+LATEST_JOURNAL_NS = 55_000_000_000  # after a message, while inputs that a journal may name are still kept
 
 Key = tuple[str, str, int, int]  # topic, producer, incarnation, sequence
 Output = tuple[str, bytes]  # topic, and payload without sender
@@ -98,10 +99,17 @@ class Repetition:
         if self.reason:
             return
         self._feed(now_ns, last=last)
-        while self._recorded and not self.reason and (last or self._recorded[0][1] <= now_ns - 2 * PATIENCE_NS):
+        while self._recorded and not self.reason and (last or self._is_due(now_ns)):
             self._compare()
         if last and not self.reason and len(self._rebuilt) > self._gap:
             self._differs(f"{len(self._rebuilt)} additional messages, first {self._rebuilt[0][0]}")
+
+    def _is_due(self, now_ns: int) -> bool:
+        """Whether the inputs of the oldest message are known: a process that is behind publishes its journal late."""
+        published_ns = self._recorded[0][1]
+        if published_ns > now_ns - 2 * PATIENCE_NS:
+            return False
+        return published_ns + PATIENCE_NS <= self._journal_ns or published_ns <= now_ns - LATEST_JOURNAL_NS
 
     def _feed(self, now_ns: int, *, last: bool) -> None:
         while self._runs:

@@ -174,7 +174,9 @@ class Bus:
         if fast == self._followed:
             return
         # A filter that ends in # finds the topic itself as well, and Mosquitto serves it after those of processes.
-        followed = {f"{self._prefix}{t.name}/#": t.qos for t in TOPICS if not t.fast or t.name in fast}
+        followed = {
+            f"{self._prefix}{t.name}/#": t.qos for t in TOPICS if not t.is_covered and (not t.fast or t.name in fast)
+        }
         if self._hears_broker:
             followed[BROKER_LOG] = 0
         self._followed = fast

@@ -101,6 +101,29 @@ class ProcessState(StrEnum):
         return self in (ProcessState.DISCONNECTED, ProcessState.LOST)
 
 
+class Work(StrEnum):
+    """Work that a unit pauses while its computer is too slow, in the order in which it is paused.
+
+    The position comes first: it is computed as long as anything is.
+    """
+
+    HYPOTHESES = "hypotheses"  # solutions that leave sensors out
+    INERTIAL_WINDOWS = "inertial_windows"  # comparison of GNSS with inertial sensors over 5 s to 5 minutes
+    INNOVATIONS = "innovations"  # of each measurement, for charts
+    PAGES = "pages"  # frames a second for browsers
+    SOLUTIONS = "solutions"  # solutions a second
+
+
+class ProcessLoad(Message):
+    """How far a process is behind its inputs, and what is paused until it has caught up."""
+
+    sampled_ns: Nanoseconds
+    process: Name
+    lag_s: Seconds  # from the arrival of an input at its driver to its use
+    paused: Annotated[tuple[Work, ...], Field(max_length=16)] = ()
+    skipped: Count = 0  # inputs that were too old, since the start of the process
+
+
 class Carried(Message):
     """What one fast topic has carried from or to a process since its start."""
 

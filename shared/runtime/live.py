@@ -20,10 +20,11 @@ from ..bus.bus import QUEUE_LENGTH, Bus, Envelope, decoded
 from ..errors import BadPayload
 from ..faults import Faults
 from ..kinds import Kinds
+from ..load import Load
 from ..maths.dates import is_plausible
 from ..messages.base import Message, RawBytes, Stamped, Tick
 from ..messages.imu import ImuSamples
-from ..messages.operation import Consumed
+from ..messages.operation import Consumed, ProcessLoad
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .config import Section, VehicleFile, broker_address, state_dir
@@ -162,6 +163,7 @@ class LiveReactor:
         self._served = 0.0
         self._faulty: Counter[str] = Counter()
         self._faults = Faults(self._faulty)
+        self._load = Load(bus.process) if BY_MESSAGE[ProcessLoad] in publications(bus.process) else None
 
     def run(self) -> None:
         """Receive, feed, publish, until `bus.stopping`."""
@@ -174,6 +176,9 @@ class LiveReactor:
             self._receive(0.0 if self._inbox else min(self._until_tick_s(), SERVE_S))
             for _ in range(len(self._inbox)):  # what arrives meanwhile comes behind the tick
                 self._consume(self._inbox.popleft())
+                if self._load is not None:  # whose lag is measured between two ticks
+                    self._tick()
+                self._publish_journal()
             self._tick()
             self._publish_journal()
         closing = getattr(self._process, "close", None)
@@ -206,10 +211,28 @@ class LiveReactor:
         if (stamp_ns := arrival_ns(message)) is not None and not is_plausible(stamp_ns):
             self._bus.rejects["stamp"] += 1
             return
+        if self._load is not None and stamp_ns is not None and self._is_skipped(self._load, message, stamp_ns):
+            return
         self._publish(self._handled(message))  # first, for the latency
         self._journal.add(envelope)
         self._count_rejects()
         self._serve()
+
+    def _is_skipped(self, load: Load, message: Message, stamp_ns: int) -> bool:
+        """Measure the lag by inertial samples, publish and use what follows from it; whether the message is too old."""
+        if isinstance(message, ImuSamples) and (told := load.see(stamp_ns)) is not None:
+            self._bus.publish(told)
+            self._journal.add(self._own(told))
+            self._publish(self._handled(told))
+        if not load.skips(stamp_ns):
+            return False
+        self._bus.rejects["input too old"] = load.skipped
+        return True
+
+    def _own(self, message: Message) -> Envelope:
+        """Envelope of the message that this process has just published, for its journal."""
+        name = codec.topic_name(message)
+        return Envelope(name, b"", 0, self._bus.process, self._bus.incarnation, self._bus.sequence)
 
     def _tick(self) -> None:
         now_ns = self._bus.now_ns()
@@ -218,6 +241,8 @@ class LiveReactor:
         tick = Tick(now_ns=now_ns // TICK_NS * TICK_NS)
         self._next_tick_ns = tick.now_ns + TICK_NS
         self._journal.add_tick(tick)
+        if self._load is not None:
+            self._load.tick(tick.now_ns)
         self._publish(self._handled(tick))
 
     def _publish(self, messages: Iterable[Message]) -> None:
@@ -241,9 +266,7 @@ class LiveReactor:
                 log.warning("ignored the saved %s: %s", topic.name, error)
                 continue
             self._bus.publish(message)
-            self._journal.add(
-                Envelope(topic.name, b"", 0, self._bus.process, self._bus.incarnation, self._bus.sequence)
-            )
+            self._journal.add(self._own(message))
             self._publish(self._handled(message))
 
     def _handled(self, message: Message) -> Iterator[Message]:

@@ -279,7 +279,7 @@ def test_a_paused_page_stands_as_it_was_without_ageing_and_catches_up_on_resumin
         keep_picture(page, "paused")
         assert faults(page) == []
         page.get_by_role("button", name="Resume").click()
-        expect(page.locator(".banner .word")).to_have_text("NO FIX")
+        expect(page.locator(".banner .word")).to_have_text("NO POSITION")
         expect(page.locator(".paused-badge")).to_have_count(0)
         expect(page.locator(".vehicle.old")).to_be_attached()
 

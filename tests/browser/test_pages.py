@@ -19,7 +19,7 @@ from tests.support.dashboard.status_server import Running, eventually
 PLAIN_FRAMES = "delete window.DecompressionStream"  # so that a test can change them
 WORDS: dict[str, str | re.Pattern[str]] = {
     "normal": "SAFE",
-    "stale": "NO FIX",
+    "stale": "NO POSITION",
     "alarm": "UNSAFE",
     "empty": re.compile("STARTING|NO DATA"),
 }  # the latter after two minutes

@@ -15,7 +15,7 @@ from shared.messages.navigation import (
     NavigationState,
     SetUpState,
 )
-from shared.messages.operation import ModeState
+from shared.messages.operation import ModeState, ProcessLoad, Work
 from shared.messages.trust import TrustHypotheses, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
@@ -28,6 +28,7 @@ from .settings import Settings
 from .without_imu import SILENT_NS, WithoutImu
 
 STATE_PERIOD_NS = 1_000_000_000
+PAUSED_PERIOD_NS = 250_000_000  # shortest period of solutions while Work.SOLUTIONS is paused
 In = (
     ModeState
     | ImuSamples
@@ -38,6 +39,7 @@ In = (
     | WheelSpeeds
     | TrustState
     | FaultFreeFix
+    | ProcessLoad
     | Tick
 )
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
@@ -67,6 +69,7 @@ class Process:
         self._imu: str | None = None  # source in use
         self._without_imu = WithoutImu(config)
         self._gnss_excluded = False  # as core.trust has decided
+        self._innovations_paused = False
 
     def handle(self, message: In) -> Iterator[Out]:
         """Handle one message; the clock is that of the inertial samples."""
@@ -85,10 +88,21 @@ class Process:
             case TrustState():
                 self._gnss_excluded = message.gnss_excluded
                 messages.use_trust_state(self._navigator, message)
+            case ProcessLoad():
+                self._follow_load(message)
             case FilterState() if self._imu is None:  # later states are of this process
                 self._saved = message
             case _:
                 self._aid(message)
+
+    def _follow_load(self, load: ProcessLoad) -> None:
+        """Pause work, or resume it, as the lag of this process demands."""
+        self._navigator.bank.pause(paused=Work.HYPOTHESES in load.paused)
+        paused_ns = PAUSED_PERIOD_NS if Work.SOLUTIONS in load.paused else 0
+        self._innovations_paused = Work.INNOVATIONS in load.paused
+        period_ns = max(round(self._navigator.settings.solution_period_s * 1e9), paused_ns)
+        if period_ns != self._solution_period_ns:
+            self._solution_period_ns, self._last_solution = period_ns, -1
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if not self._imus.takes(batch.source, batch.received_ns):
@@ -104,7 +118,9 @@ class Process:
             self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
             if due:  # before late measurements are used, which take longer
                 yield from self._solution(sampled_ns)
-            yield from map(messages.aiding_message, self._navigator.release(batch.received_ns))
+            outcomes = self._navigator.release(batch.received_ns)
+            if not self._innovations_paused:
+                yield from map(messages.aiding_message, outcomes)
             if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._state(sampled_ns)
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:

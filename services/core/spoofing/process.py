@@ -12,12 +12,13 @@ from pydantic import ValidationError, ValidationInfo, model_validator
 from shared.bounded import TooMuch, read_bytes
 from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.errors import ConfigError
+from shared.load import PAUSED
 from shared.maths.earth import Geodetic
 from shared.messages.base import Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingUpdate, FilterState, NavigationPhase, NavigationSolution
-from shared.messages.operation import ModeState
+from shared.messages.operation import ModeState, ProcessLoad, Work
 from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Table, VehicleFile, vehicle_in
@@ -31,11 +32,21 @@ from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
 from .profile import Origin, Profile
 from .settings import LongSettings, Settings
-from .statements import statement, statements
+from .statements import paused_statements, statement, statements
 from .windows.position_step import UNKNOWN_SD_M
 
 Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
-In = Measured | NavigationSolution | AidingUpdate | FilterState | LearnedGrade | TrustState | ModeState | Tick
+In = (
+    Measured
+    | NavigationSolution
+    | AidingUpdate
+    | FilterState
+    | LearnedGrade
+    | TrustState
+    | ModeState
+    | ProcessLoad
+    | Tick
+)
 Out = TrustMonitor | LearnedGrade
 PROFILE_BYTES = 5_000_000
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
@@ -161,6 +172,7 @@ class Process:
         self._imus, self._fixes = ChosenSource(imu_choice, SILENT_NS), ChosenSource(gnss_choice, SILENT_NS)
         self._solution: NavigationSolution | None = None  # newest with a heading
         self._imu, self._gnss = Rate(), Rate()
+        self._paused = False
         self._warning: str | None = None  # of a profile for another unit; None until it has been compared
 
     @property
@@ -170,6 +182,16 @@ class Process:
 
     def handle(self, message: In) -> Iterator[Out]:
         """Use a measurement or a solution; publish with each tick."""
+        if isinstance(message, ProcessLoad):
+            self._pause(paused=Work.INERTIAL_WINDOWS in message.paused)
+        elif not self._paused:
+            yield from self._use(message)
+        elif isinstance(message, Tick):
+            yield from paused_statements(message.now_ns, PAUSED)
+        else:
+            self._heed(message)
+
+    def _use(self, message: In) -> Iterator[Out]:
         match message:
             case ImuSamples() | GnssFix() | VehicleSpeed() | WheelSpeeds():
                 self._measure(message)
@@ -187,6 +209,14 @@ class Process:
                     self.rejects["filter state of another layout"] += 1
             case LearnedGrade() if not self._newest_ns:  # later ones are its own
                 self._adopt(message)
+            case Tick():
+                yield from self._evaluated(max(self._newest_ns, message.now_ns))
+            case _:
+                self._heed(message)
+
+    def _heed(self, message: In) -> None:
+        """Follow what other processes have decided."""
+        match message:
             case ModeState():
                 self._follow(message)
             case TrustState():
@@ -196,8 +226,14 @@ class Process:
                     in_conflict=message.suspect_since_ns is not None,
                 )  # fmt: skip
                 self.drift.quiet = message.suspect_since_ns is None
-            case Tick():
-                yield from self._evaluated(max(self._newest_ns, message.now_ns))
+            case _:
+                pass
+
+    def _pause(self, *, paused: bool) -> None:
+        """Leave out all measurements, or begin again with new windows."""
+        if self._paused and not paused:
+            self._restart_monitor()
+        self._paused = paused
 
     def _follow(self, mode: ModeState) -> None:
         """Use the sources that `controller.mode` has chosen."""

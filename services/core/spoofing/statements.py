@@ -1,6 +1,6 @@
 """Two statements of the verdicts: `inertial_short` of the tests over 5 s, `inertial_long` of 30 and 60 s."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
@@ -9,6 +9,7 @@ from .windows.metrics import Metric
 from .windows.position_step import NAME
 
 REASON_LENGTH = 400  # of a message
+MONITORS = "inertial_short", "inertial_long", "gyroscope", "drift"
 SHORT = (*(metric.value for metric in Metric), NAME)
 
 
@@ -22,6 +23,14 @@ def statements(
     if warning:
         warned = warned.model_copy(update={"reason": f"{warned.reason}; {warning}"[:REASON_LENGTH]})
     return warned, statement("inertial_long", long, time_ns)
+
+
+def paused_statements(time_ns: int, reason: str) -> Iterator[TrustMonitor]:
+    """Give the statements of all monitors of this process while nothing is evaluated."""
+    for monitor in MONITORS:
+        yield TrustMonitor(
+            sampled_ns=time_ns, monitor=monitor, outcome=MonitorOutcome.NOT_EVALUATED, reason=reason, accused=()
+        )
 
 
 def statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> TrustMonitor:

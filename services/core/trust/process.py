@@ -7,8 +7,10 @@ from math import hypot
 
 from pydantic import Field
 
+from shared.load import CHECKS
 from shared.messages.base import Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.operation import ProcessLoad
 from shared.messages.trust import (
     Belief,
     Hypothesis,
@@ -27,7 +29,7 @@ from .hypotheses.comparison import compared
 from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
 from .verdict import verdict
 
-In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | Tick
+In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | ProcessLoad | Tick
 Out = TrustState | TrustEvent
 MONITORS = frozenset(Monitor)
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
@@ -76,6 +78,7 @@ class Process:
         self._alike_since_ns: int | None = None  # since when solutions without both have shown that they are falsified
         self._beliefs = Beliefs()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
+        self._load: ProcessLoad | None = None  # of core.fusion
         self._published: TrustState | None = None
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
@@ -99,6 +102,9 @@ class Process:
                 if message.source == "core.fusion":
                     self._alternatives = message
                     self._statements[Monitor.HYPOTHESES] = compared(message)
+                return
+            case ProcessLoad():
+                self._load = message
                 return
             case TrustState():  # later ones are its own
                 self._saved = message if self._published is None else None
@@ -272,6 +278,7 @@ class Process:
             and state.odometer_age_s <= ODOMETER_SILENT_S,
             alternatives=self._newest_alternatives(),
             satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
+            checks_paused=self._load is not None and any(work in CHECKS for work in self._load.paused),
             limits=self._limits,
         )
 

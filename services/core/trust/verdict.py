@@ -9,7 +9,7 @@ row   condition                                                                 
 4     a hypothesis survives to whose solution the level does not reach                    UNSAFE
 5     no GNSS in the position: excluded and confirmed by fusion, or missing for too long  DEAD_RECKONING
 6     a hypothesis survives, a source is excluded, or a monitor doubts                    CAUTION
-7     no inertial unit, no independent check, or a required monitor is silent             CAUTION
+7     no inertial unit, no independent check, paused checks, or a silent monitor          CAUTION
 8     protection level above 0.8 of the alert limit                                       CAUTION
 9     otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from shared.load import PAUSED
 from shared.messages.trust import Hypothesis
 from shared.missing_sensors import NO_GNSS_YET, NO_INERTIAL_UNIT
 
@@ -53,6 +54,7 @@ class Verdict:
 
 
 Row = Callable[[Facts], str | None]
+CHECKS_PAUSED = f"checks are {PAUSED}"
 
 
 def _no_solution(facts: Facts) -> str | None:
@@ -241,6 +243,8 @@ def _not_checked(facts: Facts) -> str | None:
     found = []
     if facts.solution is not None and facts.solution.gnss_only:
         found.append(NO_INERTIAL_UNIT)
+    if facts.checks_paused:
+        found.append(CHECKS_PAUSED)
     if all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in checks):
         reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
         found.append(f"no independent check of the position is evaluated: {reasons}")
@@ -305,6 +309,8 @@ def findings(facts: Facts) -> tuple[str, ...]:
     if facts.odometer_excluded and ODOMETER not in accused:
         named.append("odometer is not used: it was suspected before")
     named += [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)]
+    if facts.checks_paused:
+        named.append(CHECKS_PAUSED)
     if facts.held is not None:
         named.append(f"the level holds: {facts.held}")
     missing = [

@@ -21,7 +21,17 @@ from shared.messages.navigation import (
     SetUpState,
     TruthState,
 )
-from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth, ProcessState
+from shared.messages.operation import (
+    DeadlineReport,
+    Freshness,
+    Origin,
+    OriginKind,
+    Outage,
+    ProcessHealth,
+    ProcessLoad,
+    ProcessState,
+    Work,
+)
 from shared.messages.toll import GateCommand, PlazaDetector
 from shared.messages.trust import TrustEvent, TrustHypotheses, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
@@ -283,6 +293,12 @@ class State:
             return None
         return flow.message if isinstance(flow.message, kind) else None
 
+    @property
+    def is_slowed(self) -> bool:
+        """Whether this computer is too slow to send pages more than one frame a second."""
+        load = self.topics["health/load"].message
+        return isinstance(load, ProcessLoad) and Work.PAGES in load.paused and not self._has_ended("core.fusion")
+
     def is_earlier(self, name: str) -> bool:
         """Whether the newest message of a periodic topic is from before the last start of its producer.
 
@@ -451,6 +467,7 @@ class State:
             alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
             set_up=self.newest(SetUpState, "navigation/set_up", now_ns),
             cause=self.judgement.cause("navigation/solution"),
+            load=None if self._has_ended("core.fusion") else self.newest(ProcessLoad, "health/load", now_ns),
         )
 
     def _awaited(self, trust: TrustState | None, now_ns: int) -> str | None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shared.load import PAUSED
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import Vector
@@ -91,6 +92,9 @@ KEPT = (
 )
 
 
+SOLVED = (*(kept.hypothesis for kept in KEPT), Hypothesis.RECEIVER_TIME, Hypothesis.IMU)
+
+
 class Member:
     """One cursor of a hypothesis."""
 
@@ -164,9 +168,25 @@ class Bank:
         self._suspect_ns: int | None = None
         self._horizon_ns = 0
         self._anchored_s = 0  # second in which anchors were looked at
+        self._paused = False
+
+    def pause(self, *, paused: bool) -> None:
+        """Stop computing all solutions, or start them again; those of a conflict from before its suspect time."""
+        if paused == self._paused:
+            return
+        self._paused = paused
+        if paused:
+            self._members, self.motion = [], MotionModel(self._settings)
+            self._follow()
+        else:
+            since_ns, self._suspect_ns = self._suspect_ns, None
+            self._horizon_ns = self._timeline.verdicts.main.engine.time_ns
+            self.suspect(since_ns)
 
     def advance(self) -> None:
         """Follow the horizon."""
+        if self._paused:
+            return
         timeline = self._timeline
         if timeline.log is not self._log:  # it began again
             self._log, self._members, self.motion = timeline.log, [], MotionModel(self._settings)
@@ -191,6 +211,8 @@ class Bank:
     def suspect(self, since_ns: int | None) -> None:
         """Start all cursors anew from before a suspect time, when it becomes known or earlier than it was."""
         before_ns, self._suspect_ns = self._suspect_ns, since_ns
+        if self._paused:
+            return
         main = self._timeline.verdicts.main
         if since_ns is None:
             if before_ns is not None:  # those of the conflict leave out what is used again
@@ -236,6 +258,9 @@ class Bank:
         """The solution of each hypothesis at the horizon, or why there is none."""
         engine = self._timeline.engine
         if engine.filter is None:
+            return
+        if self._paused:
+            yield from ((hypothesis, PAUSED) for hypothesis in SOLVED)
             return
         limits_m = self._settings.vehicle.alert_limits_m
         published, cov = engine.filter.published_position, engine.filter.P[em.POSITION, em.POSITION]

@@ -158,7 +158,7 @@ export const words = {
     unsafe: "UNSAFE",
     above_limit: "ABOVE LIMIT",
     dead_reckoning: "DEAD RECKONING",
-    no_fix: "NO FIX",
+    no_fix: "NO POSITION",
     initialising: "INITIALISING",
     starting: "STARTING",
     stale: "NO DATA",

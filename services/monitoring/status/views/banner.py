@@ -18,6 +18,7 @@ from shared.messages.navigation import (
     SetUpState,
     SetUpVerdict,
 )
+from shared.messages.operation import ProcessLoad
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
 from shared.missing_sensors import NO_INERTIAL_UNIT
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
@@ -61,7 +62,7 @@ WORDS = {
     Trust.UNSAFE: "UNSAFE",
     Trust.ABOVE_LIMIT: "ABOVE LIMIT",
     Trust.DEAD_RECKONING: "DEAD RECKONING",
-    Trust.NO_FIX: "NO FIX",
+    Trust.NO_FIX: "NO POSITION",
     Trust.INITIALISING: "INITIALISING",
     Trust.STARTING: "STARTING",
     Trust.STALE: "NO DATA",
@@ -108,6 +109,7 @@ class Evidence:
     alert_limit_vertical_m: float | None = None
     set_up: SetUpState | None = None
     cause: str | None = None  # root cause of a missing or old solution
+    load: ProcessLoad | None = None  # of core.fusion, while it is behind or checks are paused
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,10 @@ ABOVE_LIMIT_ACTION = (
     "Do not use the position where an error above the alert limit does harm. The protection level falls with more "
     "satellites, corrections or a moving vehicle. The alert limits are set in the vehicle's file."
 )
+TOO_SLOW_ACTION = (
+    "End other programs on this computer, check its temperature and power supply, lower the rates of the sensors, or "
+    "use a faster one. Everything is resumed by itself."
+)
 
 
 def show(evidence: Evidence) -> Verdict:
@@ -244,21 +250,36 @@ def no_verdict(age_s: float | None) -> str | None:
 
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
     waiting = WAITING.get(e.phase) if e.phase else None
-    known = {TrustLevel.NO_FIX: e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    slow = _too_slow(e, trust)
+    known = {TrustLevel.NO_FIX: slow or e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(
+        trust.state
+    )
     if (trust.state, trust.row) == NOT_CHECKED and e.phase is NavigationPhase.GNSS_ONLY:
         known = NO_INERTIAL_UNIT
+    elif (trust.state, trust.row) == NOT_CHECKED:
+        known = slow
     why = known or _which_is_wrong(e, trust) or _why(trust)
     conflict = trust.suspect_since_ns is not None or suspected(trust.beliefs)
     above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and not conflict
     return Verdict(
         Trust.ABOVE_LIMIT if above else Trust(trust.state.value),
         sentence(f"{SENTENCES[trust.state]}{f': {why}' if why else ''}"),
-        ABOVE_LIMIT_ACTION if above else ACTIONS[trust.state],
+        ABOVE_LIMIT_ACTION if above else TOO_SLOW_ACTION if slow and known == slow else ACTIONS[trust.state],
         checks,
         (*(plain(reason) for reason in trust.reasons), *figures(trust.beliefs)),
         trust.since_ns,
         trust.row,
     )
+
+
+def _too_slow(e: Evidence, trust: TrustState) -> str | None:
+    """Why this computer is the cause of a verdict: it is too slow for the checks, or even for the position."""
+    load = e.load
+    if load is None or not load.paused:
+        return None
+    if trust.state is TrustLevel.NO_FIX:
+        return f"this computer is too slow, and {load.lag_s:.0f} s behind the sensors"
+    return "checks are paused, because this computer is too slow"
 
 
 def _which_is_wrong(e: Evidence, trust: TrustState) -> str | None:

@@ -11,7 +11,8 @@ from cli.demo.words import FIELDS, lines
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuRaw
 from shared.messages.navigation import NavigationSolution, TruthState
-from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.operation import ProcessHealth, ProcessLoad, ProcessState, Work
+from shared.messages.trust import TrustLevel, TrustState
 from shared.runtime.config import parse_vehicle
 from tests.support.drives.tracks import START_NS, solution
 
@@ -101,7 +102,49 @@ def test_every_figure_of_a_summary_has_words_and_none_is_printed_as_python_write
     printed = lines(values)
     assert not any("_" in line or "{" in line or "None" in line for line in printed)
     if kind is Summary:
-        assert any(line.endswith("  SAFE 21 s, NO FIX 5.5 s") for line in printed)
+        assert any(line.endswith("  SAFE 21 s, NO POSITION 5.5 s") for line in printed)
     else:
         assert any(line.endswith("  core.toll 21 %") for line in printed)
     assert all(line.endswith("not known") for line in lines(dict.fromkeys(names)))
+
+
+def verdicts(levels: list[TrustLevel]) -> list[TrustState]:
+    """One verdict a second."""
+    return [
+        TrustState(
+            sampled_ns=START_NS + k * 1_000_000_000, state=level, since_ns=START_NS, row=2, reasons=("",),
+            gnss_excluded=False, odometer_excluded=False, alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0,
+        )
+        for k, level in enumerate(levels)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("late_s", "missing_s", "paused_s", "why"),
+    [
+        (0.01, 0, 0, None),
+        (0.01, 30, 0, "not usable: no position for 30 of 99 s; "),
+        (7.9, 66, 60, "not usable: this computer is too slow: no position for 66 of 99 s, checks paused for 60 s, "),
+        (0.1, 0, 40, "not usable: this computer is too slow: no position for 0 of 99 s, checks paused for 40 s, "),
+    ],
+)  # fmt: skip
+def test_a_run_whose_position_could_not_be_used_is_not_healthy(
+    late_s: float, missing_s: int, paused_s: int, why: str | None
+) -> None:
+    balance, second_ns = Balance(parse_vehicle("")), 1_000_000_000
+    ready = ProcessHealth(process="core.fusion", state=ProcessState.READY, incarnation=START_NS, sent_ns=START_NS)
+    balance.add("health/core.fusion", ready, START_NS)
+    for k in range(100):
+        at_ns = START_NS + k * second_ns
+        balance.add("imu/raw", ImuRaw(received_ns=at_ns, source="imu", data=b"\xfa"), at_ns)
+        balance.add("gnss/fix", fix(float(k), 1.0), at_ns)
+        made = solution(float(k))
+        balance.add("navigation/solution", made, made.sampled_ns + round(late_s * 1e9))
+    for verdict in verdicts([TrustLevel.NO_FIX] * missing_s + [TrustLevel.SAFE] * (100 - missing_s)):
+        balance.add("trust/state", verdict, verdict.sampled_ns)
+    for time_s, paused in ((0, (Work.HYPOTHESES,)), (paused_s, ())):
+        load = ProcessLoad(sampled_ns=START_NS + time_s * second_ns, process="core.fusion", lag_s=0.6, paused=paused)
+        balance.add("health/load", load, load.sampled_ns)
+    found = balance.summary(alive=1, expected=1, restarts=0)
+    assert found.healthy is (why is None)
+    assert why is None or why_unhealthy(found).startswith(why)

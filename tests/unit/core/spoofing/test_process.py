@@ -20,6 +20,7 @@ from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
+from shared.messages.operation import ProcessLoad, Work
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from tests.support.drives.spoofing import GRADED, Input, Result, drag_off, inputs, monitored, run
@@ -305,3 +306,21 @@ def test_a_position_that_steps_aside_with_the_velocity_of_the_vehicle_is_accused
     accusing = [s for s in result.statements[SHORT] if s.outcome is MonitorOutcome.ACCUSES]
     assert all(test.name == NAME for s in accusing for test in s.tests if test.outcome is s.outcome)
     assert all(s.suspect_since_ns is not None and s.suspect_since_ns <= begin_s * 1e9 for s in accusing)
+
+
+def test_a_paused_process_evaluates_nothing_says_so_and_begins_again(drive: Drive) -> None:
+    process, now_ns = Process(GRADED), 1_000_000_000
+    told = ProcessLoad(sampled_ns=now_ns, process="core.fusion", lag_s=0.7, paused=(Work.INERTIAL_WINDOWS,))
+    assert not list(process.handle(told))
+    for message in inputs(drive):
+        if isinstance(message, ImuSamples | GnssFix):
+            list(process.handle(message))
+    stated = [one for one in process.handle(Tick(now_ns=now_ns)) if isinstance(one, TrustMonitor)]
+    assert {one.monitor for one in stated} == {SHORT, LONG, "gyroscope", "drift"}
+    assert {(one.outcome, one.reason) for one in stated} == {
+        (MonitorOutcome.NOT_EVALUATED, "paused: this computer is too slow")
+    }
+    assert not process.monitor.taken and not process._newest_ns
+    monitor = process.monitor
+    list(process.handle(told.model_copy(update={"paused": ()})))
+    assert process.monitor is not monitor, "what was before the pause is not compared with what follows"

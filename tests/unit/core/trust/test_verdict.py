@@ -227,3 +227,10 @@ def test_states_are_lower_case_words_on_the_wire() -> None:
     assert {str(state) for state in TrustState} == {
         "safe", "caution", "unsafe", "dead_reckoning", "no_fix", "initialising",
     }  # fmt: skip
+
+
+def test_a_position_is_never_safe_while_checks_are_paused_and_worse_states_stand() -> None:
+    slow = verdict(replace(SAFE, checks_paused=True))
+    assert (slow.state, slow.row) == (TrustState.CAUTION, 7)
+    assert "checks are paused: this computer is too slow" in slow.findings
+    assert verdict(replace(levels(10.1, 5.0), checks_paused=True)).state is TrustState.UNSAFE

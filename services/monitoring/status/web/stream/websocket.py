@@ -18,7 +18,7 @@ from ..replay import ReplayApi
 from .clients import Client, Clients, Frame
 from .patch import difference
 
-PERIOD_S = 0.2
+PERIOD_S, SLOWED_PERIOD_S = 0.2, 1.0
 TRY_AGAIN_LATER = 1013  # registry of close codes of RFC 6455
 PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
 
@@ -44,7 +44,7 @@ class Stream:
     async def run(self) -> None:
         """Send a frame each period while somebody watches."""
         while True:
-            await self._replay.pause(PERIOD_S)
+            await self._replay.pause(SLOWED_PERIOD_S if self._state.is_slowed else PERIOD_S)
             if len(self.clients):
                 self.clients.broadcast(self.difference())
 

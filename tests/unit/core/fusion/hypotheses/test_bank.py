@@ -132,3 +132,30 @@ def test_separation_is_the_square_of_the_difference_over_its_covariance() -> Non
     expected = np.array(apart[:2]) @ np.linalg.solve(covariance[:2, :2], np.array(apart[:2]))
     assert separation(apart, covariance) == pytest.approx(expected)
     assert separation(apart, np.zeros((3, 3))) is None
+
+
+def test_a_paused_bank_costs_nothing_leaves_the_position_unchanged_and_begins_again() -> None:
+    nav, other = navigator(90.0), navigator(90.0)
+    nav.bank.pause(paused=True)
+    for one in (nav, other):
+        run(one, 90.0, 100.0)
+    assert not nav.bank._members and not nav._timeline.followers
+    assert {missing for _, missing in (one for one in nav.bank.alternatives() if not isinstance(one, Alternative))} == {
+        "paused: this computer is too slow"
+    }
+    ours, theirs = nav.solution(), other.solution()
+    assert ours is not None and theirs is not None
+    assert (ours.position, ours.velocity) == (theirs.position, theirs.velocity), "to the bit"
+    nav.bank.pause(paused=False)
+    run(nav, 100.0, 110.0)
+    assert set(alternatives(nav)) >= EXPECTED - {Hypothesis.IMU}, "the model of motion needs a drive of its own"
+
+
+def test_a_source_that_became_suspect_during_a_pause_is_left_out_after_it() -> None:
+    nav = navigator(90.0)
+    nav.bank.pause(paused=True)
+    nav.believe({Hypothesis.GNSS}, 85 * SECOND_NS)
+    run(nav, 90.0, 92.0)
+    assert not nav.bank._members
+    nav.bank.pause(paused=False)
+    assert {one.kept.hypothesis for one in nav.bank._members} == {Hypothesis.GNSS_AND_ODOMETER, Hypothesis.ODOMETER}
