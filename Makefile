@@ -5,12 +5,14 @@ PYTHON := $(VENV)/bin/python
 SUDO := $(shell [ "$$(id -u)" = 0 ] || command -v sudo)
 APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
-SECONDS ?= 60
+SECONDS ?= $(if $(SMOKE),1,60)
 PORT ?= 8080
 SCENARIO ?= urban
 # Sizes of campaigns: SHORT=1 takes two minutes at most and stores no result, FULL=1 is for the best confidence, RUNS=n
-# for another one. FRESH=1 does again what earlier runs of the same code have found.
-CAMPAIGN = $(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS)))) $(if $(FRESH),--fresh)
+# for another one. SMOKE=1 runs one job of a few seconds, to see that the command works. FRESH=1 does again what earlier runs of the same code have found.
+CAMPAIGN = $(if $(SMOKE),--smoke,$(if $(SHORT),--short,$(if $(FULL),--full,$(if $(RUNS),--runs $(RUNS))))) $(if $(FRESH),--fresh)
+# The same of measurements without jobs.
+SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 
 # Each process of a unit would compile its sources anew: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
@@ -90,8 +92,9 @@ down: ## stop the containers
 containers: | $(VENV)/.testing ## test the containers for real, where there is an engine (three minutes)
 	@$(PYTHON) -m pytest -m container $(PYTEST_ARGS)
 
-docs: setup ## print docs/reference, the README's diagram and obu.target from the code
+docs: setup ## print docs/reference, the README's diagram, obu.target and the age of tables from the code
 	@$(PYTHON) -m cli reference
+	@$(PYTHON) -m benchmarks.tables
 
 lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 	@$(PYTHON) deploy/lock.py
@@ -102,7 +105,7 @@ wheel: $(VENV)/.dashboard ## build the wheel into dist/, with the dashboard
 audit: | $(VENV)/.dashboard ## ask databases about known weaknesses of the dependencies (needs internet)
 	@$(PYTHON) deploy/audit.py
 
-PAPERS := motion-conflict cooperative spoofing toll navigation
+PAPERS := $(if $(SMOKE),cooperative,motion-conflict cooperative spoofing toll navigation)
 
 papers: setup ## reproduce the papers' numbers (minutes); all of them, also behind one that fails
 	@failed=; for paper in $(PAPERS); do \
@@ -111,7 +114,7 @@ papers: setup ## reproduce the papers' numbers (minutes); all of them, also behi
 	done; [ -z "$$failed" ] || { echo "outside their limits:$$failed"; exit 1; }
 
 attack-lab: setup ## attack simulated drives, scored against the truth (11 minutes on two cores)
-	@$(PYTHON) -m cli attack-lab $(if $(SHORT),--quick --out .obu/attack-lab-short,--out .obu/attack-lab) \
+	@$(PYTHON) -m cli attack-lab $(if $(SMOKE),--attack position_jump --after 5 --out .obu/attack-lab-smoke,$(if $(SHORT),--quick --out .obu/attack-lab-short,--out .obu/attack-lab)) \
 		$(if $(FULL),--seeds 3 --scenario urban --scenario highway,$(if $(RUNS),--seeds $(RUNS))) $(if $(FRESH),--fresh)
 
 alarms: setup ## count false alarms of the monitors in fault-free epochs (11 minutes)
@@ -119,7 +122,7 @@ alarms: setup ## count false alarms of the monitors in fault-free epochs (11 min
 	@$(PYTHON) -m benchmarks.false_alarms_satellites $(CAMPAIGN)
 
 bench: $(VENV)/.testing $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
-	@$(PYTHON) -m benchmarks
+	@$(PYTHON) -m benchmarks $(SIZE)
 
 drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (10 minutes)
 	@$(PYTHON) -m benchmarks.navigation $(CAMPAIGN)
@@ -128,7 +131,7 @@ drives-trust: setup ## print the verdicts on the recordings of OBU_DATA, and the
 	@$(PYTHON) -m benchmarks.navigation.trust $(CAMPAIGN)
 
 security: $(VENV)/.testing $(VENV)/.debian ## try attacks and failures on a running unit and its files, and print the table (13 minutes)
-	@$(PYTHON) -m benchmarks.security $(if $(SHORT),--short)
+	@$(PYTHON) -m benchmarks.security $(SIZE)
 
 integrity: setup ## hold protection levels against true errors, in drives with a random fault and without, RECORDINGS=folder (7 minutes)
 	@$(PYTHON) -m benchmarks.integrity.faults $(CAMPAIGN)
@@ -146,13 +149,13 @@ fuzz: setup ## feed damaged bytes to parsers, readers of files and the link to a
 	@$(PYTHON) -m benchmarks.fuzz_fleet --seed $(SEED) --seconds $(SECONDS)
 
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
-	@$(PYTHON) -m benchmarks.v2x
+	@$(PYTHON) -m benchmarks.v2x $(if $(SMOKE),--smoke)
 
 fleet: $(VENV)/.testing $(VENV)/.debian ## measure a centre with 10,000 vehicles, and kill every part of one (9 minutes)
-	@$(PYTHON) -m benchmarks.fleet $(if $(SHORT),--short)
+	@$(PYTHON) -m benchmarks.fleet $(SIZE)
 
 bench-replay: $(VENV)/.testing $(VENV)/.debian ## measure a two-hour recording in the browser: opening, scrubber, memory (half an hour)
-	@$(PYTHON) -m benchmarks.replay
+	@$(PYTHON) -m benchmarks.replay $(if $(SMOKE),--smoke)
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.drives.golden

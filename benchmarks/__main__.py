@@ -4,4 +4,4 @@ import sys
 
 from benchmarks.bus.report import main
 
-sys.exit(main())
+sys.exit(main(sys.argv[1:]))

@@ -13,6 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks import tables
 from shared.bus.envelope import Envelope
 from shared.evidence import KeyFile, KeyRing, Outcome, Signer
 from shared.recording import Recording, RecordingWriter
@@ -106,7 +107,7 @@ Signing takes {percent:.2f} % of a core (goal: less than {GOAL_PERCENT:.0f} %); 
 """
     print(text)
     if not options.no_store:
-        (RESULTS / "evidence.md").write_text(text, encoding="utf-8")
+        tables.publish(RESULTS / "evidence.md", text)
     return 0 if percent < GOAL_PERCENT else 1
 
 

@@ -221,7 +221,11 @@ def main() -> int:
     chosen = list(MONITORS) if options.monitor == "all" else [options.monitor]
     outcomes = {
         monitor: campaign.run(
-            f"alarms-{monitor}", jobs_of(monitor, options.runs), workers=options.workers, fresh=options.fresh
+            f"alarms-{monitor}",
+            jobs_of(monitor, options.runs),
+            workers=options.workers,
+            fresh=options.fresh,
+            smoke=options.smoke,
         )
         for monitor in chosen
     }

@@ -195,7 +195,7 @@ def main() -> int:
         for white in (True, False)
         for rate in RATES
     ]
-    outcome = campaign.run("alarms-satellites", jobs, workers=options.workers, fresh=options.fresh)
+    outcome = campaign.run("alarms-satellites", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     counts = [one for found in outcome.results for one in found]
     console = Console()
     console.print(printed(table("satellites", counts)))

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from benchmarks import tables
 from services.parsers.gnss.framer import Frame, Framer
 from services.parsers.gnss.protocols import FRAMINGS
 from shared.devices.framing import FrameFinder
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
         text += f"| `{pattern.hex(' ')}` | {make().__class__.__name__} | {cells} |\n"
     print(text)
     if not given.no_store:
-        (RESULTS / "framing.md").write_text(text, encoding="utf-8")
+        tables.publish(RESULTS / "framing.md", text)
     return 0 if slowest >= GOAL_MB_S else 1
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from pyubx2.ubxreader import UBXReader
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
+from benchmarks import tables
 from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.protocols import FRAMINGS
@@ -92,7 +93,7 @@ def main(arguments: Sequence[str]) -> int:
         text += f"| {', '.join(names)} | {len(epochs[0])} | {ours:.1f} | {theirs:.2f} | {ours / theirs:.0f} |\n"
     print(text)
     if not given.no_store:
-        (RESULTS / "parsing.md").write_text(text, encoding="utf-8")
+        tables.publish(RESULTS / "parsing.md", text)
     return 0 if slowest >= GOAL_MB_S else 1
 
 

@@ -22,6 +22,7 @@ import httpx
 import psutil
 from playwright.sync_api import Browser, Page
 
+from benchmarks import tables
 from benchmarks.long_drive import write
 from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
@@ -40,6 +41,7 @@ Times are of a machine as busy as the load says, in runnable processes.
 RESULTS = Path(__file__).parent / "results"
 FOLDER = REPOSITORY / ".obu" / "benchmarks"
 DRIVES = {"two-hours": 7200.0, "hour": 3900.0}  # name of the recording, its length [s]
+SMOKE_S = 60.0
 LIMIT_MS = 120_000
 PAGES = ("now", "map", "gnss", "charts", "trust", "system")
 POSITIONS, SCRUB_HZ = 50, 10.0
@@ -295,6 +297,10 @@ def main() -> None:
         "scrubs": ("two-hours", scrubbed),
         **{f"memory-{name}": ("hour", partial(remembered, name=name)) for name in ("now", "charts", "map")},
     }
+    if sys.argv[1:] == ["--smoke"]:
+        with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+            print("opens", opened(browser, write(Path(folder) / "smoke.mcap", SMOKE_S)))
+        return
     wanted = tuple(sys.argv[1:] or parts)
     for name in filter(lambda part: part.startswith(wanted), parts):
         recording, measure = parts[name]
@@ -309,7 +315,7 @@ def main() -> None:
         text = (
             HEAD.format(size_mb=found.get("size_mb", math.nan), cores=os.cpu_count()) + "\n".join(lines(found)) + "\n"
         )
-        (RESULTS / "replay.md").write_text(text)
+        tables.publish(RESULTS / "replay.md", text)
 
 
 def lines(found: Row) -> Iterator[str]:

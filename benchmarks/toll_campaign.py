@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import tables
 from cli.campaign import Job, Size, options_of, run, worth_storing
 from services.core.toll.process import Config as TollConfig
 from services.core.toll.process import Process as Toll
@@ -475,7 +476,7 @@ def store(result: Result) -> None:
     """Write the result as JSON, as a page, and into the explanation of charging."""
     (RESULTS / "toll_campaign.json").write_text(result.as_json() + "\n", encoding="utf-8")
     page = TITLE + table(result) + "\n" + _table(("killed", "times"), result.kills_by_step)
-    (RESULTS / "toll_campaign.md").write_text(page, encoding="utf-8")
+    tables.publish(RESULTS / "toll_campaign.md", page)
     before, rest = EXPLANATION.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END, 1)[1]
     EXPLANATION.write_text(before + BEGIN + table(result) + END + after, encoding="utf-8")
@@ -498,7 +499,7 @@ def main() -> None:
     options = options_of(parser, None, SIZE)
     seeds = range(options.seed, options.seed + options.runs)
     jobs = [Job(f"part {seed}", part, (seed, PASSAGES, KILLS, VEHICLES)) for seed in seeds]
-    outcome = run("toll", jobs, workers=options.workers, fresh=options.fresh)
+    outcome = run("toll", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     result = Result()
     for one in outcome.results:
         result = result.plus(one)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import tables
 from services.core.toll.process import Config, Out, Process
 from shared.messages.base import Tick
 from shared.messages.toll import TollPassage
@@ -141,7 +142,7 @@ def main(arguments: Sequence[str]) -> int:
     text = markdown(result)
     print(text)
     if not given.no_store:
-        (RESULTS / "tracking.md").write_text(text, encoding="utf-8")
+        tables.publish(RESULTS / "tracking.md", text)
         (RESULTS / "tracking.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")
     return 0 if result.core_percent <= 33.0 else 1
 

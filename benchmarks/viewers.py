@@ -15,6 +15,7 @@ from typing import Any
 import psutil
 from websockets.asyncio.client import connect
 
+from benchmarks import tables
 from shared.runtime.config import ADDRESS_FILE
 
 HEAD = """# Load of the dashboard's server by the number of viewers
@@ -93,7 +94,7 @@ def main() -> None:
         f"| {r['form']} | {r['clients']} | {100 * r['cpu_share']:.1f} | {r['rss_mb']} | {r['kb_s_per_client']} |"
         for r in rows
     ]
-    (RESULTS / "viewers.md").write_text(HEAD + "\n".join(lines) + "\n")
+    tables.publish(RESULTS / "viewers.md", HEAD + "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

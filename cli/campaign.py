@@ -111,15 +111,19 @@ def run(
     *,
     workers: int = 0,
     fresh: bool = False,
+    smoke: bool = False,
     executor: Executor | None = None,
 ) -> Outcome[Found]:
     """Do what is not done yet, as many jobs at once as there are workers (0: cores), and show how long it takes.
 
     An `executor` runs the jobs in place of processes of this machine, and decides how many at once. A job that fails,
     or whose process dies, is named on standard error and leaves the others alone. After Ctrl-C the outcome holds what
-    is finished. `fresh` does everything again.
+    is finished. `fresh` does everything again. `smoke` does the first job alone, whatever was found before, and keeps
+    nothing: it shows that the campaign can run.
     """
     console = Console(stderr=True)
+    if smoke:
+        jobs, fresh = jobs[:1], True
     paths = [state_dir() / "campaigns" / name / f"{job.key}.json" for job in jobs]
     found = {} if fresh else dict(_recalled(jobs, paths))
     if found:
@@ -132,7 +136,8 @@ def run(
             if isinstance(one, Failure):
                 console.print(f"{name}: {jobs[number].name} failed: {one.reason}", markup=False, soft_wrap=True)
                 continue
-            _keep(jobs[number], one, paths[number])
+            if not smoke:
+                _keep(jobs[number], one, paths[number])
             found[number] = one
     return Outcome(sorted(found.items(), key=itemgetter(0)), len(jobs))
 
@@ -261,8 +266,21 @@ def code_of(module: str) -> str:
     """Digest of the sources that a module of the project depends on, and of the versions of Python and `PACKAGES`."""
     digest = hashlib.sha256(f"{platform.python_version()} {[version(name) for name in PACKAGES]}".encode())
     for path in sorted(sources_of(module)):
-        digest.update(f"\n{path.relative_to(ROOT)}\n".encode() + path.read_bytes())
+        digest.update(f"\n{path.relative_to(ROOT)}\n{_content_of(path)}".encode())
     return digest.hexdigest()
+
+
+@cache
+def _content_of(path: Path) -> str:
+    """Digest of a file; of Python without comments and docstrings, which change no result."""
+    content = path.read_bytes()
+    if path.suffix == ".py":
+        tree = ast.parse(content)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+                node.body = node.body[1:]
+        content = ast.dump(tree).encode()
+    return hashlib.sha256(content).hexdigest()
 
 
 def sources_of(module: str) -> set[Path]:
@@ -316,18 +334,20 @@ class Size(NamedTuple):
 
 
 def options_of(parser: argparse.ArgumentParser, arguments: Sequence[str] | None, size: Size) -> argparse.Namespace:
-    """Parse the options of a campaign, with those that all of them have: `runs`, `workers`, `short`, `fresh`."""
+    """Parse the options of a campaign, with those that all have: `runs`, `workers`, `short`, `smoke`, `fresh`."""
     how_many = parser.add_mutually_exclusive_group()
     how_many.add_argument("--runs", type=_at_least_one, default=size.usual, help=f"{size.unit}; default: %(default)s")
     how_many.add_argument("--full", action="store_const", dest="runs", const=size.full, help=f"{size.full} {size.unit}")
     how_many.add_argument(
         "--short", action="store_true", help=f"{size.short} {size.unit}, in two minutes at most; stores no result"
     )
+    how_many.add_argument("--smoke", action="store_true", help="one job, to see that it runs; stores no result")
     parser.add_argument("--fresh", action="store_true", help="do again what is kept of earlier runs of the same code")
     parser.add_argument("--workers", type=int, default=0, metavar="COUNT", help="jobs at once; 0: one for each core")
     options = parser.parse_args(arguments)
+    options.short |= options.smoke
     if options.short:
-        options.runs = size.short
+        options.runs = 1 if options.smoke else size.short
     return options
 
 

@@ -294,7 +294,7 @@ def broker(
         raise UserError(f"port {port} {taken}: a broker may run already (`obu doctor`); choose another with --port")
     command = broker_command(state_dir().resolve(), port, kind.value, load_vehicle(vehicle))
     print(f"broker at mqtt://127.0.0.1:{port}   (end with Ctrl-C)", flush=True)
-    os.execv(command[0], command)
+    os.execvp(command[0], command)
 
 
 @keys_app.command("make")

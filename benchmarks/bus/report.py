@@ -1,5 +1,6 @@
 """Latency over the bus and cost of the whole unit: measures, prints the table and stores it."""
 
+import argparse
 import json
 import os
 import platform
@@ -12,28 +13,36 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks import tables
 from broker import local_config
 
 from . import unit
 from .hops import HERE
 
 RESULTS = HERE.parent / "results"
-UNIT_S = 30.0
+UNIT_S, SHORT_S, SMOKE_S = 30.0, 10.0, 2.0
 P50_GOAL_MS, P99_GOAL_MS, CPU_GOAL_PERCENT, PSS_GOAL_MB = 2.5, 6.0, 40.0, 450.0
 
 
-def main() -> int:
+def main(arguments: Sequence[str]) -> int:
     """Measure, or say what is missing."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument(
+        "--short", action="store_true", help=f"{SHORT_S:.0f} s in place of {UNIT_S:.0f}; stores no result"
+    )
+    parser.add_argument("--smoke", action="store_true", help=f"{SMOKE_S:.0f} s, to see that it runs; stores no result")
+    options = parser.parse_args(arguments)
+    seconds = SMOKE_S if options.smoke else SHORT_S if options.short else UNIT_S
     if reason := missing():
         print(f"the bus is not measured: {reason}")
         return 0
     subprocess.run(["make", "--silent", "-C", str(HERE)], check=True)
     load_before = os.getloadavg()[0]
     realtime = take_realtime_priority()
-    print(f"the whole unit, twice {UNIT_S:.0f} s")
+    print(f"the whole unit, twice {seconds:.0f} s")
     with tempfile.TemporaryDirectory(prefix="obu-bench-") as folder:
-        result = unit.measure(Path(folder), UNIT_S)
-    store(result, load_before, realtime=realtime)
+        result = unit.measure(Path(folder), seconds, settled=not options.smoke)
+    show(result, load_before, realtime=realtime, stored=not (options.smoke or options.short))
     return 0
 
 
@@ -58,8 +67,8 @@ def missing() -> str | None:
     return "there is no mosquitto.h; `apt install libmosquitto-dev` brings it" if probe.returncode else None
 
 
-def store(result: unit.UnitResult, load_before: float, *, realtime: bool) -> None:
-    """Print the table, and keep it with all the numbers behind it."""
+def show(result: unit.UnitResult, load_before: float, *, realtime: bool, stored: bool) -> None:
+    """Print the table, and keep it with all the numbers behind it where it is to be stored."""
     document = {
         "measured_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": (here := machine()),
@@ -70,10 +79,12 @@ def store(result: unit.UnitResult, load_before: float, *, realtime: bool) -> Non
     priority = "hot path under SCHED_RR, as in the vehicle" if realtime else "no real-time priority to be had"
     circumstances = f"{document['measured_at']} on {here}; {priority}; load {load_before:.1f} before"
     text = table(result, circumstances)
+    print(text)
+    if not stored:
+        return
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "bus.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    (RESULTS / "bus.md").write_text(text, encoding="utf-8")
-    print(text)
+    tables.publish(RESULTS / "bus.md", text)
 
 
 def machine() -> str:

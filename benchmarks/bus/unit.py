@@ -127,20 +127,30 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
     supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
     supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party"])
     supervisor.add("broker", broker_command(folder, port, "mosquitto", parse_vehicle(VEHICLE)))
-    supervisor.watch()
-    for name in COLD:
-        os.sched_setscheduler(_host(supervisor, name).pid, os.SCHED_OTHER, os.sched_param(0))
     try:
+        _await_start(supervisor, folder)
+        for name in COLD:
+            os.sched_setscheduler(_host(supervisor, name).pid, os.SCHED_OTHER, os.sched_param(0))
         yield supervisor, port
     finally:
         supervisor.stop()
 
 
-def measure(folder: Path, seconds: float) -> UnitResult:
-    """Drive the simulated vehicle, and measure once it navigates."""
+def _await_start(supervisor: Supervisor, folder: Path) -> None:
+    """Start all processes: the recorder and the broker first, the others when these listen."""
+    deadline = time.monotonic() + READY_S
+    while supervisor.alive() < len(supervisor.children):
+        supervisor.watch()
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"not every process starts within {READY_S:.0f} s; see {folder / 'logs'}")
+        time.sleep(0.05)
+
+
+def measure(folder: Path, seconds: float, *, settled: bool = True) -> UnitResult:
+    """Drive the simulated vehicle, and measure once it navigates and, where wanted, its start has settled."""
     with running_unit(folder) as (supervisor, port):
         listener = Listener(port, folder)
-        _await_navigation(listener, folder)
+        _await_navigation(listener, folder, SETTLING_S if settled else 0.0)
         before, started = _cpu_s(supervisor), time.monotonic()
         alone = Ages.of(listener.ages(seconds))
         costs = _costs(supervisor, before, time.monotonic() - started)
@@ -189,13 +199,13 @@ def _beside(listener: Listener, seconds: float) -> tuple[Ages, Ages]:
     return ours, yardstick[0]
 
 
-def _await_navigation(listener: Listener, folder: Path) -> None:
+def _await_navigation(listener: Listener, folder: Path, settling_s: float) -> None:
     deadline = time.monotonic() + READY_S
     while not listener.navigating:
         if time.monotonic() > deadline:
             raise RuntimeError(f"the unit does not navigate within {READY_S:.0f} s; see {folder / 'logs'}")
         listener.ages(0.5)
-    listener.ages(SETTLING_S)
+    listener.ages(settling_s)
 
 
 def _host(supervisor: Supervisor, name: str) -> psutil.Process:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import tables
 from cli import campaign
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from shared.maths.quantiles import chi_square_limit
@@ -103,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = campaign.options_of(parser, arguments, SIZE)
     seeds = range(options.seed, options.seed + options.runs)
     jobs = [campaign.Job(name, run, (case, seed)) for seed in seeds for name, case in CASES.items()]
-    outcome = campaign.run("consistency", jobs, workers=options.workers, fresh=options.fresh)
+    outcome = campaign.run("consistency", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     found: dict[str, list[Sizes]] = {}
     for number, sizes in outcome.numbered:
         found.setdefault(jobs[number].name, []).append(sizes)
@@ -111,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "\n".join(page(rows)) + "\n"
     print(text)
     if campaign.worth_storing(options, outcome):
-        (RESULTS / "consistency.md").write_text(text, encoding="utf-8")
+        tables.publish(RESULTS / "consistency.md", text)
         kept = {"date": f"{datetime.now(UTC):%Y-%m-%d}", "rows": [asdict(row) for row in rows]}
         (RESULTS / "consistency.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     return 0 if outcome.complete and all(row.within for row in rows if row.name in BOUND) else 1

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import tables
 from cli import campaign
 from cli.attack_lab.run import simulated
 from cli.attack_lab.score import binomial_interval
@@ -181,14 +182,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = campaign.options_of(parser, arguments, SIZE)
     seeds = range(options.seed, options.seed + options.runs)
     jobs = [campaign.Job(f"drive {seed}", drive_of, (seed,)) for seed in seeds]
-    outcome = campaign.run("faults", jobs, workers=options.workers, fresh=options.fresh)
+    outcome = campaign.run("faults", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     drives = outcome.results
     now = datetime.now(UTC)
     text = "\n".join(page(drives, f"{now:%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()}"))
     print(text)
     if campaign.worth_storing(options, outcome):
         RESULTS.mkdir(exist_ok=True)
-        (RESULTS / "faults.md").write_text(text + "\n", encoding="utf-8")
+        tables.publish(RESULTS / "faults.md", text + "\n")
         numbers = {"date": f"{now:%Y-%m-%d}", "rows": [asdict(row) for row in rows_of(drives)]}
         (RESULTS / "faults.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     return 0 if outcome.complete and sum(row.product for row in rows_of(drives)) <= RISK else 1

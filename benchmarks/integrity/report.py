@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import tables
 from cli import campaign
 
 from .simulated import CASES, Judged, jobs_of
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--recordings", type=Path, help="folder with imported recordings")
     options = campaign.options_of(parser, arguments, SIZE)
     jobs = jobs_of(options.runs, options.seed)
-    outcome = campaign.run("integrity", jobs, workers=options.workers, fresh=options.fresh)
+    outcome = campaign.run("integrity", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     judged = outcome.results
     simulated = [*rows_of(judged), row_of("all simulated", judged)] if judged else []
     recorded = recordings_in(options.recordings) if options.recordings and not options.short else []
@@ -130,7 +131,7 @@ def recordings_in(folder: Path) -> list[Row]:
 def store(simulated: Sequence[Row], recorded: Sequence[Row], text: str, date: str) -> None:
     """Write the page and its numbers."""
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "integrity.md").write_text(text + "\n", encoding="utf-8")
+    tables.publish(RESULTS / "integrity.md", text + "\n")
     numbers = {
         "date": date,
         "simulated": [asdict(row) for row in simulated],

@@ -6,13 +6,14 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
 from typing import TypedDict
 
+from benchmarks import tables
 from benchmarks.bus.report import machine
 from cli import campaign
 
@@ -80,9 +81,9 @@ def main(arguments: Sequence[str]) -> int:
     """Measure the drives that are there."""
     options = _options(arguments)
     if options.print:
-        write_pages(json.loads((RESULTS / "navigation.json").read_text(encoding="utf-8")))
+        write_pages(json.loads((RESULTS / "navigation.json").read_text(encoding="utf-8")), tables.reprint)
         return 0
-    only = options.only or (SHORT if options.short else None)
+    only = options.only or (SHORT[:1] if options.smoke else SHORT if options.short else None)
     cases = {
         key: replace(case, outages=case.outages[: options.runs])
         for key, case in CASES.items()
@@ -96,7 +97,7 @@ def main(arguments: Sequence[str]) -> int:
     load = os.getloadavg()[0]
     imported = import_drives(drives, workers=options.workers, fresh=options.fresh)
     jobs = [job for key, case in cases.items() for job in jobs_of(key, case)]
-    solved = campaign.run("drives", jobs, workers=options.workers, fresh=options.fresh)
+    solved = campaign.run("drives", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     with tempfile.TemporaryDirectory(prefix="obu-drives-") as folder:
         document = Document(
             measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -134,13 +135,13 @@ def store(document: Document) -> None:
     """Keep the table with all numbers behind it."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "navigation.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    write_pages(document)
+    write_pages(document, tables.publish)
 
 
-def write_pages(document: Document) -> None:
+def write_pages(document: Document, write: Callable[[Path, str], None]) -> None:
     """Print benchmarks/results/navigation.md, docs/reference/drives.md, and the tables of the how-to."""
-    (RESULTS / "navigation.md").write_text(page(document), encoding="utf-8")
-    PAGE.write_text(HEAD + page(document), encoding="utf-8")
+    write(RESULTS / "navigation.md", page(document))
+    write(PAGE, HEAD + page(document))
     HOW_TO.write_text(with_tables(HOW_TO.read_text(encoding="utf-8"), document), encoding="utf-8")
 
 

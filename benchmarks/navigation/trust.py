@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TypedDict, cast
 
+from benchmarks import tables
 from benchmarks.bus.report import machine
 from cli import campaign
 from cli.solve.metrics.trust import WORDS
@@ -68,21 +69,21 @@ def main(arguments: Sequence[str]) -> int:
     )
     options = campaign.options_of(parser, arguments, SIZE)
     if options.print:
-        PAGE.write_text(HEAD + page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
+        tables.reprint(PAGE, HEAD + page(json.loads(RESULTS.read_text(encoding="utf-8"))))
         return 0
-    names = present(options.only or DRIVES[: options.runs])
+    names = present(options.only or DRIVES[: 1 if options.smoke else options.runs])
     if not names:
         print(f"no drive is measured: {data_folder()} holds none of them; set OBU_DATA to the folder of the recordings")
         return 0
     imported = import_drives(names, workers=options.workers, fresh=options.fresh)
     jobs = [solve_job(name, name) for name in names]
-    solved = campaign.run("drives-trust", jobs, workers=options.workers, fresh=options.fresh)
+    solved = campaign.run("drives-trust", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     drives = {names[number]: kept(one.metrics) for number, one in solved.numbered}
     document = Document(measured_at=datetime.now(UTC).isoformat(timespec="seconds"), machine=machine(), drives=drives)
     print(page(document))
     if campaign.worth_storing(options, imported, solved) and not options.only:
         RESULTS.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-        PAGE.write_text(HEAD + page(document), encoding="utf-8")
+        tables.publish(PAGE, HEAD + page(document))
     return 0 if imported.complete and solved.complete else 1
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 
+from benchmarks import tables
 from cli import campaign
 from services.sensors.simulator.drive import Drive
 
@@ -139,7 +140,7 @@ def main(arguments: Sequence[str]) -> int:
         campaign.Job(f"receiver {number}", row, (receiver, settings, options.runs))
         for number, (receiver, settings) in enumerate(product(RECEIVERS, SETTINGS), 1)
     ]
-    outcome = campaign.run("starts", jobs, workers=options.workers, fresh=options.fresh)
+    outcome = campaign.run("starts", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     rows = outcome.results
     Console().print(table(rows), markup=False, soft_wrap=True)
     if campaign.worth_storing(options, outcome):
@@ -149,7 +150,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def store(rows: Sequence[Row], each: int) -> None:
     """Write the page and its numbers."""
-    RESULTS.joinpath("starts.md").write_text(f"{TITLE}{SIZE.note(each)}\n\n{table(rows)}", encoding="utf-8")
+    tables.publish(RESULTS.joinpath("starts.md"), f"{TITLE}{SIZE.note(each)}\n\n{table(rows)}")
     figures = [
         {
             "receiver": one.name,

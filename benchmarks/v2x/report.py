@@ -19,6 +19,7 @@ from typing import ClassVar
 
 import psutil
 
+from benchmarks import tables
 from benchmarks.bus.hops import Ages
 from cli.demo.local import broker_command, free_port
 from shared.bus.bus import Bus
@@ -314,12 +315,15 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="duration of the measurement")
     parser.add_argument("--broker", choices=("mosquitto", "simulated"), default="mosquitto")
     parser.add_argument("--no-store", action="store_true", help="print only")
+    parser.add_argument("--smoke", action="store_true", help="two seconds, to see that it runs; stores no result")
     given = parser.parse_args(arguments)
+    if given.smoke:
+        given.seconds, given.no_store = 2.0, True
     priority = take_priority()
     result = measure(given.seconds, given.broker)
     text = markdown(result, given.broker, priority)
     print(text)
     if not given.no_store:
-        (RESULTS / "v2x.md").write_text(text, encoding="utf-8")
+        tables.publish(RESULTS / "v2x.md", text)
         (RESULTS / "v2x.json").write_text(json.dumps(asdict(result), indent=2) + "\n", encoding="utf-8")
     return 0 if result.published == result.sent else 1
