@@ -171,5 +171,6 @@ def configuration(answer: GnssConfiguration) -> str:
         f"a fix every {answer.navigation_period_s:g} s" if answer.navigation_period_s else "",
         answer.dynamic_model or "",
         ", ".join(answer.messages),
+        answer.reason or "",  # what the port does not carry
     ]
     return "; ".join(part for part in parts if part)
