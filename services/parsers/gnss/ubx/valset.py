@@ -138,7 +138,7 @@ class ValsetExchange(Exchange):
         )
 
     def _difference(self, period_s: float | None, sent: list[str], lacking: list[str]) -> str | None:
-        """What is required and was not granted; messages that a receiver does not have are not missed but for the fix."""
+        """What is required and was not granted; of the messages that a receiver lacks, the fix alone is required."""
         excused = {name for name in lacking if name != "NAV-PVT"}
         missing = [name for name in self._plan.names if name in REQUIRED and name not in sent and name not in excused]
         if missing:
