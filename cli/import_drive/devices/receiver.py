@@ -1,8 +1,8 @@
 """Stamps the bytes of a GNSS receiver by the times that its own messages tell.
 
 A frame without a time has that of the frame before it. Until a date is known, times of week or of day wait for it; a
-file without any date keeps its time of day, by the leap seconds since 2017 where it has times of week alone. Sources: u-blox F9 HPG 1.32 (UBX-22008968) and M8 (UBX-13003221); NMEA 0183
-4.11; RTCM 10403.3, tables 3.5-1 and 3.5-78.
+file without any date keeps its time of day, by the leap seconds since 2017 where it has times of week alone. Sources:
+u-blox F9 HPG 1.32 (UBX-22008968) and M8 (UBX-13003221); NMEA 0183 4.11; RTCM 10403.3, tables 3.5-1 and 3.5-78.
 """
 
 import re
@@ -199,8 +199,10 @@ def _mark(frame: Frame) -> Mark:
 def _mark_of_ubx(kind: int, number: int, payload: bytes) -> Mark:
     if kind == RXM and number == 0x15 and len(payload) >= 16:
         return _mark_of_rawx(payload)
-    if kind != NAV:
-        return Mark()
+    return _mark_of_nav(number, payload) if kind == NAV else Mark()
+
+
+def _mark_of_nav(number: int, payload: bytes) -> Mark:
     if number in CALENDAR and len(payload) >= CALENDAR[number].size:
         return _mark_of_calendar(number, payload)
     if number == 0x20 and len(payload) >= 16:
