@@ -17,10 +17,10 @@ from shared.devices.can_device import CanDevice, only_answers, open_can
 from shared.devices.device import Device, DeviceBusy, DeviceLost
 from shared.devices.elm327_device import ElmDevice
 from shared.devices.recognising import Port, Recognising
-from shared.devices.recognition import recognise
 from shared.devices.search import LISTEN_S, Search
 from shared.errors import UserError
 from shared.messages.operation import DeviceFound
+from shared.protocols.recognition import recognise
 from shared.runtime.config import VehicleFile
 
 from .finding import Finding

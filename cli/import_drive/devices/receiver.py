@@ -14,9 +14,9 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from services.parsers.gnss.framer import Frame, Framer
 from services.parsers.gnss.protocols import FRAMINGS
 from shared.maths.dates import DAY_NS, GPS_EPOCH_UTC_NS, WEEK_NS, is_plausible
+from shared.protocols.framing.framer import Frame, Framer
 
 from ..conversion.scales import utc_of
 from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped

@@ -19,6 +19,7 @@ from .decoder import Batch, Decoder, SampleError, Stream
 KIND = "line"
 MOST_BYTES = 1024  # of a line
 LINE_END = re.compile(rb"[\r\n]")
+LINE_ENDS = re.compile(rb"\r?\n|\r")
 Column = Annotated[str, Field(min_length=1, max_length=64)]
 Columns = tuple[Column, Column, Column]
 
@@ -127,6 +128,15 @@ class LineImu(Decoder):
                 raise SampleError("repeated_sample")
             self._last_ns = at_ns
         self.add(batch, at_ns, force, rate)
+
+
+class UndescribedLines(Decoder):
+    """Lines of text without `[parsers.imu.line]`: each is the reject `line_not_described`."""
+
+    def take(self, raw: ImuRaw) -> None:
+        """Count the lines."""
+        for _ in range(len(LINE_ENDS.findall(raw.data))):
+            self.count(KIND, MessageUse.USED, SampleError("line_not_described"))
 
 
 def _csv(form: LineForm) -> Callable[[bytes], Callable[[str], float]]:

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from pyubx2.ubxmessage import UBXMessage
 
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssStart
+from shared.protocols.ubx import ubx_frame
 
 from ..dialect import Dialogue
 from .exchange import NO_RESPONSE, Exchange, Result
-from .frames import ubx_frame
 from .legacy import LegacyExchange
 from .outputs import plan_outputs
 from .reset import reset

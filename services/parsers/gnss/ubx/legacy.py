@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
 from shared.messages.gnss import GnssConfigure, GnssOutput
+from shared.protocols.ubx import ubx_frame
 
 from .exchange import DYNAMIC_MODELS, NO_RESPONSE, TIMEOUT_TICKS, Exchange, Result
-from .frames import ubx_frame
 from .outputs import OutputPlan
 from .valset import elevation_rad
 

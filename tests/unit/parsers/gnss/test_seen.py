@@ -4,10 +4,10 @@ import pytest
 
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.seen import MAX_KINDS
-from services.parsers.gnss.ubx.framing import SYNC
 from shared.maths.crc import fletcher
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssRaw, GnssReceiver
+from shared.protocols.ubx import SYNC
 
 NS = 1_000_000_000
 START_NS = 1_795_000_000 * NS

@@ -12,7 +12,6 @@ from pyubx2.ubxreader import UBXReader
 
 from services.parsers.gnss.process import Config as GnssConfig
 from services.parsers.gnss.process import Process as GnssProcess
-from services.parsers.gnss.ubx.frames import ubx_frame
 from services.parsers.gnss.ubx.wheel_ticks import WheelTicks
 from services.parsers.imu.lines import LineForm
 from services.parsers.imu.process import Config, Process
@@ -20,6 +19,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.operation import MessageUse
 from shared.messages.vehicle import VehicleSpeed
+from shared.protocols.ubx import ubx_frame
 from tests.support.data import recording
 from tests.support.gnss.ublox import parse_ubx
 

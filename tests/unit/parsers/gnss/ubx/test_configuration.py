@@ -10,7 +10,6 @@ from pyubx2.ubxtypes_core import UBX_MSGIDS
 from services.controller.mode.process import Config as Controller
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.ubx.configuration import protocol_version, read_version
-from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.gnss.ubx.outputs import (
     BY_IMPORTANCE,
     EPOCH_BYTES,
@@ -27,6 +26,7 @@ from shared.maths.crc import fletcher
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssOutput, GnssRaw, GnssReceiver, GnssWrite
 from shared.messages.operation import DeviceFound, DeviceState
+from shared.protocols.ubx import SYNC
 from tests.support.gnss.generation8 import Generation8, acknowledge, parse_ubx_command
 from tests.support.gnss.generation9 import Generation9
 from tests.support.gnss.ublox import valset
