@@ -100,7 +100,7 @@ class Search:
         """What to do about a protocol that is not read at this port."""
         first = BY_NAME[self.protocols[0]]
         if first.remedy:
-            return f"{first.title}{at}: not decoded; {first.remedy}"
+            return f"{first.title}{at}: not {'read at this port' if first.read_at else 'decoded'}; {first.remedy}"
         wanted = " or ".join(self._wanted)
         return f"speaks {', '.join(self.protocols)}{at}, which is not read here: set the device to send {wanted}"
 

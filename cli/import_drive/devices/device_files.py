@@ -19,7 +19,6 @@ from shared.messages.corrections import CorrectionBytes
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.vehicle import CanRaw
-from shared.protocols.protocol import Protocol
 from shared.protocols.recognition import recognise
 from shared.protocols.registry import BY_NAME
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
@@ -117,11 +116,7 @@ def import_devices(
 def _known(path: Path) -> Form:
     form = kind_of(path)
     if form is None:
-        if (other := _not_decoded(path)) is not None:
-            raise UserError(
-                f"{path} holds {other.title}, which is not decoded; convert it to UBX, NMEA or RINEX with the maker's "
-                f"program, or {other.remedy}"
-            )
+        insist_on_decoded(path)
         raise UserError(
             f"{path} is none of UBX, NMEA, RTCM 3, Xbus, candump and ASC; convert it to one of these, or describe its "
             "columns in a mapping: docs/how-to/import-a-drive.md"
@@ -150,11 +145,15 @@ def _read_all(forms: Sequence[tuple[Path, Form]], shifts: dict[Path, int], progr
     return [found[path] for path, _ in forms]
 
 
-def _not_decoded(path: Path) -> Protocol | None:
-    """The protocol of a file that is recognised and not decoded."""
+def insist_on_decoded(path: Path) -> None:
+    """Raise `UserError` for a file of a protocol that is recognised and not decoded."""
     with path.open("rb") as file:
         names = recognise(file.read(8192)).names
-    return next((BY_NAME[name] for name in names if BY_NAME[name].remedy), None)
+    if other := next((BY_NAME[name] for name in names if not BY_NAME[name].read_at), None):
+        raise UserError(
+            f"{path} holds {other.title}, which is not decoded; convert it to UBX or NMEA with the maker's program; "
+            f"for the next drive, {other.remedy}"
+        )
 
 
 def _is_of_rtcm(path: Path) -> bool:

@@ -239,3 +239,9 @@ def test_what_begins_with_a_hash_is_read_where_that_is_configured_and_counted_wh
     assert sum(len(one.sampled_ns) for one in found) == 5
     (other,) = [kind for kind in process.kinds.table() if kind.use is MessageUse.UNUSED]
     assert other.count == 1
+
+
+def test_lines_that_are_not_described_are_a_reject_that_says_so() -> None:
+    process = Process(config())
+    assert not fed(process, b"$IMU,1,2\r\n" * 5, b"$IMU,3,4\r\n")
+    assert process.rejects == {"line_not_described": 6}
