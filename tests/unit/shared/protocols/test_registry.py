@@ -13,10 +13,10 @@ from shared.rejects import PARTS, reason_of
 from tests.support.reject_kinds import kinds_in_source
 
 
-class DollarFraming(nmea.NmeaFraming):
+class DollarFraming(text.LineFraming):
     """A protocol that takes every dollar sign for its own, as NMEA was once framed."""
 
-    protocol, begins = "dollar", ((b"$",),)
+    protocol, begins, starts = "dollar", ((b"$",),), rb"\$[ -~]+\n"
 
 
 def test_two_protocols_that_can_begin_alike_are_an_error() -> None:
