@@ -70,9 +70,9 @@ class ValsetExchange(Exchange):
         self._refusals |= kind == "ACK-NAK"
         if self._awaited and self._take_optional(kind, about, payload):
             return
-        if kind == "CFG-VALGET":
-            self._values |= read_values(payload)
-        if kind == "CFG-VALGET" or refused:
+        values = read_values(payload) if kind == "CFG-VALGET" else {}
+        self._values |= values
+        if refused or _database()[PERIOD] in values:  # the last response
             yield from self._second_pass()
 
     def tick(self) -> Iterator[bytes | Result]:
