@@ -1,4 +1,4 @@
-"""RTCM 3 on the port of a receiver: as that of a base, which is counted here by type and used by nobody."""
+"""RTCM 3 on the port of a receiver: as that of a base; counted by type, and not used."""
 
 from collections.abc import Iterator
 

@@ -215,7 +215,7 @@ class Parts:
 
 
 def _parts_of(setting: Setting) -> list[Setting]:
-    """Smaller settings: by port, then by key; none of a single key."""
+    """Smaller settings: by port, then by key; a single key has no smaller one."""
     ports = [port for port in PORTS if any(_port_of(key) == port for key in setting)]
     if len(ports) > 1:
         first = [{key: value for key, value in setting.items() if _port_of(key) in (None, ports[0])}]
