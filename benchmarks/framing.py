@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks import tables
-from services.parsers.gnss.framer import Frame, Framer
 from services.parsers.gnss.protocols import FRAMINGS
-from shared.devices.framing import FrameFinder
-from shared.devices.xbus import XbusMessage, XbusReader
+from shared.protocols.framing.finder import FrameFinder
+from shared.protocols.framing.framer import Frame, Framer
+from shared.protocols.xbus import XbusMessage, XbusReader
 
 RESULTS = Path(__file__).parent / "results"
 GOAL_MB_S = 1.0

@@ -14,12 +14,12 @@ from pyubx2.ubxreader import UBXReader
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
 from benchmarks import tables
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.protocols import FRAMINGS
-from services.parsers.gnss.ubx.frames import ubx_frame
 from services.sensors.simulator.world import messages
 from shared.messages.gnss import GnssRaw
+from shared.protocols.framing.framer import Framer
+from shared.protocols.ubx import ubx_frame
 
 RESULTS = Path(__file__).parent / "results"
 GOAL_MB_S = 2.0  # 1 MB/s on half a core

@@ -17,6 +17,8 @@ from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
 from shared.messages.trust import TrustLevel
 from shared.missing_sensors import MISSING
 from shared.processes import PROCESSES, Role, running
+from shared.protocols.registry import PROTOCOLS
+from shared.rejects import PARTS
 from shared.runtime.config import Section, Vehicle, own_fields
 
 from .solve.metrics.metrics import METRICS, TIMINGS
@@ -127,6 +129,28 @@ def _parameter(one: Parameter) -> str:
     return f"`{one.name}` {limits}{f' {one.unit}' if one.unit else ''}: {one.purpose}"
 
 
+def rejects_page() -> str:
+    """Print every reason of a reject, and the protocols that are recognised."""
+    protocols = [
+        (protocol.title, ", ".join(sorted(protocol.read_at)) or "not decoded", protocol.remedy)
+        for protocol in PROTOCOLS
+    ]
+    parts = [
+        "# Why a message was rejected\n\n"
+        "A message that cannot be used is counted by its reason: `obu doctor`, the page *System* and `health/+` state "
+        "reasons and counts. A `*` stands for any text.\n"
+    ]
+    for title, reasons in PARTS.items():
+        rows = [(f"`{kind}`", reason.meaning, reason.remedy) for kind, reason in reasons.items()]
+        parts.append(f"\n## {title}\n\n{table(('reason', 'meaning', 'what to do'), rows)}\n")
+    known = table(("protocol", "read at", "what to switch on in its place"), protocols)
+    parts.append(
+        "\n## Protocols that are recognised\n\nBy their bytes, at any rate of a port; `obu doctor --probe` names what "
+        f"it finds. Ports: `gnss`, `imu` and `can` of `[sensors]`, and sources of corrections.\n\n{known}\n"
+    )
+    return "".join(parts)
+
+
 def missing_page() -> str:
     """Print what is published while a sensor is missing."""
     rows = [
@@ -218,6 +242,7 @@ def pages() -> dict[str, str]:
         "metrics.md": HEAD + metrics_page(),
         "missing-sensors.md": HEAD + missing_page(),
         "attacks.md": HEAD + attacks_page(),
+        "rejects.md": HEAD + rejects_page(),
         "access.md": HEAD + access_page(),
         "asyncapi.json": asyncapi_json() + "\n",
         "asyncapi-centre.json": centre_asyncapi_json() + "\n",

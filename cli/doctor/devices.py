@@ -17,10 +17,11 @@ from shared.devices.can_device import CanDevice, only_answers, open_can
 from shared.devices.device import Device, DeviceBusy, DeviceLost
 from shared.devices.elm327_device import ElmDevice
 from shared.devices.recognising import Port, Recognising
-from shared.devices.recognition import recognise
 from shared.devices.search import LISTEN_S, Search
 from shared.errors import UserError
 from shared.messages.operation import DeviceFound
+from shared.protocols.recognition import recognise
+from shared.protocols.registry import PROTOCOLS
 from shared.runtime.config import VehicleFile
 
 from .finding import Finding
@@ -29,6 +30,7 @@ BUSY = "another program has it open"
 LONGEST_S = 30.0  # a port
 WAIT_S = 0.1
 LINE_END = b"\n"
+NOT_DECODED = tuple(protocol.title for protocol in PROTOCOLS if not protocol.read_at)
 RATE_S = 2.0  # over which bytes and messages are counted once a device is found
 DRIVERS: dict[str, type[GnssDriver | ImuDriver | CanDriver]] = {
     "sensors.gnss": GnssDriver, "sensors.imu": ImuDriver, "sensors.can": CanDriver,
@@ -79,7 +81,7 @@ def other_ports(vehicle: VehicleFile) -> Iterator[Finding]:
     for port in sorted(str(port.device) for port in ports):
         if os.path.realpath(port) in named:
             continue
-        url = f"serial://{port}"
+        url, other = f"serial://{port}", ""
         for kind_of_device in ("gnss", "imu"):
             what = f"{port}, which the vehicle file does not name"
             try:
@@ -91,8 +93,9 @@ def other_ports(vehicle: VehicleFile) -> Iterator[Finding]:
                 rate = f'device = "{url}" in [sensors.{kind_of_device}]'
                 yield Finding(True, f"{finding.what}: write {rate}")
                 break
+            other = other or next((f": {finding.remedy}" for name in NOT_DECODED if name in finding.remedy), "")
         else:
-            yield Finding(True, f"{what}: nothing that the unit reads")
+            yield Finding(True, f"{what}: nothing that the unit reads{other}")
 
 
 def listen(url: str, kind: str, what: str, *, may_write: bool) -> Finding:

@@ -18,6 +18,7 @@ from shared.messages.operation import (
     ProcessHealth,
     ProcessState,
 )
+from shared.rejects import PAGE, reason_of
 from shared.runtime.config import VehicleFile, broker_address, state_dir
 from shared.topics import TOPICS
 
@@ -123,9 +124,9 @@ def messages(process: str, healths: Sequence[ProcessHealth]) -> Iterator[Finding
         if kind.rejected:
             few = kind.rejected <= TOLERATED * kind.count
             what = f"{process}: {kind.rejected} of {kind.count} {kind.kind} rejected"
-            yield Finding(
-                few, f"{what} ({kind.reason})", f"the reason is {kind.reason}: docs/how-to/connect-devices.md"
-            )
+            reason = reason_of(kind.reason or "")
+            why = f"{kind.reason}: {reason.meaning}; {reason.remedy}" if reason else f"the reason is {kind.reason}"
+            yield Finding(few, f"{what} ({kind.reason})", f"{why}; all reasons: {PAGE}")
 
 
 def _rate(kind: MessageKind, before: dict[str, int], span_s: float) -> str:
@@ -171,5 +172,6 @@ def configuration(answer: GnssConfiguration) -> str:
         f"a fix every {answer.navigation_period_s:g} s" if answer.navigation_period_s else "",
         answer.dynamic_model or "",
         ", ".join(answer.messages),
+        answer.reason or "",  # what the port does not carry
     ]
     return "; ".join(part for part in parts if part)

@@ -29,7 +29,7 @@ from shared.unpacked import compression_of
 
 from ..progress import progress_on
 from .conversion.convert import Accelerometer, Converted, convert, wanted_columns
-from .devices.device_files import import_devices, kind_of, shifts_of
+from .devices.device_files import import_devices, insist_on_decoded, kind_of, shifts_of
 from .estimates.agreement import Motion, motion_of, told
 from .estimates.clocks import offset_of, shifted
 from .estimates.delay import Delay, delay_of_fixes, delay_of_reference
@@ -115,6 +115,7 @@ def import_drive(
         folder = folder or mapping.parent
         text = mapping_of(header, next(iter(beginning[header.lines :]), ""), mapping.name)
     elif folder is None:
+        insist_on_decoded(mapping)
         raise UserError(
             f"{mapping} is no file of a device that is known, no log of GnssLogger and no solution of RTKLIB; give a "
             "mapping (TOML) and the folder of its files: `obu import --help`"

@@ -7,30 +7,14 @@ each rate first. Only then it asks at each rate, and only where it may: at a wro
 from dataclasses import dataclass
 
 from ..messages.operation import DeviceFound
-from .recognition import BY_NAME, Recognised, recognise
+from ..protocols.recognition import Recognised, recognise
+from ..protocols.registry import BY_NAME, PROTOCOLS, read_at
 
 RATES = (38400, 9600, 115200, 460800, 921600, 230400)  # of receivers as delivered, the most frequent first
 LISTEN_S = 1.2  # a rate: a burst comes once a second
 ANSWER_S = 0.6  # a question
 REST_S = 10.0  # after a search that found nothing, and without messages after which a new search begins
 SAMPLE_BYTES = 4096
-
-
-@dataclass(frozen=True)
-class Question:
-    """What makes a device of a protocol answer, and what makes it go on as before."""
-
-    protocol: str
-    ask: bytes
-    then: bytes = b""
-
-
-QUESTIONS = {
-    "gnss": (Question("UBX", bytes.fromhex("b5620a0400000e34")),),  # UBX-MON-VER
-    # GotoConfig, since a tracker that measures does not answer to anything else, and GotoMeasurement.
-    "imu": (Question("Xbus", bytes.fromhex("faff3000d1"), bytes.fromhex("faff1000f1")),),
-}
-WANTED = {"gnss": ("UBX", "NMEA"), "imu": ("Xbus", "text lines")}
 
 
 @dataclass(frozen=True)
@@ -62,8 +46,9 @@ class Search:
         self.remedy = "check cable, power, and that TX and RX are not exchanged"  # of silence
         self._configured_baud = rate_baud
         self._rates = () if rate_baud is None else (rate_baud, *(rate for rate in RATES if rate != rate_baud))
-        self._questions = QUESTIONS[kind] if may_write else ()
-        self._wanted = WANTED[kind]
+        asked = [protocol.questions[kind] for protocol in PROTOCOLS if kind in protocol.questions]
+        self._questions = tuple(asked) if may_write else ()
+        self._wanted = read_at(kind)
         self._kind = kind
         self._sample = b""
         self._noise_bytes = 0  # at all rates together
@@ -102,8 +87,7 @@ class Search:
             case DeviceFound.SEARCHING:
                 return f"listening{at}: no message so far"
             case DeviceFound.OTHER:
-                wanted = " or ".join(self._wanted)
-                return f"speaks {spoken}{at}, which is not read here: set the device to send {wanted}"
+                return self._of_other(at)
             case DeviceFound.NOISE:
                 return (
                     f"bytes that are no message{self._rates_tried()}: check that this is the {self._kind} device, "
@@ -111,6 +95,14 @@ class Search:
                 )
             case _:
                 return f"no bytes{self._rates_tried()}: {self.remedy}"
+
+    def _of_other(self, at: str) -> str:
+        """What to do about a protocol that is not read at this port."""
+        first = BY_NAME[self.protocols[0]]
+        if first.remedy:
+            return f"{first.title}{at}: not {'read at this port' if first.read_at else 'decoded'}; {first.remedy}"
+        wanted = " or ".join(self._wanted)
+        return f"speaks {', '.join(self.protocols)}{at}, which is not read here: set the device to send {wanted}"
 
     def _rates_tried(self) -> str:
         return f" at {', '.join(str(rate) for rate in sorted(self._rates))} baud" if self._rates else ""
@@ -141,7 +133,7 @@ class Search:
     def _settle(self, seen: Recognised, now_s: float) -> bool:
         """Whether a protocol that is read here was found."""
         names = tuple(name for name in seen.names if name in self._wanted)
-        certain = [name for name in names if BY_NAME[name].least == 1]
+        certain = [name for name in names if BY_NAME[name].framing.least == 1]
         # Lines of text are a weak sign, and a question may have caused them.
         if not names or (not certain and now_s < self._until_s):
             return False

@@ -13,11 +13,11 @@ from typing import TypeVar
 import pytest
 
 from cli.doctor.unit import unit as unit_findings
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.protocols import FRAMINGS
 from shared.messages.base import Message
 from shared.messages.gnss import GnssConfiguration, GnssReceiver
 from shared.messages.operation import DeviceFound, DeviceState
+from shared.protocols.framing.framer import Framer
 from shared.runtime.config import load_vehicle
 from tests.integration.test_monitoring import Unit
 from tests.support.bus import brokers

@@ -14,11 +14,11 @@ import pytest
 from cli.recordings.onto_bus import play_onto
 from cli.recordings.record import record
 from shared.bus.bus import Bus, Envelope
-from shared.devices import xbus
 from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw
 from shared.messages.operation import DeadlineReport, Origin, OriginKind, Outage
+from shared.protocols import xbus
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import BrokerAddress, broker_address
 from shared.topics import TOPICS, subscriptions

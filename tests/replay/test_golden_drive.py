@@ -8,8 +8,8 @@ from math import isclose
 
 import pytest
 
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.protocols import FRAMINGS
+from shared.protocols.framing.framer import Framer
 from tests.support.drives.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
 from tests.support.gnss.ublox import parse_nmea, parse_ubx
 

@@ -14,12 +14,13 @@ from services.parsers.gnss.process import Config as GnssConfig
 from services.parsers.imu.process import Config as ImuConfig
 from shared.bounded import LINE_BYTES, TooMuch, lines
 from shared.devices.can_device import frame_of
-from shared.devices.recognition import recognise
 from shared.errors import UserError
 from shared.messages.corrections import CorrectionBytes
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.vehicle import CanRaw
+from shared.protocols.recognition import recognise
+from shared.protocols.registry import BY_NAME
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 
 from ...progress import progress_on
@@ -115,6 +116,7 @@ def import_devices(
 def _known(path: Path) -> Form:
     form = kind_of(path)
     if form is None:
+        insist_on_decoded(path)
         raise UserError(
             f"{path} is none of UBX, NMEA, RTCM 3, Xbus, candump and ASC; convert it to one of these, or describe its "
             "columns in a mapping: docs/how-to/import-a-drive.md"
@@ -141,6 +143,17 @@ def _read_all(forms: Sequence[tuple[Path, Form]], shifts: dict[Path, int], progr
         numbers[kind] = numbers.get(kind, 0) + 1
         found[path] = Device(path, source, stamped, shift_ns=shifts.get(path))
     return [found[path] for path, _ in forms]
+
+
+def insist_on_decoded(path: Path) -> None:
+    """Raise `UserError` for a file of a protocol that is recognised and not decoded."""
+    with path.open("rb") as file:
+        names = recognise(file.read(8192)).names
+    if other := next((BY_NAME[name] for name in names if not BY_NAME[name].read_at), None):
+        raise UserError(
+            f"{path} holds {other.title}, which is not decoded; convert it to UBX or NMEA with the maker's program; "
+            f"for the next drive, {other.remedy}"
+        )
 
 
 def _is_of_rtcm(path: Path) -> bool:

@@ -1,8 +1,8 @@
 """Stamps the bytes of a GNSS receiver by the times that its own messages tell.
 
 A frame without a time has that of the frame before it. Until a date is known, times of week or of day wait for it; a
-file without any date keeps its time of day. Sources: u-blox F9 HPG 1.32 (UBX-22008968) and M8 (UBX-13003221); NMEA 0183
-4.11; RTCM 10403.3, tables 3.5-1 and 3.5-78.
+file without any date keeps its time of day, by the leap seconds since 2017 where it has times of week alone. Sources:
+u-blox F9 HPG 1.32 (UBX-22008968) and M8 (UBX-13003221); NMEA 0183 4.11; RTCM 10403.3, tables 3.5-1 and 3.5-78.
 """
 
 import re
@@ -14,9 +14,9 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from services.parsers.gnss.framer import Frame, Framer
 from services.parsers.gnss.protocols import FRAMINGS
 from shared.maths.dates import DAY_NS, GPS_EPOCH_UTC_NS, WEEK_NS, is_plausible
+from shared.protocols.framing.framer import Frame, Framer
 
 from ..conversion.scales import utc_of
 from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
@@ -25,11 +25,32 @@ MS = 1_000_000
 MOST_PORTION = 8192  # bytes; a message on the bus may hold 512 KB
 BACK_NS = 10 * NS  # by which a time may go back within the messages of an epoch
 SURE = 20  # frames in a row that tell an earlier time, after which the later ones before them were wrong
+LEAP_NS = 18 * NS  # GPS time less UTC since 2017
 NAV, RXM = 0x01, 0x02
 # Offset of the time of week [ms] in messages of the class NAV that do not begin with it; None where there is none.
 TOW_AT: dict[int, int | None] = {
     0x09: 4, 0x10: None, 0x13: 4, 0x14: 4, 0x39: 0, 0x3B: 4, 0x3C: 4, 0x3D: None, 0x62: None,
 }  # fmt: skip
+# Weeks from that of GPS to the first of Galileo and BeiDou, and leap seconds of GPS at the latter's beginning.
+WEEKS_OF_OTHERS = {0x25: (1024, 0), 0x24: (1356, 14)}  # NAV-TIMEGAL, NAV-TIMEBDS
+
+
+@dataclass(frozen=True)
+class Calendar:
+    """A message of the class NAV that tells date and time of day."""
+
+    layout: struct.Struct  # time of week [ms], then the fields
+    fields: tuple[str, ...]
+    size: int  # [bytes] of the shortest form
+    valid: int  # bits of the field valid that say that date and time are
+
+
+_CLOCK = ("year", "month", "day", "hour", "minute", "second")
+CALENDAR = {
+    0x07: Calendar(struct.Struct("<IH6B4xi"), (*_CLOCK, "valid", "nano"), 84, 3),  # NAV-PVT
+    0x17: Calendar(struct.Struct("<IxBH5B7xi"), ("valid", *_CLOCK, "nano"), 116, 3),  # NAV-PVAT
+    0x21: Calendar(struct.Struct("<I4xiH6B"), ("nano", *_CLOCK, "valid"), 20, 4),  # NAV-TIMEUTC
+}
 TIME_AT = {b"RMC": 1, b"GGA": 1, b"GNS": 1, b"GST": 1, b"ZDA": 1, b"GBS": 1, b"GLL": 5}
 TIME_OF_DAY = re.compile(rb"([0-2]\d)([0-5]\d)([0-6]\d)(?:\.(\d{1,9}))?")
 # RTCM 3 messages whose header has the time of week [ms] of GPS, Galileo, SBAS, QZSS or NavIC in bits 24 to 53
@@ -103,6 +124,10 @@ def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> 
         epochs.now_ns = next((told for _, mark in frames if (told := epochs.time_of(mark)) is not None), None)
     elif week_of_ns is not None and any(mark.week_ns is not None for _, mark in frames):
         epochs.now_ns, epochs.week_starts_ns = week_of_ns, _week_start(week_of_ns)
+    elif (tow_ns := next((mark.week_ns for _, mark in frames if mark.week_ns is not None), None)) is not None:
+        epochs.now_ns = WITHOUT_DATE_NS + (tow_ns - LEAP_NS) % DAY_NS
+        epochs.week_starts_ns = epochs.now_ns - tow_ns
+        clock = ClockKind.DAY
     elif any(mark.day_ns is not None for _, mark in frames):
         epochs.now_ns = WITHOUT_DATE_NS + next(mark.day_ns for _, mark in frames if mark.day_ns is not None)
         clock = ClockKind.DAY
@@ -174,13 +199,19 @@ def _mark(frame: Frame) -> Mark:
 def _mark_of_ubx(kind: int, number: int, payload: bytes) -> Mark:
     if kind == RXM and number == 0x15 and len(payload) >= 16:
         return _mark_of_rawx(payload)
-    if kind != NAV:
-        return Mark()
-    if number == 0x07 and len(payload) >= 84:
-        return _mark_of_pvt(payload)
+    return _mark_of_nav(number, payload) if kind == NAV else Mark()
+
+
+def _mark_of_nav(number: int, payload: bytes) -> Mark:
+    if number in CALENDAR and len(payload) >= CALENDAR[number].size:
+        return _mark_of_calendar(number, payload)
     if number == 0x20 and len(payload) >= 16:
         tow_ms, fraction_ns, week, leap, valid = struct.unpack_from("<IihbB", payload)
-        return _mark_of_week(week, tow_ms * MS + fraction_ns, leap) if valid & 7 == 7 else Mark()
+        return _mark_of_week(week, tow_ms * MS + fraction_ns, leap) if valid & 7 == 7 else _tow(payload, 0)
+    if number in WEEKS_OF_OTHERS and len(payload) >= 20:
+        tow_ms, _, _, week, leap, valid = struct.unpack_from("<IIihbB", payload)
+        before, leap_s = WEEKS_OF_OTHERS[number]
+        return _mark_of_week(week + before, tow_ms * MS, leap + leap_s) if valid & 7 == 7 else _tow(payload, 0)
     if number == 0x06 and len(payload) >= 52:
         tow_ms, _, week, _, flags = struct.unpack_from("<IihBB", payload)
         return _mark_of_week(week, tow_ms * MS, None) if flags & 0x0C == 0x0C else _tow(payload, 0)
@@ -195,14 +226,17 @@ def _tow(payload: bytes, at: int) -> Mark:
     return Mark(week_ns=tow_ns) if tow_ns < WEEK_NS else Mark()
 
 
-def _mark_of_pvt(payload: bytes) -> Mark:
-    tow_ms, year, month, day, hour, minute, second, valid = struct.unpack_from("<IHBBBBBB", payload)
-    (nano,) = struct.unpack_from("<i", payload, 16)
-    if valid & 3 != 3:  # date and time
+def _mark_of_calendar(number: int, payload: bytes) -> Mark:
+    """Mark of a message with the date: the time of week stays where that is not valid."""
+    form = CALENDAR[number]
+    tow_ms, *fields = form.layout.unpack_from(payload)
+    told = dict(zip(form.fields, fields, strict=True))
+    if told["valid"] & form.valid != form.valid:
         return _tow(payload, 0)
-    utc_ns = _utc_ns(year, month, day, (hour * 3600 + minute * 60 + second) * NS + nano)
+    seconds = told["hour"] * 3600 + told["minute"] * 60 + told["second"]
+    utc_ns = _utc_ns(told["year"], told["month"], told["day"], seconds * NS + told["nano"])
     if utc_ns is None:
-        return Mark()
+        return _tow(payload, 0)
     # `nano` holds the receiver's clock error as well: the epoch is the time of week, which is in whole ms.
     return Mark(utc_ns=round(utc_ns / MS) * MS, week_ns=tow_ms * MS)
 

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from shared.devices import xbus
 from shared.maths.dates import is_plausible
+from shared.protocols import xbus
 
 from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
 

@@ -1,6 +1,7 @@
 """The newest messages of the unit, and the facts for the mode decision derived from them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from shared.chosen import NMEA, SILENT_NS, receiver_of
@@ -11,6 +12,7 @@ from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
 from shared.messages.power import PowerState
 from shared.messages.vehicle import VehicleSpeed
+from shared.protocols.registry import BY_NAME
 
 from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
 from .sources import Sources, age_s
@@ -157,7 +159,7 @@ class Unit:
         if said is None or (age_s(said.received_ns, self.now_ns) or 0.0) > RECEIVER_SILENT_S:
             return None
         if not said.messages and said.other_protocols:
-            return f"{said.source} speaks {', '.join(said.other_protocols)}, which is not read: switch NMEA or UBX on"
+            return f"{said.source} speaks {_other(said.other_protocols)}"
         if not said.messages:
             return f"{said.source} sends bytes that are no messages: check the baud rate of its device"
         listed = ", ".join(said.messages[:LISTED]) + (", ..." if len(said.messages) > LISTED else "")
@@ -190,3 +192,11 @@ def _position_sd_m(fix: GnssFix) -> float | None:
     if fix.position_cov_ned_m2 is not None:
         return math.sqrt(max(fix.position_cov_ned_m2[0] + fix.position_cov_ned_m2[3], 0.0))
     return math.hypot(*fix.position_sd_ned_m[:2]) if fix.position_sd_ned_m is not None else None
+
+
+def _other(names: Sequence[str]) -> str:
+    """Protocols that are not read at the port of a receiver, and what to switch on in their place."""
+    first = BY_NAME.get(names[0])  # of a recording by another version there may be none
+    if first is not None and not first.read_at:
+        return f"{first.title}: not decoded; {first.remedy}"
+    return f"{', '.join(names)}, which is not read: switch NMEA or UBX on"

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
+from shared.protocols.framing.framing import Framing
+from shared.protocols.registry import BY_NAME
+
 from .dialect import Dialect
-from .framing import Framing
 from .nmea.dialect import NmeaDialect
-from .nmea.framing import NmeaFraming
-from .rtcm import RtcmDialect, RtcmFraming
+from .rtcm import RtcmDialect
 from .ubx.dialect import UbxDialect
-from .ubx.framing import UbxFraming
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class ProtocolRow:
 
 
 PROTOCOLS = (
-    ProtocolRow(UbxFraming(), UbxDialect),
-    ProtocolRow(NmeaFraming(), NmeaDialect),
-    ProtocolRow(RtcmFraming(), RtcmDialect),
+    ProtocolRow(BY_NAME["UBX"].framing, UbxDialect),
+    ProtocolRow(BY_NAME["NMEA"].framing, NmeaDialect),
+    ProtocolRow(BY_NAME["RTCM"].framing, RtcmDialect),
 )
 FRAMINGS = tuple(row.framing for row in PROTOCOLS)

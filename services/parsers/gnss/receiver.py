@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from shared.kinds import Kinds
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssStart, GnssWrite
 from shared.messages.operation import MessageUse
+from shared.protocols.framing.framer import Frame, Framer
 
 from .dialect import ContentError, Dialogue, Output, Stream
-from .framer import Frame, Framer
 from .protocols import FRAMINGS, PROTOCOLS
 from .seen import Seen
 

@@ -1,7 +1,7 @@
 """What a receiver sends, by its bytes: which kinds of messages, and how many bytes that are none."""
 
-from shared.devices.recognition import recognise
 from shared.messages.gnss import GnssReceiver
+from shared.protocols.recognition import recognise
 
 MAX_KINDS = 40
 PERIOD_NS = 2_000_000_000

@@ -37,7 +37,7 @@ class Stream:
 class Batch:
     """The samples of one chunk of bytes."""
 
-    device_ns: list[int] = field(default_factory=list)  # time of the device's clock
+    device_ns: list[int] = field(default_factory=list)  # time of the device's clock, or of the OBU without one
     forces: list[Vector3] = field(default_factory=list)
     rates: list[Vector3] = field(default_factory=list)
     saturated: bool = False
@@ -70,12 +70,16 @@ class Decoder(ABC):
         batch.forces.append(rotate(self.stream.body_from_sensor, force))
         batch.rates.append(rotate(self.stream.body_from_sensor, rate))
 
+    def stamps(self, batch: Batch, received_ns: int) -> tuple[int, ...]:
+        """Times of validity [ns, OBU time line] of the samples of a batch."""
+        return self.clock.stamp_all(batch.device_ns, received_ns)
+
     def samples(self, batch: Batch, received_ns: int, **slow: float | Vector3 | None) -> ImuSamples:
         """Make the message of a batch; `slow` are its fields beside samples."""
         return ImuSamples(
             received_ns=received_ns,
             source=self.stream.source,
-            sampled_ns=self.clock.stamp_all(batch.device_ns, received_ns),
+            sampled_ns=self.stamps(batch, received_ns),
             specific_force_body_m_s2=tuple(batch.forces),
             angular_rate_body_rad_s=tuple(batch.rates),
             saturated=batch.saturated,

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable
 from typing import Annotated, Literal
 
@@ -12,10 +13,13 @@ from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.operation import MessageUse
 from shared.runtime.config import Section
 
+from .arrivals import SampleClock
 from .decoder import Batch, Decoder, SampleError, Stream
 
 KIND = "line"
 MOST_BYTES = 1024  # of a line
+LINE_END = re.compile(rb"[\r\n]")
+LINE_ENDS = re.compile(rb"\r?\n|\r")
 Column = Annotated[str, Field(min_length=1, max_length=64)]
 Columns = tuple[Column, Column, Column]
 
@@ -35,7 +39,9 @@ class LineForm(Section):
     rate: Columns = Field(default=("5", "6", "7"), description="columns of the angular rate about x, y and z")
     rate_unit_rad_s: float = Field(default=1.0, gt=0, description="one of its units, in rad/s; of deg/s: 0.0174532925")
     time: str = Field(
-        default="1", max_length=64, description="column of the time of the sample; empty: the arrival of the line"
+        default="1",
+        max_length=64,
+        description="column of the time of the sample; empty: lines are spaced evenly, by their arrival",
     )
     time_unit_s: float = Field(default=1e-3, gt=0, description="one of its units, in s")
 
@@ -59,49 +65,78 @@ class LineImu(Decoder):
         self._form = form
         self._read: Callable[[bytes], Callable[[str], float]] = _csv(form) if form.form == "csv" else _json
         self._rest, self._last_ns = b"", -1
-        self._restarts = 0
+        self._arrivals = SampleClock(stream.minimum_delay_s)
 
     def take(self, raw: ImuRaw) -> ImuSamples | None:
         """Process the next bytes; the rest of a line is kept."""
-        *lines, self._rest = (self._rest + raw.data).split(b"\n")
+        *lines, self._rest = LINE_END.split(self._rest + raw.data)
         if len(self._rest) > MOST_BYTES:
             self.stream.rejects["line_length"] += 1
             self._rest = b""
+        used = [one for line in lines if (one := self._used(line.strip())) is not None]
+        times = self._times(len(used), raw.received_ns)
         batch = Batch()
-        for line in lines:
+        for line, at_ns in zip(used, times, strict=True):
             with self.faults.decoding(raw.received_ns):
-                self._take(batch, line.strip(), raw.received_ns)
+                self._take(batch, line, at_ns)
         return self.samples(batch, raw.received_ns) if batch.device_ns else None
 
-    def _take(self, batch: Batch, line: bytes, received_ns: int) -> None:
+    def stamps(self, batch: Batch, received_ns: int) -> tuple[int, ...]:
+        """Times by the column of the time; without one they are known already."""
+        return super().stamps(batch, received_ns) if self._form.time else tuple(batch.device_ns)
+
+    def _used(self, line: bytes) -> bytes | None:
+        """What is behind the beginning of a line that is read; others are counted by kind, but for empty ones."""
         begins = self._form.begins.encode()
-        if not line or line.startswith(b"#"):
-            return
-        if not line.startswith(begins):
+        if begins and line.startswith(begins):
+            return line[len(begins) :]
+        if not line:
+            return None
+        if begins:
             self.count(f"{KIND} that begins otherwise", MessageUse.UNUSED)
-            return
+        elif line.startswith(b"#"):
+            self.count(f"{KIND} that begins with #", MessageUse.UNUSED)
+        else:
+            return line
+        return None
+
+    def _times(self, number: int, received_ns: int) -> tuple[int | None, ...]:
+        """Times of lines that arrived together; None of those that state their own."""
+        return (None,) * number if self._form.time or not number else self._arrivals.stamp(number, received_ns)
+
+    def _take(self, batch: Batch, line: bytes, at_ns: int | None) -> None:
         try:
-            self._add(batch, line[len(begins) :], received_ns)
+            self._add(batch, line, at_ns)
         except SampleError as fault:
             self.count(KIND, MessageUse.USED, fault)
         else:
             self.count(KIND, MessageUse.USED)
 
-    def _add(self, batch: Batch, line: bytes, received_ns: int) -> None:
+    def _add(self, batch: Batch, line: bytes, at_ns: int | None) -> None:
         if len(line) > MOST_BYTES:
             raise SampleError("line_length")
         form = self._form
         column = self._read(line)
         force = [column(name) * form.acceleration_unit_m_s2 for name in form.acceleration]
         rate = [column(name) * form.rate_unit_rad_s for name in form.rate]
-        time_s = column(form.time) * form.time_unit_s if form.time else received_ns * 1e-9
-        if not math.isfinite(time_s) or abs(time_s) > 1e10:
-            raise SampleError("out_of_range")
-        device_ns = round(time_s * 1e9) if form.time else received_ns
-        if device_ns == self._last_ns:
-            raise SampleError("repeated_sample")
-        self._last_ns = device_ns
-        self.add(batch, device_ns, force, rate)
+        if at_ns is None:
+            time_s = column(form.time) * form.time_unit_s
+            if not math.isfinite(time_s) or abs(time_s) > 1e10:
+                raise SampleError("out_of_range")
+            at_ns = round(time_s * 1e9)
+            if at_ns == self._last_ns:
+                raise SampleError("repeated_sample")
+            self._last_ns = at_ns
+        self.add(batch, at_ns, force, rate)
+
+
+class UndescribedLines(Decoder):
+    """Lines of text without `[parsers.imu.line]`: each is the reject `line_not_described`."""
+
+    def take(self, raw: ImuRaw) -> None:
+        """Count the lines."""
+        for _ in range(len(LINE_ENDS.findall(raw.data))):
+            self.count(KIND, MessageUse.USED, SampleError("line_not_described"))
 
 
 def _csv(form: LineForm) -> Callable[[bytes], Callable[[str], float]]:

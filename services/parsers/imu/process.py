@@ -5,19 +5,20 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from shared.devices.recognition import recognise
 from shared.errors import ConfigError
 from shared.kinds import Kinds
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw, ImuSamples
+from shared.protocols.recognition import recognise
 from shared.runtime.config import VehicleSettings, vehicle_in
 from shared.runtime.old_keys import MOUNTING, in_section
 
 from .decoder import Decoder, Stream
-from .lines import LineForm, LineImu
+from .lines import LineForm, LineImu, UndescribedLines
 from .protocols import PROTOCOLS, USUAL
 
 MAX_SOURCES = 8
+TEXT = "text lines"
 ENOUGH_BYTES = 4096  # without a protocol that is known
 
 
@@ -75,9 +76,12 @@ class Process:
         stream = Stream(
             source, self._config.vehicle.imu.body_from_sensor, self._config.minimum_delay_s, self.rejects, self.kinds
         )
-        names = [name for name in recognise(data).names if name in PROTOCOLS]
+        found = recognise(data).names
+        names = [name for name in found if name in PROTOCOLS]
         if names:
             return PROTOCOLS[names[0]](stream)
         if self._config.line is not None:
             return LineImu(stream, self._config.line)
+        if TEXT in found:
+            return UndescribedLines(stream)
         return PROTOCOLS[USUAL](stream) if len(data) >= ENOUGH_BYTES else None

@@ -9,15 +9,15 @@ unit of its time tag is not stated: it is found out by the arrivals.
 import math
 import struct
 
-from shared.maths.crc import fletcher
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.operation import MessageUse
+from shared.protocols.framing.framer import Framer
+from shared.protocols.registry import BY_NAME
 
 from .decoder import Batch, Decoder, SampleError, Stream
 
-HEAD = b"\xb5\x62\x10\x03"
+ESF_RAW = b"\x10\x03"  # class and number
 KIND = "UBX ESF-RAW"
-MOST_BYTES = 4096
 GYROSCOPE = {14: 0, 13: 1, 5: 2}  # axis of each data type
 ACCELEROMETER = {16: 0, 17: 1, 18: 2}
 DEG_S, M_S2 = 2.0**-12, 2.0**-10  # [deg/s, m/s²] of a digit
@@ -31,12 +31,12 @@ _DATA = struct.Struct("<II")
 class ReceiverImu(Decoder):
     """Groups accelerations and rates by their time tag.
 
-    `rejects` counts `garbage_bytes`, `ubx_checksum`, `ubx_short`, `incomplete_sample`, `not_finite`, `out_of_range`.
+    `rejects` counts those of the framing, `ubx_short`, `incomplete_sample`, `not_finite`, `out_of_range`.
     """
 
     def __init__(self, stream: Stream) -> None:
         super().__init__(stream)
-        self._buffer = b""
+        self._framer = Framer((BY_NAME["UBX"].framing,), stream.rejects)
         self._tag: int | None = None  # unwrapped
         self._first: tuple[int, int] | None = None  # tag and arrival [ns] since which the unit is being found out
         self._tick_s: float | None = None
@@ -44,32 +44,11 @@ class ReceiverImu(Decoder):
     def take(self, raw: ImuRaw) -> ImuSamples | None:
         """Process the next bytes; None while the unit of the time tag is not known."""
         batch = Batch()
-        self._buffer += raw.data
-        for payload in self._payloads():
-            with self.faults.decoding(raw.received_ns):
-                self._take(batch, payload, raw.received_ns)
+        for frame in self._framer.feed(raw.data):
+            if frame.data[2:4] == ESF_RAW:
+                with self.faults.decoding(raw.received_ns):
+                    self._take(batch, frame.data[6:-2], raw.received_ns)
         return self.samples(batch, raw.received_ns) if batch.device_ns else None
-
-    def _payloads(self) -> list[bytes]:
-        found, buffer = [], self._buffer
-        while (start := buffer.find(HEAD)) >= 0 and len(buffer) >= start + 6:
-            stop = start + 8 + int.from_bytes(buffer[start + 4 : start + 6], "little")
-            if stop - start > MOST_BYTES:
-                self.stream.rejects["ubx_length"] += 1
-                buffer = buffer[start + 2 :]
-                continue
-            if stop > len(buffer):
-                break
-            self.stream.rejects["garbage_bytes"] += start
-            if fletcher(buffer[start + 2 : stop - 2]) == buffer[stop - 2 : stop]:
-                found.append(buffer[start + 6 : stop - 2])
-                buffer = buffer[stop:]
-            else:
-                self.stream.rejects["ubx_checksum"] += 1
-                buffer = buffer[start + 2 :]
-        self.stream.rejects["garbage_bytes"] += max(len(buffer) - MOST_BYTES, 0)
-        self._buffer = buffer[-MOST_BYTES:]
-        return found
 
     def _take(self, batch: Batch, payload: bytes, received_ns: int) -> None:
         try:

@@ -6,9 +6,9 @@ Source: Xsens, "MT Low Level Communication Protocol Documentation", chapters 2 a
 import math
 from collections.abc import Sequence
 
-from shared.devices import xbus
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.operation import MessageUse
+from shared.protocols import xbus
 
 from .decoder import Batch, Decoder, SampleError, Stream, check, rotate
 

@@ -10,17 +10,18 @@ _SIZE = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;[^\r\n]*)?\Z")
 
 
 class ChunkedDecoder:
-    """Decodes a stream in portions; it raises `SourceFault` for what is no such coding, and at the last chunk."""
+    """Decodes a stream in portions; it raises `SourceFault` for what is no such coding."""
 
     def __init__(self) -> None:
         self._buffer = b""
         self._left = 0  # of the present chunk
         self._ends = False  # a line end must follow the chunk
+        self.finished = False  # the last chunk has come
 
     def feed(self, data: bytes) -> bytes:
-        """Decode the next portion."""
+        """Decode the next portion; what follows the last chunk is ignored."""
         buffer, out = self._buffer + data, b""
-        while buffer:
+        while buffer and not self.finished:
             if self._left:
                 part = buffer[: self._left]
                 out, buffer, self._left = out + part, buffer[len(part) :], self._left - len(part)
@@ -46,5 +47,4 @@ class ChunkedDecoder:
         if match is None or int(match[1], 16) > MOST_BYTES:
             raise SourceFault(f"the caster sends no valid size of a chunk: {shown(line, 20)!r}")
         self._left = int(match[1], 16)
-        if not self._left:
-            raise SourceFault("the caster ended the stream")
+        self.finished = not self._left

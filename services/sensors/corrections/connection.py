@@ -12,7 +12,7 @@ from shared.devices.device import Device, DeviceBusy, DeviceLost, open_device
 from shared.errors import UserError
 
 from .address import Address
-from .fault import RETRY_S, SourceFault
+from .fault import RETRY_S, ConnectionEnded, SourceFault
 
 if TYPE_CHECKING:
     import ssl
@@ -102,13 +102,13 @@ class TcpConnection:
             except BlockingIOError:
                 break
             except OSError as error:
-                if _would_block(error):
-                    break
-                raise SourceFault(f"lost {self._name}: {error.strerror or error}") from error
+                if _would_block(error) or data:
+                    break  # the fault is found again at the next call, as an end of the connection
+                raise self._lost(error) from error
             if not part:
                 if data:
                     break  # the end is found again at the next call
-                raise SourceFault(f"{self._name} closed the connection")
+                raise ConnectionEnded(f"{self._name} closed the connection")
             data += part
         return data
 
@@ -125,6 +125,16 @@ class TcpConnection:
             if connection is not None:
                 connection.close()
         self.sock = self._tls = None
+
+    def _lost(self, error: OSError) -> SourceFault:
+        """The fault of an open connection; what TLS refuses behind its handshake has no answer of the caster."""
+        if self._tls is not None and not isinstance(error, ConnectionError):
+            from shared.tls import reason_of
+
+            return SourceFault(
+                f"no TLS with {self._name}: {reason_of(error)}; check certificate_file and key_file", wait_s=RETRY_S
+            )
+        return ConnectionEnded(f"lost {self._name}: {error.strerror or error}")
 
     def _begin(self) -> None:
         """Connect to the next address of the host, once they are known."""
@@ -204,7 +214,7 @@ class TcpConnection:
             pass  # sent when the peer takes it
         except OSError as error:
             if not _would_block(error):
-                raise SourceFault(f"lost {self._name}: {error.strerror or error}") from error
+                raise self._lost(error) from error
         self.wants_write = bool(self._waiting)
 
 

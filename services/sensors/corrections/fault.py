@@ -26,6 +26,10 @@ class SourceFault(ObuError):
         self.wait_s, self.refused, self.older = wait_s, refused, older
 
 
+class ConnectionEnded(SourceFault):
+    """The peer ended an open connection, or sends nothing: what it sent before may state the reason."""
+
+
 def refused(text: str, wait_s: float = REFUSED_S) -> SourceFault:
     """Make the fault of a request that the peer has refused."""
     return SourceFault(text, wait_s=wait_s, refused=True)

@@ -15,7 +15,7 @@ from shared import VERSION
 
 from .address import Address
 from .chunked import ChunkedDecoder
-from .fault import SourceFault, refused, shown
+from .fault import ConnectionEnded, SourceFault, refused, shown
 
 LONGEST_LINE = 1024  # [bytes] of a header
 LONGEST_HEADER = 16384  # [bytes] of all headers
@@ -23,10 +23,30 @@ LONGEST_TABLE = 1 << 20  # [bytes]; that of the largest public caster, with some
 BUSY_S = 60.0  # until the next attempt at a caster that is overloaded
 LONGEST_RETRY_AFTER_S = 3600
 NEAREST = 4  # names in a sentence
-_STATUS = re.compile(rb"HTTP/1\.[01] (\d{3})(?: (.*))?\Z")
+# Some casters of version 1 write the codes of HTTP behind ICY, or alone.
+_STATUS = re.compile(rb"(?:(?:HTTP/\d(?:\.\d)?|ICY|NTRIP(?:/\d\.\d)?) +|(?=[45]))(\d{3})(?: +(.*))?\Z", re.I)
 _HEADER = re.compile(rb"[A-Za-z0-9-]{1,64}:[ \t]*[ -~\x80-\xff]*\r?\n")
 _OLDER = (400, 405, 406, 426, 501, 505)  # answers of casters that know version 1 only
 STREAM, TABLE = "gnss/data", "gnss/sourcetable"
+# Lines with which a source table begins (RTCM 10410.1, table 4), in a form with which no frame of corrections begins.
+_TABLE_LINES = (b"STR;", b"CAS;", b"NET;", b"ENDSOURCETABLE", b"SOURCETABLE 200")
+_ERROR = b"ERROR"
+_TEXT = re.compile(rb"[\t\r\n -~]*\Z")
+# What the reasons of a refusal say, in lower case and in the order in which they are judged: version 1 has no codes.
+_LOCKED = re.compile(r"locked|blocked|banned|suspended")
+_BUSY = re.compile(r"already|in use|too many|maximum|limit|busy|overload|temporar|try again|capacity|\bfull\b")
+_CREDENTIALS = re.compile(
+    r"passw|auth|credential|log ?in|\buser|account|denied|forbidden|not allowed|permi(?:ssion|tted)|expired|"
+    r"subscription|licen[cs]e|disabled"
+)
+_MOUNT = re.compile(r"mount|stream|station|source")
+_UNKNOWN = re.compile(r"invalid|unknown|\bno(?:t|ne)?\b|n't|bad|wrong|unavailable")
+# A refusal without a status, as the first line.
+_REFUSAL = re.compile(
+    rb"(?:bad|invalid|wrong|incorrect) |unauthori[sz]ed|forbidden|authenticat|authori[sz]ation|access denied|log ?in",
+    re.IGNORECASE,
+)
+_OTHER_VERSION = re.compile(r"bad request|version|protocol|not implemented|unsupported|not supported")
 
 
 class NtripDialogue:
@@ -47,15 +67,17 @@ class NtripDialogue:
     def __init__(
         self, address: Address, password: str, version: int, location: tuple[float, float] | None = None
     ) -> None:
-        self.streaming = False
+        self.streaming = False  # the caster has granted the stream; it may wait for a position before it sends any
         self._address, self._password, self._version, self._location = address, password, version, location
         self._buffer = b""
         self._header_bytes = 0
         self._code: int | None = None  # of HTTP, 0 of version 1
         self._reason = ""
         self._headers: dict[str, str] = {}
-        self._table: list[bytes] | None = None
+        self._table: bytearray | None = None
         self._chunks: ChunkedDecoder | None = None
+        self._body: bytes | None = None  # what is behind the headers, until it is known what that is
+        self._is_stream = False  # it is known
 
     def request(self, gga: str | None = None) -> bytes:
         """Write the request, with the position if there is one."""
@@ -81,39 +103,67 @@ class NtripDialogue:
         SourceFault
             The caster refuses, or what it sends is no answer of one.
         """
-        if self.streaming:
-            return self._chunks.feed(data) if self._chunks else data
+        if self._is_stream:
+            return self._decoded(data)
         self._buffer += data
-        while not self.streaming:
-            if self._table is not None:
-                self._read_table()
-                return b""
+        while self._body is None and self._table is None:
             if not self._step():
                 return b""
-        body, self._buffer = self._buffer, b""
-        return self._chunks.feed(body) if self._chunks else body
+        received, self._buffer = self._buffer, b""
+        content = self._decoded(received)
+        if self._table is None:
+            self._body, content = b"", (self._body or b"") + content
+            if not self._judge_body(content):
+                return content if self._is_stream else b""
+        self._read_table(content)
+        return b""
 
     def answer(self, now_s: float) -> bytes:
         """Nothing but positions is sent after the request."""
         return b""
 
     def ended(self, fault: SourceFault) -> SourceFault:
-        """Explain the end of the connection by what came before it."""
-        if self._table is not None:
-            return self._unknown_mount()
-        if not self.streaming and self._code:
-            try:
-                self._answered()  # some casters send no empty line behind a refusal
-            except SourceFault as found:
-                return found
-        if not self.streaming and self._code is None and not self._buffer:
-            return SourceFault(f"{fault} without an answer: is it an NTRIP caster?", older=self._version == 2)
+        """Explain the end of the connection by what came before it, be it incomplete."""
+        if self._is_stream:
+            return fault
+        try:
+            self._read_to_the_end()
+        except SourceFault as found:
+            return found
+        if self._code is None:
+            return SourceFault(
+                f"{fault} without an answer: is it an NTRIP caster?", wait_s=fault.wait_s, older=self._version == 2
+            )
         return fault
+
+    def _decoded(self, data: bytes) -> bytes:
+        """Content of received bytes; raises SourceFault behind the last chunk."""
+        if self._chunks is None:
+            return data
+        content = self._chunks.feed(data)
+        if self._chunks.finished and not content:
+            raise self.ended(ConnectionEnded("the caster ended the stream"))
+        return content
+
+    def _read_to_the_end(self) -> None:
+        """Judge what was left undecided: some casters end no line, or send no empty line behind a refusal."""
+        if self._table is None and self._body is None:
+            self._buffer += b"\n" if self._buffer else b""
+            while self._body is None and self._table is None and self._step():
+                pass
+        if self._table is not None:
+            raise self._unknown_mount()
+        if self._body is None and self._code:
+            self._answered()
+        self._judge_body((self._body or b"").strip() + b"\n" if self._body else b"", whole=True)
 
     def _step(self) -> bool:
         """Read the status or a header; whether something was read."""
+        if self._buffer.startswith(_TABLE_LINES):  # no empty line, or no status, is before it
+            self._table = bytearray()
+            return True
         if self._code == 0 and self._begins_stream():
-            self.streaming = True
+            self._body, self.streaming = b"", True
             return True
         line, end, rest = self._buffer.partition(b"\n")
         if not end:
@@ -152,25 +202,33 @@ class NtripDialogue:
         if line.startswith(b"ICY 200"):
             self._code = 0
             return
-        if line.startswith(b"SOURCETABLE 200"):
-            self._table = []
-            return
-        if line.startswith(b"ERROR"):
-            raise self._error(shown(line[5:]).lstrip(" -"))
+        if line.upper().startswith(_ERROR):
+            raise self._error(shown(line[len(_ERROR) :]))
         match = _STATUS.match(line)
         if match is None:
+            if _REFUSAL.match(line):
+                raise self._error(shown(line))  # the reason alone
             raise SourceFault(
                 f"{self._address.host}:{self._address.port} is no NTRIP caster: it answers {shown(line, 40)!r}"
             )
         self._code, self._reason = int(match[1]), shown(match[2] or b"")
 
     def _error(self, reason: str) -> SourceFault:
+        """Judge a refusal by its words."""
+        reason = reason.lstrip(" -:")
+        if code := re.match(r"([45]\d\d)\b[ -]*", reason):
+            self._code, self._reason = int(code[1]), reason[code.end() :]
+            self._answered()
         lower = reason.lower()
-        if "password" in lower or "auth" in lower:
+        busy = _BUSY.search(lower)
+        if _LOCKED.search(lower) or (_CREDENTIALS.search(lower) and not busy):
             return self._bad_password(reason)
-        if "mount" in lower and "taken" not in lower:
+        if _MOUNT.search(lower) and _UNKNOWN.search(lower) and not busy:
             return refused(f"the caster does not know the mount point {self._address.mount!r}: {reason}")
-        return SourceFault(f"the caster refuses: {reason or 'it states no reason'}", wait_s=BUSY_S)
+        older = self._version == 2 and bool(_OTHER_VERSION.search(lower))
+        return SourceFault(
+            f"the caster refuses: {reason or 'it states no reason'}", wait_s=None if older else BUSY_S, older=older
+        )
 
     def _answered(self) -> None:
         """Judge an answer of HTTP, whose headers are complete."""
@@ -196,20 +254,46 @@ class NtripDialogue:
             raise SourceFault(
                 f"the caster refuses: {code} {self._reason}", wait_s=None if older else BUSY_S, older=older
             )
-        self._begin(self._headers.get("content-type", STREAM).partition(";")[0].strip().lower())
+        self._begin()
 
-    def _begin(self, kind: str) -> None:
-        if kind.startswith("text/html"):
+    def _kind(self) -> str:
+        """Content type of the answer."""
+        return self._headers.get("content-type", STREAM).partition(";")[0].strip().lower()
+
+    def _begin(self) -> None:
+        if "chunked" in self._headers.get("transfer-encoding", "").lower():
+            self._chunks = ChunkedDecoder()
+        if self._kind() == TABLE or self._reason.upper().startswith("SOURCETABLE"):
+            self._table = bytearray()
+        else:
+            self._body, self.streaming = b"", not self._kind().startswith("text/")
+
+    def _judge_body(self, content: bytes, *, whole: bool = False) -> bool:
+        """Whether the content is a source table; otherwise it is a stream, or kept until that can be told.
+
+        Its content type does not count: casters send tables and reasons of refusals as text, or as a stream.
+        """
+        start = content.lstrip()
+        if start.startswith(_TABLE_LINES):
+            self._table, self.streaming = bytearray(), False
+            return True
+        line, end, _ = start.partition(b"\n")
+        is_text = self._kind().startswith("text/")
+        expected = (*_TABLE_LINES, _ERROR, b"<")
+        undecided = not whole and any(head.startswith(start) for head in expected)
+        refusal = start.startswith(_ERROR) or (is_text and bool(start) and bool(_TEXT.match(line)))
+        if not undecided and self._kind().startswith("text/html") and (start or whole):
             raise refused(
                 f"{self._address.host}:{self._address.port} answers with a web page: it is no caster, or this network "
                 "wants you to log in", BUSY_S,
             )  # fmt: skip
-        if "chunked" in self._headers.get("transfer-encoding", "").lower():
-            self._chunks = ChunkedDecoder()
-        if kind == TABLE or self._reason.upper().startswith("SOURCETABLE"):
-            self._table = []
+        if refusal and not undecided and (end or len(line) > LONGEST_LINE):
+            raise self._error(shown(line.removeprefix(_ERROR)))
+        if undecided or (refusal and not end):
+            self._body = content
         else:
-            self.streaming = True
+            self._is_stream = self.streaming = bool(content)
+        return False
 
     def _bad_password(self, reason: str) -> SourceFault:
         user = "without a user" if self._address.user is None else "user or password"
@@ -225,17 +309,16 @@ class NtripDialogue:
     def _too_long(self) -> SourceFault:
         return SourceFault(f"{self._address.host}:{self._address.port} is no NTRIP caster: its headers do not end")
 
-    def _read_table(self) -> None:
+    def _read_table(self, content: bytes) -> None:
         """Collect the source table that was sent in place of a stream, up to its end."""
         assert self._table is not None
-        data, self._buffer = self._buffer, b""
-        self._table.append(self._chunks.feed(data) if self._chunks else data)
-        tail = b"".join(self._table[-2:])
-        if b"ENDSOURCETABLE" in tail or sum(map(len, self._table)) > LONGEST_TABLE:
+        searched = max(len(self._table) - len(b"ENDSOURCETABLE"), 0)
+        self._table += content
+        if self._table.find(b"ENDSOURCETABLE", searched) >= 0 or len(self._table) > LONGEST_TABLE:
             raise self._unknown_mount()
 
     def _unknown_mount(self) -> SourceFault:
-        near = nearest_mounts(b"".join(self._table or ()), self._address.mount, self._location)
+        near = nearest_mounts(bytes(self._table or b""), self._address.mount, self._location)
         return refused(
             f"the caster does not know the mount point {self._address.mount!r}; "
             + (f"near to it are {', '.join(near)}" if near else "its list is empty")

@@ -8,7 +8,7 @@ from shared.messages.corrections import CorrectionSource, SourcePhase
 
 from .address import Address, password_of
 from .connection import Connection, SerialConnection, TcpConnection, context_of
-from .fault import SourceFault
+from .fault import ConnectionEnded, SourceFault
 from .gga import Position
 from .mqtt import MqttDialogue
 from .ntrip import NtripDialogue
@@ -110,9 +110,11 @@ class Source:
             self.wanted_since_s = now_s
         try:
             return self._turn(now_s, now_ns)
-        except SourceFault as fault:
+        except ConnectionEnded as fault:
             self._lose(self._dialogue.ended(fault), now_s)
-            return b""
+        except SourceFault as fault:
+            self._lose(fault, now_s)
+        return b""
 
     def release(self, reason: str) -> None:
         """Close the connection, since it is not needed."""
@@ -213,7 +215,7 @@ class Source:
         waits = self.address.is_ntrip and self.address.gga_period_s and not self._told and not self._streaming_s
         limit_s = UNLOCATED_HANG_S if waits and self._dialogue.streaming else HANG_S
         if now_s - self._heard_s > limit_s:
-            raise SourceFault(f"{self._where()} sent nothing for {limit_s:.0f} s")
+            raise ConnectionEnded(f"{self._where()} sent nothing for {limit_s:.0f} s")
 
     def _where(self) -> str:
         return f"{self.address.host}:{self.address.port}" if self.address.host else self.address.name

@@ -7,7 +7,7 @@ from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxreader import UBXReader
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
-from services.parsers.gnss.ubx.frames import ubx_frame
+from shared.protocols.ubx import ubx_frame
 
 
 def acknowledge(message_id: int, *, good: bool = True) -> bytes:

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks import fuzz, fuzz_files, fuzz_fleet
 from fleet.admission.enrolment import Refusal
-from shared.devices.recognition import recognise
 from shared.faults import FAULT
+from shared.protocols.recognition import recognise
 from tests.support.data import REPOSITORY
 
 LEAST, LEAST_FILES = 100, 10  # a parser that fails mostly does within the first hundred inputs

@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from services.parsers.can import process as can
 from services.parsers.can.standards import StandardSpeeds
 from services.parsers.gnss import process as gnss
-from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.imu import process as imu
 from services.parsers.v2x import process as v2x
-from shared.devices import xbus
 from shared.errors import TooManyFaults
 from shared.faults import FAULT, RANGE
 from shared.maths.crc import fletcher
@@ -26,6 +24,8 @@ from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.v2x import CamList
 from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
+from shared.protocols import xbus
+from shared.protocols.ubx import SYNC
 from shared.v2x import cam, geonetworking, its_time
 from tests.support.v2x import cams
 

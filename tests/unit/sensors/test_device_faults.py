@@ -12,13 +12,13 @@ from pathlib import Path
 from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
-from services.parsers.gnss.ubx.frames import ubx_frame
 from shared.bus.bus import Bus
 from shared.devices.driver import Link, run_driver
 from shared.devices.recognising import Port
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix, GnssRaw, GnssReceiver
 from shared.messages.operation import DeviceFound, DeviceState
+from shared.protocols.ubx import ubx_frame
 from tests.support.bus.live_bus import LiveBus, eventually, running
 
 SENTENCE = b"$GNRMC,,V,,,,,,,,,,N*4D\r\n"

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from pyubx2.ubxmessage import UBXMessage
 
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssStart
+from shared.protocols.ubx import ubx_frame
 
 from ..dialect import Dialogue
 from .exchange import NO_RESPONSE, Exchange, Result
-from .frames import ubx_frame
 from .legacy import LegacyExchange
+from .outputs import plan_outputs
 from .reset import reset
 from .valset import RAM, ValsetExchange
 
@@ -50,7 +51,8 @@ class UbxDialogue(Dialogue):
         if kind == "MON-VER" and self._exchange is None:
             self._version = read_version(payload)
             legacy = protocol_version(self._version) < VALSET_SINCE
-            self._exchange = LegacyExchange(self._wanted) if legacy else ValsetExchange(self._wanted)
+            plan = plan_outputs(self._wanted, self._rate_baud)
+            self._exchange = (LegacyExchange if legacy else ValsetExchange)(self._wanted, plan)
             yield from self._said(self._exchange.begin())
         elif self._exchange is not None and kind in ANSWERS:
             yield from self._said(self._exchange.take(kind, payload))
@@ -88,7 +90,7 @@ class UbxDialogue(Dialogue):
             accepted=result.fault is None,
             navigation_period_s=result.navigation_period_s,
             messages=tuple(f"UBX {name}" for name in result.messages),
-            reason=result.fault,
+            reason=result.fault or result.note,
             model=self._version.get("MOD"),
             firmware=self._version.get("FWVER"),
             protocol=f"UBX {self._version['PROTVER']}" if "PROTVER" in self._version else None,

@@ -14,9 +14,13 @@ DYNAMIC_MODELS = {
 
 @dataclass(frozen=True)
 class Result:
-    """What a receiver took of a request; `fault` is None if it is all that was required."""
+    """What a receiver took of a request; `fault` is None if it is all that was required.
+
+    `note` says what was not asked for, and why.
+    """
 
     fault: str | None
+    note: str | None = None
     navigation_period_s: float | None = None
     messages: tuple[str, ...] = ()
     dynamic_model: str | None = None

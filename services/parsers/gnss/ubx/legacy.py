@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
 from shared.messages.gnss import GnssConfigure, GnssOutput
+from shared.protocols.ubx import ubx_frame
 
 from .exchange import DYNAMIC_MODELS, NO_RESPONSE, TIMEOUT_TICKS, Exchange, Result
-from .frames import ubx_frame
-from .outputs import ONCE_A_SECOND, messages_of
+from .outputs import OutputPlan
 from .valset import elevation_rad
 
 CFG, MSG, RATE, NAV5 = 0x06, 0x01, 0x08, 0x24
@@ -33,14 +33,14 @@ class _Setting:
     """One message that the receiver acknowledges."""
 
     frame: bytes
-    message: str | None = None  # that is switched on by it
+    message: str | None = None  # that is switched on by it; None of one that is switched off
 
 
 class LegacyExchange(Exchange):
     """Sends one setting after another, each when the one before was acknowledged, and polls what is read back."""
 
-    def __init__(self, wanted: GnssConfigure) -> None:
-        self._wanted = wanted
+    def __init__(self, wanted: GnssConfigure, plan: OutputPlan) -> None:
+        self._wanted, self._plan = wanted, plan
         self._settings = list(self._wanted_settings())
         self._sent: list[str] = []
         self._attempts = self._ticks = 0
@@ -50,11 +50,10 @@ class LegacyExchange(Exchange):
 
     def begin(self) -> Iterator[bytes | Result]:
         """Yield the first setting, or the reason why the request is invalid."""
-        period_ms = round(self._wanted.navigation_period_s * 1000)
-        if SHORTEST_MS <= period_ms <= LONGEST_MS:
+        if SHORTEST_MS <= round(self._plan.period_s * 1000) <= LONGEST_MS:
             yield from self._next()
         else:
-            yield Result(f"a navigation period of {self._wanted.navigation_period_s} s is outside 0.05 to 65.535 s")
+            yield Result(f"a navigation period of {self._plan.period_s} s is outside 0.05 to 65.535 s")
 
     def take(self, kind: str, payload: bytes) -> Iterator[bytes | Result]:
         """Process an acknowledgement, or what was polled."""
@@ -77,7 +76,7 @@ class LegacyExchange(Exchange):
         if self._attempts < ATTEMPTS:
             yield from self._next()
         else:
-            yield Result(NO_RESPONSE, messages=tuple(self._sent))
+            yield Result(NO_RESPONSE, self._plan.shortage, messages=tuple(self._sent))
 
     def _answered(self, setting: _Setting, *, accepted: bool) -> Iterator[bytes | Result]:
         self._attempts = self._ticks = 0
@@ -99,27 +98,29 @@ class LegacyExchange(Exchange):
         yield ubx_frame(CFG, RATE, b"")
 
     def _wanted_settings(self) -> Iterator[_Setting]:
-        period_ms = round(self._wanted.navigation_period_s * 1000)
+        period_ms = round(self._plan.period_s * 1000)
         yield _Setting(ubx_frame(CFG, RATE, struct.pack("<HHH", min(period_ms, LONGEST_MS), 1, 1)))
         model = next((number for number, name in DYNAMIC_MODELS.items() if name == self._wanted.dynamic_model), None)
         if model is not None:
             yield _Setting(ubx_frame(CFG, NAV5, struct.pack("<HB33x", DYNAMIC_MODEL_ONLY, model)))
-        every = max(1, round(1.0 / self._wanted.navigation_period_s))
-        for name in messages_of(self._wanted.outputs):
+        for name, every in self._plan.every.items():
             if name not in WITHOUT:
-                yield _output(name, every if name in ONCE_A_SECOND else 1)
+                yield _output(name, every)
 
     def _result(self, period_s: float) -> Result:
         fault = None
         gives_fix = "NAV-PVT" in self._sent or {"NAV-POSLLH", "NAV-SOL"} <= set(self._sent)
         if GnssOutput.FIX in self._wanted.outputs and not gives_fix:
             fault = "the receiver sends neither NAV-PVT nor NAV-POSLLH and NAV-SOL"
+        elif abs(period_s - self._plan.period_s) > 1e-3:
+            fault = f"the receiver's navigation period is {period_s} s, not {self._plan.period_s:g} s"
         elif abs(period_s - self._wanted.navigation_period_s) > 1e-3:
-            fault = f"the receiver's navigation period is {period_s} s, not {self._wanted.navigation_period_s} s"
-        return Result(fault, period_s, tuple(self._sent), self._model, self._mask_rad)
+            fault = self._plan.shortage
+        return Result(fault, self._plan.shortage, period_s, tuple(self._sent), self._model, self._mask_rad)
 
 
 def _output(name: str, every: int = 1) -> _Setting:
-    """Switch on a message on the port by which this is sent."""
+    """Send a message every so many epochs on the port by which this is sent; 0 switches it off."""
     group, number = next(key for key, known in UBX_MSGIDS.items() if known == name)
-    return _Setting(ubx_frame(CFG, MSG, bytes((group, number, min(every, 255)))), name)
+    frame = ubx_frame(CFG, MSG, bytes((group, number, min(every, 255))))
+    return _Setting(frame, name if every else None)

@@ -3,8 +3,7 @@
 import struct
 
 from shared.messages.gnss import GnssStart
-
-from .frames import ubx_frame
+from shared.protocols.ubx import ubx_frame
 
 # navBbrMask: what is cleared of the battery-backed memory. Interface description of u-blox 8 and F9, UBX-CFG-RST.
 CLEARED = {GnssStart.HOT: 0x0000, GnssStart.WARM: 0x0001, GnssStart.COLD: 0xFFFF}

@@ -6,7 +6,11 @@ Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET,
 import struct
 from collections.abc import Iterator
 
-from .ubx_encoder import CFG, MON, SYNC, VALGET, VALSET, acknowledge, checksum, frame, mon_ver
+from shared.protocols.framing.framer import Framer
+from shared.protocols.registry import BY_NAME
+from shared.protocols.ubx import ubx_frame
+
+from .ubx_encoder import CFG, MON, VALGET, VALSET, acknowledge, mon_ver
 
 RATE_MEAS, RATE_NAV, RATE_TIMEREF, DYNAMIC_MODEL = 0x30210001, 0x30210002, 0x20210003, 0x20110021
 ELEVATION_MASK = 0x201100A4  # [deg]
@@ -40,7 +44,6 @@ LIMITS = {
     ELEVATION_MASK: (0, 90),
 }
 RAM, DEFAULTS = 0, 7  # layers of VALGET
-MAX_FRAME = 1024
 
 
 class Settings:
@@ -52,7 +55,7 @@ class Settings:
             sent = name.split("_", maxsplit=1)[0].lower() in protocols
             self._values.update({key + port: int(sent and port == OUR_PORT) for port in range(PORTS)})
         self._defaults = dict(self._values)
-        self._buffer = b""
+        self._framer = Framer((BY_NAME["UBX"].framing,))
 
     @property
     def period_ms(self) -> int:
@@ -68,21 +71,9 @@ class Settings:
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Process bytes written to the receiver; yield its responses."""
-        self._buffer += data
-        while (start := self._buffer.find(SYNC)) >= 0 and len(self._buffer) >= start + 8:
-            size = int.from_bytes(self._buffer[start + 4 : start + 6], "little")
-            end = start + 8 + size
-            if size > MAX_FRAME:
-                self._buffer = self._buffer[start + 2 :]
-                continue
-            if len(self._buffer) < end:
-                break
-            body, expected = self._buffer[start + 2 : end - 2], self._buffer[end - 2 : end]
-            intact = checksum(body) == expected
-            self._buffer = self._buffer[end if intact else start + 2 :]
-            if intact:
-                yield from self._respond(body[0], body[1], body[4:])
-        self._buffer = self._buffer[-MAX_FRAME:]
+        for command in self._framer.feed(data):
+            group, number, payload = command.data[2], command.data[3], command.data[6:-2]
+            yield from self._respond(group, number, payload)
 
     def _respond(self, message_class: int, message_id: int, payload: bytes) -> Iterator[bytes]:
         if (message_class, message_id) == (MON, 0x04) and not payload:
@@ -111,7 +102,7 @@ class Settings:
         if not keys or not all(key in values for key in keys):
             return None
         items = (key.to_bytes(4, "little") + values[key].to_bytes(_size(key), "little") for key in keys)
-        return frame(CFG, VALGET, b"\x01" + payload[1:4] + b"".join(items))
+        return ubx_frame(CFG, VALGET, b"\x01" + payload[1:4] + b"".join(items))
 
     def _allowed(self, key: int, value: int) -> bool:
         low, high = LIMITS.get(key, (0, 255))

@@ -9,16 +9,15 @@ from math import atan2, cos, degrees, hypot, sin
 
 import numpy as np
 
+from shared.protocols.ubx import ubx_frame
+
 from .raw_measurements import CLOCK_DRIFT, clock_bias_s
 from .simulated_epoch import GEOID_M, LEAP_SECONDS, WEEK_MS, Epoch, gps_ms
 from .sky import TRACKED_DB_HZ, WEAKEST_DB_HZ
 
 NAV, RXM, ACK, CFG, MON, SEC = 0x01, 0x02, 0x05, 0x06, 0x0A, 0x27
 VALSET, VALGET = 0x8A, 0x8B
-SYNC = b"\xb5\x62"
-
 _CARRIER = {"none": 0, "float": 1, "fixed": 2}
-_HEADER = struct.Struct("<BBH")
 _PVT = struct.Struct("<IH5BBIi4B4i2I5i2IHH4xihH")
 _DOP = struct.Struct("<I7H")
 _COV = struct.Struct("<IBBB9x12f")
@@ -45,21 +44,6 @@ _TIME_CONFIRMED = 0xE0
 _WORST = 0xFFFFFFFF
 
 
-def frame(message_class: int, message_id: int, payload: bytes) -> bytes:
-    """Frame a payload: sync, class, id, length, payload, checksum."""
-    body = _HEADER.pack(message_class, message_id, len(payload)) + payload
-    return SYNC + body + checksum(body)
-
-
-def checksum(body: bytes) -> bytes:
-    """Eight-bit Fletcher checksum of everything between sync and checksum (RFC 1145)."""
-    first = second = 0
-    for byte in body:
-        first += byte
-        second += first
-    return bytes((first & 0xFF, second & 0xFF))
-
-
 def nav_pvt(epoch: Epoch) -> bytes:
     """Position, velocity, time."""
     fix, utc = epoch.fix, epoch.utc
@@ -72,7 +56,7 @@ def nav_pvt(epoch: Epoch) -> bytes:
     north, east, down = (_milli(v) for v in fix.velocity_n)
     height = _milli(fix.position.height)
     course = round(epoch.course_deg * 1e5)
-    return frame(NAV, 0x07, _PVT.pack(
+    return ubx_frame(NAV, 0x07, _PVT.pack(
         epoch.itow_ms, utc.year, utc.month, utc.day, utc.hour, utc.minute, utc.second, _TIME_VALID, 25,
         utc.microsecond * 1000, 3 if fix.valid else 0, flags, _TIME_CONFIRMED, epoch.satellites_used,
         round(longitude * 1e7), round(latitude * 1e7), height, height - _milli(GEOID_M),
@@ -86,7 +70,7 @@ def nav_dop(epoch: Epoch) -> bytes:
     """Dilution of precision."""
     dop = epoch.sky.dop
     values = (dop.geometric, dop.position, dop.time, dop.vertical, dop.horizontal, dop.north, dop.east)
-    return frame(NAV, 0x04, _DOP.pack(epoch.itow_ms, *(_centi(value) for value in values)))
+    return ubx_frame(NAV, 0x04, _DOP.pack(epoch.itow_ms, *(_centi(value) for value in values)))
 
 
 def nav_cov(epoch: Epoch) -> bytes:
@@ -95,7 +79,7 @@ def nav_cov(epoch: Epoch) -> bytes:
     for north, east, down in (epoch.fix.position_sd_n, epoch.fix.velocity_sd_n):
         terms += (north**2, 0.0, 0.0, east**2, 0.0, down**2)
     valid = epoch.fix.valid
-    return frame(NAV, 0x36, _COV.pack(epoch.itow_ms, 0, valid, valid, *terms))
+    return ubx_frame(NAV, 0x36, _COV.pack(epoch.itow_ms, 0, valid, valid, *terms))
 
 
 def nav_hpposllh(epoch: Epoch) -> bytes:
@@ -105,7 +89,7 @@ def nav_hpposllh(epoch: Epoch) -> bytes:
     pairs += [_split(height * 1e4, 10) for height in (fix.position.height, fix.position.height - GEOID_M)]
     whole, rest = zip(*pairs, strict=True)
     accuracies = (round(sd * 1e4) for sd in (epoch.horizontal_sd_m, fix.position_sd_n[2]))
-    return frame(NAV, 0x14, _HPPOSLLH.pack(0, not fix.valid, epoch.itow_ms, *whole, *rest, *accuracies))
+    return ubx_frame(NAV, 0x14, _HPPOSLLH.pack(0, not fix.valid, epoch.itow_ms, *whole, *rest, *accuracies))
 
 
 def nav_sat(epoch: Epoch) -> bytes:
@@ -121,7 +105,7 @@ def nav_sat(epoch: Epoch) -> bytes:
     quality = np.where(sky.used, 7, np.where(sky.cn0_db_hz > 0.0, 4, 1))  # carrier locked, code locked, searching
     # used, healthy, orbit from an ephemeris that is available
     rows["flags"] = quality | sky.used.astype(np.uint32) << 3 | 1 << 4 | 1 << 8 | 1 << 11
-    return frame(NAV, 0x35, struct.pack("<IBB2x", epoch.itow_ms, 1, len(rows)) + rows.tobytes())
+    return ubx_frame(NAV, 0x35, struct.pack("<IBB2x", epoch.itow_ms, 1, len(rows)) + rows.tobytes())
 
 
 def nav_sig(epoch: Epoch) -> bytes:
@@ -141,7 +125,7 @@ def nav_sig(epoch: Epoch) -> bytes:
     carrier = used & (epoch.fix.carrier != "none")
     # healthy; pseudorange, carrier phase and Doppler used; pseudorange corrected
     rows["flags"] = 1 | used * 8 | carrier * 16 | used * 32 | carrier * 64
-    return frame(NAV, 0x43, struct.pack("<IBB2x", epoch.itow_ms, 0, len(rows)) + rows.tobytes())
+    return ubx_frame(NAV, 0x43, struct.pack("<IBB2x", epoch.itow_ms, 0, len(rows)) + rows.tobytes())
 
 
 def nav_relposned(epoch: Epoch) -> bytes:
@@ -153,7 +137,7 @@ def nav_relposned(epoch: Epoch) -> bytes:
     north, east = line.length_m * cos(line.heading), line.length_m * sin(line.heading)
     flags = epoch.fix.valid | 1 << 1 | fixed << 2 | _CARRIER[epoch.fix.carrier] << 3 | 1 << 5 | fixed << 8
     accuracy = round(line.heading_sd * line.length_m * 1e4)
-    return frame(NAV, 0x3C, _RELPOSNED.pack(
+    return ubx_frame(NAV, 0x3C, _RELPOSNED.pack(
         1, 0, epoch.itow_ms, round(north * 100), round(east * 100), 0, round(line.length_m * 100),
         round(degrees(line.heading) % 360.0 * 1e5), 0, 0, 0, 0, accuracy, accuracy, accuracy, accuracy,
         round(degrees(line.heading_sd) * 1e5), flags,
@@ -164,7 +148,7 @@ def nav_status(epoch: Epoch) -> bytes:
     """State of the fix, and of the detector of spoofing."""
     fix, started_ms = epoch.fix, 26_000
     flags2 = epoch.signal.spoofing << 3 | _CARRIER[fix.carrier] << 6
-    return frame(NAV, 0x03, struct.pack(
+    return ubx_frame(NAV, 0x03, struct.pack(
         "<I4B2I", epoch.itow_ms, 3 if fix.valid else 0, fix.valid | 3 << 2, 0, flags2, started_ms, started_ms
     ))  # fmt: skip
 
@@ -173,7 +157,7 @@ def nav_clock(epoch: Epoch) -> bytes:
     """Clock of the receiver, that of RXM-RAWX, with 10 ns and 200 ps/s as their standard deviations."""
     bias_s = clock_bias_s(gps_ms(epoch.utc_ms) * 1e-3) + epoch.signal.clock_s
     bias_ns, drift_ns = round(bias_s * 1e9), round((CLOCK_DRIFT + epoch.signal.drift_s_s) * 1e9)
-    return frame(NAV, 0x22, struct.pack("<I2i2I", epoch.itow_ms, bias_ns, drift_ns, 10, 200))
+    return ubx_frame(NAV, 0x22, struct.pack("<I2i2I", epoch.itow_ms, bias_ns, drift_ns, 10, 200))
 
 
 def mon_rf(epoch: Epoch) -> bytes:
@@ -184,18 +168,18 @@ def mon_rf(epoch: Epoch) -> bytes:
                     0, 120, 0, 120)
         for number in (0, 1)
     )  # fmt: skip
-    return frame(MON, 0x38, struct.pack("<2B2x", 0, 2) + b"".join(paths))
+    return ubx_frame(MON, 0x38, struct.pack("<2B2x", 0, 2) + b"".join(paths))
 
 
 def sec_sig(epoch: Epoch) -> bytes:
     """Flags of jamming and spoofing, version 1."""
     jamming, spoofing = 1 | epoch.signal.jamming << 1, 1 | epoch.signal.spoofing << 1
-    return frame(SEC, 0x09, struct.pack("<B3xB3xB3x", 1, jamming, spoofing))
+    return ubx_frame(SEC, 0x09, struct.pack("<B3xB3xB3x", 1, jamming, spoofing))
 
 
 def nav_eoe(epoch: Epoch) -> bytes:
     """End of the epoch."""
-    return frame(NAV, 0x61, struct.pack("<I", epoch.itow_ms))
+    return ubx_frame(NAV, 0x61, struct.pack("<I", epoch.itow_ms))
 
 
 def rxm_rawx(epoch: Epoch) -> bytes:
@@ -209,13 +193,13 @@ def rxm_rawx(epoch: Epoch) -> bytes:
     rows["system"], rows["number"], rows["cn0"] = raw.gnss_id, raw.number, np.rint(raw.cn0_db_hz)
     rows["lock_ms"], rows["code_sd"], rows["carrier_sd"], rows["doppler_sd"], rows["status"] = 64500, 6, 1, 7, 7
     head = _RAW_HEAD.pack(tow_s, int(week) % 2**16, LEAP_SECONDS, len(rows), 1, 1)
-    return frame(RXM, 0x15, head + rows.tobytes())
+    return ubx_frame(RXM, 0x15, head + rows.tobytes())
 
 
 def rxm_sfrbx(epoch: Epoch) -> bytes:
     """Subframes and pages that ended in the epoch, one message each."""
     return b"".join(
-        frame(RXM, 0x13, struct.pack(
+        ubx_frame(RXM, 0x13, struct.pack(
             f"<8B{len(sent.words)}I", sent.gnss_id, sent.number, sent.signal, 0, len(sent.words), 0, 2, 0, *sent.words
         ))
         for sent in epoch.words
@@ -224,14 +208,14 @@ def rxm_sfrbx(epoch: Epoch) -> bytes:
 
 def acknowledge(message_class: int, message_id: int, *, accepted: bool) -> bytes:
     """ACK-ACK or ACK-NAK."""
-    return frame(ACK, int(accepted), bytes((message_class, message_id)))
+    return ubx_frame(ACK, int(accepted), bytes((message_class, message_id)))
 
 
 def mon_ver() -> bytes:
     """Versions of software and hardware."""
     lines = (b"ROM BASE 0x118B2060", b"FWVER=HPG 1.32", b"PROTVER=27.31", b"MOD=ZED-F9P", b"GPS;GLO;GAL;BDS")
     software, hardware = b"EXT CORE 1.00 (simulated)".ljust(30, b"\0"), b"00190000".ljust(10, b"\0")
-    return frame(MON, 0x04, software + hardware + b"".join(line.ljust(30, b"\0") for line in lines))
+    return ubx_frame(MON, 0x04, software + hardware + b"".join(line.ljust(30, b"\0") for line in lines))
 
 
 def _milli(value: float) -> int:

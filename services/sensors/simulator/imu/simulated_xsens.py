@@ -6,10 +6,10 @@ from math import cos, radians, sin
 import numpy as np
 import numpy.typing as npt
 
-from shared.devices import xbus
 from shared.maths.rotation import ned_from_body
 from shared.messages.base import Message
 from shared.messages.imu import ImuRaw
+from shared.protocols import xbus
 
 from ..devices import Delay, DeviceClock
 from ..motion.trajectory import Motion

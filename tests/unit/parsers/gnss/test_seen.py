@@ -4,10 +4,10 @@ import pytest
 
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.seen import MAX_KINDS
-from services.parsers.gnss.ubx.framing import SYNC
-from shared.maths.crc import fletcher
+from shared.maths.crc import crc16_ccitt, fletcher
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssRaw, GnssReceiver
+from shared.protocols.ubx import SYNC
 
 NS = 1_000_000_000
 START_NS = 1_795_000_000 * NS
@@ -76,3 +76,14 @@ def test_kinds_are_forgotten_after_ten_seconds_and_bounded() -> None:
     said(process, POSLLH, 13.0)
     [later] = said(process, POSLLH, 15.0)
     assert later.messages == ("UBX NAV-POSLLH",)
+
+
+def test_blocks_of_sbf_are_named_and_sentences_between_them_are_read() -> None:
+    rest = bytes.fromhex("a70f6000") + bytes(88)  # block 4007 of 96 bytes
+    sbf = b"$@" + crc16_ccitt(rest).to_bytes(2, "little") + rest
+    process = Process(Config())
+    [found] = said(process, sbf * 5, 0.0)
+    assert (found.messages, found.other_protocols) == ((), ("SBF",))
+    assert process.rejects == {"garbage_bytes": 480}, "and nothing of it is taken for a sentence"
+    [mixed] = said(process, sbf + nmea("GNGGA,,,,,,0,,,,,,,,") + sbf, 3.0)
+    assert mixed.messages == ("NMEA GGA",)

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from services.parsers.imu.process import Config, Process
 from services.parsers.imu.xsens import inertial_data
-from shared.devices import xbus
 from shared.errors import ConfigError
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
+from shared.protocols import xbus
 from shared.runtime.config import parse_vehicle
 from tests.support.data import recording
 

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -11,13 +12,14 @@ from pyubx2.ubxreader import UBXReader
 
 from services.parsers.gnss.process import Config as GnssConfig
 from services.parsers.gnss.process import Process as GnssProcess
-from services.parsers.gnss.ubx.frames import ubx_frame
 from services.parsers.gnss.ubx.wheel_ticks import WheelTicks
 from services.parsers.imu.lines import LineForm
 from services.parsers.imu.process import Config, Process
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.operation import MessageUse
 from shared.messages.vehicle import VehicleSpeed
+from shared.protocols.ubx import ubx_frame
 from tests.support.data import recording
 from tests.support.gnss.ublox import parse_ubx
 
@@ -191,3 +193,55 @@ def test_recorded_wheel_ticks_at_standstill_are_no_speed() -> None:
     found = list(process.handle(GnssRaw(received_ns=START_NS, source="gnss0", data=data)))
     speeds = [one.speed_m_s for one in found if isinstance(one, VehicleSpeed)]
     assert len(speeds) > 50 and set(speeds) == {0.0}
+
+
+WITHOUT_TIME = LineForm(time="", acceleration=("1", "2", "3"), rate=("4", "5", "6"))
+LINE = b"0.01,-0.02,9.81,0.1,0.0,-0.1"
+PERIOD_NS = NS // 200
+
+
+@pytest.mark.parametrize("line_end", [b"\r\n", b"\n", b"\r"])
+@pytest.mark.parametrize("waits_ms", [(5,), (20,), (20, 21, 19), (4, 12, 20, 50), (3, 100)])
+def test_lines_without_a_time_are_stamped_evenly_however_many_come_in_one_read(
+    waits_ms: tuple[int, ...], line_end: bytes
+) -> None:
+    """Reads begin and end anywhere within a line."""
+    process, stamps, now_ns, sent = Process(config(WITHOUT_TIME)), list[int](), START_NS, 0
+    stream, size = (LINE + line_end) * 4000, len(LINE + line_end)
+    for k in range(500):
+        now_ns += waits_ms[k % len(waits_ms)] * NS // 1000
+        until = min((now_ns - START_NS) * size // PERIOD_NS, len(stream))
+        for message in process.handle(ImuRaw(received_ns=now_ns, source="imu0", data=stream[sent:until])):
+            stamps += message.sampled_ns
+            assert message.sampled_ns[-1] <= now_ns
+        sent = until
+    assert len(stamps) == sent // size and not process.rejects.total()
+    steps = [later - earlier for earlier, later in pairwise(stamps[200:])]
+    assert steps == pytest.approx([PERIOD_NS] * len(steps), abs=0.5 * PERIOD_NS)
+
+
+def test_a_pause_of_lines_without_a_time_is_a_gap_and_does_not_change_the_period() -> None:
+    process, stamps = Process(config(WITHOUT_TIME)), list[int]()
+    arrivals_ns = [START_NS + k * 20_000_000 + (3 * NS if k >= 100 else 0) for k in range(200)]
+    for at_ns in arrivals_ns:
+        for message in process.handle(ImuRaw(received_ns=at_ns, source="imu0", data=(LINE + b"\n") * 4)):
+            stamps += message.sampled_ns
+    steps = [later - earlier for earlier, later in pairwise(stamps)]
+    assert max(steps) == pytest.approx(3 * NS + PERIOD_NS, rel=0.01) and steps.count(max(steps)) == 1
+    assert steps[500:] == pytest.approx([PERIOD_NS] * len(steps[500:]), rel=0.01)
+
+
+@pytest.mark.parametrize("begins", ["#IMU,", "$IMU,", "!", ""])
+def test_what_begins_with_a_hash_is_read_where_that_is_configured_and_counted_where_not(begins: str) -> None:
+    process = Process(config(LineForm(begins=begins)))
+    lines = [begins.encode() + b"%d," % (1000 + 10 * k) + LINE for k in range(5)]
+    found = fed(process, b"\n".join([*lines, b"# a comment", b""]))
+    assert sum(len(one.sampled_ns) for one in found) == 5
+    (other,) = [kind for kind in process.kinds.table() if kind.use is MessageUse.UNUSED]
+    assert other.count == 1
+
+
+def test_lines_that_are_not_described_are_a_reject_that_says_so() -> None:
+    process = Process(config())
+    assert not fed(process, b"$IMU,1,2\r\n" * 5, b"$IMU,3,4\r\n")
+    assert process.rejects == {"line_not_described": 6}

@@ -71,6 +71,15 @@ def test_the_request_names_the_mount_point_and_the_user(version: int) -> None:
     [
         (b"HTTP/1.1 401 Unauthorized\r\n\r\n", "user or password", True),
         (b"ERROR - Bad Password\r\n", "user or password", True),
+        (b"Error: login failed\r\n", "user or password", True),
+        (b"ERROR - 401 Unauthorized\r\n", "user or password", True),
+        (b"ERROR - account temporarily locked\r\n", "user or password", True),
+        (b"ICY 401 Unauthorized\r\n\r\n", "user or password", True),
+        (b"Unauthorized\r\n", "user or password", True),
+        (OK + b"\r\nERROR - Bad Password\r\n", "user or password", True),
+        (b"ICY 200 OK\r\n\r\nERROR - Mount Point Taken or Invalid\r\n", "does not know the mount point", True),
+        (OK.replace(b"gnss/data", b"text/plain") + b"\r\nNo such stream\r\n", "does not know the mount point", True),
+        (b"ERROR - Too many users\r\n", "the caster refuses: Too many users", False),
         (b"HTTP/1.1 403 Forbidden\r\n\r\n", "does not allow this user", True),
         (b"HTTP/1.1 404 Not Found\r\n\r\n", "does not know the mount point 'MOUNT'", True),
         (b"ERROR - Mount Point Invalid\r\n", "does not know the mount point", True),
@@ -124,6 +133,46 @@ def test_a_source_table_in_place_of_a_stream_names_the_mount_points_near_to_it()
     assert "M0UNT" in str(fault(head + chunked(TABLE + b"\r\nENDSOURCETABLE\r\n")))
     assert "its list is empty" in str(fault(b"SOURCETABLE 200 OK\r\n\r\nENDSOURCETABLE\r\n"))
     assert "near to it are MNT" in str(fault(b"SOURCETABLE 200 OK\r\n\r\nSTR;MNT;\r\nENDSOURCETABLE\r\n"))  # str2str
+
+
+TABLE_WITH_END = TABLE + b"\r\nENDSOURCETABLE\r\n"
+
+
+@pytest.mark.parametrize("cut", [1, 7, 10_000])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        OK.replace(b"gnss/data", b"gnss/sourcetable") + b"Content-Length: 9\r\n" + TABLE_WITH_END,
+        OK.replace(b"gnss/data", b"text/plain") + b"\r\n" + TABLE_WITH_END,
+        OK.replace(b"gnss/data", b"text/html") + b"\r\n" + TABLE_WITH_END,
+        OK + b"\r\n\r\nCAS;else.example.org;2101;\r\n" + TABLE_WITH_END,
+        OK + b"Transfer-Encoding: chunked\r\n\r\n" + chunked(TABLE) + b"0\r\n\r\n",
+        b"ICY 200 OK\r\n" + TABLE_WITH_END,
+        b"ICY 200 OK\r\nServer: x\r\n\r\nSOURCETABLE 200 OK\r\n\r\n" + TABLE_WITH_END,
+        TABLE_WITH_END,
+        TABLE,
+    ],
+)
+def test_a_source_table_is_told_by_its_lines_whatever_it_is_called(answer: bytes, cut: int) -> None:
+    dialogue, given = NtripDialogue(CASTER, "secret", 2), b""
+    with pytest.raises(SourceFault, match="does not know the mount point 'MOUNT'; near to it are M0UNT"):
+        for at in range(0, len(answer), cut):
+            given += dialogue.feed(answer[at : at + cut])
+        raise dialogue.ended(SourceFault("closed"))
+    assert not given and not dialogue.streaming
+
+
+@pytest.mark.parametrize("answer", [b"ERROR - Bad Password", b"HTTP/1.0 401 Unauthorized", b"ICY 401 Unauthorized\r\n"])
+def test_a_refusal_without_a_line_end_is_understood_when_the_caster_hangs_up(answer: bytes) -> None:
+    dialogue = NtripDialogue(CASTER, "secret", 1)
+    assert dialogue.feed(answer) == b""
+    found = dialogue.ended(SourceFault("closed"))
+    assert found.refused and "user or password" in str(found) and "is it an NTRIP caster" not in str(found)
+
+
+def test_a_stream_that_waits_for_a_position_is_one_before_its_first_byte() -> None:
+    dialogue = NtripDialogue(CASTER, "", 2)
+    assert dialogue.feed(OK + b"\r\n") == b"" and dialogue.streaming
 
 
 def test_stations_near_the_vehicle_follow_those_with_a_similar_name() -> None:

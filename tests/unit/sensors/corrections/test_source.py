@@ -103,6 +103,22 @@ def test_a_wrong_password_is_tried_again_after_minutes_only() -> None:
         assert len(caster.requests) == 1
 
 
+@pytest.mark.parametrize("answer", [b"ERROR - Bad Password\r\n", b"ERROR - Bad Password"])
+def test_a_refusal_of_version_1_is_the_reason_alone(answer: bytes) -> None:
+    with fake_caster(saying(answer)) as caster:
+        run = Clocked(caster.url(user="me"))
+        run.reaches(SourcePhase.REFUSED)
+        assert run.wait_s == 300.0 and "refuses user or password" in run.reason
+        assert "is it an NTRIP caster" not in run.reason
+
+
+def test_where_nothing_listens_no_caster_is_asked_about() -> None:
+    run = Clocked(f"ntrip://me@127.0.0.1:{free_port()}/M")
+    run.reaches(SourcePhase.WAITING)
+    assert "Connection refused; check the network, host and port" in run.reason
+    assert "is it an NTRIP caster" not in run.reason
+
+
 def test_the_delay_between_attempts_grows_to_a_minute() -> None:
     with fake_caster(saying(b"rubbish\r\n")) as caster:
         run = Clocked(caster.url())
@@ -261,3 +277,4 @@ def test_tls_is_spoken_with_a_caster_whose_certificate_is_trusted_and_with_no_ot
         else:
             run.reaches(SourcePhase.WAITING)
             assert "is not who it should be" in run.reason and run.data == b""
+            assert run.wait_s == 30.0 and "is it an NTRIP caster" not in run.reason

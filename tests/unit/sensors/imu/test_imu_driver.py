@@ -4,8 +4,8 @@ import time
 import tty
 
 from services.sensors.imu.process import Config, Process
-from shared.devices import xbus
 from shared.messages.imu import ImuRaw
+from shared.protocols import xbus
 from tests.support.bus.live_bus import eventually, running
 
 

@@ -14,7 +14,6 @@ from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME, NAMES
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World, messages
 from shared.bus.codec import encode
-from shared.devices import xbus
 from shared.messages.base import Message
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
@@ -22,6 +21,7 @@ from shared.messages.navigation import TruthState
 from shared.messages.neighbours import NeighbourStates
 from shared.messages.operation import HostClock, Origin, OriginKind
 from shared.messages.vehicle import CanRaw
+from shared.protocols import xbus
 from shared.topics import BY_MESSAGE, publications
 from tests.support.gnss.ublox import parse_ubx, valget, valset
 

@@ -1,14 +1,17 @@
 """What a device speaks is found out by its bytes, at whatever rate of the port, with or without a fix."""
 
+import struct
 from collections.abc import Callable
+from functools import reduce
+from operator import xor
 
 import pytest
 
-from shared.devices import xbus
-from shared.devices.recognition import recognise
 from shared.devices.search import RATES, Search
-from shared.maths.crc import fletcher
+from shared.maths.crc import crc16_ccitt, fletcher
 from shared.messages.operation import DeviceFound
+from shared.protocols import xbus
+from shared.protocols.recognition import recognise
 from tests.support.data import recording
 
 VERSION = bytes.fromhex("b5620a04") + (40).to_bytes(2, "little") + bytes(40)
@@ -118,6 +121,49 @@ def test_another_protocol_is_named_and_its_bytes_stay() -> None:
     FakePort(mute, 115200, INERTIAL * 3).run(search, 20.0)
     assert (search.found, search.protocols, search.rate_baud) == (DeviceFound.OTHER, ("Xbus",), 115200)
     assert "speaks Xbus at 115200 baud, which is not read here: set the device to send UBX or NMEA" in search.sentence()
+
+
+def sbf(number: int = 4007, size: int = 96) -> bytes:
+    rest = struct.pack("<HH", number, size) + bytes(size - 8)
+    return b"$@" + struct.pack("<H", crc16_ccitt(rest)) + rest
+
+
+def test_a_protocol_that_is_not_decoded_is_named_with_what_to_switch_on() -> None:
+    search = Search("gnss", 115200, may_write=False)
+    FakePort(mute, 115200, sbf() * 3).run(search, 10.0)
+    assert (search.found, search.protocols) == (DeviceFound.OTHER, ("SBF",))
+    assert search.sentence().startswith("Septentrio SBF at 115200 baud: not decoded; switch NMEA on at this port")
+
+
+def test_sentences_between_blocks_of_sbf_are_read() -> None:
+    search = Search("gnss", 115200, may_write=False)
+    FakePort(mute, 115200, sbf() + WITHOUT_FIX + sbf()).run(search, 2.0)
+    assert (search.found, search.protocols) == (DeviceFound.WORKING, ("NMEA",))
+
+
+def checked(body: str) -> bytes:
+    return f"${body}*{reduce(xor, body.encode(), 0):02X}\r\n".encode()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"0.1,0.2,9.81,0.0,0.0,0.1\r\n", b"$IMU,1000,0.01,-0.02,9.81,0.1,0.0,-0.1\r\n", b"#IMU,1,2,3\r",
+        checked("VNIMU,-00.4,+00.1,-00.3,-00.02,+00.01,-09.8,+00.0,-00.0,+00.0,+20,+101"), b'{"acc": [0, 0, 9.8]}\n',
+        b'{"acc": [0, 0, 9.8], "comment": "' + b"x" * 400 + b'"}\n',
+    ],
+)  # fmt: skip
+def test_lines_of_an_imu_are_read_whatever_they_begin_with(line: bytes) -> None:
+    search = Search("imu", 115200, may_write=True)
+    port = FakePort(mute, 115200, line * 10)
+    port.run(search, 30.0)
+    assert (search.found, search.protocols, search.rate_baud) == (DeviceFound.WORKING, ("text lines",), 115200)
+    assert not port.written
+
+
+@pytest.mark.parametrize("says", [WITHOUT_FIX * 5, b"$GPGGA,1,2,3\r\n" * 10, b"t7E8803410D\r" * 10])
+def test_sentences_of_a_receiver_and_lines_of_an_adapter_are_no_lines_of_an_imu(says: bytes) -> None:
+    assert "text lines" not in recognise(says).names
 
 
 def test_a_device_that_changes_its_rate_is_found_again() -> None:

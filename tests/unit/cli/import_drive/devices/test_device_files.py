@@ -1,5 +1,6 @@
 """Device files are recognised, aligned and become a recording that the unit reads."""
 
+import struct
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from cli.recordings.common import open_recording
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.world import Equipment, World
 from shared.errors import UserError
+from shared.maths.crc import crc16_ccitt
 from shared.messages.base import RawBytes
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
@@ -151,3 +153,11 @@ def test_corrections_go_with_their_receiver(drive: Path, tmp_path: Path) -> None
     out = tmp_path / "out.mcap"
     assert import_devices([tmp_path / "base.rtcm3", drive / "rover.ubx"], out, None, {}) == 0
     assert stamps(out, "corrections/raw") and stamps(out, "gnss/raw")
+
+
+def test_a_file_of_a_protocol_that_is_not_decoded_is_named_with_what_to_do(tmp_path: Path) -> None:
+    rest = struct.pack("<HH", 4007, 96) + bytes(88)
+    path = tmp_path / "rover.sbf"
+    path.write_bytes((b"$@" + struct.pack("<H", crc16_ccitt(rest)) + rest) * 10)
+    with pytest.raises(UserError, match="holds Septentrio SBF, which is not decoded; convert it"):
+        import_drive(path, None, tmp_path / "drive.mcap")

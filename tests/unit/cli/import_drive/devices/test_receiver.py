@@ -1,6 +1,7 @@
 """Bytes of a receiver are stamped by the times that its messages tell."""
 
 import struct
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
@@ -103,6 +104,46 @@ def test_without_any_date_a_file_keeps_its_time_of_day() -> None:
     found = read_receiver([gga])
     assert found.clock is ClockKind.DAY
     assert found.portions[0].time_ns == WITHOUT_DATE_NS + 10 * NS
+
+
+def pvat(seconds: int, valid: int = 7) -> bytes:
+    head = struct.pack("<IBBHBBBBB", TOW_MS + seconds * 1000, 0, valid, 2024, 5, 4, 12, 0, seconds)
+    return ubx(1, 0x17, head.ljust(116, b"\0"))
+
+
+def time_utc(seconds: int, valid: int = 7) -> bytes:
+    calendar = struct.pack("<IIiHBBBBBB", TOW_MS + seconds * 1000, 0, 0, 2024, 5, 4, 12, 0, seconds, valid)
+    return ubx(1, 0x21, calendar)
+
+
+def of_week(number: int, week: int, leap_s: int, valid: int = 7) -> bytes:
+    return ubx(1, number, struct.pack("<IIihbBI", TOW_MS, 0, 0, week, leap_s, valid, 0))
+
+
+@pytest.mark.parametrize(
+    "dated",
+    [pvat(0), time_utc(0), of_week(0x25, 2312 - 1024, 18), of_week(0x24, 2312 - 1356, 4)],
+    ids=["NAV-PVAT", "NAV-TIMEUTC", "NAV-TIMEGAL", "NAV-TIMEBDS"],
+)
+def test_every_message_with_a_date_tells_it(dated: bytes) -> None:
+    found = read_receiver([dated + dop(1.0)])
+    assert (found.clock, times(found)) == (ClockKind.UTC, [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "message", [dop, lambda second: pvat(second, valid=0), lambda second: time_utc(second, valid=0)]
+)
+def test_times_of_week_without_a_date_are_times_of_day(message: Callable[[int], bytes]) -> None:
+    """Also over the end of a week."""
+    found = read_receiver([b"".join(message(second) for second in range(4))])
+    assert found.clock is ClockKind.DAY
+    assert [portion.time_ns - WITHOUT_DATE_NS - 12 * 3600 * NS for portion in found.portions] == [
+        second * NS for second in range(4)
+    ]
+    last_ms = 7 * 86_400_000 - 500
+    week_end = b"".join(ubx(1, 4, struct.pack("<I", at).ljust(18, b"\0")) for at in (last_ms, last_ms + 250, 0, 250))
+    stamps = [portion.time_ns for portion in read_receiver([week_end]).portions]
+    assert [later - stamps[0] for later in stamps] == [0, 250_000_000, 500_000_000, 750_000_000]
 
 
 def test_one_wrong_time_costs_itself_and_a_clock_that_is_set_costs_what_was_before() -> None:

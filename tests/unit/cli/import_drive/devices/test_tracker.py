@@ -6,7 +6,7 @@ import pytest
 
 from cli.import_drive.devices.stamped import WITHOUT_DATE_NS, ClockKind
 from cli.import_drive.devices.tracker import UTC_TIME, read_tracker
-from shared.devices import xbus
+from shared.protocols import xbus
 from tests.support.data import recording
 
 NS = 1_000_000_000

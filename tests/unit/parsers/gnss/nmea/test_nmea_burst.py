@@ -177,6 +177,33 @@ def test_satellites_in_view_have_their_constellation_and_whether_they_are_used()
     assert found.satellites[-1].sampled_ns == found.fixes[-2].sampled_ns
 
 
+@pytest.mark.parametrize(
+    ("talker", "number", "constellation", "within"),
+    [
+        ("GP", 32, Constellation.GPS, 32), ("GP", 46, Constellation.SBAS, 133), ("GP", 133, Constellation.SBAS, 133),
+        ("GP", 72, Constellation.GLONASS, 8), ("GP", 195, Constellation.QZSS, 3),
+        ("GL", 72, Constellation.GLONASS, 8), ("GL", 8, Constellation.GLONASS, 8),
+        ("GA", 5, Constellation.GALILEO, 5), ("GA", 305, Constellation.GALILEO, 5),
+        ("GB", 45, Constellation.BEIDOU, 45), ("GB", 145, Constellation.BEIDOU, 45),
+        ("BD", 202, Constellation.BEIDOU, 2),
+        ("GB", 445, Constellation.BEIDOU, 45), ("BD", 70, Constellation.BEIDOU, 70),
+        ("GQ", 3, Constellation.QZSS, 3), ("QZ", 195, Constellation.QZSS, 3), ("GQ", 183, Constellation.QZSS, 1),
+        ("GI", 9, Constellation.NAVIC, 9),
+        ("GN", 7, Constellation.GPS, 7), ("GN", 46, Constellation.SBAS, 133), ("GN", 72, Constellation.GLONASS, 8),
+        ("GN", 195, Constellation.QZSS, 3), ("GN", 214, Constellation.BEIDOU, 14),
+        ("GN", 305, Constellation.GALILEO, 5),
+        ("GN", 414, Constellation.BEIDOU, 14), ("GN", 999, Constellation.UNKNOWN, 999),
+    ],
+)  # fmt: skip
+def test_every_form_of_numbering_gives_the_number_in_the_system(
+    talker: str, number: int, constellation: Constellation, within: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SENTENCES, "GSV", f"{talker}GSV,1,1,01,{number},40,083,46")
+    monkeypatch.setitem(SENTENCES, "3-D", f"{talker}GSA,A,3,{number},,,,,,,,,,,,1.9,1.0,1.6")
+    (satellite,) = told(lambda _: ["RMC", "GGA", "3-D", "GSV"], range(10)).satellites[-1].satellites
+    assert (satellite.constellation, satellite.number, satellite.used) == (constellation, within, True)
+
+
 @pytest.mark.parametrize("step_s", [-1, 1, -3, 18])
 @pytest.mark.parametrize("kinds", [["RMC", "GGA", "3-D"], ["3-D", "GGA", "RMC"], ["RMC"]])
 def test_a_step_of_utc_by_whole_seconds_leaves_the_stamps_even(step_s: int, kinds: list[str]) -> None:

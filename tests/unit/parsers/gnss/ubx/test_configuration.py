@@ -7,17 +7,28 @@ from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
+from services.controller.mode.process import Config as Controller
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.ubx.configuration import protocol_version, read_version
-from services.parsers.gnss.ubx.framing import SYNC
-from services.parsers.gnss.ubx.outputs import MESSAGES, messages_of, optional, required
+from services.parsers.gnss.ubx.outputs import (
+    BY_IMPORTANCE,
+    EPOCH_BYTES,
+    MESSAGES,
+    REQUIRED,
+    STEADY_BYTES_S,
+    load_bytes_s,
+    messages_of,
+    plan_outputs,
+)
 from services.parsers.gnss.ubx.valset import read_values
 from services.sensors.simulator.gnss.ubx_encoder import mon_ver
 from shared.maths.crc import fletcher
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssOutput, GnssRaw, GnssReceiver, GnssWrite
 from shared.messages.operation import DeviceFound, DeviceState
+from shared.protocols.ubx import SYNC
 from tests.support.gnss.generation8 import Generation8, acknowledge, parse_ubx_command
+from tests.support.gnss.generation9 import Generation9
 from tests.support.gnss.ublox import valset
 
 NS = 1_000_000_000
@@ -118,21 +129,12 @@ def test_a_value_that_differs_when_read_back_is_not_accepted(changes: dict[str, 
     assert reason in (result.reason or "")
 
 
-def test_a_rejected_valset_is_reported_with_the_current_values() -> None:
-    process = Process(Config())
-    send_request(process)
-    feed(process, acknowledge(0x8A, good=False))
-    result = result_of(feed(process, values(CFG_RATE_MEAS=1000)))
+def test_a_setting_that_is_refused_is_reported_with_the_current_values() -> None:
+    result = configure(Generation9(shortest_ms=200), REQUEST.model_copy(update={"navigation_period_s": 0.1}))
     assert not result.accepted
-    assert "rejected UBX-CFG-VALSET" in (result.reason or "")
+    assert "navigation period is 1.0 s, not 0.1 s" in (result.reason or "")
     assert result.navigation_period_s == 1.0
-
-
-def test_a_rejected_valget_is_reported_as_an_unsupported_receiver() -> None:
-    process = Process(Config())
-    send_request(process)
-    result = result_of(feed(process, acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)))
-    assert "rejected UBX-CFG-VALGET" in (result.reason or "")
+    assert result.messages == ("UBX NAV-COV", "UBX NAV-DOP")
 
 
 def test_a_request_without_a_response_ends_after_3_s() -> None:
@@ -157,13 +159,16 @@ def test_a_receiver_that_does_not_say_what_it_is_has_ubx_switched_on_and_is_give
     assert "check that its RX line is connected" in (result.reason or "")
 
 
+def port_at(rate_baud: int | None) -> DeviceState:
+    return DeviceState(
+        sampled_ns=NS, source="gnss0", process="sensors.gnss", device="serial:///dev/ttyS0", found=DeviceFound.WORKING,
+        rate_baud=rate_baud,
+    )  # fmt: skip
+
+
 def test_the_rate_of_a_serial_port_stays_where_ubx_is_switched_on() -> None:
     process = Process(Config())
-    found = DeviceState(
-        sampled_ns=NS, source="gnss0", process="sensors.gnss", device="serial:///dev/ttyS0", found=DeviceFound.WORKING,
-        rate_baud=9600,
-    )  # fmt: skip
-    assert not list(process.handle(found))
+    assert not list(process.handle(port_at(9600)))
     list(process.handle(REQUEST))
     writes = [parse_ubx_command(one.data) for one in process.handle(Tick(now_ns=NS)) if isinstance(one, GnssWrite)]
     (port,) = [one for one in writes if one.identity == "CFG-PRT" and one.portID == 1]
@@ -239,17 +244,85 @@ def test_an_unsupported_optional_message_does_not_prevent_the_other() -> None:
     send_request(process, WITH_RAW)
     refused = acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)
     assert not feed(process, refused + acknowledge(0x8A) + optional_values("RXM-SFRBX") + acknowledge(0x8A))
-    result = result_of(feed(process, values()))
+    said = feed(process, values())
+    while not isinstance(said[-1], GnssConfiguration):  # asked for at each port apart
+        said = feed(process, refused)
+    result = result_of(said)
     assert (result.accepted, result.messages) == (True, ("UBX NAV-COV", "UBX NAV-DOP", "UBX RXM-SFRBX"))
 
 
-@pytest.mark.parametrize("refusals", [(0x8A, 0x8B) * 2, (0x8A,), (0x8B,), ()])
-def test_with_rejected_optional_messages_the_others_are_kept(refusals: tuple[int, ...]) -> None:
+def test_answers_that_are_lost_end_the_second_pass_too() -> None:
     process = Process(Config())
     send_request(process, WITH_RAW)
-    assert not feed(process, b"".join(acknowledge(one, good=False) for one in refusals))
-    result = result_of(feed(process, acknowledge(0x8A) + values() + acknowledge(0x8B)))
-    assert (result.accepted, result.reason, result.messages) == (True, None, ("UBX NAV-COV", "UBX NAV-DOP"))
+    refused = acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)
+    assert feed(process, refused * 3)  # parts of what was refused
+    said = [one for second in range(1, 20) for one in tick(process, second) if isinstance(one, GnssConfiguration)]
+    assert "check that its RX line is connected" in (result_of([*said]).reason or "")
+
+
+@pytest.mark.parametrize("lacks", [("RXM_RAWX", "RXM_SFRBX"), ("RXM",), ("RXM_RAWX", "_USB"), ("_UART1", "RXM")])
+def test_with_rejected_optional_messages_the_others_are_kept(lacks: tuple[str, ...]) -> None:
+    result = configure(Generation9(*lacks), WITH_RAW)
+    kept = [
+        name for name in ("RXM-RAWX", "RXM-SFRBX") if not any(word in f"{name}".replace("-", "_") for word in lacks)
+    ]
+    assert (result.accepted, result.reason) == (True, None)
+    assert result.messages == ("UBX NAV-COV", "UBX NAV-DOP", *(f"UBX {name}" for name in kept))
+
+
+@pytest.mark.parametrize(
+    ("lacks", "port"), [(("_USB",), "UART1"), (("_UART1",), "USB"), (("_USB", "NAV_EOE"), "UART1")]
+)
+def test_a_receiver_without_the_keys_of_a_port_is_configured_at_the_other_one(
+    lacks: tuple[str, ...], port: str
+) -> None:
+    receiver = Generation9(*lacks)
+    result = configure(receiver, FULL.model_copy(update={"outputs": CONTROLLED}))
+    assert (result.accepted, result.reason, result.navigation_period_s) == (True, None, 0.2)
+    assert receiver.every("NAV-PVT", port) == 1 and receiver.every("RXM-RAWX", port) == 5
+    assert ("UBX NAV-EOE" in result.messages) is ("NAV_EOE" not in lacks)
+
+
+def test_a_receiver_that_lacks_the_fix_is_not_accepted() -> None:
+    result = configure(Generation9("NAV_PVT"), FULL)
+    assert not result.accepted
+    assert "has refused, so that it does not send NAV-PVT" in (result.reason or "")
+
+
+CONTROLLED = Controller().gnss_outputs
+
+
+@pytest.mark.parametrize("period_s", [1.0, 0.2, 0.1, 0.04])
+@pytest.mark.parametrize("rate_baud", [4800, 9600, 19200, 38400, 57600, 115200, 460800])
+def test_no_more_is_asked_for_than_the_port_carries(rate_baud: int, period_s: float) -> None:
+    """The fix is always asked for; what is left out, and at which rate it would not be, is said."""
+    wanted = FULL.model_copy(update={"outputs": CONTROLLED, "navigation_period_s": period_s})
+    receiver = Generation9()
+    result = configure(receiver, wanted, rate_baud=rate_baud)
+    every = {name: receiver.every(name) or 0 for name in messages_of(CONTROLLED)}
+    assert load_bytes_s(every, receiver.period_ms / 1000) <= rate_baud / 10
+    assert every["NAV-PVT"] == 1 and {name for name, count in every.items() if count} == {
+        name.removeprefix("UBX ") for name in result.messages
+    }
+    whole = plan_outputs(wanted, None).every == every and result.navigation_period_s == period_s
+    assert whole is (result.reason is None)
+    assert whole or (result.reason or "").startswith(f"{rate_baud} baud carry")
+    assert result.accepted is (result.navigation_period_s == pytest.approx(period_s))
+
+
+def test_an_older_receiver_is_asked_for_no_more_than_the_port_carries() -> None:
+    receiver = Generation8()
+    result = configure(receiver, FULL, rate_baud=9600)
+    every = {name: count for name, count in receiver.rates.items() if count}
+    assert load_bytes_s(every, receiver.period_ms / 1000) <= 960 and every["NAV-PVT"] == 1
+    assert (result.accepted, receiver.rates["RXM-RAWX"]) == (True, 0)
+    assert "9600 baud carry 1.0 kB/s; without " in (result.reason or "")
+    assert "NAV-DOP, NAV-COV once a second" in (result.reason or "")
+
+
+def test_every_message_has_a_size_and_an_importance() -> None:
+    assert EPOCH_BYTES.keys() | STEADY_BYTES_S.keys() == set(messages_of(GnssOutput))
+    assert set(BY_IMPORTANCE) == set(messages_of(GnssOutput)) - set(MESSAGES[GnssOutput.FIX])
 
 
 def test_version_elevation_mask_and_dynamic_model_are_reported_as_read_back() -> None:
@@ -285,9 +358,12 @@ def test_any_response_is_decoded_without_error(payload: bytes) -> None:
     feed(process, SYNC + body + fletcher(body))
 
 
-def configure(receiver: Generation8, request: GnssConfigure) -> GnssConfiguration:
+def configure(
+    receiver: Generation8 | Generation9, request: GnssConfigure, *, rate_baud: int | None = None
+) -> GnssConfiguration:
     """Let the parser and a receiver talk until there is a result; seconds pass when both are silent."""
     process = Process(Config())
+    list(process.handle(port_at(rate_baud)))
     said: list[Message] = list(process.handle(request))
     now_ns = NS
     for _ in range(200):
@@ -352,7 +428,7 @@ def test_an_older_receiver_that_cannot_is_named(receiver: Generation8, reason: s
 def test_every_output_has_messages_that_u_blox_has() -> None:
     assert set(MESSAGES) == set(GnssOutput)
     assert set(messages_of(GnssOutput)) <= set(UBX_MSGIDS.values())
-    assert {*required(GnssOutput), *optional(GnssOutput)} == set(messages_of(GnssOutput))
+    assert set(messages_of(GnssOutput)) >= REQUIRED
 
 
 @pytest.mark.parametrize(("version", "number"), [({"PROTVER": "27.31"}, 27.31), ({"PROTVER": "x"}, 0.0), ({}, 0.0)])

@@ -14,7 +14,6 @@ from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxreader import UBXReader
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.gnss_time import utc_ns
 from services.parsers.gnss.protocols import FRAMINGS
 from services.parsers.gnss.ubx import messages
@@ -22,6 +21,7 @@ from services.parsers.gnss.ubx.epoch import DECODERS
 from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssSignal, SignalQuality
+from shared.protocols.framing.framer import Framer
 from tests.support.data import recording
 
 RECORDINGS = (

@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.protocols import FRAMINGS
 from services.parsers.gnss.ubx import raw
-from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.gnss.ubx.messages import UbxError
 from shared.maths.crc import fletcher
 from shared.maths.dates import GPS_EPOCH_UTC_NS
@@ -26,6 +24,8 @@ from shared.messages.gnss import (
     GnssRawEpoch,
     RawMeasurement,
 )
+from shared.protocols.framing.framer import Framer
+from shared.protocols.ubx import SYNC
 from tests.support.data import recording
 
 NS = 1_000_000_000

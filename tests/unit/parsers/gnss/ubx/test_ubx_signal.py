@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxtypes_core import UBX_MSGIDS
 
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.process import Config, Process
 from services.parsers.gnss.protocols import FRAMINGS
 from services.parsers.gnss.ubx import signal
-from services.parsers.gnss.ubx.framing import SYNC
 from services.parsers.gnss.ubx.messages import UbxError
 from shared.maths.crc import fletcher
 from shared.messages.gnss import (
@@ -26,6 +24,8 @@ from shared.messages.gnss import (
     ReceiverStatus,
     SignalFlags,
 )
+from shared.protocols.framing.framer import Framer
+from shared.protocols.ubx import SYNC
 from tests.support.data import recording
 from tests.support.gnss.ublox import parse_ubx
 

@@ -1,4 +1,4 @@
-"""Extracts the messages of a receiver from a byte stream that may hold invalid bytes."""
+"""Extracts the messages of several protocols from a byte stream that may hold invalid bytes."""
 
 import re
 from collections import Counter
@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from shared.devices.framing import FrameFinder, Sums
-from shared.maths.crc import crcs_along
-
+from ...maths.crc import crcs_along
+from .finder import FrameFinder, Sums
 from .framing import Framing
 
 
@@ -21,7 +20,7 @@ class Frame:
 
 
 class Framer(FrameFinder[Frame]):
-    """Splits the stream of a receiver into frames; see `FrameFinder`.
+    """Splits a stream into the frames of some protocols; see `FrameFinder`.
 
     `rejects` counts `garbage_bytes`, `cut_frame` and, for invalid frames, the kinds of each framing. The stream readers
     of pyubx2 and pynmea2 are not used: they block, do not accept chunks, and raise on invalid bytes or accept a
@@ -40,14 +39,17 @@ class Framer(FrameFinder[Frame]):
     def __init__(self, framings: Sequence[Framing], rejects: Counter[str] | None = None) -> None:
         super().__init__(rejects)
         self._s, self._w, self._c = [0], [0], [0]
-        self._framings = {framing.first: framing for framing in framings}
+        self._framings: dict[int, list[Framing]] = {}  # by their first byte: nearly always one
+        for framing, first in ((one, first) for one in framings for first in _first_bytes(one)):
+            self._framings.setdefault(first, []).append(framing)
         complete = b"|".join(framing.starts for framing in framings)
         begun = b"|".join(framing.begun for framing in framings)
         self.starts = re.compile(complete + rb"|(?:" + begun + rb")\Z")
         self._crc_from = re.compile(b"|".join(framing.crc_from for framing in framings if framing.crc_from) or rb"(?!)")
-        malformed = {sync: kind for framing in framings for sync, kind in framing.malformed.items()}
-        self.malformed, self.kinds = re.compile(b"|".join(map(re.escape, malformed))), malformed
+        malformed = {sync: kind for framing in framings for sync, kind in framing.malformed_beginnings.items()}
+        self.malformed, self.kinds = re.compile(b"|".join(map(re.escape, malformed)) or rb"(?!)"), malformed
         self.most_bytes = max(framing.most_bytes for framing in framings)
+        self.tail = max(framing.tail for framing in framings)
 
     def _sum(self, data: bytes) -> None:
         self._s = list(accumulate(data, initial=self._s[0]))
@@ -62,18 +64,33 @@ class Framer(FrameFinder[Frame]):
     def _carry(self, index: int) -> None:
         self._s, self._w, self._c = [self._s[index] & 0xFF], [self._w[index] & 0xFF], [self._c[index]]
 
+    def _framing_at(self, start: int) -> Framing:
+        """The framing that a candidate is of: the registry has none that begins like another."""
+        framings = self._framings[self._buffer[start]]
+        if len(framings) == 1:
+            return framings[0]
+        return next((one for one in framings if one.sync.match(self._buffer, start)), framings[0])
+
     def _size(self, start: int, match: re.Match[bytes]) -> int | None:
-        framing = self._framings[self._buffer[start]]
+        framing = self._framing_at(start)
         size = framing.size(self._buffer, start, match.end() - start)
-        if size is not None and size > framing.most_bytes:
-            self._reject(start, framing.too_long)
+        if size == 0 or (size is not None and size > framing.most_bytes):
+            self._reject(start, framing.too_long if size else framing.bad_header)
             return 0
         return size
 
     def _frame(self, start: int, stop: int, sums: Sums | None) -> Frame | None:
-        framing, shift = self._framings[self._buffer[start]], self._base - self._summed_from
+        framing, shift = self._framing_at(start), self._base - self._summed_from
         at = lambda index: sums if index == start and sums is not None else self._sums(index + shift)  # noqa: E731
-        if framing.is_valid(self._buffer, start, stop, at):
+        fault = framing.fault(self._buffer, start, stop, at)
+        if fault is None:
             return Frame(framing.protocol, bytes(self._buffer[start:stop]))
-        self._reject(start, framing.invalid)
+        self._reject(start, fault)
         return None
+
+    def _sure(self, start: int, stop: int) -> bool:
+        return self._framing_at(start).stands_alone
+
+
+def _first_bytes(framing: Framing) -> set[int]:
+    return {first for beginning in framing.begins for first in beginning[0]}

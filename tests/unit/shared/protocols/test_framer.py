@@ -13,11 +13,11 @@ from pyubx2.ubxhelpers import calc_checksum
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxreader import UBXReader
 
-from services.parsers.gnss.framer import Framer
 from services.parsers.gnss.protocols import FRAMINGS
-from services.parsers.gnss.ubx.framing import MAX_PAYLOAD
-from shared.devices.framing import TAIL
 from shared.maths.crc import crc24q, crc_of_zeros, fletcher
+from shared.protocols.framing.finder import TAIL
+from shared.protocols.framing.framer import Framer
+from shared.protocols.ubx import MAX_PAYLOAD
 from tests.support.data import recording
 
 UBX = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize()

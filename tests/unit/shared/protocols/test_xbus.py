@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.devices import xbus
-from shared.devices.framing import TAIL
-from shared.devices.xbus import XbusReader, decode_field, decode_mtdata2, encode_field, encode_message, encode_mtdata2
+from shared.protocols import xbus
+from shared.protocols.framing.finder import TAIL
+from shared.protocols.xbus import XbusReader, decode_field, decode_mtdata2, encode_field, encode_message, encode_mtdata2
 from tests.support.data import recording
 
 GOLDEN_NAMES = {

@@ -14,7 +14,9 @@ from itertools import accumulate
 from operator import itemgetter
 from typing import NamedTuple
 
-from .framing import FrameFinder, Sums
+from .framing.finder import FrameFinder, Sums
+from .framing.framing import Framing
+from .protocol import Protocol, Question, Reason
 
 HEADER = b"\xfa\xff"
 LONG = 0xFF  # in place of the length, which follows in two bytes
@@ -25,10 +27,6 @@ KNOWN = {
 }  # fmt: skip
 MAX_PAYLOAD_BYTES = 2048
 MOST_FIELDS = 64  # of a measurement
-# A header whose length is possible, or the beginning of one at the end of the data.
-_STARTS = re.compile(
-    rb"\xfa\xff(?s:.)(?:[\x00-\xfe]|\xff[\x00-\x08](?s:.))|\xfa(?:\xff(?:(?s:.)(?:\xff[\x00-\x08]?)?)?)?\Z"
-)
 
 # Data identifiers without their format bits: the low two bits are the number format
 # (0 float32, 1 fixed 12.20, 2 fixed 16.32, 3 float64), the next two the reference frame.
@@ -243,6 +241,32 @@ def _layout(data_id: int) -> tuple[struct.Struct, int]:
     return struct.Struct(">" + code * _REALS[kind]), scale
 
 
+class XbusFraming(Framing):
+    """Preamble, bus, kind, length in one byte or three, payload, checksum."""
+
+    protocol, begins = "Xbus", ((HEADER[:1], HEADER[1:]),)
+    starts = rb"\xfa\xff(?s:.)(?:[\x00-\xfe]|\xff[\x00-\x08](?s:.))"
+    begun = rb"\xfa(?:\xff(?:(?s:.)(?:\xff[\x00-\x08]?)?)?)?"
+    malformed = too_long = bad_header = "oversize"
+    most_bytes = MAX_PAYLOAD_BYTES + 7
+
+    def size(self, buffer: bytes | bytearray, start: int, header: int) -> int | None:
+        """By the length in the header; 0 where the longer form states too much."""
+        if header < 4 or (buffer[start + 3] == LONG and header < 6):
+            return None
+        if buffer[start + 3] < LONG:
+            return buffer[start + 3] + 5
+        size = buffer[start + 4] << 8 | buffer[start + 5]
+        return size + 7 if size <= MAX_PAYLOAD_BYTES else 0
+
+    def fault(self, buffer: bytes | bytearray, start: int, stop: int, at: Callable[[int], Sums]) -> str | None:
+        """Compare the sum of all bytes behind the preamble, which is 0."""
+        return "bad_checksum" if at(stop)[0] - at(start)[0] - HEADER[0] & 0xFF else None
+
+
+FRAMING = XbusFraming()
+
+
 class XbusReader(FrameFinder[XbusMessage]):
     """Extracts the messages from a byte stream that may hold invalid bytes; see `FrameFinder`.
 
@@ -250,8 +274,8 @@ class XbusReader(FrameFinder[XbusMessage]):
     measurement with complete fields takes precedence: an 8-bit checksum alone is too weak.
     """
 
-    starts, malformed = _STARTS, re.compile(re.escape(HEADER))
-    kinds = {HEADER: "oversize"}  # noqa: RUF012  # a constant
+    starts = re.compile(FRAMING.starts + rb"|(?:" + FRAMING.begun + rb")\Z")
+    malformed, kinds = FRAMING.sync, FRAMING.malformed_beginnings
     most_bytes = MAX_PAYLOAD_BYTES
     cut = "cut_message"
 
@@ -275,22 +299,16 @@ class XbusReader(FrameFinder[XbusMessage]):
         self._s = [self._s[index] & 0xFF]
 
     def _size(self, start: int, match: re.Match[bytes]) -> int | None:
-        buffer, header = self._buffer, match.end() - start
-        if header < 4 or (buffer[start + 3] == LONG and header < 6):
-            return None
-        if buffer[start + 3] < LONG:
-            return buffer[start + 3] + 5
-        size = buffer[start + 4] << 8 | buffer[start + 5]
-        if size > MAX_PAYLOAD_BYTES:
-            self._reject(start, "oversize")
-            return 0
-        return size + 7
+        size = FRAMING.size(self._buffer, start, match.end() - start)
+        if size == 0:
+            self._reject(start, FRAMING.bad_header)
+        return size
 
     def _frame(self, start: int, stop: int, sums: Sums | None) -> XbusMessage | None:
         shift = self._base - self._summed_from
-        (before,) = sums or self._sums(start + shift)
-        if self._s[stop + shift] - before - HEADER[0] & 0xFF:
-            self._reject(start, "bad_checksum")
+        at = lambda index: sums if index == start and sums else self._sums(index + shift)  # noqa: E731
+        if fault := FRAMING.fault(self._buffer, start, stop, at):
+            self._reject(start, fault)
             return None
         return XbusMessage(self._buffer[start + 2], bytes(self._buffer[self._payload_start(start) : stop - 1]))
 
@@ -313,3 +331,25 @@ def _only(data: bytes) -> XbusMessage | None:
     """The message if these bytes are exactly one valid message (the usual case), otherwise None."""
     whole = len(data) > 4 and data.startswith(HEADER) and data[3] == len(data) - 5 < LONG and not sum(data[1:]) & 0xFF
     return XbusMessage(data[2], data[4:-1]) if whole else None
+
+
+_CONFIGURE = "switch it on with MT Manager, or by SetOutputConfiguration"
+PROTOCOL = Protocol(
+    FRAMING, "Xsens Xbus", frozenset(("imu",)),
+    # GotoConfig, since a tracker that measures does not answer to anything else, and GotoMeasurement.
+    questions={"imu": Question(encode_message(0x30, b""), encode_message(0x10, b""))},
+    reasons={
+        "bad_checksum": Reason("an Xbus message with a wrong checksum",
+                               "check ground and cable, and that the rate of the port carries what is sent"),
+        "oversize": Reason("an Xbus header with a length beyond 2048 bytes, mostly damage", "as bad_checksum"),
+        "cut_message": Reason("an Xbus message without its end", "as bad_checksum"),
+        "cut_field": Reason("a measurement that ends within a field", "bring the tracker's firmware up to date"),
+        "bad_field": Reason("a field of another length than its kind has", "bring the tracker's firmware up to date"),
+        "packet_gap": Reason("measurements that were lost", "check the rate of the port against the output rate"),
+        "counter_restart": Reason("a tracker that started again", "check its supply"),
+        "no_sample_time": Reason("measurements without SampleTimeFine", _CONFIGURE),
+        "no_acceleration": Reason("measurements without acceleration or delta-v", _CONFIGURE),
+        "no_rate_of_turn": Reason("measurements without rate of turn or delta-q", _CONFIGURE),
+        "no_acceleration_and_rate_of_turn": Reason("a unit that is set to send orientation alone", _CONFIGURE),
+    },
+)  # fmt: skip

@@ -1,0 +1,1 @@
+"""Finds the frames of protocols in byte streams."""
