@@ -115,6 +115,7 @@ OF_BUS = {
     "sender": Reason("a message of a program that may not send it", "check the names and secrets of the bus"),
     "refused": Reason("a subscription or message that the broker refuses", "run `obu keys`, then restart the broker"),
     "stamp": Reason("a message stamped before 1980 or after 2100", "set the clock of this computer"),
+    "input too old": Reason("an input skipped because the process is too far behind", "use a faster computer"),
     "range": Reason("a value that the message model refuses", "check the device that sends it"),
     "fault": Reason("an error of the program while one item was handled", _CAUSE),
     "state disk": Reason("a state that could not be written", "free the disk; check its rights"),
