@@ -25,7 +25,7 @@ from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import inputs_of
 from ..solve.report.drawing import COLOURS, inline_svg, label_decades, stacked_axes
 from .allan import Allan, FloatArray, Noise, allan_deviation, cluster_counts, noise_of
-from .rest import Rest, longest_rest
+from .rest import Rest, gaps, longest_rest
 
 PROCESSES = ("parsers.gnss", "parsers.imu")
 AXES = ("forward", "right", "down")
@@ -115,9 +115,11 @@ def _at_rest(path: Path, vehicle: Path | None, console: Console, progress: Progr
     rest = longest_rest(values[:, 0], values[:, 1:4], values[:, 4:7])
     duration_s = 0.0 if rest is None else rest.duration_s
     if rest is None or duration_s < SHORTEST_S:
+        missing = gaps(values[:, 0])
+        where = f" (samples are missing behind {values[missing[0], 0]:.1f} s by their stamps)" if len(missing) else ""
         raise UserError(
-            f"the longest time at rest in {path} is {duration_s:.0f} s, and {SHORTEST_S:.0f} s are the least; record "
-            "an hour with the vehicle standing, its engine off and nobody in it"
+            f"the longest time at rest in {path} is {duration_s:.0f} s{where}, and {SHORTEST_S:.0f} s are the least; "
+            "record an hour with the vehicle standing, its engine off and nobody in it"
         )
     return source, rest
 

@@ -24,6 +24,7 @@ from .positions import Position, of_fixes, of_solutions, segments, spaced
 from .rinex import Content, epoch_lines, header_lines
 from .source import Source
 from .table import csv_lines
+from .utc import UtcLine
 
 SOLUTIONS, FIXES, RAW = "navigation/solution", "gnss/fix", "gnss/raw_epoch"
 
@@ -65,7 +66,8 @@ def export(  # one argument an option
 ) -> int:
     """Write a recording for other tools: tables, tracks, NMEA 0183, or raw measurements as RINEX 3.05.
 
-    Times are UTC as the receiver stated it; without it, the time of the recording. RINEX is in GPS time.
+    Times are UTC as the receiver stated it; without it, the time of the recording. Of csv this is the first column, and
+    the fields behind it are as recorded, with stamps of the unit's time line. RINEX is in GPS time.
 
     Examples:
     [bold]obu export drive.mcap --format gpx[/]
@@ -111,7 +113,7 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
             "--topic names another topic"
         )
     if to is Format.CSV:
-        return csv_lines(partial(source.messages, topic))
+        return csv_lines(partial(source.messages, topic), source.utc().utc_ns)
     if topic not in (SOLUTIONS, FIXES):
         raise UserError(f"{to} is made of positions: give --topic {SOLUTIONS} or {FIXES}, or take --format csv")
     positions = spaced(_positions(source, topic), period_s)
@@ -130,11 +132,11 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
 
 
 def _positions(source: Source, topic: str) -> Iterator[Position]:
-    offset_ns = source.utc_offset_ns()
+    utc = source.utc()
     if topic == FIXES:
-        return of_fixes(source.messages(FIXES), offset_ns)
+        return of_fixes(source.messages(FIXES), utc)
     fixes = source.messages(FIXES) if source.has(FIXES) else iter(())
-    return of_solutions(source.messages(SOLUTIONS), fixes, offset_ns)
+    return of_solutions(source.messages(SOLUTIONS), fixes, utc)
 
 
 def geojson_lines(name: str, track: list[list[Position]]) -> Iterator[str]:
@@ -186,7 +188,7 @@ def _rinex(source: Source, name: str) -> Iterator[str]:
 
 def _first_ecef(source: Source) -> tuple[float, float, float]:
     """Give the first fix in ECEF; zeros, as RINEX has it, if there is none."""
-    for position in of_fixes(source.messages(FIXES), 0) if source.has(FIXES) else ():
+    for position in of_fixes(source.messages(FIXES), UtcLine(())) if source.has(FIXES) else ():
         height = position.height_ellipsoid_m or 0.0
         x, y, z = ecef_from_geodetic(Geodetic(radians(position.latitude_deg), radians(position.longitude_deg), height))
         return float(x), float(y), float(z)
