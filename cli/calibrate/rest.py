@@ -85,8 +85,9 @@ def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) ->
     if best[1] == best[0]:
         return None
     first, last = best
-    # The mean interval, since each stamp may be late by itself.
-    even_s = float(stamps_s[last - 1] - stamps_s[first]) / (last - 1 - first)
+    # By least squares, since each stamp may be late by itself, the first and the last one too.
+    places = np.arange(last - first) - (last - first - 1) / 2.0
+    even_s = float(places @ (stamps_s[first:last] - stamps_s[first]) / (places @ places))
     return Rest(even_s, forces[first:last], rates[first:last], float(stamps_s[first] - stamps_s[0]))
 
 

@@ -8,7 +8,6 @@ from io import StringIO
 from shared.messages.base import Message
 from shared.track_files import iso_time
 
-
 UTC = "time_utc"
 STAMPS = ("sampled_ns", "now_ns", "received_ns")  # of a message, by preference
 
@@ -17,8 +16,8 @@ def csv_lines(messages: Callable[[], Iterable[Message]], utc_ns: Callable[[int],
     """Format messages of one type, which are read twice: for the columns that occur, and for the rows.
 
     The first column is the time in UTC, by `utc_ns` from the unit's time line; the others are the fields as they are
-    recorded, stamps in the unit's time line. Short tuples have a column for each element, named by its number from 0; a list of things, such as of satellites, is
-    one column of JSON. Unknown values are empty.
+    recorded, stamps in the unit's time line. Short tuples have a column for each element, named by its number from 0; a
+    list of things, such as of satellites, is one column of JSON. Unknown values are empty.
     """
     names = dict.fromkeys(name for message in messages() for name, _ in _cells("", message.model_dump(mode="json")))
     columns = [name for name in names if not any(other.startswith(f"{name}.") for other in names)]

@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Iterable
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from statistics import median
 
 from shared.messages.base import Message
@@ -28,7 +28,7 @@ class UtcLine:
         )
         steps = [
             (after_ns, step_ns)
-            for (_, before), (after_ns, behind) in zip(stated, stated[1:], strict=False)
+            for (_, before), (after_ns, behind) in pairwise(stated)
             if (step_ns := _whole_step(behind - before))
         ]
         self._step_ns = [time_ns for time_ns, _ in steps]

@@ -86,7 +86,8 @@ class Foxglove:
         self._origin = self._origin or s
         time = _time(s.sampled_ns)
         yield f"{PREFIX}solution", {
-            "timestamp": _time(s.sampled_ns + self._utc_offset_ns), "frame_id": VEHICLE, "latitude": s.latitude_deg, "longitude": s.longitude_deg,
+            "timestamp": _time(s.sampled_ns + self._utc_offset_ns), "frame_id": VEHICLE,
+            "latitude": s.latitude_deg, "longitude": s.longitude_deg,
             "altitude": s.height_ellipsoid_m, **_covariance(s.position_cov_ned_m2),
         }  # fmt: skip
         east, north, up = east_north_up(s, self._origin)

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import subprocess
+from itertools import pairwise
 from math import radians
 from pathlib import Path
 from xml.etree import ElementTree
@@ -226,7 +227,7 @@ def test_a_line_is_cut_at_the_antimeridian(longitude_deg: float, step_deg: float
     features = json.loads(exported(drive, Format.GEOJSON, tmp_path).read_text())["features"]
     lines = [feature["geometry"]["coordinates"] for feature in features]
     assert len(lines) == 2 and sum(map(len, lines)) == SECONDS
-    assert all(abs(a[0] - b[0]) < 1.0 for line in lines for a, b in zip(line, line[1:], strict=False))
+    assert all(abs(a[0] - b[0]) < 1.0 for line in lines for a, b in pairwise(line))
     assert [len(feature["properties"]["times"]) for feature in features] == list(map(len, lines))
     for to, tag in ((Format.GPX, "trkseg"), (Format.KML, "Track")):
         root = ElementTree.parse(exported(drive, to, tmp_path)).getroot()

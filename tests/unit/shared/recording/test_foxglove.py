@@ -10,10 +10,12 @@ import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
+from shared.messages.gnss import FixType, GnssFix
 from shared.recording import Recording
 from shared.recording.channels import RAW_FORMATS
-from shared.recording.foxglove import quaternion_enu_from_flu
+from shared.recording.foxglove import Foxglove, quaternion_enu_from_flu
 from shared.topics import TOPICS
+from tests.support.bus.envelopes import sent
 from tests.support.drives.meridian import (
     BEGIN_NS,
     LATITUDE_DEG,
@@ -22,6 +24,7 @@ from tests.support.drives.meridian import (
     SECOND,
     messages,
     record,
+    solution,
 )
 
 
