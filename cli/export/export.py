@@ -18,6 +18,7 @@ from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.gnss import GnssRawEpoch
 from shared.track_files import gpx_lines, iso_time, kml_lines
 
+from ..output_file import insist_on_place
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from .nmea import nmea_lines
 from .positions import Position, of_fixes, of_solutions, segments, spaced
@@ -77,6 +78,7 @@ def export(  # one argument an option
     """
     console = Console(stderr=True)
     path = out or Path(f"{file.stem}.{SUFFIXES.get(to, to.value)}")
+    insist_on_place(path)
     with open_recording(file) as recording:
         topics = recording.topics or frozenset(envelope.topic for envelope in recording)
         source = Source(recording, vehicle_of(recording, None), topics, console)

@@ -44,7 +44,7 @@ from .report.report import Heading, document, is_hardly_used, summary
 from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
-from .truth import any_fixed, given_truth, truth_of_fixes
+from .truth import any_fixed, given_truth, insist_on_fixes, truth_of_fixes
 from .verdicts import VerdictLog
 
 PARSERS = ("parsers.gnss", "parsers.imu")
@@ -127,6 +127,8 @@ def solve(  # noqa: PLR0913  # one argument an option
     if (outages := _outages(outage, drive)) is not None:
         _check_start(drive, "--outage", (outages.start_ns or 0) * 1e-9)
     given, by_fixes = given_truth(drive.provenance, drive.inputs.truth, truth)
+    if by_fixes == "fixes":
+        insist_on_fixes(drive.inputs, drive.vehicle)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
         progress = stack.enter_context(progress_on(console))

@@ -11,8 +11,10 @@ from shared.bounded import TooMuch, checked
 from shared.errors import UserError
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.navigation import TruthState
+from shared.runtime.config import VehicleFile
 
 from ..import_drive.readers.table import read_table
+from .inputs import Inputs, all_fixes
 from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
 
 
@@ -42,6 +44,11 @@ def any_fixed(fixes: Sequence[GnssFix]) -> bool:
 def truth_of_fixes(fixes: Sequence[GnssFix], config: Config) -> Reference:
     """Make the truth of the RTK-fixed fixes, with the delays of the vehicle's file."""
     return from_fixes(fixes, delay_s=config.gnss.delay_s, velocity_delay_s=config.gnss.velocity_delay_s)
+
+
+def insist_on_fixes(inputs: Inputs, vehicle: VehicleFile) -> None:
+    """Raise `UserError` where the fixes cannot be the truth, before a recording is solved for it."""
+    truth_of_fixes(all_fixes(inputs, vehicle), vehicle.section("core.fusion", Config))
 
 
 def truth_file(path: Path) -> Reference:
