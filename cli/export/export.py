@@ -20,12 +20,12 @@ from shared.track_files import gpx_lines, iso_time, kml_lines
 
 from ..output_file import insist_on_place
 from ..recordings.common import open_recording, print_problems, vehicle_of
+from ..utc import UtcLine
 from .nmea import nmea_lines
 from .positions import Position, of_fixes, of_solutions, segments, spaced
 from .rinex import Content, epoch_lines, header_lines
 from .source import Source
 from .table import csv_lines
-from .utc import UtcLine
 
 SOLUTIONS, FIXES, RAW = "navigation/solution", "gnss/fix", "gnss/raw_epoch"
 

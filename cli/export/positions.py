@@ -7,12 +7,11 @@ from math import atan2, cos, degrees, hypot, sin
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.navigation import NavigationPhase, NavigationSolution
-from shared.track_files import TrackPoint
+from shared.track_files import TrackPoint, crosses_antimeridian
 
-from .utc import UtcLine
+from ..utc import UtcLine
 
 GAP_NS = 5_000_000_000  # a longer one breaks the track
-HALF_TURN_DEG = 180.0
 FIX_AGE_NS = 3_000_000_000  # of the fix whose kind a solution takes over
 
 
@@ -123,7 +122,7 @@ def segments(positions: Iterable[Position]) -> list[list[Position]]:
         if (
             last is None
             or position.time_ns - last.time_ns > GAP_NS
-            or abs(position.longitude_deg - last.longitude_deg) > HALF_TURN_DEG
+            or crosses_antimeridian(last.longitude_deg, position.longitude_deg)
         ):
             cut.append([])
         cut[-1].append(position)

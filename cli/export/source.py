@@ -14,7 +14,7 @@ from shared.runtime.offline import OfflineUnit
 from shared.topics import topic_of
 
 from ..progress import progress_on
-from .utc import UtcLine
+from ..utc import UtcLine
 
 STEP = 500  # messages between two looks at the progress
 RECEIVER = "gnss/raw"

@@ -33,6 +33,7 @@ from ..solve.reference_track import Reference
 from ..solve.track import Track, TrackBuilder
 from ..solve.truth import any_fixed, given_truth, insist_on_fixes, truth_of_fixes
 from ..solve.verdicts import VerdictLog
+from ..utc import UtcLine
 from .indicators import INDICATORS, Observed, Value, indicators_of
 from .page import as_shown, page
 
@@ -87,6 +88,8 @@ def kpi(
         with progress_on(console) as progress:
             seen = _solved(inputs, file, progress) if anew else _recorded(opened, inputs, progress)
     print_problems(opened, console)
+    if reference is not None:
+        reference = reference.on_time_line(UtcLine(seen.fixes).offset_ns)
     if by_fixes == "fixes" or (by_fixes == "perhaps" and any_fixed(seen.fixes)):
         reference = truth_of_fixes(seen.fixes, file.section("core.fusion", Config))
         values = indicators_of(_observed(inputs, file, seen, reference, independent=False))

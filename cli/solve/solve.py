@@ -29,6 +29,7 @@ from shared.runtime.offline import OfflineUnit
 from ..import_drive.estimates.agreement import MotionLog, told
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
+from ..utc import UtcLine
 from .files import write
 from .history_file import HistoryFile
 from .inputs import Inputs, all_fixes, arrival_of, inputs_of
@@ -136,6 +137,8 @@ def solve(  # noqa: PLR0913  # one argument an option
         solved = _run(drive, outages, progress, history, with_trust=with_trust)
         # All fixes of the recording, those removed by an outage included.
         fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
+        utc = UtcLine(fixes)
+        given = None if given is None else given.on_time_line(utc.offset_ns)
         reference = (
             truth_of_fixes(fixes, _fusion(drive.vehicle))
             if by_fixes == "fixes" or (by_fixes == "perhaps" and any_fixed(fixes))
@@ -157,6 +160,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     run = replace(
         _compared(drive, solved, reference, fixes),
         scored_from_ns=scored_from_ns,
+        utc_offset_ns=utc.offset_ns,
         trust=_trust(drive, solved, plain, reference, scored_from_ns),
         gnss_alone=_gnss_alone(drive, solved, reference) if reference is given else None,
     )

@@ -69,4 +69,4 @@ def truth_file(path: Path) -> Reference:
         raise UserError(f"{path} has none of the columns {', '.join(POSITION)}; docs/reference/metrics.md lists them")
     stamps = np.round(table[clock] * (1e9 if clock == "utc_s" else 1.0)).astype(np.int64)
     order = np.argsort(stamps, kind="stable")
-    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known})
+    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known}, in_utc=clock == "utc_s")

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType
 from cli.__main__ import main
 from cli.export.export import Format, export
 from cli.export.positions import of_fixes
-from cli.export.utc import UtcLine
+from cli.utc import UtcLine
 from shared.errors import UserError
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssRawEpoch, RawMeasurement
 from shared.recording import RecordingWriter
