@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from shared.messages.gnss import FixType, GnssFix
+from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
 from shared.recording.channels import RAW_FORMATS
 from shared.recording.foxglove import Foxglove, quaternion_enu_from_flu
@@ -93,10 +94,10 @@ def test_positions_are_stamped_in_utc_as_the_receiver_stated_it() -> None:
         sampled_ns=BEGIN_NS - behind_ns, received_ns=BEGIN_NS - behind_ns, source="gnss0", fix_type=FixType.THREE_D,
         latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG, utc_ns=BEGIN_NS,
     )  # fmt: skip
-    messages = [fix, solution(BEGIN_NS - behind_ns + SECOND)]
+    told: list[GnssFix | NavigationSolution] = [fix, solution(BEGIN_NS - behind_ns + SECOND)]
     found = {
         topic: json.loads(payload)["timestamp"]["sec"] * SECOND
-        for sequence, message in enumerate(messages, 1)
+        for sequence, message in enumerate(told, 1)
         for topic, payload in made.messages(sent(message, message.sampled_ns, "parsers.gnss", 1, sequence))
     }
     assert found["foxglove/gnss_fix"] == BEGIN_NS and found["foxglove/solution"] == BEGIN_NS + SECOND
