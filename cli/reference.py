@@ -99,9 +99,10 @@ def metrics_page() -> str:
         "steps of the covariance propagation and therefore not at the stamps of solution.csv; phase, standstill and "
         "age of GNSS are those of the filter, and columns without a smoothed value are empty.\n\n"
         "## A truth of your own\n\n"
-        "`--truth FILE` reads a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
-        "and any of position (`latitude_deg`, `longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, "
-        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They refer "
+        "`--truth FILE` reads a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970 "
+        "(brought to the unit's time line by the UTC of its fixes), and any of position (`latitude_deg`, "
+        "`longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, `velocity_east_m_s`, "
+        "`velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They refer "
         "to the IMU. A solution.csv or solution_smoothed.csv of another run is such a file.\n"
     )
 

@@ -15,9 +15,12 @@ class Kinds:
         self._rejected: Counter[str] = Counter()
         self._uses: dict[str, MessageUse] = {}
         self._reasons: dict[str, str] = {}
+        self._expected: set[str] = set()
 
     def count(self, kind: str, use: MessageUse) -> None:
-        """Count a message."""
+        """Count a message; one that is used has a row of its own, however late it comes."""
+        if use is MessageUse.USED:
+            self._make_room(kind[:64])
         name = self._name(kind)
         self._counts[name] += 1
         self._uses[name] = MessageUse.UNKNOWN if name == OTHERS else use
@@ -32,6 +35,7 @@ class Kinds:
         """Keep room for a kind that matters however late it comes."""
         self._counts[self._name(kind)] += 0
         self._uses[kind] = use
+        self._expected.add(kind)
 
     def table(self) -> tuple[MessageKind, ...]:
         """All kinds, those that came most often first."""
@@ -44,7 +48,23 @@ class Kinds:
             if count
         )  # fmt: skip
 
+    def _make_room(self, kind: str) -> None:
+        """Where the table is full, add the rarest kind that is not used to the others."""
+        if self._name(kind) != OTHERS:
+            return
+        kept = self._expected | {OTHERS}
+        unused = [name for name, use in self._uses.items() if use is not MessageUse.USED and name not in kept]
+        if not unused:
+            return
+        rarest = min(unused, key=lambda name: self._counts[name])
+        self._counts[OTHERS] += self._counts.pop(rarest)
+        self._rejected[OTHERS] += self._rejected.pop(rarest, 0)
+        self._uses[OTHERS] = MessageUse.UNKNOWN
+        del self._uses[rarest]
+        if reason := self._reasons.pop(rarest, None):
+            self._reasons[OTHERS] = reason
+
     def _name(self, kind: str) -> str:
-        if kind in self._counts or len(self._counts) < MAX_KINDS - 1:
+        if kind[:64] in self._counts or len(self._counts) - (OTHERS in self._counts) < MAX_KINDS - 1:
             return kind[:64]
         return OTHERS

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from html import escape
+from itertools import pairwise
 
 Extra = float | int | str | None
 DATUM = "Heights are above the WGS84 ellipsoid."
+HALF_TURN_DEG = 180.0
 EXTENSIONS = "urn:obu:track"  # namespace of the extra fields in GPX
 
 
@@ -25,6 +27,17 @@ class TrackPoint:
 
 
 Segment = Sequence[TrackPoint]
+
+
+def crosses_antimeridian(before_deg: float, longitude_deg: float) -> bool:
+    """Whether the short way between two longitudes crosses 180 degrees: a line would be drawn around the world."""
+    return abs(longitude_deg - before_deg) > HALF_TURN_DEG
+
+
+def cut_at_antimeridian(points: Segment) -> list[Segment]:
+    """Cut a segment where it crosses 180 degrees."""
+    cuts = [k for k, (a, b) in enumerate(pairwise(points), 1) if crosses_antimeridian(a.longitude_deg, b.longitude_deg)]
+    return [points[begin:end] for begin, end in pairwise((0, *cuts, len(points)))]
 
 
 def gpx_lines(name: str, segments: Iterable[Segment]) -> Iterator[str]:

@@ -20,12 +20,13 @@ from shared.maths.earth import STANDARD_GRAVITY
 from shared.messages.imu import ImuSamples
 from shared.runtime.offline import OfflineUnit
 
+from ..output_file import insist_on_place
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import inputs_of
 from ..solve.report.drawing import COLOURS, inline_svg, label_decades, stacked_axes
 from .allan import Allan, FloatArray, Noise, allan_deviation, cluster_counts, noise_of
-from .rest import Rest, longest_rest
+from .rest import Rest, gaps, longest_rest
 
 PROCESSES = ("parsers.gnss", "parsers.imu")
 AXES = ("forward", "right", "down")
@@ -53,9 +54,7 @@ def calibrate_imu(
     recording: Annotated[Path, typer.Argument(help="Recording of sensors at rest, of `obu record` or `obu import`.")],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--out", metavar="FILE", help="Page with the plots; default: the recording's name -imu.html."
-        ),
+        typer.Option("-o", "--out", metavar="FILE", help="Write a page with the plots as well, such as noise.html."),
     ] = None,
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", metavar="FILE", help="Vehicle TOML file; default: the recorded one.")
@@ -71,9 +70,10 @@ def calibrate_imu(
     [bold]obu import mti.bin -o bench.mcap[/]
     [bold]obu calibrate imu bench.mcap --out noise.html --json[/]
     """
-    page = out or Path(f"{recording.stem}-imu.html")
-    if page.exists():
-        raise UserError(f"{page} already exists; choose another file with --out, or remove it")
+    if out is not None:
+        insist_on_place(out)
+        if out.exists():
+            raise UserError(f"{out} already exists; choose another file with --out, or remove it")
     console = Console(stderr=True)
     with progress_on(console) as progress:
         source, rest = _at_rest(recording, vehicle, console, progress)
@@ -82,15 +82,17 @@ def calibrate_imu(
             for name, values in (("gyroscope", rest.rates), ("accelerometer", rest.forces))
         ]
     text = section(*sensors, source=source, rest=rest, file=recording.name)
-    try:
-        page.write_text(_page(recording.name, source, rest, sensors, text), encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {page}: {error.strerror}; choose another path with --out") from error
+    if out is not None:
+        try:
+            out.write_text(_page(recording.name, source, rest, sensors, text), encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"cannot write {out}: {error.strerror}; choose another path with --out") from error
     if as_json:
         print(json.dumps(_document(source, rest, sensors, text)))
         return 0
     Console().print(_table(sensors))
-    for line in (*said(rest, sensors), f"Wrote {page}. Paste into the vehicle's file:", "", text):
+    page = f"Wrote {out}." if out is not None else "A page with the plots: --out noise.html."
+    for line in (*said(rest, sensors), f"{page} Paste into the vehicle's file:", "", text):
         print(line)
     return 0
 
@@ -115,9 +117,11 @@ def _at_rest(path: Path, vehicle: Path | None, console: Console, progress: Progr
     rest = longest_rest(values[:, 0], values[:, 1:4], values[:, 4:7])
     duration_s = 0.0 if rest is None else rest.duration_s
     if rest is None or duration_s < SHORTEST_S:
+        missing = gaps(values[:, 0])
+        where = f" (samples are missing behind {values[missing[0], 0]:.1f} s by their stamps)" if len(missing) else ""
         raise UserError(
-            f"the longest time at rest in {path} is {duration_s:.0f} s, and {SHORTEST_S:.0f} s are the least; record "
-            "an hour with the vehicle standing, its engine off and nobody in it"
+            f"the longest time at rest in {path} is {duration_s:.0f} s{where}, and {SHORTEST_S:.0f} s are the least; "
+            "record an hour with the vehicle standing, its engine off and nobody in it"
         )
     return source, rest
 

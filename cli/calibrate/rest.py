@@ -7,12 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 WINDOW_S = 1.0
 QUIET_QUANTILE = 0.1  # of the windows' standard deviations: the noise of the sensor itself
 LOUD = 4.0  # times that noise: somebody moves, or the engine runs
 TURN_RAD_S = 0.01  # mean rate of a window, less the median: a slow turn on a smooth table
-LONGEST_STEP = 1.5  # of the median interval: a sample is missing
+MISSING = 0.5  # [periods] by which the least delay of stamps grows for good where a sample is missing
+PERIOD_SAMPLES = 1000  # over which the period is measured, so that stamps in whole milliseconds tell it
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,9 @@ def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) ->
     """
     if len(stamps_s) < 3:
         return None
-    steps = np.diff(stamps_s)
-    step_s = float(np.median(steps))
-    width = max(round(WINDOW_S / step_s), 2) if step_s > 0.0 else len(stamps_s)
+    width = _width(stamps_s)
     best = (0, 0)
-    cuts = [0, *(np.flatnonzero(steps > LONGEST_STEP * step_s) + 1).tolist(), len(stamps_s)]
+    cuts = [0, *gaps(stamps_s).tolist(), len(stamps_s)]
     pieces = [(a, b) for a, b in pairwise(cuts) if b - a >= 2 * width]
     if not pieces:
         return None
@@ -85,9 +85,55 @@ def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) ->
     if best[1] == best[0]:
         return None
     first, last = best
-    # The mean interval, since each stamp may be late by itself.
-    even_s = float(stamps_s[last - 1] - stamps_s[first]) / (last - 1 - first)
+    # By least squares, since each stamp may be late by itself, the first and the last one too.
+    places = np.arange(last - first) - (last - first - 1) / 2.0
+    even_s = float(places @ (stamps_s[first:last] - stamps_s[first]) / (places @ places))
     return Rest(even_s, forces[first:last], rates[first:last], float(stamps_s[first] - stamps_s[0]))
+
+
+def gaps(stamps_s: FloatArray) -> Indices:
+    """Find where samples are missing: not where stamps are late, or rounded.
+
+    Parameters
+    ----------
+    stamps_s : ndarray, shape (n,)
+        [s] Increasing; each may be late by itself, as of samples that arrive together.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+        First sample behind each gap, and the first one half a second later, from which the stamps are known to be even
+        again.
+
+    Notes
+    -----
+    With the period p, the delay of stamp k is t_k - k p. Its least value over half a second stays the same where
+    stamps are late, and grows by p for good with each sample that is missing.
+    """
+    from scipy.ndimage import minimum_filter1d
+
+    if len(stamps_s) < 3:
+        return np.zeros(0, dtype=np.int64)
+    period_s, half = _period(stamps_s), max(_width(stamps_s) // 4, 1)
+    delay = stamps_s - period_s * np.arange(len(stamps_s))
+    least = minimum_filter1d(delay, 2 * half + 1, mode="nearest")
+    last = len(stamps_s) - 1
+    before = least[np.maximum(np.arange(last) - half, 0)]
+    behind = least[np.minimum(np.arange(last) + 1 + half, last)]
+    missing = np.concatenate([[False], behind - before > MISSING * period_s, [False]])
+    found: Indices = np.flatnonzero(np.diff(missing)) + 1
+    return found
+
+
+def _period(stamps_s: FloatArray) -> float:
+    """Period of the samples [s], although some are missing and stamps are uneven."""
+    count = min(PERIOD_SAMPLES, len(stamps_s) - 1)
+    return float(np.median(stamps_s[count:] - stamps_s[:-count])) / count
+
+
+def _width(stamps_s: FloatArray) -> int:
+    """Samples of a window."""
+    return max(round(WINDOW_S / _period(stamps_s)), 2)
 
 
 def _window(forces: FloatArray, rates: FloatArray, start: int, width: int) -> tuple[FloatArray, FloatArray]:

@@ -30,6 +30,7 @@ from shared.messages.base import Message
 from shared.messages.trust import TrustMonitor
 from shared.runtime.offline import OfflineUnit
 
+from ..output_file import insist_on_place
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import arrival_of, inputs_of
@@ -62,6 +63,7 @@ def calibrate_spoofing(
     [bold]obu calibrate spoofing monday.mcap tuesday.mcap -o profile.json[/]
     [bold]obu calibrate spoofing drive.mcap --vehicle deploy/vehicles/pi.toml --threshold 6.5[/]
     """
+    insist_on_place(output, "--output")
     if output.exists():
         raise UserError(f"{output} already exists; choose another file with --output, or remove it")
     console = Console(stderr=True)
@@ -76,13 +78,12 @@ def calibrate_spoofing(
             long += statistics
             origins.append(origin)
             learned.append(drive)
-    first = origins[0]
-    for drive, other in zip(learned, origins, strict=True):
-        if different := first.differences(other):
-            raise UserError(
-                f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn one for each"
-            )
-    profile = _profile(windows, first.model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold,
+            if different := origins[0].differences(origin):
+                raise UserError(
+                    f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn one for "
+                    "each"
+                )
+    profile = _profile(windows, origins[0].model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold,
                        long)  # fmt: skip
     try:
         output.write_text(profile.model_dump_json(indent=2) + "\n", encoding="utf-8")

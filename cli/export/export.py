@@ -18,7 +18,9 @@ from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.gnss import GnssRawEpoch
 from shared.track_files import gpx_lines, iso_time, kml_lines
 
+from ..output_file import insist_on_place
 from ..recordings.common import open_recording, print_problems, vehicle_of
+from ..utc import UtcLine
 from .nmea import nmea_lines
 from .positions import Position, of_fixes, of_solutions, segments, spaced
 from .rinex import Content, epoch_lines, header_lines
@@ -65,7 +67,8 @@ def export(  # one argument an option
 ) -> int:
     """Write a recording for other tools: tables, tracks, NMEA 0183, or raw measurements as RINEX 3.05.
 
-    Times are UTC as the receiver stated it; without it, the time of the recording. RINEX is in GPS time.
+    Times are UTC as the receiver stated it; without it, the time of the recording. Of csv this is the first column, and
+    the fields behind it are as recorded, with stamps of the unit's time line. RINEX is in GPS time.
 
     Examples:
     [bold]obu export drive.mcap --format gpx[/]
@@ -75,6 +78,7 @@ def export(  # one argument an option
     """
     console = Console(stderr=True)
     path = out or Path(f"{file.stem}.{SUFFIXES.get(to, to.value)}")
+    insist_on_place(path)
     with open_recording(file) as recording:
         topics = recording.topics or frozenset(envelope.topic for envelope in recording)
         source = Source(recording, vehicle_of(recording, None), topics, console)
@@ -111,7 +115,7 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
             "--topic names another topic"
         )
     if to is Format.CSV:
-        return csv_lines(partial(source.messages, topic))
+        return csv_lines(partial(source.messages, topic), source.utc().utc_ns)
     if topic not in (SOLUTIONS, FIXES):
         raise UserError(f"{to} is made of positions: give --topic {SOLUTIONS} or {FIXES}, or take --format csv")
     positions = spaced(_positions(source, topic), period_s)
@@ -130,11 +134,11 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
 
 
 def _positions(source: Source, topic: str) -> Iterator[Position]:
-    offset_ns = source.utc_offset_ns()
+    utc = source.utc()
     if topic == FIXES:
-        return of_fixes(source.messages(FIXES), offset_ns)
+        return of_fixes(source.messages(FIXES), utc)
     fixes = source.messages(FIXES) if source.has(FIXES) else iter(())
-    return of_solutions(source.messages(SOLUTIONS), fixes, offset_ns)
+    return of_solutions(source.messages(SOLUTIONS), fixes, utc)
 
 
 def geojson_lines(name: str, track: list[list[Position]]) -> Iterator[str]:
@@ -186,7 +190,7 @@ def _rinex(source: Source, name: str) -> Iterator[str]:
 
 def _first_ecef(source: Source) -> tuple[float, float, float]:
     """Give the first fix in ECEF; zeros, as RINEX has it, if there is none."""
-    for position in of_fixes(source.messages(FIXES), 0) if source.has(FIXES) else ():
+    for position in of_fixes(source.messages(FIXES), UtcLine(())) if source.has(FIXES) else ():
         height = position.height_ellipsoid_m or 0.0
         x, y, z = ecef_from_geodetic(Geodetic(radians(position.latitude_deg), radians(position.longitude_deg), height))
         return float(x), float(y), float(z)

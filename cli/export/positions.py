@@ -7,7 +7,9 @@ from math import atan2, cos, degrees, hypot, sin
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.navigation import NavigationPhase, NavigationSolution
-from shared.track_files import TrackPoint
+from shared.track_files import TrackPoint, crosses_antimeridian
+
+from ..utc import UtcLine
 
 GAP_NS = 5_000_000_000  # a longer one breaks the track
 FIX_AGE_NS = 3_000_000_000  # of the fix whose kind a solution takes over
@@ -52,7 +54,7 @@ class Position:
         return TrackPoint(self.time_ns, self.latitude_deg, self.longitude_deg, self.height_ellipsoid_m, extras)
 
 
-def of_solutions(messages: Iterable[Message], fixes: Iterable[Message], offset_ns: int) -> Iterator[Position]:
+def of_solutions(messages: Iterable[Message], fixes: Iterable[Message], utc: UtcLine) -> Iterator[Position]:
     """Make positions of solutions, each with the newest fix at its time; both in time order."""
     waiting = iter([fix for fix in fixes if isinstance(fix, GnssFix)])
     newest: GnssFix | None = None
@@ -65,7 +67,7 @@ def of_solutions(messages: Iterable[Message], fixes: Iterable[Message], offset_n
         current = newest is not None and s.sampled_ns - newest.sampled_ns <= FIX_AGE_NS
         cov = s.position_cov_ned_m2
         yield Position(
-            s.sampled_ns + offset_ns,
+            utc.utc_ns(s.sampled_ns),
             s.latitude_deg,
             s.longitude_deg,
             s.height_ellipsoid_m,
@@ -79,7 +81,7 @@ def of_solutions(messages: Iterable[Message], fixes: Iterable[Message], offset_n
         )
 
 
-def of_fixes(messages: Iterable[Message], offset_ns: int) -> Iterator[Position]:
+def of_fixes(messages: Iterable[Message], utc: UtcLine) -> Iterator[Position]:
     """Make positions of the fixes that have one."""
     for fix in messages:
         if not isinstance(fix, GnssFix) or fix.latitude_deg is None or fix.longitude_deg is None:
@@ -88,7 +90,7 @@ def of_fixes(messages: Iterable[Message], offset_ns: int) -> Iterator[Position]:
         if velocity is None and fix.ground_speed_m_s is not None and fix.course_rad is not None:
             velocity = fix.ground_speed_m_s * cos(fix.course_rad), fix.ground_speed_m_s * sin(fix.course_rad), 0.0
         position = Position(
-            fix.sampled_ns + offset_ns if fix.utc_ns is None else fix.utc_ns,
+            utc.of_fix(fix),
             fix.latitude_deg,
             fix.longitude_deg,
             fix.height_ellipsoid_m,
@@ -101,19 +103,27 @@ def of_fixes(messages: Iterable[Message], offset_ns: int) -> Iterator[Position]:
 
 
 def spaced(positions: Iterable[Position], period_s: float) -> Iterator[Position]:
-    """Leave out positions that follow the one before by less than a period."""
+    """Leave out positions that follow the one before by less than a period; a period of 0 leaves out none."""
     due_ns: int | None = None
     for position in positions:
-        if due_ns is None or position.time_ns >= due_ns:
+        if due_ns is None or period_s <= 0.0 or position.time_ns >= due_ns:
             due_ns = position.time_ns + round(period_s * 0.95e9)
             yield position
 
 
 def segments(positions: Iterable[Position]) -> list[list[Position]]:
-    """Cut a track where no position was published for longer than `GAP_NS`."""
+    """Cut a track where no position was published for longer than `GAP_NS`, and where it crosses 180 degrees.
+
+    A line from 179.9 to -179.9 degrees would be drawn around the world (RFC 7946, section 3.1.9).
+    """
     cut: list[list[Position]] = []
     for position in positions:
-        if not cut or position.time_ns - cut[-1][-1].time_ns > GAP_NS:
+        last = cut[-1][-1] if cut else None
+        if (
+            last is None
+            or position.time_ns - last.time_ns > GAP_NS
+            or crosses_antimeridian(last.longitude_deg, position.longitude_deg)
+        ):
             cut.append([])
         cut[-1].append(position)
     return cut

@@ -22,14 +22,16 @@ GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 KINDS = "CLDS"  # pseudorange, carrier phase, Doppler, signal strength
 Ecef = tuple[float, float, float]  # [m]
 PER_LINE = 13  # observation types in a line of the header
+CHANNELS_PER_LINE = 8  # GLONASS satellites in a line of the header
 LOSS_OF_LOCK, HALF_CYCLE = 1, 2  # bits of the loss-of-lock indicator
 
 
 @dataclass
 class Content:
-    """What the header has to name: observation codes of each system, and the first epoch."""
+    """What the header has to name: observation codes of each system, GLONASS channels, and the first epoch."""
 
     codes: dict[str, list[str]] = field(default_factory=dict)
+    channels: dict[str, int] = field(default_factory=dict)  # frequency number of each GLONASS satellite
     first_ns: int | None = None
     leap_seconds: int | None = None
 
@@ -41,6 +43,8 @@ class Content:
             name = satellite(one)
             if name is None or one.signal is None:
                 continue
+            if one.glonass_frequency_number is not None:
+                self.channels[name] = one.glonass_frequency_number
             codes = self.codes.setdefault(name[0], [])
             if f"C{one.signal}" not in codes:
                 codes += [kind + one.signal for kind in KINDS]
@@ -76,12 +80,20 @@ def header_lines(content: Content, marker: str, approximate_m: Ecef, made: datet
     for system, codes in content.codes.items():
         for code in (code for code in codes if code[0] == "L"):
             yield _line(f"{system} {code}", "SYS / PHASE SHIFT")
-    if "R" in content.codes:  # slots and frequency numbers are not known here
-        yield _line(f"{0:3d}", "GLONASS SLOT / FRQ #")
+    if "R" in content.codes:
+        yield from _channel_lines(content.channels)
         yield _line(" C1C" + " " * 9 + " C1P" + " " * 9 + " C2C" + " " * 9 + " C2P", "GLONASS COD/PHS/BIS")
     if content.leap_seconds is not None:
         yield _line(f"{content.leap_seconds:6d}", "LEAP SECONDS")
     yield _line("", "END OF HEADER")
+
+
+def _channel_lines(channels: dict[str, int]) -> Iterator[str]:
+    """Format the frequency numbers of the GLONASS satellites that state theirs: eight in a line."""
+    entries = [f"{name} {channels[name]:2d} " for name in sorted(channels)]
+    for start in range(0, max(len(entries), 1), CHANNELS_PER_LINE):
+        head = f"{len(entries):3d} " if start == 0 else " " * 4
+        yield _line(head + "".join(entries[start : start + CHANNELS_PER_LINE]), "GLONASS SLOT / FRQ #")
 
 
 def epoch_lines(epochs: Iterable[GnssRawEpoch], content: Content) -> Iterator[str]:

@@ -2,13 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from statistics import median
 
 from rich.console import Console
 
 from shared.errors import BadPayload, BadRecording, UserError
 from shared.messages.base import Message
-from shared.messages.gnss import GnssFix
 from shared.recording import Recording
 from shared.recording.index import RecordingIndex, chosen
 from shared.runtime.config import VehicleFile
@@ -16,6 +14,7 @@ from shared.runtime.offline import OfflineUnit
 from shared.topics import topic_of
 
 from ..progress import progress_on
+from ..utc import UtcLine
 
 STEP = 500  # messages between two looks at the progress
 RECEIVER = "gnss/raw"
@@ -62,14 +61,9 @@ class Source:
             return None
         return index.begin_ns, index.end_ns
 
-    def utc_offset_ns(self) -> int:
-        """Give UTC minus the time line of the unit [ns], the median over the fixes that state UTC; 0 without one."""
-        offsets = [
-            fix.utc_ns - fix.sampled_ns
-            for fix in (self.messages("gnss/fix") if self.has("gnss/fix") else ())
-            if isinstance(fix, GnssFix) and fix.utc_ns is not None
-        ]
-        return round(median(offsets)) if offsets else 0
+    def utc(self) -> UtcLine:
+        """UTC of the unit's time line, by the fixes."""
+        return UtcLine(self.messages("gnss/fix") if self.has("gnss/fix") else ())
 
 
 def type_of(topic: str) -> type[Message]:

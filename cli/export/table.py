@@ -6,20 +6,32 @@ from collections.abc import Callable, Iterable, Iterator
 from io import StringIO
 
 from shared.messages.base import Message
+from shared.track_files import iso_time
+
+UTC = "time_utc"
+STAMPS = ("sampled_ns", "now_ns", "received_ns")  # of a message, by preference
 
 
-def csv_lines(messages: Callable[[], Iterable[Message]]) -> Iterator[str]:
+def csv_lines(messages: Callable[[], Iterable[Message]], utc_ns: Callable[[int], int]) -> Iterator[str]:
     """Format messages of one type, which are read twice: for the columns that occur, and for the rows.
 
-    Short tuples have a column for each element, named by its number from 0; a list of things, such as of satellites, is
-    one column of JSON. Unknown values are empty.
+    The first column is the time in UTC, by `utc_ns` from the unit's time line; the others are the fields as they are
+    recorded, stamps in the unit's time line. Short tuples have a column for each element, named by its number from 0; a
+    list of things, such as of satellites, is one column of JSON. Unknown values are empty.
     """
     names = dict.fromkeys(name for message in messages() for name, _ in _cells("", message.model_dump(mode="json")))
     columns = [name for name in names if not any(other.startswith(f"{name}.") for other in names)]
-    yield _row(columns)
+    yield _row([UTC, *columns])
     for message in messages():
         row = dict(_cells("", message.model_dump(mode="json")))
-        yield _row([row.get(name) for name in columns])
+        yield _row([_time(message, utc_ns), *(row.get(name) for name in columns)])
+
+
+def _time(message: Message, utc_ns: Callable[[int], int]) -> str | None:
+    """UTC of a message, of a batch that of its first sample; None for one without a stamp."""
+    stamp = next((value for name in STAMPS if (value := getattr(message, name, None)) is not None), None)
+    first = stamp[0] if isinstance(stamp, tuple) and stamp else stamp
+    return iso_time(utc_ns(first)) if isinstance(first, int) else None
 
 
 def _cells(prefix: str, value: object) -> Iterator[tuple[str, object]]:

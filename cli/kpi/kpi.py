@@ -23,6 +23,7 @@ from shared.recording import Recording
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
+from ..output_file import insist_on_place
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import Inputs, arrival_of, inputs_of
@@ -30,8 +31,9 @@ from ..solve.metrics.errors import errors_against
 from ..solve.metrics.gnss_alone import gnss_alone
 from ..solve.reference_track import Reference
 from ..solve.track import Track, TrackBuilder
-from ..solve.truth import any_fixed, given_truth, truth_of_fixes
+from ..solve.truth import any_fixed, given_truth, insist_on_fixes, truth_of_fixes
 from ..solve.verdicts import VerdictLog
+from ..utc import UtcLine
 from .indicators import INDICATORS, Observed, Value, indicators_of
 from .page import as_shown, page
 
@@ -56,9 +58,7 @@ def kpi(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--out", metavar="FILE", help="Page with the table; default: the recording's name -kpi.html."
-        ),
+        typer.Option("-o", "--out", metavar="FILE", help="Write a page with the table as well, such as kpi.html."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the indicators as one JSON object.")] = False,
 ) -> int:
@@ -71,20 +71,25 @@ def kpi(
     [bold]obu kpi drive.mcap --json[/]
     [bold]obu kpi drive.mcap --anew --truth reference.csv --out kpi.html[/]
     """
-    written = out or Path(f"{recording.stem}-kpi.html")
+    if out is not None:
+        insist_on_place(out)
     console = Console(stderr=True)
     with open_recording(recording) as opened:
         inputs, file = inputs_of(opened), vehicle_of(opened, vehicle)
         provenance = opened.metadata.get("provenance", {})
         if not inputs.envelopes:
             raise UserError(f"{recording} holds no data of devices; was the unit running during the recording?")
+        if (days := (arrival_of(inputs.envelopes[-1]) - arrival_of(inputs.envelopes[0])) / DAY_NS) > MOST_DAYS:
+            raise UserError(f"{recording} spans {days:.0f} days by its stamps; a clock is wrong; import it again")
         anew = anew or "navigation/solution" not in inputs.topics
+        reference, by_fixes = given_truth(provenance, inputs.truth, truth)
+        if by_fixes == "fixes" and anew:
+            insist_on_fixes(inputs, file)
         with progress_on(console) as progress:
             seen = _solved(inputs, file, progress) if anew else _recorded(opened, inputs, progress)
     print_problems(opened, console)
-    if (days := (arrival_of(inputs.envelopes[-1]) - arrival_of(inputs.envelopes[0])) / DAY_NS) > MOST_DAYS:
-        raise UserError(f"{recording} spans {days:.0f} days by its stamps; a clock is wrong; import it again")
-    reference, by_fixes = given_truth(provenance, inputs.truth, truth)
+    if reference is not None:
+        reference = reference.on_time_line(UtcLine(seen.fixes).offset_ns)
     if by_fixes == "fixes" or (by_fixes == "perhaps" and any_fixed(seen.fixes)):
         reference = truth_of_fixes(seen.fixes, file.section("core.fusion", Config))
         values = indicators_of(_observed(inputs, file, seen, reference, independent=False))
@@ -92,13 +97,14 @@ def kpi(
         values = indicators_of(_observed(inputs, file, seen, reference, independent=True))
     source = "solved anew from the recorded devices" if anew else "as the unit gave it while it drove"
     described = reference.description if reference else "none"
-    _write(written, page(provenance.get("name", recording.stem), described, source, values))
+    if out is not None:
+        _write(out, page(provenance.get("name", recording.stem), described, source, values))
     if as_json:
         print(json.dumps({"recording": recording.name, "solution": source, "truth": described, **values}))
         return 0
     Console().print(_table(values))
     print(f"Solution: {source}. Truth: {described}.")
-    print(f"Wrote {written}.")
+    print(f"Wrote {out}." if out is not None else "A page with the table: --out kpi.html.")
     return 0
 
 

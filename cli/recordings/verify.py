@@ -62,18 +62,18 @@ def verify(
     [bold]obu verify drive.mcap --process core.fusion[/]
     [bold]obu verify drive.mcap --signatures --key car.pub[/]
     """
-    outcome = check_signatures(files, key)
-    if signatures:
-        return outcome
-    repeated = _repeat(files, process, vehicle)
-    return repeated if repeated and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
-
-
-def _repeat(files: list[Path], process: str | None, vehicle: Path | None) -> int:
-    """Repeat the processes of recordings; 1 if any message differs, or nothing was compared."""
     wanted = {row.name for row in BY_NAME.values() if 2 <= row.layer <= 4}
     if process is not None and process not in wanted:
         raise UserError(f"{process!r} cannot be repeated; name one of {', '.join(sorted(wanted))}")
+    outcome = check_signatures(files, key)
+    if signatures:
+        return outcome
+    repeated = _repeat(files, {process} if process else wanted, vehicle)
+    return repeated if repeated and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
+
+
+def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None) -> int:
+    """Repeat processes of recordings; 1 if any message differs, or nothing was compared."""
     console = Console(stderr=True)
     with open_recording(files[0]) as first:
         file = vehicle_of(first, vehicle)
@@ -82,7 +82,7 @@ def _repeat(files: list[Path], process: str | None, vehicle: Path | None) -> int
                 f"the inertial samples of {files[0]} were made with another mounting of the IMU than the vehicle's "
                 "file states, so nothing can be repeated byte for byte; `obu solve` processes it anew"
             )
-        audit = Audit(file, {process} if process else wanted)
+        audit = Audit(file, wanted)
     with progress_on(console) as progress:
         for path in files:
             with open_recording(path) as recording:

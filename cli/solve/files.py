@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from shared.errors import UserError
-from shared.track_files import TrackPoint, kml_lines
+from shared.track_files import TrackPoint, cut_at_antimeridian, kml_lines
 
 from .metrics.drift import drift_lines
 from .metrics.metrics import Run, Value
@@ -49,7 +49,7 @@ def write(
             with (folder / f"{name}.csv").open("w", encoding="utf-8") as file:
                 file.writelines(csv_lines(track, verdicts))
             with (folder / f"{name}.kml").open("w", encoding="utf-8") as file:
-                file.writelines(kml_lines(heading.name, [kml_points(track)]))
+                file.writelines(kml_lines(heading.name, cut_at_antimeridian(kml_points(track, run.utc_offset_ns))))
         if heading.outage is not None:
             with (folder / "outages.csv").open("w", encoding="utf-8") as file:
                 file.writelines(drift_lines(run.drifts(), run.first_ns))
@@ -73,9 +73,9 @@ def csv_lines(track: Track, verdicts: Sequence[str] = ()) -> Iterator[str]:
         yield text.replace("nan", "") + "\n"
 
 
-def kml_points(track: Track) -> list[TrackPoint]:
-    """At most `KML_POINTS` points of a track and its last one."""
+def kml_points(track: Track, utc_offset_ns: int = 0) -> list[TrackPoint]:
+    """At most `KML_POINTS` points of a track and its last one, in UTC."""
     position = track.columns("latitude_deg")
     step = -(-len(position) // KML_POINTS) or 1
     chosen: list[int] = np.unique(np.r_[0 : len(position) : step, len(position) - 1]).tolist() if len(position) else []
-    return [TrackPoint(int(track.stamps_ns[k]), *position[k].tolist()) for k in chosen]
+    return [TrackPoint(int(track.stamps_ns[k]) + utc_offset_ns, *position[k].tolist()) for k in chosen]

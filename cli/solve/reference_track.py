@@ -13,6 +13,7 @@ from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.navigation import TruthState
 
+LEAST_OFFSET_NS = 500_000_000
 POSITION = ("latitude_deg", "longitude_deg", "height_ellipsoid_m")
 VELOCITY = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s")
 ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
@@ -30,6 +31,16 @@ class Reference:
     attitude: FloatArray | None = None  # [rad] roll, pitch, yaw, shape (n, 3)
     position_sd_n: FloatArray | None = None  # [m, NED], shape (n, 3)
     velocity_delay_ns: int = 0  # delay of the velocities relative to the stamps
+    in_utc: bool = False  # stamps are UTC, otherwise of the unit's time line
+
+    def on_time_line(self, utc_offset_ns: int) -> "Reference":
+        """Give the stamps on the unit's time line, by UTC less that line.
+
+        Offsets below half a second are those of delays, which are estimated or set, and not of a clock.
+        """
+        if not self.in_utc or abs(utc_offset_ns) < LEAST_OFFSET_NS:
+            return self
+        return replace(self, stamps_ns=self.stamps_ns - utc_offset_ns, in_utc=False)
 
     def only(self, quantities: Sequence[str]) -> "Reference":
         """Keep only the given quantities."""
@@ -85,7 +96,9 @@ def from_states(states: Sequence[TruthState], *, at_antenna: bool = False) -> Re
     )
 
 
-def from_columns(name: str, stamps_ns: npt.NDArray[np.int64], columns: dict[str, FloatArray]) -> Reference:
+def from_columns(
+    name: str, stamps_ns: npt.NDArray[np.int64], columns: dict[str, FloatArray], *, in_utc: bool = False
+) -> Reference:
     """Use the columns of a CSV file, named as those of `solution.csv`, as truth."""
 
     def together(names: tuple[str, ...]) -> FloatArray | None:
@@ -99,6 +112,7 @@ def from_columns(name: str, stamps_ns: npt.NDArray[np.int64], columns: dict[str,
         geodetic=None if position is None else _geodetic(position),
         velocity_n=together(VELOCITY),
         attitude=together(ATTITUDE),
+        in_utc=in_utc,
     )
 
 

@@ -29,6 +29,7 @@ from shared.runtime.offline import OfflineUnit
 from ..import_drive.estimates.agreement import MotionLog, told
 from ..progress import progress_on
 from ..recordings.common import open_recording, print_problems, vehicle_of
+from ..utc import UtcLine
 from .files import write
 from .history_file import HistoryFile
 from .inputs import Inputs, all_fixes, arrival_of, inputs_of
@@ -44,7 +45,7 @@ from .report.report import Heading, document, is_hardly_used, summary
 from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
-from .truth import any_fixed, given_truth, truth_of_fixes
+from .truth import any_fixed, given_truth, insist_on_fixes, truth_of_fixes
 from .verdicts import VerdictLog
 
 PARSERS = ("parsers.gnss", "parsers.imu")
@@ -127,6 +128,8 @@ def solve(  # noqa: PLR0913  # one argument an option
     if (outages := _outages(outage, drive)) is not None:
         _check_start(drive, "--outage", (outages.start_ns or 0) * 1e-9)
     given, by_fixes = given_truth(drive.provenance, drive.inputs.truth, truth)
+    if by_fixes == "fixes":
+        insist_on_fixes(drive.inputs, drive.vehicle)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
         progress = stack.enter_context(progress_on(console))
@@ -134,6 +137,8 @@ def solve(  # noqa: PLR0913  # one argument an option
         solved = _run(drive, outages, progress, history, with_trust=with_trust)
         # All fixes of the recording, those removed by an outage included.
         fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
+        utc = UtcLine(fixes)
+        given = None if given is None else given.on_time_line(utc.offset_ns)
         reference = (
             truth_of_fixes(fixes, _fusion(drive.vehicle))
             if by_fixes == "fixes" or (by_fixes == "perhaps" and any_fixed(fixes))
@@ -155,6 +160,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     run = replace(
         _compared(drive, solved, reference, fixes),
         scored_from_ns=scored_from_ns,
+        utc_offset_ns=utc.offset_ns,
         trust=_trust(drive, solved, plain, reference, scored_from_ns),
         gnss_alone=_gnss_alone(drive, solved, reference) if reference is given else None,
     )

@@ -11,8 +11,10 @@ from shared.bounded import TooMuch, checked
 from shared.errors import UserError
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.navigation import TruthState
+from shared.runtime.config import VehicleFile
 
 from ..import_drive.readers.table import read_table
+from .inputs import Inputs, all_fixes
 from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
 
 
@@ -44,6 +46,11 @@ def truth_of_fixes(fixes: Sequence[GnssFix], config: Config) -> Reference:
     return from_fixes(fixes, delay_s=config.gnss.delay_s, velocity_delay_s=config.gnss.velocity_delay_s)
 
 
+def insist_on_fixes(inputs: Inputs, vehicle: VehicleFile) -> None:
+    """Raise `UserError` where the fixes cannot be the truth, before a recording is solved for it."""
+    truth_of_fixes(all_fixes(inputs, vehicle), vehicle.section("core.fusion", Config))
+
+
 def truth_file(path: Path) -> Reference:
     """Read a CSV file with columns named as in solution.csv."""
     try:
@@ -62,4 +69,4 @@ def truth_file(path: Path) -> Reference:
         raise UserError(f"{path} has none of the columns {', '.join(POSITION)}; docs/reference/metrics.md lists them")
     stamps = np.round(table[clock] * (1e9 if clock == "utc_s" else 1.0)).astype(np.int64)
     order = np.argsort(stamps, kind="stable")
-    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known})
+    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known}, in_utc=clock == "utc_s")

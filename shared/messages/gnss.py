@@ -173,6 +173,8 @@ class RawMeasurement(Message):
     constellation: Constellation
     number: Count
     signal: Name | None = None  # observation code of RINEX 3 without its first letter: 1C is L1 C/A and E1-C
+    # channel of a GLONASS satellite: k of 1602 MHz + k 562.5 kHz at L1
+    glonass_frequency_number: Annotated[int, Field(ge=-7, le=6), unit("1")] | None = None
     pseudorange_m: Quantity | None = None
     pseudorange_sd_m: Deviation | None = None
     carrier_phase_cycles: Annotated[Statistic, unit("cycles")] | None = None

@@ -2,6 +2,9 @@
 
 JSON with JSON schemas, after the public schemas of Foxglove (docs.foxglove.dev/docs/sdk/schemas). Frames are those of
 ROS (REP-103): the vehicle is forward-left-up, the map is east-north-up with its origin at the first solution.
+
+A position is stamped in UTC, as the newest fix states it. Pose and transform have the times of the recording, by which
+the 3D panel looks them up.
 """
 
 import json
@@ -57,6 +60,7 @@ class Foxglove:
 
     def __init__(self) -> None:
         self._origin: NavigationSolution | None = None
+        self._utc_offset_ns = 0  # UTC less the unit's time line, as the newest fix states it
 
     def messages(self, envelope: Envelope) -> Iterator[tuple[str, bytes]]:
         """Yield topic and payload of the derived messages; none for a message that cannot be decoded."""
@@ -66,12 +70,14 @@ class Foxglove:
             message = envelope.decode()
         except BadPayload:
             return
+        if isinstance(message, GnssFix) and message.utc_ns is not None:
+            self._utc_offset_ns = message.utc_ns - message.sampled_ns
         if isinstance(message, NavigationSolution):
             for topic, content in self._of_solution(message):
                 yield topic, json.dumps(content).encode()
         elif isinstance(message, GnssFix) and message.latitude_deg is not None and message.longitude_deg is not None:
             yield f"{PREFIX}gnss_fix", json.dumps({
-                "timestamp": _time(message.sampled_ns), "frame_id": "gnss",
+                "timestamp": _time(message.sampled_ns + self._utc_offset_ns), "frame_id": "gnss",
                 "latitude": message.latitude_deg, "longitude": message.longitude_deg,
                 "altitude": message.height_ellipsoid_m or 0.0, **_covariance(message.position_cov_ned_m2),
             }).encode()  # fmt: skip
@@ -80,7 +86,8 @@ class Foxglove:
         self._origin = self._origin or s
         time = _time(s.sampled_ns)
         yield f"{PREFIX}solution", {
-            "timestamp": time, "frame_id": VEHICLE, "latitude": s.latitude_deg, "longitude": s.longitude_deg,
+            "timestamp": _time(s.sampled_ns + self._utc_offset_ns), "frame_id": VEHICLE,
+            "latitude": s.latitude_deg, "longitude": s.longitude_deg,
             "altitude": s.height_ellipsoid_m, **_covariance(s.position_cov_ned_m2),
         }  # fmt: skip
         east, north, up = east_north_up(s, self._origin)

@@ -18,6 +18,7 @@ from mcap.records import Header, Metadata
 
 from ..evidence import KeyRing, Outcome
 from ..evidence.statement import printable
+from .descriptions import Descriptions
 from .proof_index import Index, topics_of_index
 from .reader import MAGIC, MALFORMED, MESSAGE_FIELDS, Record, Recording, channel_of, records
 from .seals import COPY, SEAL, Seal, context_of, message_of, record_of
@@ -332,6 +333,7 @@ class _Content:
         self._seals = sorted(seals, key=lambda seal: seal.number)
         self.last = self._seals[-1]
         self.text = ""
+        self._descriptions = Descriptions()
 
     def fault(self, walk: _Walk) -> str | None:
         """Name what differs; None if every message up to the last seal is the one that was signed."""
@@ -346,7 +348,16 @@ class _Content:
         context = context_of(self._recording.metadata, self._recording.attachments)
         if hashlib.sha256(context).hexdigest() != self._seals[0].contents:
             return "the vehicle's file or the metadata are not those that were signed"
-        return self._messages_fault() or self._index_fault(walk)
+        return self._messages_fault() or self._descriptions_fault() or self._index_fault(walk)
+
+    def _descriptions_fault(self) -> str | None:
+        """Compare schemas and channels, of which a reader takes the meaning of the messages."""
+        try:
+            text = self._descriptions.checked(records(self._recording.summary()), self.last.described)
+        except ValueError as error:
+            return str(error)
+        self.text += text
+        return None
 
     def _index_fault(self, walk: _Walk) -> str | None:
         return None if walk.index.leads_to(self._recording) else "its index does not describe its content"
@@ -383,6 +394,7 @@ class _Content:
             if data is None:
                 return
             for opcode, content in records(data):
+                self._descriptions.add(opcode, content)
                 if opcode == Opcode.CHANNEL:
                     channel = channel_of(content)
                     if indexed.get(channel.id, channel.topic) != channel.topic:
@@ -391,5 +403,6 @@ class _Content:
                 elif opcode == Opcode.MESSAGE:
                     number, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(content)
                     payload = content[MESSAGE_FIELDS.size :]
+                    self._descriptions.use(number)
                     yield message_of(topics.get(number, ""), payload, log_ns, publish_ns, sequence)
             position = record.end

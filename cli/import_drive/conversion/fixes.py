@@ -10,7 +10,7 @@ from ..mapping import units
 from ..mapping.schema import Accuracy, Angle, Gnss, Quality, Scalar, Truth
 from ..readers.table import Table
 from .positions import positions_of, velocities_of
-from .quantities import Rows, as_ned, degrees_of, triples
+from .quantities import Rows, as_ned, degrees_of, longitudes_of, triples
 from .stamps import Stamps
 
 QUALITIES = {
@@ -24,8 +24,8 @@ QUALITIES = {
 def usable_fixes(spec: Gnss | Truth, table: Table) -> Table:
     """Omit rows with an invalid position or a quality that the mapping does not list."""
     if spec.latitude is not None and spec.longitude is not None:
-        latitude, longitude = degrees_of(spec.latitude, table), degrees_of(spec.longitude, table)
-        table = table.keep((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0), "invalid position")
+        table = table.keep(np.abs(degrees_of(spec.latitude, table)) <= 90.0, "invalid position (latitude)")
+        table = table.keep(np.abs(longitudes_of(spec.longitude, table)) <= 180.0, "invalid position (longitude)")
     if isinstance(spec.quality, Quality):
         listed = [float(number) for number in spec.quality.values]
         table = table.keep(np.isin(table[spec.quality.column], listed), "quality not listed")

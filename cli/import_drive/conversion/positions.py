@@ -10,7 +10,7 @@ from shared.maths.earth import FloatArray, Geodetic, ecef_from_geodetic, geodeti
 from ..mapping import units
 from ..mapping.schema import Positioned, Quaternion, Velocity
 from ..readers.table import Table
-from .quantities import as_ned, degrees_of, heights
+from .quantities import as_ned, degrees_of, heights, longitudes_of
 
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
@@ -34,7 +34,7 @@ def positions_of(spec: Positioned, table: Table) -> tuple[FloatArray, list[float
         [m] Heights above the ellipsoid and above mean sea level; None if unknown.
     """
     if spec.latitude is not None and spec.longitude is not None and spec.height is not None:
-        return np.column_stack([degrees_of(spec.latitude, table), degrees_of(spec.longitude, table)]), *heights(
+        return np.column_stack([degrees_of(spec.latitude, table), longitudes_of(spec.longitude, table)]), *heights(
             spec.height, table
         )
     points = np.array([(degrees(p.latitude), degrees(p.longitude), p.height) for p in _cartesian(spec, table)])

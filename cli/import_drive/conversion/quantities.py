@@ -10,12 +10,19 @@ from ..mapping.schema import Coordinate, Height
 from ..readers.table import Table
 
 AXES = {"n": (0, 1.0), "e": (1, 1.0), "d": (2, 1.0), "u": (2, -1.0)}
+HALF_TURN_DEG = 180.0
 Rows = list[Vector3]
 
 
 def degrees_of(spec: Coordinate, table: Table) -> FloatArray:
     """Latitude or longitude [deg] of each row."""
     return table[spec.column] * units.COORDINATE[spec.unit]
+
+
+def longitudes_of(spec: Coordinate, table: Table) -> FloatArray:
+    """Longitude [deg] of each row from -180 to 180; some systems write 0 to 360."""
+    east = degrees_of(spec, table)
+    return np.where((east > HALF_TURN_DEG) & (east <= 2.0 * HALF_TURN_DEG), east - 2.0 * HALF_TURN_DEG, east)
 
 
 def heights(spec: Height, table: Table) -> tuple[list[float] | None, list[float] | None]:

@@ -27,7 +27,7 @@ from ...progress import progress_on
 from ..conversion.convert import Converted, Imported
 from ..output import Part, print_summary, write
 from .alignment import Device, aligned
-from .can_log import read_asc, read_candump
+from .can_log import ASC_BASE, read_asc, read_candump
 from .receiver import read_receiver
 from .stamped import NS, ClockKind, FileKind, Portion, Stamped
 from .tracker import read_tracker
@@ -56,7 +56,7 @@ def kind_of(path: Path) -> Form | None:
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}; give the file that the device wrote") from error
     lines = head.decode("ascii", errors="replace").splitlines()[:200]
-    if any(line.lower().startswith(("base hex", "base dec")) for line in lines[:10]):
+    if any(ASC_BASE.match(line.strip()) for line in lines[:10]):
         return Form(FileKind.CAN, asc=True)
     if sum(frame_of(line[:512]) is not None for line in lines) > len(lines) // 2:
         return Form(FileKind.CAN)

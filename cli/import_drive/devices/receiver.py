@@ -9,7 +9,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 
 import numpy as np
@@ -19,6 +19,7 @@ from shared.maths.dates import DAY_NS, GPS_EPOCH_UTC_NS, WEEK_NS, is_plausible
 from shared.protocols.framing.framer import Frame, Framer
 
 from ..conversion.scales import utc_of
+from .marks import Mark, with_times_without_fix, with_validity, without_steps
 from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
 
 MS = 1_000_000
@@ -52,6 +53,8 @@ CALENDAR = {
     0x21: Calendar(struct.Struct("<I4xiH6B"), ("nano", *_CLOCK, "valid"), 20, 4),  # NAV-TIMEUTC
 }
 TIME_AT = {b"RMC": 1, b"GGA": 1, b"GNS": 1, b"GST": 1, b"ZDA": 1, b"GBS": 1, b"GLL": 5}
+# Field of the status, quality or modes, and what stands there without a fix
+STATUS_AT = {b"RMC": (2, b"V"), b"GLL": (6, b"V"), b"GGA": (6, b"0"), b"GNS": (6, b"N")}
 TIME_OF_DAY = re.compile(rb"([0-2]\d)([0-5]\d)([0-6]\d)(?:\.(\d{1,9}))?")
 # RTCM 3 messages whose header has the time of week [ms] of GPS, Galileo, SBAS, QZSS or NavIC in bits 24 to 53
 RTCM_WITH_TOW = {
@@ -60,15 +63,6 @@ RTCM_WITH_TOW = {
 }  # fmt: skip
 RTCM_BEIDOU = set(range(1121, 1128))  # 14 s behind
 BEIDOU_NS = 14 * NS
-
-
-@dataclass
-class Mark:
-    """What a frame says of time: UTC, else the time of the GPS week or of the UTC day."""
-
-    utc_ns: int | None = None
-    week_ns: int | None = None  # time of week, GPS
-    day_ns: int | None = None
 
 
 @dataclass
@@ -114,14 +108,15 @@ def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> 
         the framing, and `time_goes_back` counts frames that tell an earlier time than those before them.
     """
     rejects: Counter[str] = Counter()
-    frames = [(frame, _mark(frame)) for frame in _frames(chunks, rejects)]
+    frames = _with_marks(list(_frames(chunks, rejects)))
     first = _first_known(frames)
     epochs = _Epochs(rejects=rejects)
     clock = ClockKind.UTC
     if first is not None:
         epochs.now_ns = epochs.time_of(first)
         # Frames before the one with the date may tell an earlier time.
-        epochs.now_ns = next((told for _, mark in frames if (told := epochs.time_of(mark)) is not None), None)
+        valid = (mark for _, mark in frames if mark.valid)
+        epochs.now_ns = next((told for mark in valid if (told := epochs.time_of(mark)) is not None), None)
     elif week_of_ns is not None and any(mark.week_ns is not None for _, mark in frames):
         epochs.now_ns, epochs.week_starts_ns = week_of_ns, _week_start(week_of_ns)
     elif (tow_ns := next((mark.week_ns for _, mark in frames if mark.week_ns is not None), None)) is not None:
@@ -144,19 +139,28 @@ def _frames(chunks: Iterable[bytes], rejects: Counter[str]) -> Iterator[Frame]:
         yield from framer.feed(chunk)
 
 
+def _with_marks(frames: list[Frame]) -> list[tuple[Frame, Mark]]:
+    """What each frame tells of time, as far as it is valid and of one clock."""
+    marks = with_validity([_mark(frame) for frame in frames])
+    names = [frame.data[3:6].decode("ascii", "replace") if frame.protocol == "NMEA" else "" for frame in frames]
+    return list(zip(frames, without_steps(names, [frame.data for frame in frames], marks), strict=True))
+
+
 def _first_known(frames: list[tuple[Frame, Mark]]) -> Mark | None:
     """The first UTC, with the time of week of the same frame if it has one."""
-    with_week = (mark for _, mark in frames if mark.utc_ns is not None and mark.week_ns is not None)
-    return next(with_week, None) or next((mark for _, mark in frames if mark.utc_ns is not None), None)
+    dated = [mark for _, mark in frames if mark.valid and mark.utc_ns is not None]
+    return next((mark for mark in dated if mark.week_ns is not None), None) or next(iter(dated), None)
 
 
 def _portions(frames: list[tuple[Frame, Mark]], epochs: _Epochs) -> list[Portion]:
     """Portions whose times never go back; what told a later time before a clock was set is left out."""
+    marks, times_ns = [mark for _, mark in frames], list[int | None]()
+    for mark in marks:
+        times_ns.append(_accepted(epochs, mark, times_ns))
     portions: list[Portion] = []
     parts: list[bytes] = []
     size, at_ns = 0, epochs.now_ns or 0
-    for frame, mark in frames:
-        time_ns = _accepted(epochs, mark, portions)
+    for (frame, _), time_ns in zip(frames, with_times_without_fix(marks, times_ns), strict=True):
         if time_ns is None:
             continue
         if parts and (time_ns != at_ns or size + len(frame.data) > MOST_PORTION):
@@ -169,9 +173,9 @@ def _portions(frames: list[tuple[Frame, Mark]], epochs: _Epochs) -> list[Portion
     return portions
 
 
-def _accepted(epochs: _Epochs, mark: Mark, portions: list[Portion]) -> int | None:
+def _accepted(epochs: _Epochs, mark: Mark, times_ns: list[int | None]) -> int | None:
     """Time of a frame, at least that of the one before; None for one that tells a much earlier time."""
-    told_ns, now_ns = epochs.time_of(mark), epochs.now_ns or 0
+    told_ns, now_ns = epochs.time_of(mark) if mark.valid else None, epochs.now_ns or 0
     if told_ns is None or now_ns - BACK_NS <= told_ns <= now_ns:
         if told_ns is not None:
             epochs.back = 0
@@ -181,9 +185,12 @@ def _accepted(epochs: _Epochs, mark: Mark, portions: list[Portion]) -> int | Non
         epochs.rejects["time_goes_back"] += 1
         if epochs.back < SURE:
             return None
-        while portions and portions[-1].time_ns > told_ns:
-            portions.pop()
-            epochs.rejects["before_the_clock_was_set"] += 1
+        for k in reversed(range(len(times_ns))):
+            if (time_ns := times_ns[k]) is not None and time_ns <= told_ns:
+                break
+            if time_ns is not None:
+                times_ns[k] = None
+                epochs.rejects["before_the_clock_was_set"] += 1
     epochs.back, epochs.now_ns = 0, told_ns
     return told_ns
 
@@ -232,13 +239,13 @@ def _mark_of_calendar(number: int, payload: bytes) -> Mark:
     tow_ms, *fields = form.layout.unpack_from(payload)
     told = dict(zip(form.fields, fields, strict=True))
     if told["valid"] & form.valid != form.valid:
-        return _tow(payload, 0)
+        return replace(_tow(payload, 0), valid=False)
     seconds = told["hour"] * 3600 + told["minute"] * 60 + told["second"]
     utc_ns = _utc_ns(told["year"], told["month"], told["day"], seconds * NS + told["nano"])
     if utc_ns is None:
         return _tow(payload, 0)
     # `nano` holds the receiver's clock error as well: the epoch is the time of week, which is in whole ms.
-    return Mark(utc_ns=round(utc_ns / MS) * MS, week_ns=tow_ms * MS)
+    return Mark(utc_ns=round(utc_ns / MS) * MS, week_ns=tow_ms * MS, valid=True)
 
 
 def _mark_of_rawx(payload: bytes) -> Mark:
@@ -263,13 +270,22 @@ def _mark_of_nmea(sentence: bytes) -> Mark:
         return Mark()
     fraction_ns = int((match[4] or b"0").ljust(9, b"0"))
     day_ns = (int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3])) * NS + fraction_ns
+    valid = _has_fix(name, fields)
     digits = fields[9] if name == b"RMC" and len(fields) > 9 else b"".join(fields[2:5]) if name == b"ZDA" else b""
     if not digits.isdigit() or len(digits) not in (6, 8):
-        return Mark(day_ns=day_ns)
+        return Mark(day_ns=day_ns, valid=valid)
     day, month, year = int(digits[:2]), int(digits[2:4]), int(digits[4:])
     if len(digits) == 6:
         year += 1900 if year >= 80 else 2000
-    return Mark(utc_ns=_utc_ns(year, month, day, day_ns), day_ns=day_ns)
+    return Mark(utc_ns=_utc_ns(year, month, day, day_ns), day_ns=day_ns, valid=valid)
+
+
+def _has_fix(name: bytes, fields: list[bytes]) -> bool | None:
+    """Whether a sentence states a fix: without one, its time and date are arbitrary; None where it does not say."""
+    place, none = STATUS_AT.get(name, (0, b""))
+    if not place or place >= len(fields):
+        return None
+    return bool(fields[place].strip(none))
 
 
 def _mark_of_rtcm(frame: bytes) -> Mark:

@@ -108,6 +108,7 @@ class Run:
     alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
     gnss_alone: GnssAlone | None = None
     trust: Trust | None = None  # None without core.trust
+    utc_offset_ns: int = 0  # UTC less the unit's time line, as the fixes state it
     fixes_offered: int = 0  # epochs with a position from the alignment on
 
     def scored(self) -> Errors | None:

@@ -99,6 +99,31 @@ def att(report: Report) -> Object | None:
     })  # fmt: skip
 
 
+def gst(report: Report) -> Object | None:
+    """GST: standard deviations of the position; None without one."""
+    if report.place is None:
+        return None
+    north, east, down = report.place.position_sd_ned_m
+    major, minor = report.place.ellipse_sd_m
+    return _known({
+        "class": "GST",
+        "device": DEVICE,
+        "time": None if report.utc_ns is None else iso(report.utc_ns),
+        "major": round(major, 3),
+        "minor": round(minor, 3),
+        "orient": round(report.place.ellipse_orientation_deg, 3),
+        "lat": round(north, 3),
+        "lon": round(east, 3),
+        "alt": round(down, 3),
+    })  # fmt: skip
+
+
+def unknown(name: str) -> Object:
+    """What an object of this class states while nothing is known: its device alone, with no fix and no satellites."""
+    contents: dict[str, Object] = {"TPV": {"mode": NO_FIX}, "SKY": {"nSat": 0, "uSat": 0, "satellites": []}}
+    return {"class": name, "device": DEVICE, **contents.get(name, {})}
+
+
 def sky(report: Report) -> Object | None:
     """SKY: satellites in view of the receiver and its dilution of precision; None without any."""
     seen = report.satellites

@@ -1,7 +1,8 @@
 """One client of the gpsd protocol: its requests, and what it wants to receive.
 
-Requests begin with ? and end with a semicolon or a line end: VERSION, DEVICES, DEVICE, WATCH, POLL. What is no request
-is answered with ERROR, and a client that sends too much of it, or a request without an end, is to be dropped.
+Requests begin with ?: VERSION, DEVICES, DEVICE, WATCH, POLL. A request ends with a semicolon, a line end, the closing
+brace of its argument, the next request, or, as gpsd ends what it has read by itself, a pause. What is no request is
+answered with ERROR; a client that sends too much of it, or a request that does not end, is to be dropped.
 """
 
 import json
@@ -15,7 +16,8 @@ from .gpsd_reports import Object, encoded
 LONGEST_REQUEST = 1024  # bytes; gpsd itself accepts 80 in a request
 MOST_ERRORS = 10  # a port scanner, or a browser; a program asks for a few things that this server does not know
 REQUEST = re.compile(r"\?([A-Z]{1,16})(?:=(\{.*\}))?")
-MODES = ("json", "nmea", "raw")
+NAMES = frozenset((b"?VERSION", b"?DEVICES", b"?DEVICE", b"?WATCH", b"?POLL"))
+ENDS, QUERY, OPEN, CLOSE, QUOTE, BACKSLASH = b";\r\n", *b'?{}"\\'
 WATCH_DEFAULTS: Object = {
     "enable": False, "json": False, "nmea": False, "raw": 0, "scaled": False, "timing": False, "split24": False,
     "pps": False,
@@ -42,6 +44,7 @@ class Session:
         self._shared = shared
         self._watch = dict(WATCH_DEFAULTS)
         self._pending = b""
+        self._answered = b""  # a bare name that a pause has ended; an argument may still follow
         self._errors = 0
 
     @property
@@ -62,9 +65,18 @@ class Session:
         """Take bytes of the client and give the answers to the requests that they complete; raises `BadClient`."""
         self._pending += data
         *requests, self._pending = _split(self._pending)
+        if requests and self._answered:
+            requests, self._answered = requests[requests[0] == self._answered :], b""
         if len(self._pending) > LONGEST_REQUEST or any(len(request) > LONGEST_REQUEST for request in requests):
             raise BadClient("request_length")
         return b"".join(encoded(content) for request in requests for content in self._answer(request))
+
+    def pause(self) -> bytes:
+        """Give the answer to a request without an argument that has no end, once nothing more comes."""
+        if self._pending == self._answered or self._pending not in NAMES:
+            return b""
+        self._answered = self._pending
+        return b"".join(encoded(content) for content in self._answer(self._pending))
 
     def _answer(self, request: bytes) -> Iterator[Object]:
         text = request.decode("ascii", "replace").strip()
@@ -73,7 +85,7 @@ class Session:
         match = REQUEST.fullmatch(text)
         name = match[1] if match else ""
         try:
-            arguments = json.loads(match[2]) if match and match[2] else {}
+            arguments = json.loads(match[2]) if match and match[2] else None
         except (ValueError, RecursionError):
             yield self._error(f"Invalid {name}: its argument is no JSON object")
             return
@@ -83,7 +95,7 @@ class Session:
             case "DEVICES":
                 yield self._devices()
             case "DEVICE":
-                yield from self._about_device(arguments)
+                yield from self._about_device(arguments or {})
             case "WATCH":
                 yield from self._changed_watch(arguments)
             case "POLL":
@@ -101,8 +113,10 @@ class Session:
         else:
             yield reports.device(self._shared.started_ns)
 
-    def _changed_watch(self, arguments: Object) -> Iterator[Object]:
-        wanted = {**self._watch, "enable": True} if arguments else dict(self._watch)
+    def _changed_watch(self, arguments: Object | None) -> Iterator[Object]:
+        """Change what is received; an argument enables it unless it says otherwise, and no mode streams nothing."""
+        wanted = dict(self._watch) if arguments is None else {**self._watch, "enable": True}
+        arguments = arguments or {}
         for name, default in WATCH_DEFAULTS.items():
             value = arguments.get(name, wanted[name])
             # `raw` is a number from 0 to 2, the others are true or false
@@ -113,21 +127,19 @@ class Session:
         if self._names_another(arguments.get("device")):
             yield self._error("No such device: this server has the device 'obu'")
             return
-        if wanted["enable"] and not any(wanted[mode] for mode in MODES):
-            wanted["json"] = True
         self._watch = wanted
         yield self._devices()
         yield {"class": "WATCH", **wanted}
 
     def _poll(self) -> Object:
+        """Answer with one object of each class for the one device, which is active also before it has a position."""
         newest = self._shared.newest
+        objects = {name: newest.get(name) or reports.unknown(name) for name in ("TPV", "GST", "SKY")}
         return {
             "class": "POLL",
             "time": reports.iso(self._shared.now_ns()),
             "active": 1,
-            "tpv": [tpv] if (tpv := newest.get("TPV")) else [],
-            "gst": [],
-            "sky": [sky] if (sky := newest.get("SKY")) else [],
+            **{name.lower(): [content] for name, content in objects.items()},
         }
 
     def _error(self, message: str) -> Object:
@@ -142,8 +154,27 @@ class Session:
 
 
 def _split(data: bytes) -> list[bytes]:
-    """Cut at line ends, and at semicolons behind an argument or a bare name; no argument holds a semicolon."""
-    return re.split(rb"[;\r\n]", data)
+    """Cut at semicolons, line ends, closed arguments and behind bare names; the last part has not ended yet."""
+    parts, start, depth, quoted, escaped = [], 0, 0, False, False
+    for at, byte in enumerate(data):
+        if byte in ENDS:
+            parts.append(data[start:at])
+            start, depth, quoted, escaped = at + 1, 0, False, False
+        elif byte == QUERY and data[start:at] in NAMES:
+            parts.append(data[start:at])
+            start = at
+        elif quoted:  # braces in a string close nothing
+            quoted, escaped = escaped or byte != QUOTE, byte == BACKSLASH and not escaped
+        elif byte == QUOTE and depth:
+            quoted = True
+        elif byte == OPEN:
+            depth += 1
+        elif byte == CLOSE and depth:
+            depth -= 1
+            if not depth and data.startswith(b"?", start):
+                parts.append(data[start : at + 1])
+                start = at + 1
+    return [*parts, data[start:]]
 
 
 def _printable(text: str) -> str:

@@ -145,7 +145,7 @@ class Process:
             objects["SKY"] = gpsd_reports.sky(report)
             if objects["SKY"] is not None:
                 self._sky_ns = now_ns + SKY_PERIOD_NS
-        self._shared.newest.update(objects)
+        self._shared.newest.update(objects, GST=gpsd_reports.gst(report))
         servers.send(b"".join(gpsd_reports.encoded(o) for o in objects.values() if o is not None), _wants_json)
         sentences = burst(report, self._config.sentences)
         servers.send(sentences, _wants_nmea)

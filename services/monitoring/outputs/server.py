@@ -20,6 +20,7 @@ RETRY_S = 5.0
 QUEUE_BYTES = 64 * 1024  # for a slow client: more than ten seconds of the fastest output
 SEND_BUFFER_BYTES = 32 * 1024  # of the kernel, so that a stopped client is not served old positions for long
 READ_BYTES = 4096
+PAUSE_S = 0.5  # after which a request without an end is taken as ended
 DEAD_S = 30  # a client that acknowledges nothing for so long is gone
 BACKLOG = 8
 Address = tuple[str, int]
@@ -36,6 +37,10 @@ class Peer(Protocol):
         """Answer to bytes of the client; raises `BadClient`."""
         ...
 
+    def pause(self) -> bytes:
+        """Answer to what the client has sent, once nothing more has come for `PAUSE_S`."""
+        ...
+
 
 class Listener:
     """A client of NMEA: it is sent sentences, and what it sends is of no meaning."""
@@ -48,6 +53,10 @@ class Listener:
         """Nothing."""
         return b""
 
+    def pause(self) -> bytes:
+        """Nothing."""
+        return b""
+
 
 @dataclass
 class Client:
@@ -57,6 +66,7 @@ class Client:
     peer: Peer
     server: "TcpServer"
     waiting: bytes = b""
+    pause_at_s: float | None = None  # monotonic clock: when a request without an end is taken as ended
 
 
 class Servers:
@@ -83,6 +93,10 @@ class Servers:
                 self._accept(key.data)
             else:
                 self._exchange(cast(Client, key.data), events)
+        now_s = time.monotonic()
+        for client in [one for one in self.clients if one.pause_at_s is not None and one.pause_at_s <= now_s]:
+            client.pause_at_s = None
+            self._queue(client, client.peer.pause())
 
     @property
     def fault(self) -> str | None:
@@ -138,6 +152,7 @@ class Servers:
             if answer is None:  # it has closed the connection
                 self._drop(client)
                 return
+            client.pause_at_s = time.monotonic() + PAUSE_S
             self._queue(client, answer)
         if client in self.clients and events & selectors.EVENT_WRITE:
             self._flush(client)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 from shared.faults import FOREIGN
 
 from .candump import CanFrame
+from .standards import parameter_group, sender_of
 from .units import QUANTITIES, examples_of, factor_of
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ DBC_BYTES, MOST_MESSAGES, MOST_SIGNALS = 4_000_000, 5000, 50_000
 LONGEST_MESSAGE = 1785  # bytes: of the transport protocol of SAE J1939-21; CAN FD has 64
 MESSAGE = re.compile(r"\bBO_\s+-?\d+\s+(\S+?)\s*:\s*(\d+)")
 SIGNAL = re.compile(r"\bSG_\s+\S+?(?:\s+[mM]\d*M?)?\s*:\s*(\d+)\s*\|\s*(\d+)")
+MOST_STAMPS = 4096  # of messages by bus and sender: more than a vehicle has
+J1939_NULL, J1939_GLOBAL = 0xFE, 0xFF  # addresses that nobody sends values with: a file means any sender
 PLACEHOLDERS = ((0.0, 0.0), (0.0, 1.0))  # ranges that editors write where nobody has stated one
 
 
@@ -79,8 +82,8 @@ class SignalDecoder:
     period_ns : int
         [ns] Minimum time between two decoded frames of one identifier; frames in between are skipped.
     rejects : Counter
-        Counts `dbc_frame` (frame shorter than defined, or an undefined value of the multiplexer), `wheel_speed` and
-        `signal_value` (value out of range).
+        Counts `dbc_frame` (too short for a wanted signal, or an undefined value of the multiplexer), `wheel_speed`
+        and `signal_value` (value out of range).
 
     Raises
     ------
@@ -92,46 +95,67 @@ class SignalDecoder:
         self._rejects = rejects
         # 10 % tolerance: with jitter, a sender at exactly this period would otherwise lose every second frame.
         self._period_ns = period_ns * 9 // 10
-        self._last_ns: dict[tuple[str, int], int] = {}
-        self._messages: dict[tuple[int, bool], tuple[Message, list[_Entry]]] = {}
+        self._last_ns: dict[tuple[str, int, int], int] = {}
+        self._entries: dict[tuple[int, bool], list[_Entry]] = {}  # by the identifier of their message in the file
         from cantools.database.errors import DecodeError
 
         self._decode_error = DecodeError
         database = load(text)
-        self._names = {(one.frame_id, one.is_extended_frame): str(one.name) for one in database.messages}
+        self._messages = _Messages(database)
         for one in wanted:
             message, signal = _found(database, one.signal)
-            entry = _Entry(one, signal, *_factor(one, signal))
-            self._messages.setdefault((message.frame_id, message.is_extended_frame), (message, []))[1].append(entry)
+            self._entries.setdefault(_identifier(message), []).append(_Entry(one, signal, *_factor(one, signal)))
 
     def name_of(self, frame: CanFrame) -> str | None:
         """Name of the message that a frame is, by the file."""
-        return self._names.get((frame.identifier, frame.extended))
+        message = self._messages.find(frame)
+        return None if message is None else str(message.name)
 
     def uses(self, frame: CanFrame) -> bool:
         """Whether a quantity is read from such frames."""
-        return (frame.identifier, frame.extended) in self._messages
+        message = self._messages.find(frame)
+        return message is not None and _identifier(message) in self._entries
+
+    def other_sender(self, frame: CanFrame) -> int | None:
+        """Address of the sender of a frame of SAE J1939; None where the file states the identifier as it is."""
+        message = self._messages.find(frame)
+        same = message is None or sender_of(message.frame_id) == sender_of(frame.identifier)
+        return None if same else sender_of(frame.identifier)
 
     def decode(self, frame: CanFrame, received_ns: int, source: str) -> list[Value]:
         """Decode the quantities of a frame; empty for a frame without any, and within the period of the last one."""
-        entry = self._messages.get((frame.identifier, frame.extended))
-        key = source, frame.identifier
-        if entry is None or 0 <= received_ns - self._last_ns.get(key, received_ns - self._period_ns) < self._period_ns:
+        message = self._messages.find(frame)
+        entries = None if message is None else self._entries.get(_identifier(message))
+        if message is None or entries is None:
             return []
-        message, entries = entry
-        if len(frame.data) < message.length:
-            self._rejects["dbc_frame"] += 1
+        key = source, message.frame_id, sender_of(frame.identifier)
+        if 0 <= received_ns - self._last_ns.get(key, received_ns - self._period_ns) < self._period_ns:
             return []
         try:
-            values = cast("dict[str, float]", message.decode(frame.data[: message.length], decode_choices=False))
+            values = self._values(message, frame.data, entries)
         except (self._decode_error, *FOREIGN):  # such as an undefined value of the multiplexer
             self._rejects["dbc_frame"] += 1
             return []
         present = [one for one in entries if one.signal.name in values]  # the others are of other multiplexer values
         if present:
+            if len(self._last_ns) >= MOST_STAMPS:
+                del self._last_ns[next(iter(self._last_ns))]
             self._last_ns[key] = received_ns
         decoded = (self._checked(one, values[one.signal.name]) for one in present)
         return [value for value in decoded if value is not None]
+
+    def _values(self, message: "Message", data: bytes, entries: list[_Entry]) -> dict[str, float]:
+        """Values of the signals that are whole in a frame; an older control unit may send less than the file states."""
+        missing = message.length - len(data)
+        values = cast(
+            "dict[str, float]",
+            message.decode(data[: message.length], decode_choices=False, allow_truncated=missing > 0),
+        )
+        if missing > 0:
+            whole = message.decode(data + bytes(missing), decode_choices=False)
+            if any(one.signal.name in whole and one.signal.name not in values for one in entries):
+                self._rejects["dbc_frame"] += 1
+        return values
 
     def _checked(self, entry: _Entry, raw: object) -> Value | None:
         wanted = entry.wanted
@@ -143,6 +167,50 @@ class SignalDecoder:
             self._rejects["wheel_speed" if wanted.name in WHEELS else "signal_value"] += 1
             return None
         return Value(wanted.name, value, entry.unit, min(abs(float(entry.signal.scale) * entry.factor), LARGEST))
+
+
+class _Messages:
+    """The messages of a file by the identifiers of frames.
+
+    The identifier of a message of SAE J1939 stands for its parameter group: priority, sender and receiver in it are
+    those of one example. A frame is the message of exactly its identifier, else of its group and sender, else of its
+    group and of any sender.
+    """
+
+    def __init__(self, database: "Database") -> None:
+        self._exact = {_identifier(one): one for one in database.messages}
+        self._groups: dict[int, dict[int, Message]] = {}  # parameter group -> sender -> message
+        for one in database.messages:
+            if _is_j1939(database, one):
+                senders = self._groups.setdefault(parameter_group(one.frame_id), {})
+                senders.setdefault(sender_of(one.frame_id), one)
+
+    def find(self, frame: CanFrame) -> "Message | None":
+        """The message that a frame is; None if the file has none."""
+        exact = self._exact.get((frame.identifier, frame.extended))
+        senders = self._groups.get(parameter_group(frame.identifier), {}) if frame.extended else {}
+        if exact is not None or not senders:
+            return exact
+        for address in (sender_of(frame.identifier), J1939_NULL, J1939_GLOBAL):
+            if address in senders:
+                return senders[address]
+        return next(iter(senders.values())) if len(senders) == 1 else None
+
+
+def _identifier(message: "Message") -> tuple[int, bool]:
+    """Identifier of a message in the file, and whether it has 29 bits."""
+    return message.frame_id, message.is_extended_frame
+
+
+def _is_j1939(database: "Database", message: "Message") -> bool:
+    """Whether a message is a parameter group: by its VFrameFormat or the default, else by the network's protocol."""
+    if message.protocol == "j1939" or not message.is_extended_frame:
+        return message.is_extended_frame
+    own = message.dbc.attributes if message.dbc else {}
+    network = database.dbc.attributes if database.dbc else {}
+    definition = database.dbc.attribute_definitions.get("VFrameFormat") if database.dbc else None
+    stated = "VFrameFormat" in own or (definition is not None and definition.default_value == "ExtendedCAN")
+    return not stated and "ProtocolType" in network and str(network["ProtocolType"].value).upper() == "J1939"
 
 
 def _found(database: "Database", name: str) -> "tuple[Message, Signal]":

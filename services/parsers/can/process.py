@@ -162,22 +162,22 @@ class Process:
             yield WheelSpeeds(
                 sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
                 received_ns=received_ns,
-                source=bus,
+                source=_named(bus, self._wheels, frame),
                 **{f"{one.name}_m_s": one.value for one in speeds},
             )
         if self._signals:
             for value in self._signals.decode(frame, received_ns, bus):
-                yield self._signal(value, received_ns, bus)
+                yield self._signal(value, received_ns, _named(bus, self._signals, frame))
 
-    def _signal(self, value: Value, received_ns: int, bus: str) -> Output:
+    def _signal(self, value: Value, received_ns: int, source: str) -> Output:
         sampled_ns = received_ns - round(self._config.wheel_speed_delay_s * NS)
         if value.name == SPEED:
             return VehicleSpeed(
-                sampled_ns=sampled_ns, received_ns=received_ns, source=f"{bus}/dbc", speed_m_s=value.value,
+                sampled_ns=sampled_ns, received_ns=received_ns, source=f"{source}/dbc", speed_m_s=value.value,
                 resolution_m_s=value.resolution,
             )  # fmt: skip
         return VehicleSignal(
-            sampled_ns=sampled_ns, received_ns=received_ns, source=bus, name=value.name, value=value.value,
+            sampled_ns=sampled_ns, received_ns=received_ns, source=source, name=value.name, value=value.value,
             unit=value.unit,
         )  # fmt: skip
 
@@ -198,6 +198,12 @@ class Process:
             raise UserError(
                 f"[parsers.can] dbc_file = {str(config.dbc_file)!r}: {error}; correct the path, the name or the file"
             ) from error
+
+
+def _named(bus: str, decoder: SignalDecoder, frame: CanFrame) -> str:
+    """Name of the source: senders of one parameter group are told apart by their address."""
+    address = decoder.other_sender(frame)
+    return bus if address is None else f"{bus}/{address:02X}"
 
 
 def _wheels(config: Config) -> list[Wanted]:

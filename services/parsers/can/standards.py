@@ -28,6 +28,7 @@ OBD_REQUESTS = (0x7DF, *range(0x7E0, 0x7E8))  # of a tester on the same bus
 VIN_ANSWER = b"\x49\x02"  # to mode 09, PID 02; the next byte counts the items
 _VIN = re.compile(r"[A-HJ-NPR-Z0-9]{17}")
 J1939_SPEEDS = {65265: ("j1939", 1), 65132: ("tachograph", 6)}  # PGN -> (name, first byte): CCVS, TCO1
+J1939_FIRST_BROADCAST = 240  # format of a group without a receiver (PDU2)
 J1939_RESOLUTION_M_S = KM_H / 256
 J1939_FIRST_INVALID = 0xFB00  # values from here on mean error or not available
 
@@ -73,8 +74,22 @@ def standard_use(frame: CanFrame) -> MessageUse | None:
     if is_obd_answer(frame):
         return MessageUse.USED
     if frame.extended:
-        return MessageUse.USED if frame.identifier >> 8 & 0x3FFFF in J1939_SPEEDS else None
+        return MessageUse.USED if parameter_group(frame.identifier) in J1939_SPEEDS else None
     return MessageUse.UNUSED if frame.identifier in OBD_REQUESTS else None
+
+
+def parameter_group(identifier: int) -> int:
+    """Number of the parameter group (PGN) of a 29-bit identifier, after SAE J1939-21, 5.2.
+
+    Below the format 240 (PDU1) the eight bits behind it are the address of the receiver, and no part of the number.
+    """
+    group = identifier >> 8 & 0x3FFFF
+    return group if group >> 8 & 0xFF >= J1939_FIRST_BROADCAST else group & 0x3FF00
+
+
+def sender_of(identifier: int) -> int:
+    """Address of the sender in a 29-bit identifier of SAE J1939."""
+    return identifier & 0xFF
 
 
 def vin_of_answer(answer: bytes) -> str | None:
@@ -104,12 +119,11 @@ def speed_of_answer(answer: bytes) -> int | None:
 
 
 def _j1939(frame: CanFrame) -> Speed | None:
-    group = frame.identifier >> 8 & 0x3FFFF
+    group = parameter_group(frame.identifier)
     if group not in J1939_SPEEDS:
         return None
     name, first = J1939_SPEEDS[group]
     raw = int.from_bytes(frame.data[first : first + 2], "little")
     if len(frame.data) < first + 2 or raw >= J1939_FIRST_INVALID:
         return None
-    address = frame.identifier & 0xFF
-    return Speed(f"{name}/{address:02X}", raw * J1939_RESOLUTION_M_S, J1939_RESOLUTION_M_S)
+    return Speed(f"{name}/{sender_of(frame.identifier):02X}", raw * J1939_RESOLUTION_M_S, J1939_RESOLUTION_M_S)

@@ -15,6 +15,7 @@ LARGEST_CURRENT_A = 20.0  # more than any supply of such a computer; a wrong shu
 # A battery does not change by more in a second under the load of such a computer: between idle and full load the
 # voltage of two cells steps by about 0.3 V.
 LARGEST_STEP_V = 1.0
+SILENT_BUS = b"\xff\xff\xff\xff"  # no device answers: the lines stay high
 STEPS = 5  # readings in a row that confirm a voltage after a step
 
 
@@ -26,7 +27,8 @@ class Limits:
     empty_v: float
     full_v: float
     discharging_a: float
-    low_ratio: float
+    discharging_is_positive: bool = False  # sign of the current of the device while the battery discharges
+    low_is_mains: bool = False  # a signal that is 0 with mains
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,16 @@ class Decoder:
             if text not in (b"0", b"1"):
                 self._rejects["power_signal"] += 1
                 return None
-            return Reading(on_battery=text == b"0")
+            return Reading(on_battery=(text == b"0") is not self._limits.low_is_mains)
         limits = self._limits
+        if len(raw.data) != len(SILENT_BUS):
+            self._rejects["power_length"] += 1
+            return None
+        # The overflow bit is that of the device's own current and power, which are not read.
         shunt, bus = int.from_bytes(raw.data[:2], "big", signed=True), int.from_bytes(raw.data[2:], "big")
         voltage_v, current_a = (bus >> 3) * 0.004, shunt * 1e-5 / limits.shunt_ohm
+        if limits.discharging_is_positive:
+            current_a = -current_a
         if fault := self._fault(raw.data, voltage_v, current_a):
             self._rejects[fault] += 1
             return None
@@ -67,10 +75,8 @@ class Decoder:
     def _fault(self, data: bytes, voltage_v: float, current_a: float) -> str | None:
         limits = self._limits
         span_v = limits.full_v - limits.empty_v
-        if len(data) != 4:
-            return "power_length"
-        if data[3] & 1:  # overflow of the device's own arithmetic
-            return "power_overflow"
+        if data == SILENT_BUS:
+            return "power_silent"
         if not limits.empty_v - span_v <= voltage_v <= limits.full_v + span_v or abs(current_a) > LARGEST_CURRENT_A:
             return "power_range"
         return None if self._follows(voltage_v) else "power_step"
@@ -88,13 +94,42 @@ class Decoder:
         return True
 
 
+class SteadySupply:
+    """Whether the unit runs on its battery, by readings that agree for a while.
+
+    At full charge a current swings around zero, and a contact bounces: the state changes when all readings of
+    `hold_ns` contradict it.
+    """
+
+    def __init__(self, hold_ns: int) -> None:
+        self._hold_ns = hold_ns
+        self._contradicted_ns: int | None = None
+        self.on_battery: bool | None = None  # None: before the first reading
+        self.since_ns = 0
+
+    def update(self, on_battery: bool, now_ns: int) -> bool:
+        """Take a plausible reading; whether the state has changed."""
+        if on_battery is self.on_battery:
+            self._contradicted_ns = None
+            return False
+        if self._contradicted_ns is None:
+            self._contradicted_ns = now_ns
+        if self.on_battery is not None and now_ns - self._contradicted_ns < self._hold_ns:
+            return False
+        self.on_battery, self.since_ns, self._contradicted_ns = on_battery, self._contradicted_ns, None
+        return True
+
+
 class LowBattery:
-    """Decides whether the battery is nearly empty: for a while, without a break, and not right after the start.
+    """Decides whether the battery is nearly empty: for a while, and not right after the start.
+
+    Seconds of mains take off as many seconds, so that mains which come back for moments, in which nothing is charged,
+    do not hide an empty battery.
 
     Parameters
     ----------
     hold_ns : int
-        [ns] Time below the threshold, without any reading above it.
+        [ns] Time on battery below the threshold, without any reading on battery above it; time on mains that ends it.
     signal_ns : int
         [ns] Time on battery after which that of a supply without a voltage counts as nearly empty.
     armed_ns : int
@@ -105,23 +140,39 @@ class LowBattery:
     def __init__(self, hold_ns: int, signal_ns: int, armed_ns: int) -> None:
         self._hold_ns, self._signal_ns, self._armed_ns = hold_ns, signal_ns, armed_ns
         self._first_ns: int | None = None
-        self._since_ns: int | None = None
+        self._mains_ns: int | None = None  # since when the mains are there; None on battery
+        self._below_ns: int | None = None  # time below the threshold, less that on mains; None above it
         self._last_ns = 0
+        self._is_low = False
 
     def update(self, reading: Reading, now_ns: int, low_ratio: float) -> bool:
         """Take a plausible reading; whether the battery is nearly empty."""
         if self._first_ns is None:
             self._first_ns = now_ns
-        below = reading.on_battery and (reading.charge_ratio is None or reading.charge_ratio <= low_ratio)
-        if not below:
-            self._since_ns = None
-        elif self._since_ns is None or now_ns - self._last_ns > self._hold_ns:  # a gap is no proof
-            self._since_ns = now_ns
-        self._last_ns = now_ns
-        if self._since_ns is None or now_ns - self._first_ns < self._armed_ns:
-            return False
-        return now_ns - self._since_ns >= (self._signal_ns if reading.charge_ratio is None else self._hold_ns)
+        elapsed_ns, self._last_ns = now_ns - self._last_ns, now_ns
+        if elapsed_ns > self._hold_ns:  # a gap is no proof
+            self._mains_ns, self._below_ns, self._is_low = None, None, False
+        if reading.on_battery:
+            above = reading.charge_ratio is not None and reading.charge_ratio > low_ratio
+            on_battery_before = self._mains_ns is None
+            self._mains_ns = None
+            if above:
+                self._below_ns = None
+            elif self._below_ns is None:
+                self._below_ns = 0
+            elif on_battery_before:
+                self._below_ns += elapsed_ns
+        else:
+            self._mains_ns = now_ns if self._mains_ns is None else self._mains_ns
+            if now_ns - self._mains_ns >= self._hold_ns:
+                self._below_ns = None
+            elif self._below_ns is not None:
+                self._below_ns = max(self._below_ns - elapsed_ns, 0)
+        needed_ns = self._signal_ns if reading.charge_ratio is None else self._hold_ns
+        armed = now_ns - self._first_ns >= self._armed_ns
+        self._is_low = self._below_ns is not None and armed and (self._is_low or self._below_ns >= needed_ns)
+        return self._is_low
 
-    def below_s(self, now_ns: int) -> float | None:
+    def below_s(self) -> float | None:
         """Time below the threshold; None above it."""
-        return None if self._since_ns is None else (now_ns - self._since_ns) / NS
+        return None if self._below_ns is None else self._below_ns / NS

@@ -2,7 +2,8 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Self
+from dataclasses import replace
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -10,7 +11,7 @@ from shared.messages.base import Message, Tick
 from shared.messages.power import PowerEvent, PowerRaw, PowerState
 from shared.runtime.config import Section
 
-from .battery import NS, Decoder, Limits, LowBattery, Reading
+from .battery import NS, Decoder, Limits, LowBattery, Reading, SteadySupply
 
 SILENT_NS = 5 * NS  # readings come every second
 
@@ -24,11 +25,25 @@ class Config(Section):
     discharging_a: float = Field(
         default=0.05, ge=0.0, le=10.0, description="current out of the battery above which the unit runs on it"
     )
+    discharging_sign: Literal["negative", "positive"] = Field(
+        default="negative", description="sign of the current of the INA219 while the battery discharges"
+    )
+    mains_signal: Literal["1", "0"] = Field(default="1", description="what a signal states with mains")
+    change_hold_s: float = Field(
+        default=3.0,
+        ge=0.0,
+        le=60.0,
+        description="time that mains, or their loss, must last until it counts: a current swings around zero at full "
+        "charge, and a contact bounces",
+    )
     low_charge_ratio: float = Field(
         default=0.1, ge=0.0, le=0.9, description="share of charge at which the battery is nearly empty"
     )
     low_hold_s: float = Field(
-        default=10.0, ge=3.0, le=600.0, description="time below that share, without a break, until it counts"
+        default=10.0,
+        ge=3.0,
+        le=600.0,
+        description="time on battery below that share until it counts, and on mains until it does not any more",
     )
     signal_hold_s: float = Field(
         default=60.0,
@@ -57,14 +72,18 @@ class Process:
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
         self._config = config
-        limits = Limits(config.shunt_ohm, config.empty_v, config.full_v, config.discharging_a, config.low_charge_ratio)
+        limits = Limits(
+            config.shunt_ohm, config.empty_v, config.full_v, config.discharging_a,
+            discharging_is_positive=config.discharging_sign == "positive", low_is_mains=config.mains_signal == "0",
+        )  # fmt: skip
         self._decoder = Decoder(limits, self.rejects)
         self._low = LowBattery(
             round(config.low_hold_s * NS), round(config.signal_hold_s * NS), round(config.start_s * NS)
         )
+        self._supply = SteadySupply(round(config.change_hold_s * NS))
         self._source: str | None = None
-        self._reading: Reading | None = None
-        self._read_ns = self._since_ns = 0
+        self._reading: Reading | None = None  # the newest, with the state that lasts
+        self._read_ns = 0
         self._is_low = False
 
     def handle(self, message: Message) -> Iterator[PowerState | PowerEvent]:
@@ -83,12 +102,12 @@ class Process:
         reading = self._decoder.decode(raw)
         if reading is None:
             return
-        before, was_low = self._reading, self._is_low
-        self._reading, self._read_ns = reading, raw.received_ns
-        if before is None or before.on_battery is not reading.on_battery:
-            self._since_ns = raw.received_ns
+        was_low, first = self._is_low, self._supply.on_battery is None
+        changed = self._supply.update(reading.on_battery, raw.received_ns)
         self._is_low = self._low.update(reading, raw.received_ns, self._config.low_charge_ratio)
-        if self._is_low is not was_low or (reading.on_battery is not (before is not None and before.on_battery)):
+        self._reading = reading = replace(reading, on_battery=self._supply.on_battery is True)
+        self._read_ns = raw.received_ns
+        if self._is_low is not was_low or (changed and (reading.on_battery or not first)):
             yield PowerEvent(
                 sampled_ns=raw.received_ns, source=raw.source, on_battery=reading.on_battery, low=self._is_low,
                 reason=_text(reading, self._is_low),
@@ -99,9 +118,9 @@ class Process:
         if reading is None or now_ns - self._read_ns > SILENT_NS:
             return PowerState(sampled_ns=now_ns, source=self._source or "", reason="no plausible reading of the supply")
         return PowerState(
-            sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._since_ns,
+            sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._supply.since_ns,
             voltage_v=reading.voltage_v, current_a=reading.current_a, charge_ratio=reading.charge_ratio,
-            low=self._is_low, low_s=self._low.below_s(now_ns), reason=_text(reading, self._is_low),
+            low=self._is_low, low_s=self._low.below_s(), reason=_text(reading, self._is_low),
         )  # fmt: skip
 
 

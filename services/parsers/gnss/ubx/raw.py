@@ -17,6 +17,8 @@ from ..gnss_time import MAXIMUM_LEAP_S
 from .messages import SIGNALS, UbxError, constellation_of
 
 KINDS = ("SFRBX", "RAWX")  # of RXM
+GLONASS = 6  # gnssId
+CHANNELS, CHANNEL_OFFSET = range(14), 7  # freqId of GLONASS, and what it exceeds the frequency number by
 MAX_PSEUDORANGE_M = 1e8  # satellites in geostationary orbits are 42,000 km away; a receiver's clock adds up to 300 km
 MAX_DOPPLER_HZ = 1e5
 MAX_CYCLES = 1e10
@@ -93,7 +95,7 @@ def decode_raw(payload: bytes, rejects: Counter[str]) -> RawEpoch:
 
 def _measurement(fields: tuple[float | int, ...], rejects: Counter[str]) -> RawMeasurement:
     code_m, cycles, doppler_hz = fields[:3]
-    system, number, signal, _, lock_ms, cn0, code_sd, carrier_sd, doppler_sd, status = map(int, fields[3:])
+    system, number, signal, channel, lock_ms, cn0, code_sd, carrier_sd, doppler_sd, status = map(int, fields[3:])
     pseudorange = _plausible(code_m, 0.0, MAX_PSEUDORANGE_M, "pseudorange", rejects, valid=status & _PSEUDORANGE_VALID)
     carrier = _plausible(cycles, -MAX_CYCLES, MAX_CYCLES, "carrier_phase", rejects, valid=status & _CARRIER_VALID)
     doppler = _plausible(doppler_hz, -MAX_DOPPLER_HZ, MAX_DOPPLER_HZ, "doppler", rejects, valid=1)
@@ -102,6 +104,7 @@ def _measurement(fields: tuple[float | int, ...], rejects: Counter[str]) -> RawM
         constellation=constellation_of(system),
         number=number,
         signal=SIGNALS.get((system, signal)),
+        glonass_frequency_number=channel - CHANNEL_OFFSET if system == GLONASS and channel in CHANNELS else None,
         pseudorange_m=pseudorange,
         pseudorange_sd_m=None if pseudorange is None else 0.01 * 2.0 ** (code_sd & 15),
         carrier_phase_cycles=carrier,

@@ -33,6 +33,7 @@ _SIGNAL = np.dtype([
 ])  # fmt: skip
 # sigId of the second signal of each gnssId, and how much weaker it is received [dB]: L2C, E5b, B2I, GLONASS L2.
 _SECOND = {0: (3, 4.0), 2: (6, 1.0), 3: (2, 2.0), 6: (2, 3.0)}
+GLONASS, CENTRE_CHANNEL = 6, 7  # gnssId, and freqId of the frequency number 0, whose carrier is simulated
 _RAW_HEAD = struct.Struct("<dHbBBB2x")
 _RAW = np.dtype([
     ("pseudorange", "<f8"), ("carrier", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("number", "u1"),
@@ -191,6 +192,7 @@ def rxm_rawx(epoch: Epoch) -> bytes:
     rows = np.zeros(len(raw.satellite), _RAW)
     rows["pseudorange"], rows["carrier"], rows["doppler"] = raw.pseudorange_m, raw.carrier_cycles, raw.doppler_hz
     rows["system"], rows["number"], rows["cn0"] = raw.gnss_id, raw.number, np.rint(raw.cn0_db_hz)
+    rows["channel"] = np.where(np.asarray(raw.gnss_id) == GLONASS, CENTRE_CHANNEL, 0)
     rows["lock_ms"], rows["code_sd"], rows["carrier_sd"], rows["doppler_sd"], rows["status"] = 64500, 6, 1, 7, 7
     head = _RAW_HEAD.pack(tow_s, int(week) % 2**16, LEAP_SECONDS, len(rows), 1, 1)
     return ubx_frame(RXM, 0x15, head + rows.tobytes())

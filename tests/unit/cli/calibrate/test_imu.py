@@ -11,7 +11,7 @@ from rich.console import Console
 
 from cli.calibrate.allan import FloatArray
 from cli.calibrate.imu import calibrate_imu
-from cli.calibrate.rest import longest_rest
+from cli.calibrate.rest import gaps, longest_rest
 from cli.import_drive.conversion.convert import Converted
 from cli.import_drive.output import Part, write
 from cli.progress import progress_on
@@ -65,6 +65,31 @@ def test_rest_ends_at_a_gap() -> None:
     stamps[2000:] += 1.0
     rest = longest_rest(stamps, forces, rates)
     assert rest is not None and rest.duration_s == pytest.approx(40.0, abs=1.0)
+
+
+def uneven(kind: str, rate_hz: float, duration_s: float = 40.0) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Stamps [s] of samples at an even rate: rounded down to milliseconds, each late by itself, or ten at a time."""
+    even = np.arange(int(rate_hz * duration_s)) / rate_hz
+    if kind == "milliseconds":
+        return np.floor(even * 1e3 + 1e-6) / 1e3
+    if kind == "late":
+        return even + np.random.default_rng(1).uniform(0.0, 0.8 / rate_hz, len(even))
+    return (np.arange(len(even)) // 10 * 10 + 9) / rate_hz + np.arange(len(even)) % 10 * 1e-4
+
+
+@pytest.mark.parametrize("kind", ["milliseconds", "late", "batches"])
+@pytest.mark.parametrize("rate_hz", [100.0, 333.3, 400.0, 800.0])
+@pytest.mark.parametrize("missing", [0, 1, 50])
+def test_a_gap_is_a_missing_sample_and_no_late_stamp(kind: str, rate_hz: float, missing: int) -> None:
+    stamps, cut = uneven(kind, rate_hz), int(rate_hz * 10.0)
+    stamps = np.delete(stamps, slice(cut, cut + missing))
+    forces, rates = np.random.default_rng(2).normal(0.0, 0.01, (2, len(stamps), 3))
+    rest = longest_rest(stamps, forces, rates)
+    assert rest is not None and rest.step_s == pytest.approx(1.0 / rate_hz, rel=2e-3)
+    assert rest.duration_s == pytest.approx(30.0 if missing else 40.0, abs=2.1)
+    found = gaps(stamps)
+    assert len(found) == (2 if missing else 0)
+    assert all(0 <= k - cut <= rate_hz for k in found) or np.abs(found - cut).min() <= 20
 
 
 def test_of_two_samples_there_is_no_rest() -> None:

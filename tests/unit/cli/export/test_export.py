@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import subprocess
+from itertools import pairwise
 from math import radians
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,6 +17,7 @@ from mcap.writer import CompressionType
 from cli.__main__ import main
 from cli.export.export import Format, export
 from cli.export.positions import of_fixes
+from cli.utc import UtcLine
 from shared.errors import UserError
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssRawEpoch, RawMeasurement
 from shared.recording import RecordingWriter
@@ -180,12 +182,84 @@ def test_a_recording_that_was_not_closed_is_exported_up_to_its_end(tmp_path: Pat
     assert len(exported(cut, Format.CSV, tmp_path).read_text().splitlines()) == 31
 
 
+BEHIND_NS = 5_000_000_000_000  # by which the clock of the unit is wrong in the drives below
+
+
+def stepping_drive(path: Path, steps_s: dict[int, int], longitude_deg: float = 11.0, step_deg: float = 1e-4) -> Path:
+    """Record fixes at 1 Hz whose UTC is off by `steps_s` from an epoch on; the unit's clock is far behind."""
+    writer = RecordingWriter(path, vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    off_s = 0
+    for k in range(SECONDS):
+        off_s = steps_s.get(k, off_s)
+        at_ns = BEGIN_NS + k * SECOND
+        fix = GnssFix(
+            sampled_ns=at_ns - BEHIND_NS, received_ns=at_ns - BEHIND_NS, source="gnss0", fix_type=FixType.THREE_D,
+            latitude_deg=-16.5, longitude_deg=(longitude_deg + k * step_deg + 180.0) % 360.0 - 180.0,
+            height_ellipsoid_m=500.0, utc_ns=at_ns + off_s * SECOND,
+        )  # fmt: skip
+        writer.write(sent(fix, at_ns - BEHIND_NS, "parsers.gnss", 1, k + 1))
+    writer.close()
+    return path
+
+
+def gpx_times(path: Path) -> list[str | None]:
+    points = ElementTree.parse(path).findall(".//g:trkpt", GPX)
+    return [point.findtext("g:time", namespaces=GPX) for point in points]
+
+
+@pytest.mark.parametrize("steps_s", [{}, {0: 2, 5: 0}, {0: 18, 5: 0}, {0: -3, 5: 0}, {0: 1, 4: 17, 9: 0}, {7: 2, 8: 0}])
+def test_times_are_utc_as_far_apart_as_the_fixes_were(steps_s: dict[int, int], tmp_path: Path) -> None:
+    drive = stepping_drive(tmp_path / "drive.mcap", steps_s)
+    right = [f"2023-11-14T22:13:{20 + k}.000Z" for k in range(SECONDS)]
+    assert gpx_times(exported(drive, Format.GPX, tmp_path)) == right
+    rows = list(csv.DictReader(exported(drive, Format.CSV, tmp_path).read_text().splitlines()))
+    assert [row["time_utc"] for row in rows] == right
+    assert int(rows[0]["sampled_ns"]) == BEGIN_NS - BEHIND_NS, "fields are as recorded"
+    [feature] = json.loads(exported(drive, Format.GEOJSON, tmp_path).read_text())["features"]
+    assert feature["properties"]["times"] == right
+    sentences = exported(drive, Format.NMEA, tmp_path).read_text().splitlines()
+    assert [line.split(",")[1] for line in sentences[1::2]] == [f"2213{20 + k}.000" for k in range(SECONDS)]
+
+
+@pytest.mark.parametrize(("longitude_deg", "step_deg"), [(179.999, 1.5e-4), (-179.999, -1.5e-4), (179.9994, 1.5e-4)])
+def test_a_line_is_cut_at_the_antimeridian(longitude_deg: float, step_deg: float, tmp_path: Path) -> None:
+    drive = stepping_drive(tmp_path / "drive.mcap", {}, longitude_deg, step_deg)
+    features = json.loads(exported(drive, Format.GEOJSON, tmp_path).read_text())["features"]
+    lines = [feature["geometry"]["coordinates"] for feature in features]
+    assert len(lines) == 2 and sum(map(len, lines)) == SECONDS
+    assert all(abs(a[0] - b[0]) < 1.0 for line in lines for a, b in pairwise(line))
+    assert [len(feature["properties"]["times"]) for feature in features] == list(map(len, lines))
+    for to, tag in ((Format.GPX, "trkseg"), (Format.KML, "Track")):
+        root = ElementTree.parse(exported(drive, to, tmp_path)).getroot()
+        assert [element.tag.split("}")[1] for element in root.iter()].count(tag) == 2
+
+
+def test_rinex_names_slot_and_frequency_number_of_each_glonass_satellite(tmp_path: Path) -> None:
+    """RINEX 3.05, table A2: the number of satellites, then eight a line."""
+    writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    channels = {number: (number * 3) % 14 - 7 for number in range(1, 11)}
+    measured = [
+        RawMeasurement(constellation=Constellation.GLONASS, number=number, signal=signal, pseudorange_m=2.1e7,
+                       glonass_frequency_number=channels.get(number))
+        for number in range(1, 12) for signal in ("1C", "2C")
+    ]  # fmt: skip
+    epoch = GnssRawEpoch(sampled_ns=BEGIN_NS, received_ns=BEGIN_NS, source="gnss0", gps_time_ns=GPS_NS,
+                         measurements=tuple(measured))  # fmt: skip
+    writer.write(sent(epoch, BEGIN_NS, "parsers.gnss", 1, 1))
+    writer.close()
+    header = exported(tmp_path / "raw.mcap", Format.RINEX, tmp_path).read_text().split("END OF HEADER")[0]
+    lines = [line[:60] for line in header.splitlines() if line[60:].strip() == "GLONASS SLOT / FRQ #"]
+    assert lines[0].startswith(" 10 R01 -4 R02 -1 R03  2 ") and lines[1].startswith("    R09 ")
+    named = [line[at : at + 6] for line in lines for at in range(4, 60, 7) if line[at : at + 3].strip()]
+    assert {int(name[1:3]): int(name[3:]) for name in named} == channels, "that of 11 is not known"
+
+
 def test_speed_and_course_of_a_fix_without_a_velocity_are_exported() -> None:
     fix = GnssFix(
         sampled_ns=1, received_ns=1, source="nmea", fix_type=FixType.THREE_D, latitude_deg=45.0, longitude_deg=10.0,
         ground_speed_m_s=12.0, course_rad=radians(120.0),
     )  # fmt: skip
-    (position,) = of_fixes([fix], 0)
+    (position,) = of_fixes([fix], UtcLine(()))
     assert (position.speed_m_s, position.course_deg) == pytest.approx((12.0, 120.0))
 
 

@@ -4,6 +4,7 @@ import math
 import pytest
 
 from cli.solve.files import HEADER, KML_POINTS, csv_lines, kml_points
+from shared.track_files import cut_at_antimeridian
 from tests.support.drives.tracks import START_NS, solution, track
 
 
@@ -29,6 +30,18 @@ def test_the_kml_points_are_those_of_the_track_with_their_stamps() -> None:
         assert point.latitude_deg == pytest.approx(expected.latitude_deg, abs=1e-9)
         assert point.longitude_deg == pytest.approx(expected.longitude_deg, abs=1e-9)
         assert point.height_ellipsoid_m == pytest.approx(300.0)
+
+
+def test_the_kml_is_in_utc_and_cut_at_the_antimeridian() -> None:
+    moved = [
+        solution(k).model_copy(update={"longitude_deg": (179.9995 + k * 2e-4 + 180.0) % 360.0 - 180.0})
+        for k in range(9)
+    ]
+    points = kml_points(track(moved), 5_000_000_000)
+    assert [point.time_ns for point in points] == [START_NS + (k + 5) * 1_000_000_000 for k in range(9)]
+    segments = cut_at_antimeridian(points)
+    assert [len(segment) for segment in segments] == [3, 6] and [*segments[0], *segments[1]] == points
+    assert cut_at_antimeridian(points[:3]) == [points[:3]]
 
 
 def test_the_number_of_points_of_the_kml_is_bounded() -> None:

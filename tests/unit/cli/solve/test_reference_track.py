@@ -1,7 +1,10 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cli.solve.reference_track import from_columns, from_fixes, from_states
+from cli.solve.truth import truth_file
 from shared.errors import UserError
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
@@ -50,3 +53,12 @@ def test_unknown_and_deselected_quantities_of_a_table_are_none() -> None:
 def test_fixes_are_stamped_with_the_configured_delay() -> None:
     found = from_fixes([fix(5, CarrierSolution.FIXED)], delay_s=0.1, velocity_delay_s=0.125)
     assert found.stamps_ns.tolist() == [4_900_000_000] and found.velocity_delay_ns == 125_000_000
+
+
+def test_a_truth_in_utc_is_brought_to_the_time_line_of_the_unit(tmp_path: Path) -> None:
+    (tmp_path / "truth.csv").write_text("utc_s,latitude_deg,longitude_deg,height_ellipsoid_m\n1700000000.5,48,11,500\n")
+    truth = truth_file(tmp_path / "truth.csv")
+    assert truth.on_time_line(3_600_000_000_000).stamps_ns.tolist() == [1_699_996_400_500_000_000]
+    assert truth.on_time_line(40_000_000) is truth, "the delay of a receiver, and no clock"
+    (tmp_path / "line.csv").write_text("sampled_ns,latitude_deg,longitude_deg,height_ellipsoid_m\n5,48,11,500\n")
+    assert truth_file(tmp_path / "line.csv").on_time_line(3_600_000_000_000).stamps_ns.tolist() == [5]

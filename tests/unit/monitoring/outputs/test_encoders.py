@@ -23,6 +23,7 @@ from tests.support.outputs import LATITUDE_DEG, LONGITUDE_DEG, fix, origin, sate
 NS = 1_000_000_000
 T = 1_700_000_000 * NS  # 2023-11-14T22:13:20Z
 NAMES = tuple(ENCODERS)
+OPTIONAL = (gpsd_reports.gst, gpsd_reports.sky, gpsd_reports.att)
 
 
 def report(state: TrustLevel = TrustLevel.SAFE, kind: OriginKind = OriginKind.LIVE, utc: bool = True,
@@ -185,6 +186,14 @@ def test_times_round_to_the_next_second() -> None:
 
 
 def test_objects_are_json_without_what_is_not_known() -> None:
-    for content in (gpsd_reports.tpv(Report(None)), gpsd_reports.sky(report()), gpsd_reports.att(report())):
+    for content in (
+        gpsd_reports.tpv(Report(None)),
+        gpsd_reports.gst(report()),
+        gpsd_reports.sky(report()),
+        gpsd_reports.att(report()),
+    ):
         assert content is not None and "null" not in json.dumps(content)
-    assert gpsd_reports.att(Report(None)) is None and gpsd_reports.sky(Report(None)) is None
+    assert (
+        gpsd_reports.att(Report(None)) is gpsd_reports.gst(Report(None)) is None
+        and gpsd_reports.sky(Report(None)) is None
+    )

@@ -37,8 +37,39 @@ def test_a_request_ends_with_a_semicolon_or_a_line(end: str) -> None:
 def test_a_request_may_come_in_pieces() -> None:
     client = session()
     assert classes(client, '?WATCH={"enable":true,"js') == []
-    assert classes(client, 'on":true}') == []
-    assert classes(client, ";") == ["DEVICES", "WATCH"]
+    assert client.pause() == b""
+    assert classes(client, 'on":true}') == ["DEVICES", "WATCH"]
+    assert classes(client, ";") == []
+    assert client.wants_json
+
+
+def test_a_closed_argument_ends_a_request() -> None:
+    client = session()
+    assert classes(client, '?WATCH={"enable":true,"json":true}') == ["DEVICES", "WATCH"]
+    assert client.wants_json
+    assert classes(client, '?DEVICE={"path":"obu"}?WATCH={"enable":false}') == ["DEVICE", "DEVICES", "WATCH"]
+    assert not client.wants_json
+    assert classes(client, '?DEVICE={"path":"a}\\"b}') == []  # the braces are in a string
+    assert classes(client, '"}') == ["ERROR"]
+
+
+@pytest.mark.parametrize("name", ["VERSION", "DEVICES", "DEVICE", "WATCH", "POLL"])
+def test_a_pause_ends_a_request_without_an_argument(name: str) -> None:
+    client, answer = session(), {"WATCH": ["DEVICES", "WATCH"]}.get(name, [name])
+    assert classes(client, f"?{name[:3]}") == [] and client.pause() == b""
+    assert classes(client, name[3:]) == []
+    assert [json.loads(line)["class"] for line in client.pause().split()] == answer
+    assert client.pause() == b"" and classes(client, ";\r\n") == []  # it is answered once
+    assert classes(client, f"?{name};") == answer
+    assert classes(client, f"?{name}") == [] and client.pause()
+    assert classes(client, "?VERSION;") == ["VERSION"]
+
+
+def test_what_comes_behind_a_pause_continues_the_request() -> None:
+    client = session()
+    assert classes(client, "?WATCH") == []
+    assert b'"enable":false' in client.pause()
+    assert classes(client, '={"json":true}') == ["DEVICES", "WATCH"]
     assert client.wants_json
 
 
@@ -60,10 +91,12 @@ def test_raw_data_of_this_device_are_its_sentences(raw: int) -> None:
     assert client.wants_nmea and not client.wants_json
 
 
-def test_enable_alone_is_json() -> None:
+@pytest.mark.parametrize("argument", ['{"enable":true}', "{}", '{"enable":true,"device":"obu"}', '{"scaled":true}'])
+def test_a_watch_without_a_mode_streams_nothing(argument: str) -> None:
     client = session()
-    ask(client, '?WATCH={"enable":true};')
-    assert client.wants_json
+    watch = ask(client, f"?WATCH={argument};")[1]
+    assert (watch["enable"], watch["json"], watch["nmea"], watch["raw"]) == (True, False, False, 0)
+    assert not client.wants_json and not client.wants_nmea
 
 
 def test_a_named_device_must_be_the_one_that_is_there() -> None:
@@ -78,9 +111,12 @@ def test_poll_gives_the_newest_objects() -> None:
     shared = Shared(now_ns=lambda: 1_700_000_001_000_000_000)
     client = Session(shared)
     empty = ask(client, "?POLL;")[0]
-    assert (empty["tpv"], empty["sky"], empty["time"]) == ([], [], "2023-11-14T22:13:21.000Z")
-    shared.newest.update(TPV={"class": "TPV", "mode": 1}, SKY=None)
-    assert ask(client, "?POLL;")[0]["tpv"] == [{"class": "TPV", "mode": 1}]
+    assert empty["time"] == "2023-11-14T22:13:21.000Z" and empty["active"] == 1
+    assert empty["tpv"] == [{"class": "TPV", "device": "obu", "mode": 1}]
+    assert empty["gst"] == [{"class": "GST", "device": "obu"}]
+    assert empty["sky"] == [{"class": "SKY", "device": "obu", "nSat": 0, "uSat": 0, "satellites": []}]
+    shared.newest.update(TPV={"class": "TPV", "mode": 3}, SKY=None)
+    assert ask(client, "?POLL;")[0]["tpv"] == [{"class": "TPV", "mode": 3}]
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,18 @@ def test_a_client_of_gpsd_receives_reports_after_its_watch() -> None:
         assert poll["sky"][0]["uSat"] == 8
 
 
+def test_a_request_that_only_a_pause_ends_is_answered() -> None:
+    with unit() as (_, process), connected(process.gpsd) as client, client.makefile() as lines:
+        assert json.loads(lines.readline())["class"] == "VERSION"
+        client.sendall(b"?DEVICES")
+        assert json.loads(lines.readline())["class"] == "DEVICES"
+        client.sendall(b'?WATCH={"enable":true}')
+        assert [json.loads(lines.readline())["class"] for _ in range(2)] == ["DEVICES", "WATCH"]
+        client.sendall(b"?POLL")  # nothing was streamed in between
+        poll = json.loads(lines.readline())
+        assert poll["class"] == "POLL" and len(poll["tpv"]) == len(poll["gst"]) == len(poll["sky"]) == 1
+
+
 def test_a_reader_of_nmea_receives_sentences_at_once_and_may_send_anything() -> None:
     with unit() as (bus, process), connected(process.nmea) as client:
         client.sendall(b"\x00\xff" * 5000)

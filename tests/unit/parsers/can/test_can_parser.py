@@ -244,7 +244,9 @@ def test_an_invalid_wheel_speed_is_omitted_and_the_others_are_published(dbc: Pat
     assert isinstance(speeds, WheelSpeeds)
     assert speeds.front_left_m_s is None
     assert speeds.front_right_m_s == pytest.approx(20 / 3.6)
-    assert not feed(process, line("0D4#E803D007", 1.0), 1.0)
+    (speeds,) = feed(process, line("0D4#E803D007", 1.0), 1.0)  # two of the four are whole in it
+    assert isinstance(speeds, WheelSpeeds)
+    assert speeds.front_right_m_s == pytest.approx(20 / 3.6) and speeds.rear_left_m_s is None
     assert process.rejects == {"wheel_speed": 1, "dbc_frame": 1}
 
 

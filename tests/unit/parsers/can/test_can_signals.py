@@ -26,8 +26,12 @@ BO_ 209 BODY: 8 ECU
  SG_ MUX M : 0|8@1+ (1,0) [0|3] "" ECU
  SG_ GEAR m1 : 8|8@1+ (1,0) [0|8] "" ECU
  SG_ ODO m2 : 8|32@1+ (0.1,0) [0|400000000] "km" ECU
+BO_ 211 MIXED: 8 ECU
+ SG_ TEMP : 7|16@0+ (0.01,0) [0|650] "degC" ECU
+ SG_ LOAD : 23|32@0- (1,0) [0|100] "" ECU
 BO_ 210 OTHER: 8 ECU
  SG_ SPEED : 0|16@1+ (0.01,0) [0|300] "mph" ECU
+SIG_VALTYPE_ 211 LOAD : 1;
 """
 
 
@@ -65,11 +69,107 @@ def test_named_signals_are_published_in_si(tmp_path: Path) -> None:
 
 def test_multiplexed_signals_are_published_when_they_come(tmp_path: Path) -> None:
     parser = process(tmp_path, gear="GEAR", odometer="ODO")
-    found = fed(parser, "0D1#0103000000000000", "0D1#02E80300000000", "0D1#02E8030000000000", "0D1#0900000000000000")
+    found = fed(parser, "0D1#0103000000000000", "0D1#02E80300", "0D1#02E8030000000000", "0D1#0900000000000000")
     assert values(found) == {"gear": (3.0, ""), "odometer": (pytest.approx(100_000.0), "m")}
     (kind,) = parser.kinds.table()
     assert (kind.kind, kind.use, kind.count) == ("CAN 0D1 BODY", MessageUse.USED, 4)
     assert kind.rejected == parser.rejects["dbc_frame"] == 2 and kind.reason == "dbc_frame"  # too short, unknown value
+
+
+@pytest.mark.parametrize(
+    ("frame", "wanted", "rejected"),
+    [
+        ("0D0#64009CFF", {"steering_angle", "yaw_rate"}, 1),  # the speed is behind its end
+        ("0D0#64009C", {"steering_angle"}, 1),
+        ("0D0#640000000000881300AA", {"steering_angle", "yaw_rate", "vehicle_speed"}, 0),
+        ("0D0#", set(), 1),
+        ("0D1#0103", {"gear"}, 0),  # the odometer is of another value of the multiplexer
+        ("0D1#02E8030000", {"odometer"}, 0),
+        ("0D1#02E80300", set(), 1),
+        ("0D1#", set(), 1),
+        ("0D3#40A0", {"temperature"}, 1),  # a big-endian signal in bytes 0 and 1, and a float in bytes 2 to 5
+        ("0D3#40A041200000", {"temperature", "load"}, 0),
+        ("0D3#40", set(), 1),
+    ],
+)
+def test_a_short_frame_gives_the_signals_that_are_whole_in_it(
+    frame: str, wanted: set[str], rejected: int, tmp_path: Path
+) -> None:
+    parser = process(tmp_path, steering_angle="STEER", yaw_rate="YAW", vehicle_speed="MOTION.SPEED", gear="GEAR",
+                     odometer="ODO", temperature="TEMP", load="LOAD")  # fmt: skip
+    frame = frame if len(frame) <= 20 else f"{frame[:3]}##0{frame[4:]}"
+    found = {"vehicle_speed" if isinstance(one, VehicleSpeed) else one.name for one in fed(parser, frame)
+             if isinstance(one, VehicleSpeed | VehicleSignal)}  # fmt: skip
+    assert found == wanted and parser.rejects.total() == parser.rejects["dbc_frame"] == rejected
+
+
+J1939 = """VERSION ""
+BU_: ECU
+BO_ 2566832126 EBC2: 8 ECU
+ SG_ SPEED : 0|16@1+ (0.00390625,0) [0|250.996] "km/h" ECU
+BO_ 2348810494 TSC1: 8 ECU
+ SG_ TORQUE : 24|8@1+ (1,-125) [-125|125] "%" ECU
+BO_ 2566834443 DIAG_0B: 8 ECU
+ SG_ LAMP : 0|8@1+ (1,0) [0|255] "" ECU
+BO_ 2566834686 DIAG: 8 ECU
+ SG_ CODE : 0|8@1+ (1,0) [0|255] "" ECU
+BO_ 2566837502 PLAIN: 8 ECU
+ SG_ LEVEL : 0|8@1+ (1,0) [0|255] "" ECU
+"""
+BY_DEFAULT = """BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+BA_ "VFrameFormat" BO_ 2566837502 1;
+"""
+BY_MESSAGE = """BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "ExtendedCAN";
+""" + "".join(f'BA_ "VFrameFormat" BO_ {n} 3;\n' for n in (2566832126, 2348810494, 2566834443, 2566834686))
+BY_NETWORK = """BA_DEF_ "ProtocolType" STRING ;
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "ProtocolType" "";
+BA_ "ProtocolType" "J1939";
+BA_ "VFrameFormat" BO_ 2566837502 1;
+"""
+
+
+def truck(tmp_path: Path, marks: str) -> Process:
+    path = tmp_path / "truck.dbc"
+    path.write_text(J1939 + marks)
+    names = {"vehicle_speed": "SPEED", "torque": "TORQUE", "lamp": "LAMP", "code": "CODE", "level": "LEVEL"}
+    return Process(Config.model_validate({"dbc_file": path, "signals": {k: {"signal": v} for k, v in names.items()}}))
+
+
+@pytest.mark.parametrize("marks", [BY_DEFAULT, BY_MESSAGE, BY_NETWORK])
+@pytest.mark.parametrize(
+    ("frame", "name", "source"),
+    [
+        ("18FEBF0B#0050FFFFFFFFFFFF", "vehicle_speed", "can0/0B/dbc"),
+        ("0CFEBFFE#0050FFFFFFFFFFFF", "vehicle_speed", "can0/dbc"),  # another priority
+        ("18FEBFFE#0050FFFFFFFFFFFF", "vehicle_speed", "can0/dbc"),
+        ("19FEBF0B#0050FFFFFFFFFFFF", None, None),  # another data page
+        ("1AFEBF0B#0050FFFFFFFFFFFF", None, None),  # extended data page
+        ("0C000017#FFFFFF8CFFFFFFFF", "torque", "can0/17"),  # to the engine, and below to the retarder
+        ("0C000F17#FFFFFF8CFFFFFFFF", "torque", "can0/17"),
+        ("18FEC90B#01FFFFFFFFFFFFFF", "lamp", "can0"),  # the sender has a message of its own
+        ("08FEC90B#01FFFFFFFFFFFFFF", "lamp", "can0"),
+        ("18FEC93E#01FFFFFFFFFFFFFF", "code", "can0/3E"),
+        ("18FED4FE#01FFFFFFFFFFFFFF", "level", "can0"),  # a plain identifier of 29 bits
+        ("18FED40B#01FFFFFFFFFFFFFF", None, None),
+    ],
+)
+def test_messages_of_j1939_are_found_by_their_parameter_group(
+    frame: str, name: str | None, source: str | None, marks: str, tmp_path: Path
+) -> None:
+    parser = truck(tmp_path, marks)
+    found = [("vehicle_speed" if isinstance(one, VehicleSpeed) else one.name, one.source)
+             for one in fed(parser, frame) if isinstance(one, VehicleSpeed | VehicleSignal)]  # fmt: skip
+    assert found == ([] if name is None else [(name, source)]) and not parser.rejects
+    assert parser.kinds.table()[0].use is (MessageUse.UNKNOWN if name is None else MessageUse.USED)
+
+
+def test_senders_of_one_group_are_decoded_apart(tmp_path: Path) -> None:
+    found = fed(truck(tmp_path, BY_DEFAULT), "18FEBF0B#0050FFFFFFFFFFFF", "18FEBF3E#0028FFFFFFFFFFFF", step_s=0.01)
+    speeds = {one.source: one.speed_m_s for one in found if isinstance(one, VehicleSpeed)}
+    assert speeds == {"can0/0B/dbc": pytest.approx(80 / 3.6), "can0/3E/dbc": pytest.approx(40 / 3.6)}
 
 
 def test_a_unit_or_a_scale_of_the_vehicle_file_overrides_the_file(tmp_path: Path) -> None:
@@ -133,6 +233,16 @@ def test_error_frames_are_told_behind_any_number_of_identifiers() -> None:
     fed(parser, *(f"{k:03X}#00" for k in range(200)), "20000080#00", step_s=0.001)
     table = {kind.kind: kind.count for kind in parser.kinds.table()}
     assert len(table) <= 64 and table["CAN error frame"] == 1 and table["others"] > 100
+
+
+@pytest.mark.parametrize("frame", ["0CFE6CEE#FFFFFFFFFFFF0032", "18FEF100#FF0032FFFFFFFFFF", "7E8#03410D32AAAAAAAA"])
+def test_what_is_used_is_listed_by_its_name_behind_any_number_of_identifiers(frame: str) -> None:
+    parser = Process(Config())
+    fed(parser, *(f"{k:03X}#00" for k in range(200)), "023#00", *[frame] * 20, "20000080#00", step_s=0.001)
+    table = {kind.kind: (kind.use, kind.count) for kind in parser.kinds.table()}
+    assert table[f"CAN {frame.split('#', maxsplit=1)[0]}"] == (MessageUse.USED, 20)
+    assert len(table) <= 64 and sum(count for _, count in table.values()) == 222
+    assert table["CAN 023"][1] == 2 and table["CAN error frame"] == (MessageUse.UNUSED, 1)
 
 
 def test_speeds_are_read_behind_any_number_of_identifiers() -> None:

@@ -48,10 +48,11 @@ def test_registers_of_the_data_sheet_give_volts_and_amperes() -> None:
 def test_the_loss_of_the_mains_is_an_event_with_its_time_and_the_share_left() -> None:
     run = Run()
     run.read(ina219(8.3, 0.2), 5)
-    state = run.read(ina219(7.8, -1.0), 3)
+    assert not run.read(ina219(7.8, -1.0), 3).on_battery
+    state = run.read(ina219(7.8, -1.0))
     assert state.on_battery and not state.low and state.since_ns == 1006 * S
     assert state.reason == "on battery, about 75% left"
-    run.read(ina219(8.0, 0.5))
+    run.read(ina219(8.0, 0.5), 4)
     assert [(event.on_battery, event.low) for event in run.events] == [(True, False), (False, False)]
 
 
@@ -63,11 +64,13 @@ def test_a_battery_that_runs_empty_is_low_after_ten_seconds_and_no_more_when_the
     assert not run.read(ina219(6.2, -1.0), 10).low
     state = run.read(ina219(6.2, -1.0))
     assert state.low and state.low_s == 10.0 and "nearly empty" in state.reason
+    assert run.read(ina219(6.4, 0.5), 10).low
     assert not run.read(ina219(6.4, 0.5)).low
-    assert [(event.on_battery, event.low) for event in run.events] == [(True, False), (True, True), (False, False)]
+    found = [(event.on_battery, event.low) for event in run.events]
+    assert found == [(True, False), (True, True), (False, True), (False, False)]
 
 
-def test_one_reading_above_the_threshold_begins_the_time_anew() -> None:
+def test_one_reading_above_the_threshold_restarts_the_time() -> None:
     run = Run()
     run.read(ina219(7.0, -1.0), 130)
     for _ in range(20):
@@ -76,13 +79,15 @@ def test_one_reading_above_the_threshold_begins_the_time_anew() -> None:
 
 
 LIES = {
-    "silence of the bus": (b"\xff\xff\xff\xff", "power_overflow"),
+    "silence of the bus": (b"\xff\xff\xff\xff", "power_silent"),
     "zeros": (bytes(4), "power_range"),
     "far too low": (ina219(2.0, -1.0), "power_range"),
     "far too high": (ina219(20.0, -1.0), "power_range"),
     "impossible current": (b"\x80\x00" + ina219(7.0, 0.0)[2:], "power_range"),
     "too short": (b"\x01\x02", "power_length"),
     "empty": (b"", "power_length"),
+    "of hostile size": (b"\x7f" * 1000, "power_length"),
+    "of the size of a batch": (bytes(100_000), "power_length"),
 }
 
 
@@ -127,6 +132,62 @@ def test_a_signal_without_a_voltage_is_low_after_a_minute_on_battery() -> None:
     assert state.low and state.charge_ratio is None and state.voltage_v is None
     run.read(b"unknown", 3)
     assert run.process.rejects == {"power_signal": 3}
+
+
+def test_the_overflow_bit_is_that_of_registers_that_are_not_read() -> None:
+    """SBOS448, bus voltage register: OVF says that the current and power calculations are out of range."""
+    data = ina219(7.0, -2.5)
+    state = Run().read(data[:3] + bytes([data[3] | 1]), 5)
+    assert (state.voltage_v, state.current_a) == pytest.approx((7.0, -2.5)) and state.on_battery
+
+
+def test_the_direction_of_the_current_is_a_setting() -> None:
+    run = Run(Config(discharging_sign="positive"))
+    assert run.read(ina219(8.3, -0.3), 130).on_battery is False
+    state = run.read(ina219(7.6, 1.0), 5)
+    assert state.on_battery and state.current_a == pytest.approx(-1.0)
+    assert run.read(ina219(6.9, 1.0), 5) and run.read(ina219(6.1, 1.0), 15).low
+
+
+def test_the_level_of_a_signal_is_a_setting() -> None:
+    run = Run(Config(mains_signal="0"), PowerProtocol.SIGNAL)
+    state = run.read(b"0\n", 130)
+    assert state.on_battery is False and not state.low
+    assert run.read(b"1\n", 70).low
+
+
+@pytest.mark.parametrize(
+    ("readings", "protocol"),
+    [
+        ((ina219(8.35, 0.03), ina219(8.35, -0.06)), PowerProtocol.INA219),
+        ((b"1\n", b"0\n"), PowerProtocol.SIGNAL),
+        ((b"0\n", b"0\n", b"1\n"), PowerProtocol.SIGNAL),
+    ],
+)
+def test_a_supply_that_swings_is_a_few_events(readings: tuple[bytes, ...], protocol: PowerProtocol) -> None:
+    run = Run(protocol=protocol)
+    for k in range(120):
+        run.read(readings[k % len(readings)])
+    assert len(run.events) <= 3
+
+
+@pytest.mark.parametrize("mains_s", [1, 2, 3])
+def test_moments_of_mains_do_not_hide_an_empty_battery(mains_s: int) -> None:
+    """Of nine seconds some are mains, which charge nothing; the voltage is higher in them."""
+    run = Run()
+    run.read(ina219(8.3, 0.3), 130)
+    lows = []
+    for volts in (7.6, 6.9, *[6.1] * 20):
+        run.read(ina219(volts, -1.0), 9 - mains_s)
+        lows.append(run.read(ina219(volts + 0.4, 0.5), mains_s).low)
+    assert not any(lows[:2]) and lows[15:] == [True] * 7
+    assert not run.read(ina219(6.6, 0.8), 11).low
+
+
+def test_moments_of_battery_on_mains_are_no_empty_battery() -> None:
+    run = Run(protocol=PowerProtocol.SIGNAL)
+    states = [run.read(b"0\n" if k % 9 in (0, 1) else b"1\n") for k in range(600)]
+    assert not any(state.low for state in states)
 
 
 def test_a_battery_without_a_span_is_a_wrong_configuration() -> None:

@@ -10,10 +10,13 @@ import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
 from shared.recording.channels import RAW_FORMATS
-from shared.recording.foxglove import quaternion_enu_from_flu
+from shared.recording.foxglove import Foxglove, quaternion_enu_from_flu
 from shared.topics import TOPICS
+from tests.support.bus.envelopes import sent
 from tests.support.drives.meridian import (
     BEGIN_NS,
     LATITUDE_DEG,
@@ -22,6 +25,7 @@ from tests.support.drives.meridian import (
     SECOND,
     messages,
     record,
+    solution,
 )
 
 
@@ -82,3 +86,19 @@ def test_the_recording_reader_omits_foxglove_messages(drive: Path) -> None:
 
 def test_the_channels_of_raw_bytes_name_their_content() -> None:
     assert set(RAW_FORMATS) == {topic.name for topic in TOPICS if topic.is_raw}
+
+
+def test_positions_are_stamped_in_utc_as_the_receiver_stated_it() -> None:
+    behind_ns, made = 3600 * SECOND, Foxglove()
+    fix = GnssFix(
+        sampled_ns=BEGIN_NS - behind_ns, received_ns=BEGIN_NS - behind_ns, source="gnss0", fix_type=FixType.THREE_D,
+        latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG, utc_ns=BEGIN_NS,
+    )  # fmt: skip
+    told: list[GnssFix | NavigationSolution] = [fix, solution(BEGIN_NS - behind_ns + SECOND)]
+    found = {
+        topic: json.loads(payload)["timestamp"]["sec"] * SECOND
+        for sequence, message in enumerate(told, 1)
+        for topic, payload in made.messages(sent(message, message.sampled_ns, "parsers.gnss", 1, sequence))
+    }
+    assert found["foxglove/gnss_fix"] == BEGIN_NS and found["foxglove/solution"] == BEGIN_NS + SECOND
+    assert found["foxglove/pose"] == found["foxglove/transform"] == BEGIN_NS - behind_ns + SECOND

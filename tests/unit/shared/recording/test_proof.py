@@ -9,6 +9,7 @@ import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -398,6 +399,51 @@ def test_a_recording_packed_anew_with_other_messages_is_edited(signed_file: Path
     assert proof.outcome is Outcome.EDITED and "messages between 2026-09-21 14:13:30 UTC" in proof.text
     changed = check(repacked(signed_file, path, lambda n, data: data + b" " if n == 2400 else data), key.ring)
     assert changed.outcome is Outcome.EDITED and "2026-09-21 14:13:40 UTC and" in changed.text
+
+
+def redescribed(path: Path, to: Path, **changes: Any) -> Path:
+    """Write a recording anew with other descriptions: `schema`, `channel` change one, `twice` adds one of a topic."""
+    with path.open("rb") as source, to.open("wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start(library="another tool")
+        for _ in range(changes.get("unused", 0)):  # other numbers than those of the unit
+            writer.register_schema("unused", "jsonschema", b"{}")
+        for one in reader.iter_metadata():
+            writer.add_metadata(one.name, one.metadata)
+        for file in reader.iter_attachments():
+            writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, file.data)
+        numbers: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            if channel.id not in numbers:
+                name, encoding, data = changes.get("schema", lambda *one: one)(
+                    schema.name, schema.encoding, schema.data
+                )
+                topic, metadata = channel.topic, changes.get("metadata", channel.metadata)
+                made = writer.register_schema(name, encoding, data)
+                numbers[channel.id] = writer.register_channel(topic, channel.message_encoding, made, metadata)
+            writer.add_message(numbers[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return to
+
+
+@pytest.mark.parametrize(
+    ("changes", "outcome", "said"),
+    [
+        ({}, Outcome.REWRITTEN, "are those that were signed; verify the original"),
+        ({"unused": 3}, Outcome.REWRITTEN, "are those that were signed; verify the original"),
+        ({"schema": lambda n, e, d: (n, e, d + b" ")}, Outcome.EDITED, "schemas or channels are not those"),
+        ({"schema": lambda n, e, d: (n, e, d.replace(b"_m_s", b"_km_h"))}, Outcome.EDITED, "are not those"),
+        ({"schema": lambda n, e, d: (f"other.{n}", e, d)}, Outcome.EDITED, "schemas or channels are not those"),
+        ({"schema": lambda n, e, d: (n, "protobuf", d)}, Outcome.EDITED, "schemas or channels are not those"),
+        ({"metadata": {"data": "base64 of something else"}}, Outcome.EDITED, "schemas or channels are not those"),
+    ],
+)
+def test_a_recording_packed_anew_with_other_schemas_is_edited(
+    changes: dict[str, Any], outcome: Outcome, said: str, signed_file: Path, key: KeyFile, tmp_path: Path
+) -> None:
+    proof = check(redescribed(signed_file, tmp_path / "b.mcap", **changes), key.ring)
+    assert proof.outcome is outcome and said in proof.text
 
 
 def test_a_recording_without_seals_is_unsigned(tmp_path: Path, key: KeyFile) -> None:

@@ -108,7 +108,19 @@ def test_rows_of_an_unlisted_quality_are_omitted() -> None:
 def test_rows_with_an_invalid_position_are_omitted() -> None:
     row = ",-27000000,250000,0,0,0,0.01,0.02,0.03,1,17"
     found = converted(GNSS, f"{HEADER}0,494000000{row}\n1,944000000{row}")
-    assert found.rejects == {"invalid position": 1}
+    assert found.rejects == {"invalid position (latitude)": 1}
+
+
+def test_longitudes_from_0_to_360_are_those_from_minus_180_to_180() -> None:
+    columns = ",-27000000,250000,0,0,0,0.01,0.02,0.03,1,17"
+    told = [0, 10, 179.9, 180, 180.1, 359.999, 360, -0.001, -180, 361, -181]
+    rows = "\n".join(
+        f"{k},494000000,{round(east * 1e7)}{columns.partition(',-27000000')[2]}" for k, east in enumerate(told)
+    )
+    found = converted(GNSS, f"{HEADER}{rows}")
+    longitudes = [fix.longitude_deg for fix in found.messages if isinstance(fix, GnssFix)]
+    assert longitudes == pytest.approx([0, 10, 179.9, 180, -179.9, -0.001, 0, -0.001, -180])
+    assert found.rejects == {"invalid position (longitude)": 2}
 
 
 REPEATED = """

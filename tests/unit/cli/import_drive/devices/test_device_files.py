@@ -132,6 +132,49 @@ def test_an_asc_log_has_the_frames_of_its_lines(tmp_path: Path) -> None:
     assert found.portions[-1].time_ns - found.portions[0].time_ns == 150_000_000
 
 
+def asc_log(head: str, *, decimal: bool = False, relative: bool = False, start_s: float = 0.0) -> str:
+    """Twelve frames at 10 Hz, with a line that is no frame 40 ms behind the sixth."""
+    frame = "1  2024  Rx   d 8 3 65 13 {} 0 0 0 0" if decimal else "1  7E8  Rx   d 8 03 41 0D {:02X} 00 00 00 00"
+    events = [(start_s + k / 10, frame.format(k)) for k in range(12)]
+    events.insert(6, (start_s + 0.54, "1  Statistic: D 10 R 0 XD 0 XR 0 E 0 O 0 B 1.0%"))
+    before = [0.0, *(at for at, _ in events)]
+    shown = [(at - before[k] if relative else at, rest) for k, (at, rest) in enumerate(events)]
+    return head + "".join(f"{at:11.6f} {rest}\n" for at, rest in shown) + "End TriggerBlock\n"
+
+
+TRIGGER = "Begin Triggerblock Mon Sep 21 10:20:00 2026\n   0.000000 Start of measurement\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        asc_log("base hex  timestamps absolute\ninternal events logged\n" + TRIGGER),
+        asc_log("base hex  timestamps relative\ninternal events logged\n" + TRIGGER, relative=True),
+        asc_log("  Base Dec  Timestamps Relative\n" + TRIGGER, relative=True, decimal=True),
+        asc_log("date Mon Sep 21 2026\nbase hex  no internal events logged\n// version 7.1.0\n", start_s=37_200.0),
+        asc_log("base dec timestamps absolute\n", decimal=True),
+        asc_log("base hex timestamps absolute\ninternal events logged\n").replace(".", ","),
+    ],
+)
+def test_frames_of_an_asc_log_are_as_far_apart_as_they_were(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.asc").write_text(text)
+    assert kind_of(tmp_path / "a.asc") == Form(FileKind.CAN, asc=True)
+    lines = b"".join(portion.data for portion in read_asc(tmp_path / "a.asc").portions).decode().splitlines()
+    times_s = [float(line[1 : line.index(")")]) for line in lines]
+    assert [round(at - times_s[0], 3) for at in times_s] == [k / 10 for k in range(12)]
+    assert [line.split("#")[1] for line in lines] == [f"03410D{k:02X}00000000" for k in range(12)]
+
+
+@pytest.mark.parametrize("differences_s", [[0.1] * 30, [0.05, 0.15] * 15])
+def test_differences_of_candump_are_added_up(differences_s: list[float]) -> None:
+    shown = [f" ({step:010.6f})  can0  7E8   [2]  03 {k:02X}" for k, step in enumerate([0.0, *differences_s])]
+    found = read_candump(shown)
+    assert found.portions[-1].time_ns - WITHOUT_DATE_NS == round(sum(differences_s) * NS)
+    assert "times since the frame before" in found.notes[0] and found.rows == 31
+    since_start = read_candump([f" ({k / 10:010.6f})  can0  7E8   [2]  03 00" for k in range(31)])
+    assert not since_start.notes and since_start.portions[-1].time_ns - WITHOUT_DATE_NS == 3 * NS
+
+
 def test_a_log_without_stamps_says_so_and_lines_that_are_none_are_counted() -> None:
     found = read_candump(["can0  7E8   [8]  03 41 0D 32 00 00 00 00", "hello", ""])
     assert found.rejects["line"] == 1 and found.rows == 2 and "no time stamps" in found.notes[0]

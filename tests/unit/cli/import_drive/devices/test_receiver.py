@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import reduce
 from operator import xor
 
@@ -144,6 +144,82 @@ def test_times_of_week_without_a_date_are_times_of_day(message: Callable[[int], 
     week_end = b"".join(ubx(1, 4, struct.pack("<I", at).ljust(18, b"\0")) for at in (last_ms, last_ms + 250, 0, 250))
     stamps = [portion.time_ns for portion in read_receiver([week_end]).portions]
     assert [later - stamps[0] for later in stamps] == [0, 250_000_000, 500_000_000, 750_000_000]
+
+
+def epoch(second: int, *, valid: bool = True, day: str = "040524", start_s: int = 43_200, ahead_s: int = 0) -> bytes:
+    """RMC and GGA of a second, by a clock that may be ahead."""
+    hours, rest = divmod((start_s + second + ahead_s) % 86_400, 3600)
+    clock, place = f"{hours:02d}{rest // 60:02d}{rest % 60:02d}.00", f"4807.0,N,011{second:02d}.0,E"
+    if not valid:
+        return sentence(f"GNRMC,{clock},V,,,,,,,{day},,,N") + sentence(f"GNGGA,{clock},,,,,0,00,99.99,,,,,,")
+    return sentence(f"GNRMC,{clock},A,{place},0.0,0.0,{day},,,A") + sentence(
+        f"GNGGA,{clock},{place},1,08,0.9,500.0,M,46.0,M,,"
+    )
+
+
+@pytest.mark.parametrize(("day", "start_s"), [("", 43_200), ("060180", 43_200), ("060180", 86_387), ("220826", 3600)])
+def test_dates_and_times_without_a_fix_are_arbitrary(day: str, start_s: int) -> None:
+    """NMEA 0183, RMC: its fields are valid with the status A alone."""
+    cold = b"".join(epoch(k, valid=False, day=day, start_s=start_s) for k in range(8))
+    found = read_receiver([cold + b"".join(epoch(k) for k in range(8, 30))])
+    assert times(found) == [float(k) for k in range(30)] and not found.rejects
+
+
+def test_a_receiver_that_starts_again_does_not_move_the_clock() -> None:
+    before = b"".join(epoch(k) for k in range(10))
+    cold = b"".join(epoch(k, valid=False, day="060180", start_s=0) for k in range(5))
+    found = read_receiver([before + cold + b"".join(epoch(k) for k in range(15, 30))])
+    assert times(found) == [float(k) for k in range(30)] and not found.rejects
+    found = read_receiver([before + cold])
+    assert times(found) == [float(k) for k in range(15)]
+
+
+def test_zda_is_as_valid_as_the_sentences_around_it() -> None:
+    zda = [sentence(f"GNZDA,2359{k:02d}.00,06,01,1980,00,00") for k in range(4)]
+    cold = b"".join(epoch(k, valid=False, start_s=86_340) + zda[k] for k in range(4))
+    found = read_receiver([cold + b"".join(epoch(k) for k in range(4, 20))])
+    assert times(found) == [float(k) for k in range(20)]
+
+
+def test_without_any_fix_the_time_of_day_is_kept_without_a_date() -> None:
+    found = read_receiver([b"".join(epoch(k, valid=False, day="060180") for k in range(5))])
+    assert found.clock is ClockKind.DAY and len(found.portions) == 5
+
+
+def test_times_of_week_before_the_first_fix_are_arbitrary() -> None:
+    cold = b"".join(
+        ubx(1, 7, struct.pack("<IHBBBBBBIi", 1000 * k, 2015, 1, 1, 0, 0, 0, 0, 0, 0).ljust(92, b"\0")) for k in range(5)
+    )
+    assert times(read_receiver([cold + b"".join(pvt(k) for k in range(5, 20))])) == [float(k) for k in range(20)]
+
+
+@pytest.mark.parametrize("step_s", [1, 2, 3, 5, 17, 18])
+def test_epochs_before_a_step_of_utc_are_as_far_apart_as_they_were(step_s: int) -> None:
+    ahead = b"".join(epoch(k, ahead_s=step_s) for k in range(25))
+    found = read_receiver([ahead + b"".join(epoch(k) for k in range(25, 60))])
+    assert times(found) == [float(k) for k in range(60)] and not found.rejects
+
+
+@pytest.mark.parametrize("step_s", [-18, -2, -1, 1, 2, 16])
+def test_a_step_of_utc_against_the_time_of_week_is_known_in_both_directions(step_s: int) -> None:
+    def off(k: int) -> bytes:
+        when = NOON + timedelta(seconds=k + step_s)
+        payload = struct.pack("<IHBBBBBBIi", TOW_MS + k * 1000, *when.timetuple()[:6], 3, 0, 0)
+        return ubx(1, 7, payload.ljust(92, b"\0"))
+
+    found = read_receiver([b"".join(off(k) for k in range(25)) + b"".join(pvt(k) for k in range(25, 60))])
+    assert times(found) == [float(k) for k in range(60)] and not found.rejects
+
+
+def test_repeated_sentences_and_pauses_are_no_steps() -> None:
+    twice = b"".join(epoch(k) + epoch(k) for k in range(20))
+    assert times(read_receiver([twice])) == [float(k) for k in range(20)]
+    once = b"".join(epoch(k) * (2 if k == 7 else 1) for k in range(20))
+    assert times(read_receiver([once])) == [float(k) for k in range(20)]
+    pause = b"".join(epoch(k) for k in (*range(10), *range(30, 40)))
+    assert times(read_receiver([pause])) == [float(k) for k in (*range(10), *range(30, 40))]
+    wrong = b"".join(epoch(k if k != 12 else 5) for k in range(20))
+    assert times(read_receiver([wrong]))[-1] == 19.0
 
 
 def test_one_wrong_time_costs_itself_and_a_clock_that_is_set_costs_what_was_before() -> None:

@@ -129,6 +129,12 @@ def test_a_recorded_receivers_measurements_are_what_pyubx2_reads(folder: str, na
         ]
 
 
+def test_glonass_satellites_have_their_frequency_number() -> None:
+    """RXM-RAWX: freqId is the frequency number + 7, and of GLONASS alone."""
+    found = decode(*(changed(system=6, channel=k) for k in (0, 7, 13, 14, 255)), changed(system=0, channel=5))
+    assert [one.glonass_frequency_number for one in found] == [-7, 0, 6, None, None, None]
+
+
 def test_signals_have_the_observation_codes_of_rinex() -> None:
     first, second, third, unknown = decode(
         GOOD, changed(signal=3), changed(system=2, signal=1), changed(system=4, signal=9)
