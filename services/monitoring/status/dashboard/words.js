@@ -20,6 +20,11 @@ export const words = {
   copy: "Copy",
   copied: "Copied",
   copyReport: "Copy report",
+  failed: {
+    title: "This part of the page cannot be shown",
+    why: "Its program has failed. The other pages work, and the unit has been told what went wrong.",
+    reload: "Reload",
+  },
 
   origin: {
     live: ["LIVE", (o) => o.name, "Data of a real vehicle"],

@@ -21,7 +21,7 @@ const sinceText = (ns) => {
   const age = ns == null || nowMs() === null ? null : (nowMs() - ns / 1e6) / 1000;
   return age === null ? words.age.bar : w.at(timeOfDay(ns / 1e6), duration(Math.max(0, age)));
 };
-const monitorsNow = () => Object.entries(state.value.trust.monitors).filter(([, m]) => m);
+const monitorsNow = () => Object.entries(state.value.trust.monitors);
 
 // One outcome: an old verdict holds for no monitor any more.
 function outcomeOf(shown) {
@@ -56,7 +56,7 @@ function TestsTable({ tests, label }) {
 }
 
 function Monitor({ name, shown, open, onToggle }) {
-  const tests = Object.entries(shown.tests).filter(([, t]) => t);
+  const tests = Object.entries(shown.tests);
   const c = w.columns;
   const facts = [[c.falseAlarm, chance(shown.false_alarm_rate)], [c.window, shown.window_s == null ? words.age.bar : duration(shown.window_s)], [c.since, sinceText(shown.since_ns)], [c.suspect, monitorsStand() ? sinceText(shown.suspect_since_ns) : words.age.bar]];
   return html`<tr class=${monitorsStand() ? "" : "old"}>
