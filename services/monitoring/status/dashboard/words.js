@@ -351,6 +351,8 @@ export const words = {
       evidence: "spoofing and jamming flags, C/N0, AGC, clock of the receiver",
       gyroscope: "yaw rate of the gyroscope against wheels, GNSS course and headings",
       drift: "sums of GNSS innovations over 30 to 300 s",
+      coherent_scale: "common scale of GNSS and odometer against the inertial sensors, in bends",
+      hypotheses: "solutions that leave out one source, compared with each other",
     },
     eventsTitle: "Changes of the verdict",
     eventsNote: "newest first",

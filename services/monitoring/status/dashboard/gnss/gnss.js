@@ -13,7 +13,7 @@ const SPAN_S = 900;
 const STRONG_DB_HZ = 45;
 const WEAK_DB_HZ = 30;
 const FULL_DB_HZ = 60;
-const ORDER = ["gps", "galileo", "glonass", "beidou", "qzss", "sbas", "navic", "unknown"];
+const ORDER = Object.keys(w.constellation);
 const OUTCOME = { pass: "safe", accuses: "unsafe", not_evaluated: "off" };
 const FLAG = { unknown: "off", none: "safe", indicated: "caution", severe: "unsafe" };
 const TOPICS = ["gnss/raw", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/signal_quality"];
@@ -247,7 +247,7 @@ function InterferenceCard({ receiver }) {
 
 const worst = (paths) => ["severe", "indicated", "none", "unknown"].find((name) => paths.some((p) => p.jamming === name)) ?? "unknown";
 
-const PORT_STATE = { working: "safe", searching: "unknown", absent: "unsafe", silent: "unsafe", noise: "unsafe", other: "caution" };
+const PORT_STATE = { working: "safe", searching: "starting", absent: "unsafe", silent: "unsafe", noise: "unsafe", other: "caution" };
 
 function ReceiverCard({ receiver, kinds }) {
   const c = receiver.configuration;
