@@ -11,6 +11,7 @@ const LOST_BAR_AFTER_S = 3;
 const TRY_AGAIN_MS = 2000;
 const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
 const WATCHED = ["now", "map", "gnss", "trust"];
+const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings" }; // after the key g
 const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map/map.js").then((m) => m.MapPage),
@@ -256,21 +257,13 @@ function useKeys(open) {
       const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
       if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
       const key = event.key;
-      if (before === "g" && key === "n") go("#/now");
-      else if (before === "g" && key === "m") go("#/map");
-      else if (before === "g" && key === "t") go("#/trust");
-      else if (before === "g" && key === "g") go("#/gnss");
-      else if (before === "g" && key === "c") go("#/charts");
-      else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
-      else if (before === "g" && key === "s") go("#/system");
-      else if (before === "g" && key === "r") go("#/recordings");
+      if (before === "g" && pagesHere().includes(GO[key])) go(`#/${GO[key]}`);
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");
       else if (key === "p") togglePause();
-      else if (key === "/") {
+      else if (key === "/" && pagesHere().includes("system")) {
         event.preventDefault();
-        go("#/system");
-        setTimeout(() => document.getElementById("find")?.focus(), 150);
+        go("#/system?find="); // the page itself takes the focus, once it is there
       }
       before = key;
     };

@@ -173,7 +173,7 @@ export const words = {
     off: "NOT EVALUATED",
     info: "INFO",
   },
-  check: { safe: "passes", caution: "caution", unsafe: "suspects", above_limit: "above the limit", stale: "no data", off: "not evaluated" },
+  check: { safe: "passes", caution: "caution", unsafe: "suspects", above_limit: "above the limit", stale: "no data", initialising: "not complete", off: "not evaluated" },
   banner: {
     label: "Can the position be trusted?",
     why: "Why?",
