@@ -22,7 +22,7 @@ export const words = {
   copyReport: "Copy report",
   failed: {
     title: "This part of the page cannot be shown",
-    why: "Its program has failed. The other pages work, and the unit has been told what went wrong.",
+    why: "Its program has failed; everything else on these pages goes on.",
     reload: "Reload",
   },
 
