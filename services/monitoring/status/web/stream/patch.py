@@ -49,19 +49,16 @@ def _changes(old: Json, new: Json, at: KeyPath, removed: list[KeyPath]) -> dict[
         if isinstance(value, Mapping) and isinstance(before, Mapping):
             if inner := _changes(cast(Json, before), cast(Json, value), (*at, key), removed):
                 changes[key] = inner
-        elif key not in old or not _same(before, value):
+        elif value != before or key not in old or not _alike(before, value):
             changes[key] = value
     return changes
 
 
-def _same(one: object, other: object) -> bool:
-    """Whether two values are the same as JSON, where True is not 1."""
-    if one != other:
-        return False
-    match one, other:
-        case ((list() | tuple()), (list() | tuple())):
-            return all(map(_same, one, other))
-        case Mapping(), Mapping():
-            return all(_same(value, other[key]) for key, value in one.items())
-        case _:
-            return isinstance(one, bool) == isinstance(other, bool)
+def _alike(one: object, other: object) -> bool:
+    """Whether two equal values are the same as JSON, where True is not 1."""
+    kind = type(one)
+    if kind is list or kind is tuple:
+        return all(map(_alike, cast("list[object]", one), cast("list[object]", other)))
+    if kind is dict:
+        return all(_alike(value, cast(Json, other)[key]) for key, value in cast(Json, one).items())
+    return (kind is bool) is (type(other) is bool)
