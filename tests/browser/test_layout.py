@@ -92,12 +92,14 @@ def test_drawers_fit_the_screen_of_a_phone(server: Running, open_page: Callable[
         nothing_is(page, OFF_SCREEN)
 
 
-def test_names_of_lanes_stand_beside_the_lines(plaza: Running, open_page: Callable[..., Page]) -> None:
+def test_names_of_lanes_stand_beside_lines_and_vehicles(plaza: Running, open_page: Callable[..., Page]) -> None:
     page = open_page(plaza.address, path="toll")
     expect(page.locator(".plaza text").first).to_be_visible()
     names, lines = boxes_of(page, ".plaza text"), boxes_of(page, ".plaza line")
     assert len(names) == 6 and len(lines) == 6
     assert not [(name, line) for name in names for line in lines if overlap(name, line)]
+    order = page.locator(".plaza > *").evaluate_all("(parts) => parts.map((part) => part.tagName)")
+    assert order[-7:] == ["rect", *["text"] * 6], "the names stand on a ground of their own, above the vehicles"
 
 
 def test_an_account_that_is_not_closed_has_no_mark_of_agreement(plaza: Running, open_page: Callable[..., Page]) -> None:

@@ -289,7 +289,7 @@ function App() {
       (component) => (loaded[page] = component),
       (error) => {
         // What cannot be fetched is tried again; a program that fails is an error of its page.
-        if (/fetch|import/i.test(error.message)) again = setTimeout(() => setTries((n) => n + 1), TRY_AGAIN_MS);
+        if (error instanceof TypeError && /fetch|import/i.test(error.message)) again = setTimeout(() => setTries((n) => n + 1), TRY_AGAIN_MS);
         else loaded[page] = () => { throw error; };
       },
     ).then(() => redraw((n) => n + 1));

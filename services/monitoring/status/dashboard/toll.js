@@ -6,7 +6,7 @@ import { words } from "./words.js";
 
 const w = words.tollPage;
 const PATH_S = 10;
-const NAME_M = 14; // from a gate to the names of its lanes, on the side from which vehicles come
+const LETTER_M = 8; // of the names of lanes in their margin
 const STATE_ICON = { open: "info", crossed: "info", charged: "safe", held: "caution", undecided: "caution", unregistered: "off", suspect: "unsafe", void: "off", missed: "unsafe" };
 const OUTCOMES = ["charged", "held", "undecided", "unregistered", "suspect", "void", "missed"];
 // What the passage is, in a word; a charge that was reversed is none any more.
@@ -61,8 +61,9 @@ function Picture({ t }) {
   const gate = turn(t.plaza.lanes[0].gate[0])[0];
   const [left, right] = [Math.max(Math.min(...points.map((p) => p[0])), gate - 220), Math.min(Math.max(...points.map((p) => p[0])), gate + 220)];
   const [top, bottom] = [Math.min(...points.map((p) => p[1])), Math.max(...points.map((p) => p[1]))];
+  const margin = LETTER_M * (1 + Math.min(12, Math.max(...t.plaza.lanes.map((lane) => lane.lane.length))));
   const across = 5; // lanes are drawn wider than long, to tell them apart
-  const box = [left, (top - 6) * across, right - left, (bottom - top + 12) * across];
+  const box = [left - margin, (top - 6) * across, right - left + margin, (bottom - top + 12) * across];
   const line = (ends, kind) => {
     const [[x1, y1], [x2, y2]] = ends.map(turn);
     return html`<line class=${kind} x1=${x1} y1=${y1 * across} x2=${x2} y2=${y2 * across} />`;
@@ -72,13 +73,13 @@ function Picture({ t }) {
   return html`<svg class="plaza ${stale ? "old" : ""}" viewBox=${box.join(" ")} role="img" aria-label=${w.picture(t.plaza.name, t.tracks.length)}>
     ${t.plaza.lanes.map((lane) => html`<polyline class="lane" style=${{ strokeWidth: lane.width_m * across }} points=${lane.centre.map(turn).map(([x, y]) => `${x},${y * across}`).join(" ")} />`)}
     ${directions.map((lane) => html`${line(lane.approach, "approach")}${line(lane.gate, "gate")}${line(lane.exit, "exit")}`)}
+    ${t.tracks.map((v) => html`<${Vehicle} key=${v.track} v=${v} turn=${turn} angle=${angle} across=${across} />`)}
+    <rect class="margin" x=${box[0]} y=${box[1]} width=${margin} height=${box[3]} />
     ${t.plaza.lanes.map((lane) => {
-      const x = turn(lane.gate[0])[0] + NAME_M * Math.sign(turn(lane.approach[0])[0] - turn(lane.gate[0])[0]);
       const along = lane.centre.map(turn);
       const middle = along.reduce((sum, p) => sum + p[1], 0) / along.length;
-      return html`<text x=${x} y=${middle * across} dy="5" class=${t.gates[lane.lane]?.open ? "open" : ""}>${lane.lane}</text>`;
+      return html`<text x=${left - margin / 2} y=${middle * across} dy="5" class=${t.gates[lane.lane]?.open ? "open" : ""}>${lane.lane}</text>`;
     })}
-    ${t.tracks.map((v) => html`<${Vehicle} key=${v.track} v=${v} turn=${turn} angle=${angle} across=${across} />`)}
   </svg>`;
 }
 
