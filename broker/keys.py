@@ -33,7 +33,7 @@ RULES = "rules"  # in the state folder, where no other place is given: the broke
 READER_NAME = re.compile(r"[a-z][a-z0-9_-]{0,47}")
 RESERVED = (REPLAY, OBSERVER, ADDRESS)  # names that mean something else
 CONTAINER_GROUP, CONTAINER_EVIDENCE_GROUP = 10_001, 10_002
-CONTAINER_USERS = {row.name: 10_100 + number for number, row in enumerate(PROCESSES)}
+CONTAINER_USERS = {row.name: row.container_user for row in PROCESSES if row.container_user is not None}
 CONTAINER_BROKER = 1883  # user of the image eclipse-mosquitto
 
 

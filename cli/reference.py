@@ -218,9 +218,10 @@ def api_page(description: Json) -> str:
         parts.append(f"\n## {tag.capitalize()}\n\n{about}.\n\n{table(('route', 'answer', 'types'), rows)}\n")
     parts.append(
         "\n## WebSocket\n\n`/ws` sends a snapshot (`kind: snapshot`), then five times a second what changed "
-        "(`kind: difference`): objects merge into the state, everything else replaces it, and what is gone becomes "
-        "null. `sequence` counts by one; who misses one connects again. `/ws?packed=1` sends the same as binary "
-        "messages in zlib's format, each complete in itself.\n"
+        "(`kind: difference`): objects in `state` merge into what was sent before, everything else replaces it, and "
+        "`removed` lists the keys to delete, each as the path to it; a key that holds null stays. `sequence` counts "
+        "by one; who misses one connects again. `/ws?packed=1` sends the same as binary messages in zlib's format, "
+        "each complete in itself.\n"
     )
     return "".join(parts)
 

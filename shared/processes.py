@@ -53,6 +53,9 @@ class ProcessRow:
     passes_on: tuple[str, ...] = ()  # of what it produces: data of another device that came through its own
     on_request: tuple[str, ...] = ()
     pause_s: float = 0.0  # of a process of layers 2 to 4 whose output does not depend on such a delay
+    container_user: int | None = (
+        None  # owns the files of its container: never that of another process, also a former one
+    )
 
     @property
     def layer(self) -> int:
@@ -68,36 +71,43 @@ class ProcessRow:
 PROCESSES = (
     ProcessRow(
         "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes the commands to it",
+        container_user=10_100,
         consumes=("gnss/write", "gnss/correction"),
         produces=("gnss/raw", "host/clock", "origin/state", "device/state"),
         roles=BOTH,
     ),
     ProcessRow(
         "sensors.imu", Kind.DEVICE_DRIVER, "reads the inertial measurement unit",
+        container_user=10_101,
         produces=("imu/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
         "sensors.can", Kind.DEVICE_DRIVER, "reads the vehicle's CAN bus and asks for OBD-II speed",
+        container_user=10_102,
         produces=("can/raw", "origin/state", "device/state"),
     ),
     ProcessRow(
         "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
+        container_user=10_103,
         consumes=("v2x/send",),
         produces=("v2x/raw",),
         roles=BOTH,
     ),
     ProcessRow(
         "sensors.corrections", Kind.DEVICE_DRIVER, "receives GNSS corrections over NTRIP, TCP, MQTT or a serial port",
+        container_user=10_104,
         consumes=("gnss/fix", "trust/state", "corrections/state"),
         produces=("corrections/raw", "corrections/sources"),
     ),
     ProcessRow(
         "sensors.power", Kind.DEVICE_DRIVER, "reads the power supply, and switches the host off where that is wanted",
+        container_user=10_105,
         consumes=("mode/state",),
         produces=("power/raw",),
     ),
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
+        container_user=10_106,
         consumes=("gnss/write", "simulation/attack"),
         produces=(
             "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "host/clock", "origin/state", "truth/state",
@@ -106,18 +116,21 @@ PROCESSES = (
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
+        container_user=10_107,
         consumes=("toll/transaction",),
         produces=("gnss/raw", "origin/state", "toll/registration", "plaza/detector", "toll/receipt", "plaza/truth"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "sensors.replay", Kind.REPLAY, "publishes the messages of a recording in place of every process",
+        container_user=10_108,
         consumes=("replay/control",),
         produces=("replay/state", "replay/events", "origin/state"),
         roles=BOTH,
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
+        container_user=10_109,
         consumes=("gnss/raw", "gnss/configure", "gnss/reset", "device/state", "corrections/state"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits",
@@ -128,16 +141,19 @@ PROCESSES = (
     ),
     ProcessRow(
         "parsers.imu", Kind.STANDING, "turns Xbus bytes into inertial samples in body axes",
+        container_user=10_110,
         consumes=("imu/raw",),
         produces=("imu/sample",),
     ),
     ProcessRow(
         "parsers.can", Kind.STANDING, "turns CAN frames into vehicle and wheel speeds, and further signals",
+        container_user=10_111,
         consumes=("can/raw",),
         produces=("vehicle/speed", "vehicle/wheel_speed", "vehicle/signal"),
     ),
     ProcessRow(
         "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
+        container_user=10_112,
         consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
         produces=("v2x/cam", "v2x/send"),
         roles=BOTH,
@@ -145,16 +161,19 @@ PROCESSES = (
     ProcessRow(
         "parsers.corrections", Kind.OPTIONAL,
         "passes whole frames of corrections on to the receiver, from the best source that delivers",
+        container_user=10_113,
         consumes=("corrections/raw", "corrections/sources"),
         produces=("gnss/correction", "corrections/state"),
     ),
     ProcessRow(
         "parsers.power", Kind.OPTIONAL, "turns readings of the supply into volts and share of charge, and judges them",
+        container_user=10_114,
         consumes=("power/raw",),
         produces=("power/state", "power/event"),
     ),
     ProcessRow(
         "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
+        container_user=10_115,
         consumes=(
             "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
             "navigation/state", "mode/command", "power/state",
@@ -164,11 +183,13 @@ PROCESSES = (
     ),
     ProcessRow(
         "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
+        container_user=10_116,
         consumes=("navigation/solution", "trust/state", "gnss/fix"),
         produces=("v2x/own_cam",),
     ),
     ProcessRow(
         "core.fusion", Kind.STANDING, "estimates position, velocity and attitude with their covariance",
+        container_user=10_117,
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
             "navigation/filter_state", "trust/state", "gnss/fault_free_fix", "mode/state", "health/load",
@@ -181,12 +202,14 @@ PROCESSES = (
     ProcessRow(
         "core.motion_conflict", Kind.STANDING,
         "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
+        container_user=10_118,
         consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state"),
         produces=("trust/monitor", "trust/inertial_scale"),
         pause_s=0.1,
     ),
     ProcessRow(
         "core.spoofing", Kind.STANDING, "compares GNSS, inertial sensors and wheels over 5 s to 5 minutes",
+        container_user=10_119,
         consumes=(
             "imu/sample", "gnss/fix", "vehicle/speed", "vehicle/wheel_speed", "navigation/solution",
             "navigation/aiding", "navigation/filter_state", "trust/grade", "trust/state", "mode/state", "health/load",
@@ -196,16 +219,19 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
+        container_user=10_120,
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "mode/state"),
         produces=("trust/monitor", "gnss/fault_free_fix", "trust/hypotheses"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
+        container_user=10_121,
         consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock", "mode/state"),
         produces=("trust/monitor",),
     ),
     ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
+        container_user=10_122,
         consumes=(
             "trust/monitor", "trust/hypotheses", "navigation/solution", "navigation/state", "trust/state",
             "health/load",
@@ -214,12 +240,14 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
+        container_user=10_123,
         consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/restored_cam", "toll/delta"),
         produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate", "toll/used_cam"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
+        container_user=10_124,
         consumes=("toll/registration", "toll/passage", "toll/used_cam", "plaza/detector", "toll/receipt",
                   "origin/state"),
         produces=("toll/open_passages", "toll/restored_cam", "toll/transaction", "toll/review", "ledger/state"),
@@ -227,22 +255,27 @@ PROCESSES = (
     ),
     ProcessRow(
         "monitoring.recorder", Kind.STANDING, "writes every message to disk",
+        container_user=10_125,
         produces=("recording/state",), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
         "monitoring.health", Kind.STANDING, "compares every topic and process with its deadline",
+        container_user=10_126,
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
         "monitoring.outputs", Kind.OPTIONAL, "gives the position to other programs, as gpsd and NMEA 0183",
+        container_user=10_127,
         consumes=("gnss/fix", "gnss/satellites", "navigation/solution", "trust/state", "origin/state"),
     ),
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
+        container_user=10_128,
         produces=("simulation/attack", "replay/control", "mode/command"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
         "monitoring.uplink", Kind.OPTIONAL, "reports position, verdict and events to a control centre, each once",
+        container_user=10_129,
         consumes=(
             "gnss/fix", "host/clock", "navigation/solution", "trust/state", "trust/event", "outage/event",
             "toll/transaction", "origin/state",

@@ -27,6 +27,43 @@ PRIVATE_FOLDERS = ("monitoring-status", "monitoring-uplink")  # have a folder of
 DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 
 
+FIRST_USER = 10_100
+# Users of the containers of all versions, whose files are in the volumes of running units. A line is added with each
+# process, and none is changed: a former process keeps its number.
+USERS = {
+    "sensors.gnss": 10_100,
+    "sensors.imu": 10_101,
+    "sensors.can": 10_102,
+    "sensors.v2x": 10_103,
+    "sensors.corrections": 10_104,
+    "sensors.power": 10_105,
+    "sensors.simulator": 10_106,
+    "sensors.traffic": 10_107,
+    "sensors.replay": 10_108,
+    "parsers.gnss": 10_109,
+    "parsers.imu": 10_110,
+    "parsers.can": 10_111,
+    "parsers.v2x": 10_112,
+    "parsers.corrections": 10_113,
+    "parsers.power": 10_114,
+    "controller.mode": 10_115,
+    "controller.cam": 10_116,
+    "core.fusion": 10_117,
+    "core.motion_conflict": 10_118,
+    "core.spoofing": 10_119,
+    "core.cooperative": 10_120,
+    "core.evidence": 10_121,
+    "core.trust": 10_122,
+    "core.toll": 10_123,
+    "monitoring.ledger": 10_124,
+    "monitoring.recorder": 10_125,
+    "monitoring.health": 10_126,
+    "monitoring.outputs": 10_127,
+    "monitoring.status": 10_128,
+    "monitoring.uplink": 10_129,
+}
+
+
 class ComposeLoader(yaml.SafeLoader):
     """YAML with the tags of Compose."""
 
@@ -57,8 +94,29 @@ def entry(row: ProcessRow) -> str:
     """Write the container of a process as it stands in its Compose file."""
     anchor = "serial" if row in DEVICES else "hot-path" if row.name in hot_path() else "process"
     profiles = [f"    profiles: [{row.short}]"] if row.kind in ON_REQUEST else []
-    user = f'    user: "{CONTAINER_USERS[row.name]}:{CONTAINER_GROUP}"'
+    user = f'    user: "{CONTAINER_USERS.get(row.name, next_user())}:{CONTAINER_GROUP}"'
     return "\n".join([f"  {container(row)}:", f"    <<: *{anchor}", *profiles, f"    command: [run, {row.name}]", user])
+
+
+def next_user() -> int:
+    """The lowest number that no process has, or had in a release."""
+    return max((*USERS.values(), *CONTAINER_USERS.values(), FIRST_USER - 1)) + 1
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_the_user_of_a_container_stands_in_the_row_of_its_process_and_stays(row: ProcessRow) -> None:
+    wanted = USERS.get(row.name, row.container_user or next_user())
+    assert row.container_user == wanted, f"paste into the row of {row.name}:\n\n        container_user={wanted:_},\n"
+    assert row.name in USERS, f'paste into USERS of this test:\n\n    "{row.name}": {wanted:_},\n'
+
+
+def test_no_two_processes_have_the_same_user_of_a_container() -> None:
+    owners: dict[int, set[str]] = {}
+    for name, user in (*USERS.items(), *CONTAINER_USERS.items()):
+        owners.setdefault(user, set()).add(name)
+    shared = {user: sorted(names) for user, names in owners.items() if len(names) > 1}
+    hint = f"paste into the row of the newer one:\n\n        container_user={next_user():_},\n"
+    assert not shared, f"one process could read the files of another: {shared}; {hint}"
 
 
 @pytest.mark.parametrize("row", OBU, ids=lambda row: row.name)
@@ -179,7 +237,8 @@ def test_each_container_has_a_user_of_its_own(file: str) -> None:
     for name, service in services_of(file).items():
         command = cast("list[str]", service.get("command") or [])
         if command[:1] == ["run"]:
-            assert service["user"] == f"{CONTAINER_USERS[command[1]]}:{CONTAINER_GROUP}", name
+            user = f"{CONTAINER_USERS.get(command[1])}:{CONTAINER_GROUP}"
+            assert service.get("user") == user, f'paste into {name} of {file}:\n\n    user: "{user}"\n'
 
 
 def test_each_process_under_systemd_is_given_its_secret_and_a_user_of_its_own() -> None:

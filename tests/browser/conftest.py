@@ -5,9 +5,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, ViewportSize
+from playwright.sync_api import Browser, ConsoleMessage, Page, ViewportSize
 
-from tests.support.dashboard.chromium import chromium
+from tests.support.dashboard.chromium import chromium, uncaught
 from tests.support.dashboard.status_server import Running, status_server
 
 THEMES: dict[str, ViewportSize] = {
@@ -16,6 +16,8 @@ THEMES: dict[str, ViewportSize] = {
     "phone-dark": {"width": 390, "height": 844},
     "phone": {"width": 390, "height": 844},
 }
+# Tests that stop a server see refused connections; a test machine's own network may change at any time.
+EXPECTED = ("ERR_CONNECTION_REFUSED", "ERR_NETWORK_CHANGED", "WebSocket", "503 (Service Unavailable)")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -29,6 +31,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def browser() -> Iterator[Browser]:
     with chromium() as started:
         yield started
+
+
+@pytest.fixture(autouse=True)
+def no_page_fails() -> Iterator[list[str]]:
+    """Fail a test in which a page reported an error that its program did not catch; gives these errors."""
+    yield uncaught
+    found = list(uncaught)
+    uncaught.clear()
+    assert not found, "a page reported an error that its program did not catch"
 
 
 class Units(dict[str, Running]):
@@ -63,23 +74,26 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Units]:
 
 @pytest.fixture
 def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
-    """Open pages that record their errors and requests; the test fails on any error of a page."""
+    """Open pages of which the test fails on any error in the console."""
     contexts, errors = [], []
 
-    def opener(address: str, *, theme: str = "light", path: str = "", **options: object) -> Page:
+    def note(message: ConsoleMessage, expected: tuple[str, ...]) -> None:
+        if message.type == "error" and not any(part in message.text for part in expected):
+            errors.append(message.text)
+
+    def opener(
+        address: str, *, theme: str = "light", path: str = "", expected: tuple[str, ...] = (), **options: object
+    ) -> Page:
         scheme = "dark" if theme.endswith("dark") else "light"
         settings = {"viewport": THEMES[theme], "color_scheme": scheme, **options}
         context = browser.new_context(**settings)  # type: ignore[arg-type]  # the options are playwright's own
         contexts.append(context)
         page = context.new_page()
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.on("console", lambda message: note(message, (*EXPECTED, *expected)))
         page.goto(f"{address}/#/{path}")
         return page
 
     yield opener
     for context in contexts:
         context.close()
-    # Tests that stop a server see refused connections; a test machine's own network may change at any time.
-    expected = ("ERR_CONNECTION_REFUSED", "ERR_NETWORK_CHANGED", "WebSocket", "503 (Service Unavailable)")
-    assert not [text for text in errors if not any(part in text for part in expected)]
+    assert not errors

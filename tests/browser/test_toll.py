@@ -96,6 +96,7 @@ def test_held_reviewed_and_unconfirmed_charges_are_shown_in_words(
     expect(account.locator("tbody tr")).to_contain_text("not closed yet: 4")
     passages = page.locator(".passages-card")
     expect(passages.locator("tr", has_text="Charged")).to_contain_text("not confirmed by a detector")
+    expect(passages.locator("tr", has_text="Charged").locator(".state.info")).to_have_count(1)
     expect(passages.locator("tr", has_text="In review")).to_have_count(1)
     passages.locator("tr", has_text="Held").get_by_role("button").click()
     expect(page.get_by_role("dialog", name="Passage")).to_contain_text(

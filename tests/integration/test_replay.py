@@ -14,8 +14,8 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
-from services.monitoring.status.web.stream.patch import merge
 from shared.library.summary import SUFFIX
+from tests.support.dashboard.frames import followed
 from tests.support.dashboard.status_server import change, eventually
 from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
 from tests.support.patience import HANGS_S
@@ -129,7 +129,7 @@ def test_at_least_16_of_20_seeks_in_two_seconds_are_shown(address: str) -> None:
                     frame = json.loads(socket.recv(timeout=left))
                 except TimeoutError:
                     break
-                view = merge(view, frame["state"])
+                view = followed(view, frame)
                 solution = view["solution"]
                 assert isinstance(solution, dict)
                 shown.add(round((solution["sampled_ns"] - BEGIN_NS) / SECOND))

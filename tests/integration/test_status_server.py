@@ -23,7 +23,6 @@ from websockets.sync.client import ClientConnection, connect
 
 from services.monitoring.status.process import Config, Process
 from services.monitoring.status.web import answers
-from services.monitoring.status.web.stream.patch import merge
 from shared.errors import UserError
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import ModeCommand, OperatorCommand, Origin, OriginKind
@@ -32,6 +31,7 @@ from shared.recording.folder import RecordingFolder
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.fake_unit import FakeBus
+from tests.support.dashboard.frames import followed
 from tests.support.dashboard.status_server import Running, change, eventually, status_server
 from tests.support.patience import HANGS_S
 
@@ -202,12 +202,12 @@ def test_the_websocket_sends_a_snapshot_and_then_changes(server: Running) -> Non
         for _ in range(10):
             change = frame(first)
             assert (change["kind"], change["sequence"]) == ("difference", sequence + 1)
-            state, sequence = merge(state, change["state"]), sequence + 1
+            state, sequence = followed(state, change), sequence + 1
         with watch(server) as second:
             whole = frame(second)
             while sequence < whole["sequence"]:
                 change = frame(first)
-                state, sequence = merge(state, change["state"]), change["sequence"]
+                state, sequence = followed(state, change), change["sequence"]
     assert state == whole["state"], "all differences give the snapshot of a new client"
 
 
@@ -296,7 +296,7 @@ def test_the_page_of_the_api_loads_no_external_resources(server: Running) -> Non
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
         "/api/series", "/api/fields/{name}", "/api/gnss", "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
         "/api/hypotheses", "/api/command", "/api/alive", "/api/login", "/api/logout", "/api/session", "/api/tokens",
-        "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
+        "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report", "/api/page-error",
     }  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { clock, logOut, remember, renew, session, settings } from "./unit/store.js";
-import { Empty, Icon, duration, html } from "./unit/parts.js";
+import { Empty, Guard, Icon, duration, html } from "./unit/parts.js";
 import { link, may, start } from "./store.js";
 import { MapPage } from "./map.js";
 import { VehiclePage } from "./vehicle.js";
@@ -89,10 +89,10 @@ function App() {
     document.title = `${title} - ${session.value.tenant} - ${w.centre}`;
   }, [title]);
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${w.skip}</a>
-    <${Header} /><${LostBar} />
-    <div class="body"><${Navigation} page=${page} />
+    <${Guard}><${Header} /><${LostBar} /></${Guard}>
+    <div class="body"><${Guard}><${Navigation} page=${page} /></${Guard}>
       <main id="content"><h1 class="sr" ref=${heading} tabindex="-1">${title}</h1>
-        ${may(right) ? html`<${Page} key=${name} name=${name} />` : html`<${Empty} title=${w.forbidden} why=${w.forbiddenWhy(session.value.role)} />`}
+        <${Guard} key=${`${page} ${name}`}>${may(right) ? html`<${Page} key=${name} name=${name} />` : html`<${Empty} title=${w.forbidden} why=${w.forbiddenWhy(session.value.role)} />`}</${Guard}>
       </main></div>`;
 }
 
@@ -107,6 +107,6 @@ async function begin() {
   if (!who.role) return location.replace(`login${location.hash}`);
   start();
   root.replaceChildren();
-  render(html`<${App} />`, root);
+  render(html`<${Guard}><${App} /></${Guard}>`, root);
 }
 begin();

@@ -58,4 +58,5 @@ class Overload:
             what, remedy = "this computer is overloaded", "end other programs, lower the rates of the sensors"
         else:
             what, remedy = "this computer does not keep up", "check its disk, its temperature and its power supply"
-        return f"{what}: load {load:.1f} on {processors}, {' and '.join(delays)}; {remedy}, or use a faster one"
+        figures = ", ".join([f"load {load:.1f} on {processors}", *([" and ".join(delays)] if delays else [])])
+        return f"{what}: {figures}; {remedy}, or use a faster one"

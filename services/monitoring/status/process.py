@@ -32,6 +32,7 @@ from .web.access.peer import networks
 from .web.access.tokens import Tokens, tokens_folder
 from .web.command import CommandApi
 from .web.map.map import MapApi
+from .web.page_errors import PageErrorsApi, count
 from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
@@ -130,14 +131,14 @@ class Process:
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
         simulation, operator = SimulationApi(state, lock, now_ns), CommandApi(state, lock, now_ns)
-        replay = ReplayApi(feed, lock, bus.now_ns)
+        replay, errors = ReplayApi(feed, lock, bus.now_ns), PageErrorsApi()
         library, job = (
             Library(recordings_folder(bus)),
             Job((bus.state_dir / "jobs").resolve(), tokens_folder(bus.state_dir).resolve()),
         )
         allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
         recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
-        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings, operator))
+        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings, operator, errors))
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
@@ -160,6 +161,7 @@ class Process:
             for commands in (simulation.commands, replay.commands, operator.commands):
                 while not commands.empty():
                     bus.publish(commands.get_nowait())
+            count(errors, bus)
             if not thread.is_alive():
                 raise ObuError("the web server has ended; the line before says why")
         server.should_exit = True
@@ -174,7 +176,7 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
-        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi],
+        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi, PageErrorsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         clients = self._config.clients_maximum

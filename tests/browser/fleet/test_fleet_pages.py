@@ -313,3 +313,18 @@ def test_a_vehicle_that_does_not_answer_is_said_to_be_away(open_centre: Callable
     expect(banner.locator(".word")).to_have_text("NO CONNECTION")
     expect(banner).to_contain_text("The vehicle sends nothing")
     expect(page.get_by_text("Last report: CAUTION")).to_be_visible()
+
+
+def test_a_page_that_fails_says_so_and_the_others_go_on(
+    centre: RunningWeb, open_centre: Callable[..., Page], no_page_fails: list[str]
+) -> None:
+    page = open_centre("api/session", expected=("broken for a test",))
+    broken = "export function AlarmsPage() { throw new TypeError('broken for a test'); }"
+    page.route("**/alarms.js", lambda route: route.fulfill(body=broken, content_type="text/javascript"))
+    page.goto(f"{centre.address}/#/alarms")
+    expect(page.get_by_role("main").get_by_role("alert")).to_contain_text("This part of the page cannot be shown")
+    assert no_page_fails and all("broken for a test" in text for text in no_page_fails)
+    no_page_fails.clear()
+    page.get_by_role("link", name="Map").click()
+    expect(page.get_by_text("This part of the page cannot be shown")).to_have_count(0)
+    expect(page.get_by_role("main")).to_contain_text("car-safe")

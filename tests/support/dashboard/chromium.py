@@ -2,11 +2,12 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 
 import pytest
-from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from services.monitoring.status.process import DASHBOARD
 
@@ -15,6 +16,8 @@ PATIENCE_MS = 30_000  # with what a page must show: a machine that also does som
 expect.set_options(timeout=PATIENCE_MS)
 # WebGL in software; pages are drawn without it, which is far faster where there is no graphics card.
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
+
+uncaught: list[str] = []  # errors of pages; a test fails while there is one, and one that expects it removes it
 
 
 def program() -> str | None:
@@ -39,5 +42,25 @@ def chromium() -> Iterator[Browser]:
     ]
     with sync_playwright() as playwright:
         started = playwright.chromium.launch(executable_path=path, args=arguments)
+        uncaught.clear()
+        _note_errors(started)
         yield started
         started.close()
+        assert not uncaught, "a page reported an error that its program did not catch"
+
+
+def _note_errors(browser: Browser) -> None:
+    """Let every page note the errors that its program did not catch, whoever opens it and however."""
+
+    def noting(make: Callable[..., BrowserContext | Page]) -> Callable[..., BrowserContext | Page]:
+        @wraps(make)
+        def made(*arguments: object, **options: object) -> BrowserContext | Page:
+            opened = make(*arguments, **options)
+            context = opened if isinstance(opened, BrowserContext) else opened.context
+            context.on("weberror", lambda found: uncaught.append(found.error.stack or str(found.error)))
+            return opened
+
+        return made
+
+    for name in ("new_context", "new_page"):
+        setattr(browser, name, noting(getattr(browser, name)))

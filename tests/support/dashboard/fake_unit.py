@@ -93,6 +93,14 @@ SATELLITE_TESTS = (
                 threshold=4.2),
     MonitorTest(name="E02", outcome=MonitorOutcome.PASS, reason="used, residual 0.4 m", statistic=0.3, threshold=4.2),
 )  # fmt: skip
+EVIDENCE_TESTS = tuple(
+    MonitorTest(name=name, outcome=MonitorOutcome.PASS, reason="nothing indicated", statistic=0.0, threshold=1.0)
+    for name in ("jamming", "spoofing", "cn0_uniformity", "cn0_level", "gain", "clock_step", "clock_drift", "count")
+)
+STATED_BY = {
+    "inertial_short": "core.spoofing", "inertial_long": "core.spoofing", "satellites": "core.cooperative",
+    "evidence": "core.evidence",
+}  # fmt: skip
 APART_M = {Hypothesis.NOTHING: 0.0, Hypothesis.GNSS: 18.0, Hypothesis.IMU: -9.0, Hypothesis.ODOMETER: 2.0}
 SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
@@ -653,7 +661,7 @@ class FakeUnit:
         """Publish statements of every monitor; while the filter rejects GNSS velocity, the inertial monitor accuses."""
         if not self.silent & {"core.motion_conflict", "core.trust"}:
             for statement in self._statements(now_ns):
-                yield "core.motion_conflict", statement
+                yield STATED_BY.get(statement.monitor, "core.motion_conflict"), statement
         self._judge(Tick(now_ns=now_ns))
 
     def _statements(self, now_ns: int) -> Iterator[TrustMonitor]:
@@ -677,13 +685,13 @@ class FakeUnit:
             reason = (
                 "GNSS acceleration differs from the inertial unit's" if accuses else "statistic below the threshold"
             )
-            shown = SATELLITE_TESTS if name == "satellites" else None
+            shown = {"satellites": SATELLITE_TESTS, "evidence": EVIDENCE_TESTS}.get(name, ())
             yield TrustMonitor(
                 sampled_ns=now_ns, monitor=name, outcome=MonitorOutcome.ACCUSES if accuses else passes,
                 reason=reason, accused=("gnss",) if accuses else (),
                 suspect_since_ns=self.started_ns - 6 * 10**9 if accuses else None,
                 since_ns=self.started_ns, statistic=statistic + 0.3 * math.sin(now_ns * 1e-9), threshold=threshold,
-                false_alarm_rate=1e-5, window_s=window_s, tests=shown or (),
+                false_alarm_rate=1e-5, window_s=window_s, tests=shown,
             )  # fmt: skip
 
     def _origin(self, now_ns: int) -> Iterator[tuple[str, Message]]:

@@ -1,15 +1,17 @@
 // The shell around the pages: unit, connection, the verdict in one sentence, and navigation.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, togglePause } from "./store.js";
-import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
+import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, tellErrors, togglePause } from "./store.js";
+import { Drawer, Empty, Guard, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
+const TRY_AGAIN_MS = 2000;
 const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
 const WATCHED = ["now", "map", "gnss", "trust"];
+const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings" }; // after the key g
 const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map/map.js").then((m) => m.MapPage),
@@ -255,21 +257,13 @@ function useKeys(open) {
       const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
       if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
       const key = event.key;
-      if (before === "g" && key === "n") go("#/now");
-      else if (before === "g" && key === "m") go("#/map");
-      else if (before === "g" && key === "t") go("#/trust");
-      else if (before === "g" && key === "g") go("#/gnss");
-      else if (before === "g" && key === "c") go("#/charts");
-      else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
-      else if (before === "g" && key === "s") go("#/system");
-      else if (before === "g" && key === "r") go("#/recordings");
+      if (before === "g" && pagesHere().includes(GO[key])) go(`#/${GO[key]}`);
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");
       else if (key === "p") togglePause();
-      else if (key === "/") {
+      else if (key === "/" && pagesHere().includes("system")) {
         event.preventDefault();
-        go("#/system");
-        setTimeout(() => document.getElementById("find")?.focus(), 150);
+        go("#/system?find="); // the page itself takes the focus, once it is there
       }
       before = key;
     };
@@ -282,41 +276,46 @@ function App() {
   const { page, query } = useRoute();
   const [drawer, setDrawer] = useState(null);
   const [, redraw] = useState(0);
+  const [tries, setTries] = useState(0);
   const heading = useRef(null);
   useKeys(setDrawer);
   useEffect(() => {
     document.documentElement.dataset.theme = settings.value.theme;
   }, [settings.value.theme]);
   useEffect(() => {
-    if (loaded[page]) return;
+    if (loaded[page]) return undefined;
+    let again = null;
     LATER[page]().then(
-      (component) => {
-        loaded[page] = component;
-        redraw((n) => n + 1);
+      (component) => (loaded[page] = component),
+      (error) => {
+        // What cannot be fetched is tried again; a program that fails is an error of its page.
+        if (error instanceof TypeError && /fetch|import/i.test(error.message)) again = setTimeout(() => setTries((n) => n + 1), TRY_AGAIN_MS);
+        else loaded[page] = () => { throw error; };
       },
-      () => {}, // tried again when the connection is back
-    );
-  }, [page, link.value.open]);
+    ).then(() => redraw((n) => n + 1));
+    return () => clearTimeout(again);
+  }, [page, link.value.open, tries]);
   const ready = state.value && contract.value;
   const { why, viewers, open } = link.value;
   const full = !state.value && !open && why === "full";
   const shown = full ? html`<${Empty} title=${words.lost.full(viewers.connected)} why=${words.lost.fullWhy(viewers.maximum)} what=${html`<button onClick=${() => location.reload()}>${words.lost.again}</button>`} />`
     : !ready ? html`<p class="boot">${words.connecting}</p>`
     : loaded[page] ? html`<${loaded[page]} query=${query} go=${go} onWhy=${() => setDrawer("why")} />`
-    : link.value.open ? null : html`<${Empty} title=${words.lost.page} why=${words.lost.pageWhy} />`;
+    : link.value.open && !tries ? null : html`<${Empty} title=${words.lost.page} why=${words.lost.pageWhy} />`;
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>
-    <${Header} onHelp=${() => setDrawer("help")} />
-    <${Banner} onWhy=${() => setDrawer("why")} />
-    <${Replay} /><${LostBar} />
-    <div class="body"><${Navigation} page=${page} />
-      <main id="content" class=${connected() || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1>${shown}</main></div>
-    <${Footer} />
-    ${drawer === "why" && ready && html`<${WhyDrawer} onClose=${() => setDrawer(null)} />`}
-    ${drawer === "help" && html`<${HelpDrawer} onClose=${() => setDrawer(null)} />`}`;
+    <${Guard}><${Header} onHelp=${() => setDrawer("help")} /></${Guard}>
+    <${Guard}><${Banner} onWhy=${() => setDrawer("why")} /></${Guard}>
+    <${Guard}><${Replay} /><${LostBar} /></${Guard}>
+    <div class="body"><${Guard}><${Navigation} page=${page} /></${Guard}>
+      <main id="content" class=${connected() || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1><${Guard} key=${page}>${shown}</${Guard}></main></div>
+    <${Guard}><${Footer} /></${Guard}>
+    <${Guard} key=${drawer}>${drawer === "why" && ready && html`<${WhyDrawer} onClose=${() => setDrawer(null)} />`}
+    ${drawer === "help" && html`<${HelpDrawer} onClose=${() => setDrawer(null)} />`}</${Guard}>`;
 }
 
 const root = document.getElementById("app");
 root.replaceChildren();
-render(html`<${App} />`, root);
+tellErrors();
+render(html`<${Guard}><${App} /></${Guard}>`, root);
 start();
 renew().catch(() => {}); // without an answer the connection is lost, which the page says

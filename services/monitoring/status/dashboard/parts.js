@@ -1,5 +1,5 @@
 // Small parts that every page uses: icons, numbers with units, ages, cards.
-import { h } from "preact";
+import { Component, h } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import htm from "htm";
 import { ageS, clock, connected, freshness, isLive, link, paused, settings, state } from "./store.js";
@@ -127,6 +127,19 @@ export const Row = ({ label, value, unit, unitName, extra, dim }) => html`<div c
 export const Empty = ({ title, why, what }) => html`<div class="empty">
   <${Icon} name="stale" /><p><strong>${title}</strong></p>${why && html`<p>${why}</p>`}${what && html`<p>${what}</p>`}
 </div>`;
+
+// Shows what is inside. If that fails, a sentence stands in its place and everything around it goes on; the error is
+// reported as one that was not caught, which the shell sends to the unit.
+export class Guard extends Component {
+  componentDidCatch(error) {
+    this.setState({ failed: true });
+    reportError(error);
+  }
+
+  render({ children }, { failed }) {
+    return failed ? html`<div role="alert"><${Empty} title=${words.failed.title} why=${words.failed.why} what=${html`<button onClick=${() => location.reload()}>${words.failed.reload}</button>`} /></div>` : children;
+  }
+}
 
 // A modal drawer: the browser's own dialog keeps the focus inside and gives it back.
 // What became of each kind of message of a device: used, known and not used, not known, rejected with its reason.

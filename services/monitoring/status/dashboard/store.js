@@ -81,14 +81,21 @@ export const isOld = (topic, stampNs) => ["stale", "never", "earlier"].includes(
 // Whether the solution must not be shown as the present position: it is old, or the verdict says that there is none.
 export const isPast = (solution) => state.value.banner.state === "no_fix" || isOld("navigation/solution", solution.updated_ns);
 
-function merge(old, changes) {
-  if (old === null || typeof old !== "object" || Array.isArray(old)) return changes;
-  const merged = { ...old };
-  for (const [key, value] of Object.entries(changes)) {
-    const both = value && typeof value === "object" && !Array.isArray(value);
-    merged[key] = both ? merge(merged[key] ?? null, value) : value;
+const isObject = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
+
+// What `difference` of the server's stream/patch.py states: objects merge, everything else replaces, and exactly the keys
+// of `removed`, each a path, are deleted. In a Map no name of a key has another meaning, as __proto__ has in an object.
+export function merge(old, changed, removed = []) {
+  const merged = new Map(Object.entries(old));
+  for (const [key, value] of Object.entries(changed)) {
+    const before = merged.get(key);
+    merged.set(key, isObject(before) && isObject(value) ? merge(before, value) : value);
   }
-  return merged;
+  for (const [key, ...rest] of removed) {
+    if (rest.length === 0) merged.delete(key);
+    else merged.set(key, merge(merged.get(key), {}, [rest]));
+  }
+  return Object.fromEntries(merged);
 }
 
 function note(view) {
@@ -144,7 +151,7 @@ function take(frame) {
     held = frame.state;
   } else {
     if (frame.sequence !== sequence + 1) return socket.close();
-    held = merge(held, frame.state);
+    held = merge(held, frame.state, frame.removed);
   }
   sequence = frame.sequence;
   const replay = held.replay;
@@ -258,6 +265,29 @@ export async function change(path, command) {
   if (answer.status === 403 && (await renew())?.csrf !== used) answer = await post(path, command);
   if (answer.status === 401) toLogin();
   return answer;
+}
+
+const TOLD_MOST = 20; // texts of errors in the life of a page
+
+// Sends each error that was not caught to the unit, which counts it: nobody may be looking at the browser's console.
+export function tellErrors() {
+  const told = new Set();
+  const folder = new URL(".", document.baseURI).href;
+  const tell = async (error) => {
+    const message = String(error).slice(0, 400);
+    if (told.has(message) || told.size >= TOLD_MOST) return;
+    told.add(message);
+    const lines = String(error?.stack ?? "").replaceAll(folder, "").match(/[\w./-]+\.js:\d+:\d+/g) ?? [];
+    const page = location.hash.replace(/^#\/?/, "").split(/[?/]/)[0].slice(0, 40);
+    try {
+      if (!session.value) await renew();
+      await post("api/page-error", { page, message, place: lines.slice(0, 4).join(" ").slice(0, 400) });
+    } catch {
+      // Without a connection the unit cannot be told; the browser's console has the error.
+    }
+  };
+  addEventListener("error", (event) => event.error && tell(event.error)); // without an object it is a notice of the browser
+  addEventListener("unhandledrejection", (event) => tell(event.reason));
 }
 
 export async function logOut() {

@@ -6,11 +6,15 @@ import { words } from "./words.js";
 
 const w = words.tollPage;
 const PATH_S = 10;
+const LETTER_M = 8; // of the names of lanes in their margin
 const STATE_ICON = { open: "info", crossed: "info", charged: "safe", held: "caution", undecided: "caution", unregistered: "off", suspect: "unsafe", void: "off", missed: "unsafe" };
 const OUTCOMES = ["charged", "held", "undecided", "unregistered", "suspect", "void", "missed"];
 // What the passage is, in a word; a charge that was reversed is none any more.
 const stateOf = (p) => (p.reversed && p.state === "charged" ? w.reversed : w.states[p.state]);
-const iconOf = (p) => (p.reversed && p.state === "charged" ? "off" : STATE_ICON[p.state]);
+function iconOf(p) {
+  if (p.state !== "charged") return STATE_ICON[p.state];
+  return p.reversed ? "off" : p.confirmed === false ? "info" : STATE_ICON.charged; // final, but no detector has seen it
+}
 const explained = (p) => (p.state === "charged" && p.reversed ? w.explained.reversed : p.state === "charged" && p.confirmed === false ? w.explained.unconfirmed : w.explained[p.state]);
 const paths = new Map(); // of each track: [ns, north, east] of the last seconds
 let drawnNs = null;
@@ -57,8 +61,9 @@ function Picture({ t }) {
   const gate = turn(t.plaza.lanes[0].gate[0])[0];
   const [left, right] = [Math.max(Math.min(...points.map((p) => p[0])), gate - 220), Math.min(Math.max(...points.map((p) => p[0])), gate + 220)];
   const [top, bottom] = [Math.min(...points.map((p) => p[1])), Math.max(...points.map((p) => p[1]))];
+  const margin = LETTER_M * (1 + Math.min(12, Math.max(...t.plaza.lanes.map((lane) => lane.lane.length))));
   const across = 5; // lanes are drawn wider than long, to tell them apart
-  const box = [left, (top - 6) * across, right - left, (bottom - top + 12) * across];
+  const box = [left - margin, (top - 6) * across, right - left + margin, (bottom - top + 12) * across];
   const line = (ends, kind) => {
     const [[x1, y1], [x2, y2]] = ends.map(turn);
     return html`<line class=${kind} x1=${x1} y1=${y1 * across} x2=${x2} y2=${y2 * across} />`;
@@ -68,13 +73,13 @@ function Picture({ t }) {
   return html`<svg class="plaza ${stale ? "old" : ""}" viewBox=${box.join(" ")} role="img" aria-label=${w.picture(t.plaza.name, t.tracks.length)}>
     ${t.plaza.lanes.map((lane) => html`<polyline class="lane" style=${{ strokeWidth: lane.width_m * across }} points=${lane.centre.map(turn).map(([x, y]) => `${x},${y * across}`).join(" ")} />`)}
     ${directions.map((lane) => html`${line(lane.approach, "approach")}${line(lane.gate, "gate")}${line(lane.exit, "exit")}`)}
+    ${t.tracks.map((v) => html`<${Vehicle} key=${v.track} v=${v} turn=${turn} angle=${angle} across=${across} />`)}
+    <rect class="margin" x=${box[0]} y=${box[1]} width=${margin} height=${box[3]} />
     ${t.plaza.lanes.map((lane) => {
-      const [x, y] = turn(lane.gate[0]);
       const along = lane.centre.map(turn);
       const middle = along.reduce((sum, p) => sum + p[1], 0) / along.length;
-      return html`<text x=${x} y=${middle * across} dy="5" class=${t.gates[lane.lane]?.open ? "open" : ""}>${lane.lane}</text>`;
+      return html`<text x=${left - margin / 2} y=${middle * across} dy="5" class=${t.gates[lane.lane]?.open ? "open" : ""}>${lane.lane}</text>`;
     })}
-    ${t.tracks.map((v) => html`<${Vehicle} key=${v.track} v=${v} turn=${turn} angle=${angle} across=${across} />`)}
   </svg>`;
 }
 
@@ -125,6 +130,13 @@ function PassagesCard({ t, onOpen }) {
   </${Card}>`;
 }
 
+// Whether the account of an hour agrees is known when all of it is closed; that it does not agree is known before.
+function Agreement({ b }) {
+  const open = b.provisional + b.pending;
+  if (!b.agrees) return html`<${StateIcon} state="unsafe" word=${w.disagrees} />`;
+  return open > 0 ? html`<span class="with-icon"><${StateIcon} state="initialising" word="" />${w.open(open)}</span>` : html`<${StateIcon} state="safe" word=${w.agrees} />`;
+}
+
 function AccountCard({ t }) {
   const l = t.ledger;
   if (!l) return html`<${Card} title=${w.account} id="account" class="account-card"><${Empty} title=${w.noLedger} why=${w.noLedgerWhy} /></${Card}>`;
@@ -133,7 +145,7 @@ function AccountCard({ t }) {
     ${l.problem && html`<p class="with-icon problem"><${StateIcon} state="unsafe" word=${w.problem} />${l.problem}</p>`}
     ${!l.lanes.length ? html`<p class="note block">${w.noDetections}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.account}><table class="plain numbers-table"><thead><tr><th scope="col">${c.lane}</th><th scope="col">${c.hour}</th><th scope="col">${c.detections}</th>${OUTCOMES.map((name) => html`<th scope="col">${w.states[name]}</th>`)}<th scope="col">${c.pending}</th><th scope="col">${c.agrees}</th></tr></thead>
     <tbody>${l.lanes.map((b) => html`<tr key=${`${b.lane}${b.hour_ns}`}><th scope="row">${b.lane}</th><td>${timeOfDay(b.hour_ns / 1e6).slice(0, 5)}</td><td>${b.detections}</td>${OUTCOMES.map((name) => html`<td>${b[name]}</td>`)}<td>${b.pending}</td>
-      <td><${StateIcon} state=${b.agrees ? "safe" : "unsafe"} word=${b.agrees ? w.agrees : w.disagrees} />${b.charged_without_detection > 0 && w.withoutDetection(b.charged_without_detection)}${b.unconfirmed > 0 && w.unconfirmedIn(b.unconfirmed)}${b.provisional + b.pending > 0 && html`<span class="reason dim block">${w.open(b.provisional + b.pending)}</span>`}</td></tr>`)}</tbody></table></div>`}
+      <td><${Agreement} b=${b} />${b.charged_without_detection > 0 && w.withoutDetection(b.charged_without_detection)}${b.unconfirmed > 0 && w.unconfirmedIn(b.unconfirmed)}</td></tr>`)}</tbody></table></div>`}
     <dl class="rows"><${Row} label=${w.transactions} value=${l.transactions} extra=${w.reversals(l.reversals)} />
       <${Row} label=${w.heldRow} value=${l.held} extra=${w.heldWhy} /><${Row} label=${w.reviewRow} value=${l.in_review} extra=${w.reviewWhy} />
       <${Row} label=${w.unconfirmedRow} value=${l.unconfirmed} extra=${w.unconfirmedWhy} />

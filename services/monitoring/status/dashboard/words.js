@@ -20,6 +20,11 @@ export const words = {
   copy: "Copy",
   copied: "Copied",
   copyReport: "Copy report",
+  failed: {
+    title: "This part of the page cannot be shown",
+    why: "Its program has failed; everything else on these pages goes on.",
+    reload: "Reload",
+  },
 
   origin: {
     live: ["LIVE", (o) => o.name, "Data of a real vehicle"],
@@ -168,7 +173,7 @@ export const words = {
     off: "NOT EVALUATED",
     info: "INFO",
   },
-  check: { safe: "passes", caution: "caution", unsafe: "suspects", above_limit: "above the limit", stale: "no data", off: "not evaluated" },
+  check: { safe: "passes", caution: "caution", unsafe: "suspects", above_limit: "above the limit", stale: "no data", initialising: "not complete", off: "not evaluated" },
   banner: {
     label: "Can the position be trusted?",
     why: "Why?",
@@ -346,6 +351,8 @@ export const words = {
       evidence: "spoofing and jamming flags, C/N0, AGC, clock of the receiver",
       gyroscope: "yaw rate of the gyroscope against wheels, GNSS course and headings",
       drift: "sums of GNSS innovations over 30 to 300 s",
+      coherent_scale: "common scale of GNSS and odometer against the inertial sensors, in bends",
+      hypotheses: "solutions that leave out one source, compared with each other",
     },
     eventsTitle: "Changes of the verdict",
     eventsNote: "newest first",

@@ -40,7 +40,7 @@ _ENDINGS = (
     ("_bytes", "B"), ("_deg", "°"), ("_rad", "rad"), ("_m2", "m²"), ("_hz", "Hz"), ("_pa", "Pa"), ("_ns", "ns"),
     ("_m", "m"), ("_s", "s"), ("_k", "K"),
 )  # fmt: skip
-_KIND_UNITS = {
+_KIND_UNITS = {  # of the innovations of each kind, which tests/unit hold to be complete
     AidingKind.GNSS_POSITION: "m", AidingKind.GNSS_VELOCITY: "m/s", AidingKind.ZERO_VELOCITY: "m/s",
     AidingKind.ZERO_ANGULAR_RATE: "rad/s", AidingKind.ODOMETER: "m/s", AidingKind.NON_HOLONOMIC: "m/s",
     AidingKind.BAROMETRIC_HEIGHT: "m", AidingKind.BASELINE_HEADING: "rad", AidingKind.MAGNETIC_HEADING: "rad",
@@ -98,7 +98,7 @@ def unit_of(field: Field) -> str:
     if by_name is not None or field.topic == COMPUTED:
         return by_name or ""
     if "innovation" in last and field.selector in set(AidingKind):
-        return _KIND_UNITS[AidingKind(field.selector)]
+        return _KIND_UNITS.get(AidingKind(field.selector), "")
     row = topic_of(field.topic)
     stated = _stated_unit(row.message, tuple(named)) if row else None
     return stated if stated and stated != "1" and not stated.startswith("of ") else ""

@@ -16,6 +16,8 @@ LABELS = {
     "evidence": "Receiver evidence",
     "gyroscope": "Gyroscope test",
     "drift": "Slow drift test",
+    "coherent_scale": "Common scale test",
+    "hypotheses": "Comparison of hypotheses",
 }
 
 

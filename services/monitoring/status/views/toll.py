@@ -54,7 +54,8 @@ def verdict(state: "State", now_ns: int, *, broker: bool) -> Verdict:
     if ledger is None and state.is_awaited("ledger/state", now_ns):
         sentence = "Nothing is known yet: waiting for the first state of the ledger."
         return Verdict(Trust.STARTING, sentence, "If it lasts, the page System shows what does not publish.", checks)
-    worst = min(checks, key=lambda check: _ORDER.index(check.state))
+    # What is not closed yet is normal, and decides nothing.
+    worst = min((check for check in checks if check.state in _ORDER), key=lambda check: _ORDER.index(check.state))
     sentence, action = _SENTENCES[worst.name, worst.state is Trust.SAFE]
     text = "" if worst.state is Trust.SAFE else f": {worst.text}"
     return Verdict(worst.state, sentence + text, action, checks)
@@ -96,16 +97,16 @@ def _delta_check(delta: TollDelta | None) -> Check:
 
 
 def _accounts_check(ledger: LedgerState | None) -> Check:
-    wrong = [lane.lane for lane in ledger.lanes if not lane.agrees] if ledger else []
+    if ledger is None:
+        return Check("accounts", "Reconciliation", Trust.STALE, "no state of the ledger is received", link="toll")
+    wrong = [lane.lane for lane in ledger.lanes if not lane.agrees]
     if wrong:
         return Check("accounts", "Reconciliation", Trust.CAUTION, f"lane {', '.join(wrong)}", link="toll")
-    open_ = sum(lane.pending + lane.provisional for lane in ledger.lanes) if ledger else 0
-    text = (
-        f"every closed detection has one outcome; {open_} not closed yet"
-        if open_
-        else "every detection has one outcome"
-    )
-    return Check("accounts", "Reconciliation", Trust.SAFE, text)
+    open_ = sum(lane.pending + lane.provisional for lane in ledger.lanes)
+    if open_:
+        text = f"every closed detection has one outcome; {open_} not closed yet"
+        return Check("accounts", "Reconciliation", Trust.INITIALISING, text, link="toll")
+    return Check("accounts", "Reconciliation", Trust.SAFE, "every detection has one outcome")
 
 
 def _dated(message: TollDelta | LedgerState | None, state: "State", topic: str) -> Json | None:

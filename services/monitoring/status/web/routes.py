@@ -50,6 +50,7 @@ from .body import json_response
 from .command import CommandApi
 from .looking import look_at
 from .map.map import MapApi
+from .page_errors import PageError, PageErrorsApi
 from .pages import Pages
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
@@ -78,6 +79,7 @@ TAGS = {
     "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
 }
 GEOJSON = "application/geo+json"
+BODIES = (SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken, PageError)
 Responses = dict[int | str, dict[str, Any]]
 
 
@@ -214,9 +216,7 @@ class Described(FastAPI):
             found = super().openapi()
             found.setdefault("components", {})["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
             found["security"] = [{}, {"token": []}]  # a simulated unit needs none from its own machine
-            found["components"].setdefault("schemas", {}).update(
-                schemas(SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken)
-            )
+            found["components"].setdefault("schemas", {}).update(schemas(*BODIES))
         return super().openapi()
 
 
@@ -311,7 +311,8 @@ def app_without_unit() -> FastAPI:
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     commands = CommandApi(state, lock, now_ns)
-    apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, commands, maps)
+    series = SeriesApi(state, lock, now_ns, 1)
+    apis = (series, simulation, replay, recordings, commands, maps, PageErrorsApi())
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 

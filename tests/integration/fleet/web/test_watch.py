@@ -12,9 +12,10 @@ from websockets.sync.client import ClientConnection
 from fleet.web.watch import gate
 from fleet.web.watch.time_line import NS, TimeLine
 from shared.fleet.topics import WATCHABLE
+from tests.support.dashboard.frames import followed
 from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit
-from tests.support.fleet.watched_page import merge, stream
+from tests.support.fleet.watched_page import stream
 from tests.support.fleet.watched_unit import watched_unit
 from tests.support.fleet.web import RunningWeb
 from tests.support.patience import HANGS_S
@@ -26,7 +27,7 @@ def until(socket: ClientConnection, holds: Callable[[dict[str, Any]], bool]) -> 
     deadline = time.monotonic() + HANGS_S
     while time.monotonic() < deadline:
         frame = json.loads(socket.recv(timeout=HANGS_S))
-        merge(state, frame["state"])
+        state = followed(state, frame)
         if holds(state):
             return state
     raise AssertionError(f"it did not come about: {state.get('banner')} {state.get('watch')}")

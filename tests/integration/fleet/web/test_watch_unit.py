@@ -10,11 +10,12 @@ import pytest
 from websockets.sync.client import ClientConnection
 
 from fleet.web.watch import gate
+from tests.support.dashboard.frames import followed
 from tests.support.fleet.certificates import Authority
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.small_centre import Broker
 from tests.support.fleet.uplink_process import UplinkProcess
-from tests.support.fleet.watched_page import merge, stream
+from tests.support.fleet.watched_page import stream
 from tests.support.fleet.web import RunningWeb, tenant, web
 
 NS = 1_000_000_000
@@ -30,7 +31,7 @@ class Page:
         """Take what has come."""
         while True:
             try:
-                merge(self.state, json.loads(self._socket.recv(timeout=0.0))["state"])
+                self.state = followed(self.state, json.loads(self._socket.recv(timeout=0.0)))
             except TimeoutError:
                 return self.state
 

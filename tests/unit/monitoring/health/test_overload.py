@@ -85,3 +85,11 @@ def test_the_report_has_the_finding_by_the_heartbeats_that_arrive_late() -> None
     [problem] = watch.report(now_ns).problems
     assert problem.what == "computer" and "messages arrive 0.8 s late" in problem.text
     assert problem.outage is None and problem.affected == ()
+
+
+def test_no_delay_above_half_of_its_limit_leaves_no_empty_place_in_the_sentence() -> None:
+    overload = Overload(processors=2)
+    judged(overload, range(7), 1.0)
+    judged(overload, range(7, 10), 0.01)
+    assert overload.problem is not None
+    assert "on 2 processors; end other programs" in overload.problem.text

@@ -46,6 +46,8 @@ export const chartWords = {
     zero_velocity: "Zero velocity",
     zero_angular_rate: "Zero angular rate",
     baseline_heading: "Baseline heading",
+    magnetic_heading: "Magnetic heading",
+    barometric_height: "Barometric height",
   },
   constellation: { gps: "GPS", galileo: "Galileo", glonass: "GLONASS", beidou: "BeiDou", qzss: "QZSS", sbas: "SBAS", navic: "NavIC", unknown: "Other" },
   charts: {

@@ -12,8 +12,6 @@ const KMH = 3.6;
 const DEGREES = 180 / Math.PI;
 const SPANS_S = [60, 300, 900, 3600];
 const SIGMAS = [1, 2, 3];
-const AIDING = ["gnss_position", "gnss_velocity", "odometer", "non_holonomic", "zero_velocity", "zero_angular_rate", "baseline_heading"];
-const CONSTELLATIONS = ["gps", "galileo", "glonass", "beidou", "qzss", "sbas"];
 const LATENCIES = ["gnss/fix", "imu/sample", "vehicle/wheel_speed", "navigation/solution", "trust/state"];
 const MILLI = 1000;
 
@@ -31,11 +29,11 @@ const CHARTS = [
   { id: "height", unit: "m", lines: [line("navigation/solution:height_ellipsoid_m", w.fused), line("gnss/fix:height_ellipsoid_m", w.gnss), line("truth/state:height_ellipsoid_m", w.truth, { style: STYLES[3] })] },
   { id: "horizontal", unit: "m", lines: errorLines("horizontal", "trust/state:alert_limit_horizontal_m", "navigation/solution:protection_level_horizontal_m") },
   { id: "vertical", unit: "m", lines: errorLines("vertical", "trust/state:alert_limit_vertical_m", "navigation/solution:protection_level_vertical_m") },
-  { id: "innovations", unit: "", limit: [1, w.gate], lines: AIDING.map((kind) => line(`navigation/aiding[${kind}]:test_ratio`, w.aiding[kind])) },
+  { id: "innovations", unit: "", limit: [1, w.gate], lines: Object.entries(w.aiding).map(([kind, label]) => line(`navigation/aiding[${kind}]:test_ratio`, label)) },
   { id: "latency", unit: "ms", factor: MILLI, lines: LATENCIES.map((topic) => line(`${topic}:@latency_s`, topic)) },
   { id: "accelerometer", unit: "m/s²", lines: axes("navigation/solution:accelerometer_bias_m_s2") },
   { id: "gyroscope", unit: "°/s", factor: DEGREES, lines: axes("navigation/solution:gyroscope_bias_rad_s") },
-  { id: "cn0", unit: "dBHz", lines: CONSTELLATIONS.map((name) => line(`computed:cn0_${name}_db_hz`, w.constellation[name])) },
+  { id: "cn0", unit: "dBHz", lines: Object.entries(w.constellation).map(([name, label]) => line(`computed:cn0_${name}_db_hz`, label)) },
   { id: "satellites", unit: "", lines: [line("computed:satellites_used", w.used), line("computed:satellites_in_view", w.inView)] },
   { id: "dop", unit: "", lines: [line("gnss/fix:pdop", "PDOP"), line("gnss/fix:hdop", "HDOP"), line("gnss/fix:vdop", "VDOP")] },
   { id: "heading", unit: "°", factor: DEGREES, lines: [line("computed:heading_sd_rad", w.headingSd)] },

@@ -1,8 +1,8 @@
 // The page GNSS: where satellites stand and how well they are received, which are used and why others are not, the kind
 // of fix and the age of its corrections over time, and how the receiver is set.
 import { useEffect, useState } from "preact/hooks";
-import { clock, freshness, nowMs, paused, remember, settings, state } from "../store.js";
-import { Age, Card, Empty, KindsTable, Row, StateIcon, degrees, duration, fixed, html, percent, rate, seconds } from "../parts.js";
+import { clock, connected, freshness, nowMs, paused, remember, settings, state } from "../store.js";
+import { Age, Card, Empty, KindsTable, Row, StateIcon, degrees, duration, fixed, html, monitorsStand, percent, rate, seconds } from "../parts.js";
 import { gnssWords as w } from "./gnss_words.js";
 import { words } from "../words.js";
 
@@ -13,7 +13,7 @@ const SPAN_S = 900;
 const STRONG_DB_HZ = 45;
 const WEAK_DB_HZ = 30;
 const FULL_DB_HZ = 60;
-const ORDER = ["gps", "galileo", "glonass", "beidou", "qzss", "sbas", "navic", "unknown"];
+const ORDER = Object.keys(w.constellation);
 const OUTCOME = { pass: "safe", accuses: "unsafe", not_evaluated: "off" };
 const FLAG = { unknown: "off", none: "safe", indicated: "caution", severe: "unsafe" };
 const TOPICS = ["gnss/raw", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/signal_quality"];
@@ -222,24 +222,24 @@ function FixCard({ receiver, corrections }) {
   </${Card}>`;
 }
 
-const Flag = ({ value }) => html`<${StateIcon} state=${FLAG[value ?? "unknown"]} word="" /> ${w.flags[value ?? "unknown"]}`;
+const Flag = ({ value, old }) => html`<${StateIcon} state=${old ? "stale" : FLAG[value ?? "unknown"]} word="" /> ${w.flags[value ?? "unknown"]}`;
 
 function InterferenceCard({ receiver }) {
   clock.value;
   const q = receiver.quality;
   const monitor = state.value.trust.monitors.evidence;
   const tests = monitor ? Object.entries(monitor.tests) : [];
-  const old = q && freshness("gnss/fix", receiver.updated_ns.quality) === "stale";
+  const old = !connected() || (q && freshness("gnss/fix", receiver.updated_ns.quality) === "stale");
   const number = (v) => (v === null ? "-" : Math.abs(v) < 1e-3 && v !== 0 ? "< 0.001" : String(+v.toPrecision(3)));
   return html`<${Card} title=${w.interference} note=${w.interferenceNote} id="interference" class="interference-card" aside=${q && html`<${Age} topic="gnss/fix" stamp=${receiver.updated_ns.quality} />`}>
     ${!q ? html`<${Empty} title=${w.noQuality} why=${w.noQualityWhy} />` : html`<dl class="rows ${old ? "old" : ""}">
-      <${Row} label=${w.spoofing} value=${html`<${Flag} value=${q.security?.spoofing ?? q.status?.spoofing} />`} extra=${q.security ? "UBX-SEC-SIG" : q.status ? "UBX-NAV-STATUS" : null} />
-      <${Row} label=${w.jamming} value=${html`<${Flag} value=${q.security?.jamming ?? worst(q.radio_paths)} />`} extra=${q.security ? "UBX-SEC-SIG" : q.radio_paths.length > 0 ? "UBX-MON-RF" : null} />
+      <${Row} label=${w.spoofing} value=${html`<${Flag} old=${old} value=${q.security?.spoofing ?? q.status?.spoofing} />`} extra=${q.security ? "UBX-SEC-SIG" : q.status ? "UBX-NAV-STATUS" : null} />
+      <${Row} label=${w.jamming} value=${html`<${Flag} old=${old} value=${q.security?.jamming ?? worst(q.radio_paths)} />`} extra=${q.security ? "UBX-SEC-SIG" : q.radio_paths.length > 0 ? "UBX-MON-RF" : null} />
       ${q.radio_paths.map((path) => html`<${Row} label=${w.path(path.number)} value=${w.gain(percent(path.gain_ratio))} extra=${w.pathNote(path.noise_level, percent(path.narrowband_ratio))} />`)}
       ${q.clock && html`<${Row} label=${w.clock} value=${`${(q.clock.bias_s * 1e6).toFixed(1)} µs`} extra=${w.drift((q.clock.drift_ratio * 1e9).toFixed(0))} />`}
     </dl>`}
     ${tests.length > 0 && html`<h3 class="divide">${w.evidence}</h3><div class="scroll" tabindex="0" role="group" aria-label=${w.evidence}><table class="plain"><thead><tr><th scope="col">${w.test}</th><th scope="col" class="number">${w.statistic}</th><th scope="col" class="wide-only">${w.columns.why}</th></tr></thead>
-      <tbody>${tests.map(([name, t]) => html`<tr key=${name}><th scope="row"><span class="with-icon"><${StateIcon} state=${OUTCOME[t.outcome]} word=${words.trustPage.outcome[t.outcome]} />${t.label}</span></th>
+      <tbody>${tests.map(([name, t]) => html`<tr key=${name}><th scope="row"><span class="with-icon"><${StateIcon} state=${monitorsStand() ? OUTCOME[t.outcome] : "stale"} word=${words.trustPage.outcome[monitorsStand() ? t.outcome : "stale"]} />${t.label}</span></th>
         <td class="number">${t.statistic === null ? "-" : `${number(t.statistic)} ${words.trustPage.of} ${number(t.threshold)}`}</td><td class="wide-only">${t.reason}</td></tr>`)}</tbody></table></div>
     <p class="note block">${w.evidenceNote}</p>`}
   </${Card}>`;
@@ -247,7 +247,7 @@ function InterferenceCard({ receiver }) {
 
 const worst = (paths) => ["severe", "indicated", "none", "unknown"].find((name) => paths.some((p) => p.jamming === name)) ?? "unknown";
 
-const PORT_STATE = { working: "safe", searching: "unknown", absent: "unsafe", silent: "unsafe", noise: "unsafe", other: "caution" };
+const PORT_STATE = { working: "safe", searching: "starting", absent: "unsafe", silent: "unsafe", noise: "unsafe", other: "caution" };
 
 function ReceiverCard({ receiver, kinds }) {
   const c = receiver.configuration;
@@ -256,11 +256,11 @@ function ReceiverCard({ receiver, kinds }) {
   const flows = TOPICS.map((name) => [name, state.value.topics[name]]).filter(([, flow]) => flow?.updated_ns != null);
   return html`<${Card} title=${w.receiver} note=${receiver.source} id="receiver" class="receiver-card">
     <dl class="rows">
-      ${d && html`<${Row} label=${w.port} value=${html`<${StateIcon} state=${PORT_STATE[d.found]} word="" /> ${w.found[d.found]}`} extra=${d.sentence || d.device} />`}
+      ${d && html`<${Row} label=${w.port} value=${html`<${StateIcon} state=${connected() ? PORT_STATE[d.found] : "stale"} word="" /> ${w.found[d.found]}`} extra=${d.sentence || d.device} />`}
       ${said && html`<${Row} label=${w.sends} value=${said.messages.length > 0 ? said.messages.join(", ") : w.noMessages} extra=${said.other_protocols.length > 0 ? w.other(said.other_protocols.join(", ")) : said.gives_position ? null : w.noPosition} />`}
       <${Row} label=${w.model} value=${c?.model ?? w.notStated} />
       <${Row} label=${w.firmware} value=${c?.firmware ?? w.notStated} />
-      ${c && html`<${Row} label=${w.settings} value=${html`<${StateIcon} state=${c.accepted ? "safe" : "caution"} word="" /> ${c.accepted ? w.accepted : w.rejected}`} extra=${c.reason} />
+      ${c && html`<${Row} label=${w.settings} value=${html`<${StateIcon} state=${!connected() ? "stale" : c.accepted ? "safe" : "caution"} word="" /> ${c.accepted ? w.accepted : w.rejected}`} extra=${c.reason} />
       <${Row} label=${w.period} value=${c.navigation_period_s === null ? w.notStated : seconds(c.navigation_period_s)} />
       <${Row} label=${w.dynamic} value=${c.dynamic_model ?? w.notStated} />
       <${Row} label=${w.maskRow} value=${c.elevation_mask_rad === null ? w.notStated : `${Math.round(degrees(c.elevation_mask_rad))}°`} />

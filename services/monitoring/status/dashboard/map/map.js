@@ -242,6 +242,7 @@ export function MapPage() {
   const [message, setMessage] = useState(w.hint);
   const [missing, setMissing] = useState(() => (hasGraphics() ? null : w.noGraphics));
   const view = useRef(null);
+  const [ready, setReady] = useState(false); // until the map is drawn its buttons have nothing to act on
   const live = useRef({});
   const headingUp = settings.value.headingUp;
   live.current = { follow, headingUp, ends };
@@ -271,17 +272,22 @@ export function MapPage() {
   };
   handlers.current.latest = { mark, inspect, measuring: () => live.current.ends !== null };
 
+  const shown = (v) => {
+    view.current = v;
+    setReady(v !== null);
+    v?.drawMeasure(live.current.ends ?? []);
+  };
   const startMeasure = () => {
     const begin = ends === null;
     setEnds(begin ? [] : null);
-    view.current?.drawMeasure([]);
+    view.current.drawMeasure([]);
     setMessage(begin ? w.measureFirst : w.hint);
   };
   const whole = () => {
     const bounds = boundsOf(track?.columns);
     if (!bounds) return;
     setFollow(false);
-    view.current?.fit(bounds);
+    view.current.fit(bounds);
   };
   const turn = () => {
     remember({ headingUp: !headingUp });
@@ -300,13 +306,13 @@ export function MapPage() {
   const said = [summary, ...(sc ? items(sc).map(([, name, value]) => `${name}: ${value}`) : [])].join(". ");
   return html`<div class="page map-page"><${Card} title=${w.title} note=${first ? summary : null} id="map" class="map-card" aside=${sc && html`<${Age} topic="navigation/solution" stamp=${sc.s.updated_ns} />`}>
     <div class="toolbar map-tools">
-      <button onClick=${() => view.current?.zoomBy(1)} aria-label=${w.zoomIn} class="icon-only"><${Icon} name="plus" /></button>
-      <button onClick=${() => view.current?.zoomBy(-1)} aria-label=${w.zoomOut} class="icon-only"><${Icon} name="minus" /></button>
+      <button onClick=${() => view.current.zoomBy(1)} disabled=${!ready} aria-label=${w.zoomIn} class="icon-only"><${Icon} name="plus" /></button>
+      <button onClick=${() => view.current.zoomBy(-1)} disabled=${!ready} aria-label=${w.zoomOut} class="icon-only"><${Icon} name="minus" /></button>
       <button onClick=${() => setFollow(!follow)} aria-pressed=${follow} title=${w.followTitle}>${w.follow}</button>
       <button onClick=${turn} aria-pressed=${headingUp}>${w.headingUp}</button>
-      <button onClick=${whole} disabled=${!first}>${w.whole}</button>
-      <button onClick=${startMeasure} aria-pressed=${ends !== null}>${w.measure}</button>
-      ${ends !== null && html`<button onClick=${() => mark(view.current.centre())}>${w.mark}</button>`}
+      <button onClick=${whole} disabled=${!ready || !first}>${w.whole}</button>
+      <button onClick=${startMeasure} disabled=${!ready} aria-pressed=${ends !== null}>${w.measure}</button>
+      ${ends !== null && html`<button onClick=${() => mark(view.current.centre())} disabled=${!ready}>${w.mark}</button>`}
       <span class="map-colour"><span class="dim" aria-hidden="true">${w.colour}</span> <select aria-label=${w.colour} value=${colourBy} onChange=${(e) => setColourBy(e.target.value)}>${Object.entries(w.colours).map(([key, label]) => html`<option value=${key}>${label}</option>`)}</select></span>
       <${Layers} ids=${ids} hidden=${off} toggle=${toggle} />
       <button onClick=${() => setTable(!table)} aria-pressed=${table} class="push">${table ? w.picture : w.table}</button>
@@ -314,7 +320,7 @@ export function MapPage() {
     <div class="stage map-stage ${ends !== null ? "measuring" : ""}">
       <div class="map-hold" hidden=${table} role="group" aria-label=${w.label(said)}>
         ${installed && html`<${Picture} installed=${installed} network=${network} afresh=${afresh} theme=${theme} hidden=${hidden} ids=${topics} report=${alternative.report} colourBy=${colourBy}
-          onView=${(v) => { view.current = v; }} handlers=${handlers.current} />`}
+          onView=${shown} handlers=${handlers.current} />`}
         ${!place && !state.value.toll && html`<p class="map-note">${w.noPosition}</p>`}
       </div>
       ${table && html`<${Sections} columns=${track?.columns} />`}

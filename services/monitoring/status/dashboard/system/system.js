@@ -1,5 +1,5 @@
 // The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
-import { useLayoutEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
   Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
@@ -107,8 +107,8 @@ function Edges({ box, hovered }) {
 
 function Layer({ names, onHover }) {
   const absent = names.filter((name) => state.value.processes[name].status === "absent");
-  return html`<ul>${names.filter((name) => !absent.includes(name)).map((name) => html`<${Node} key=${name} name=${name} onHover=${onHover} />`)}
-    ${absent.length > 0 && html`<li class="absent">${w.notFitted} ${absent.map((name) => html`<a href=${`#/system?node=${name}`}>${short(name)}</a> `)}</li>`}</ul>`;
+  return html`<ul>${names.filter((name) => !absent.includes(name)).map((name) => html`<${Node} key=${name} name=${name} onHover=${onHover} />`)}</ul>
+    ${absent.length > 0 && html`<p class="absent">${w.notFitted} ${absent.map((name) => html`<a href=${`#/system?node=${name}`}>${short(name)}</a> `)}</p>`}`;
 }
 
 // What figures and lines mean; the lines are those of the drawing itself.
@@ -280,6 +280,12 @@ function SetUpCard() {
 
 export function SystemPage({ query, go }) {
   const back = () => go("#/system");
+  const asked = query.has("find"); // the key / was pressed, maybe before this page was there
+  useEffect(() => {
+    if (!asked) return;
+    document.getElementById("find").focus();
+    back();
+  }, [asked]);
   const node = query.get("node");
   const topic = query.get("topic");
   return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${SetUpCard} /><${UnitCard} /><${CentreCard} /></div>

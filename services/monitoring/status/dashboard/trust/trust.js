@@ -21,7 +21,7 @@ const sinceText = (ns) => {
   const age = ns == null || nowMs() === null ? null : (nowMs() - ns / 1e6) / 1000;
   return age === null ? words.age.bar : w.at(timeOfDay(ns / 1e6), duration(Math.max(0, age)));
 };
-const monitorsNow = () => Object.entries(state.value.trust.monitors).filter(([, m]) => m);
+const monitorsNow = () => Object.entries(state.value.trust.monitors);
 
 // One outcome: an old verdict holds for no monitor any more.
 function outcomeOf(shown) {
@@ -56,7 +56,7 @@ function TestsTable({ tests, label }) {
 }
 
 function Monitor({ name, shown, open, onToggle }) {
-  const tests = Object.entries(shown.tests).filter(([, t]) => t);
+  const tests = Object.entries(shown.tests);
   const c = w.columns;
   const facts = [[c.falseAlarm, chance(shown.false_alarm_rate)], [c.window, shown.window_s == null ? words.age.bar : duration(shown.window_s)], [c.since, sinceText(shown.since_ns)], [c.suspect, monitorsStand() ? sinceText(shown.suspect_since_ns) : words.age.bar]];
   return html`<tr class=${monitorsStand() ? "" : "old"}>
@@ -84,9 +84,9 @@ function MonitorsCard({ query, go }) {
     setOpen((now) => ({ ...now, [name]: !now[name] }));
   };
   return html`<${Card} title=${w.monitorsTitle} note=${monitorsStand() ? w.monitorsNote : w.monitorsOld} id="monitors" class="monitors-card">
-    <table class="plain monitors"><thead><tr>${["monitor", "outcome", "statistic"].map((name) => html`<th scope="col">${c[name]}</th>`)}
+    <div class="scroll" tabindex="0" role="group" aria-label=${w.monitorsTitle}><table class="plain monitors"><thead><tr>${["monitor", "outcome", "statistic"].map((name) => html`<th scope="col">${c[name]}</th>`)}
       ${["falseAlarm", "window", "since", "suspect"].map((name) => html`<th scope="col" class="wide-only">${c[name]}</th>`)}</tr></thead>
-      <tbody>${rows.map(([name, shown]) => html`<${Monitor} key=${name} name=${name} shown=${shown} open=${Boolean(open[name])} onToggle=${() => toggle(name)} />`)}</tbody></table>
+      <tbody>${rows.map(([name, shown]) => html`<${Monitor} key=${name} name=${name} shown=${shown} open=${Boolean(open[name])} onToggle=${() => toggle(name)} />`)}</tbody></table></div>
   </${Card}>`;
 }
 

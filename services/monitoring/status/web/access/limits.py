@@ -24,6 +24,7 @@ BACKLOG = 64  # connections that are accepted at once, and wait in the kernel
 RESERVED_FILES = 128  # of the limit of open files, which connections leave for recordings, tiles and the bus
 LOGGED_PERIOD_S = 60.0
 LOGIN_LOGGER = f"{__package__}.login"
+PAGE_ERRORS_LOGGER = f"{__package__.rsplit('.', 1)[0]}.page_errors"
 LOGGED_PER_PERIOD = 5  # of each text
 
 
@@ -192,7 +193,7 @@ def quiet_accept(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> No
 
 def limit_logs() -> None:
     """Limit what clients can make this process write."""
-    for name in (__name__, LOGIN_LOGGER, "uvicorn.error"):
+    for name in (__name__, LOGIN_LOGGER, PAGE_ERRORS_LOGGER, "uvicorn.error"):
         logger = logging.getLogger(name)
         if not any(isinstance(one, RateLimit) for one in logger.filters):
             logger.addFilter(RateLimit())

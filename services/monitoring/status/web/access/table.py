@@ -59,6 +59,7 @@ ROWS = (
     Row("GET", "/api/recordings/{name}", Right.OPERATE, "download a recording"),
     Row("GET", "/api/recordings/{name}/report", Right.VIEW, "report of a solution"),
     Row("POST", "/api/command", Right.OPERATE, "command to the unit"),
+    Row("POST", "/api/page-error", Right.VIEW, "report an error of the page's program"),
     Row("GET", "/api/track", Right.VIEW, "track of the drive"),
     Row("GET", "/api/track.gpx", Right.VIEW, "track as GPX"),
     Row("GET", "/api/track.kml", Right.VIEW, "track as KML"),

@@ -52,8 +52,9 @@ class Stream:
         """Encode what changed since the last frame."""
         before, self._sent = self._sent, self._view()
         self._sequence += 1
-        changes = difference(before, self._sent)
-        return Frame(to_json({"kind": "difference", "sequence": self._sequence, "state": changes}))
+        change = difference(before, self._sent)
+        frame = {"kind": "difference", "sequence": self._sequence, "state": change.changed, "removed": change.removed}
+        return Frame(to_json(frame))
 
     def snapshot(self) -> Frame:
         """Encode everything: what was sent to the others last, what never changes, and the last minute."""
