@@ -13,14 +13,20 @@ MEASURES = re.compile(r"-m benchmarks(?!\.tables)|-m cli (?:attack-lab|papers)")
 RULES = dict(re.findall(r"^([a-z0-9-]+):[^\n]*\n((?:\t[^\n]*\n)+)", MAKEFILE, re.M))
 TARGETS = sorted(name for name, commands in RULES.items() if MEASURES.search(commands))
 
-pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
+ALONE = {"bench", "bench-replay", "fleet", "security", "v2x"}  # which start programs of their own
+
+pytestmark = pytest.mark.broker
 
 
 def test_the_targets_that_measure_are_found() -> None:
     assert {"bench", "drives", "fleet", "fuzz", "papers", "attack-lab"} <= set(TARGETS)
 
 
-@pytest.mark.parametrize("target", TARGETS)
+def _run_in_turn(target: str) -> object:
+    return pytest.param(target, marks=pytest.mark.whole_unit) if target in ALONE else target
+
+
+@pytest.mark.parametrize("target", [_run_in_turn(target) for target in TARGETS])
 def test_a_target_that_measures_runs_in_its_smoke_form_and_stores_nothing(target: str) -> None:
     before = _stored()
     done = subprocess.run(
