@@ -10,7 +10,8 @@ import pytest
 
 from tests.support.bus import brokers, raw_mqtt
 from tests.support.bus.brokers import MOSQUITTO, SIMULATED, RunningBroker
-from tests.support.bus.mqtt import Client
+from tests.support.bus.mqtt import KEEP_ALIVE_S, Client
+from tests.support.patience import HANGS_S
 
 REFUSED = 0x80  # in the answer to a subscription
 ACL = """\
@@ -270,7 +271,7 @@ def test_the_will_of_a_killed_client_is_published_at_once(broker: RunningBroker,
         started = time.monotonic()
         client.kill()
         (message,) = bob.take()
-    assert time.monotonic() - started < 0.5
+    assert time.monotonic() - started < KEEP_ALIVE_S, "by the end of its connection, and not by its silence"
     assert (message.payload, message.qos) == (b"lost", 1)
     bob.unsubscribe(topic)
     bob.subscribe(topic)
@@ -294,8 +295,8 @@ def test_a_hung_client_is_disconnected_after_its_keep_alive(broker: RunningBroke
         hung.will(topic, "lost")
         hung.connect(keep_alive_s=1)
         started = time.monotonic()
-        assert bob.payloads(within_s=8) == ["lost"]
-        assert 1.4 < time.monotonic() - started < (2.0 if broker.kind == SIMULATED else 7.0)
+        assert bob.payloads(within_s=HANGS_S) == ["lost"]
+        assert time.monotonic() - started > 1.4
         hung.ends()
 
 
