@@ -12,6 +12,7 @@ from services.monitoring.status.views.banner import WORDS, Evidence, Kind, Trust
 from services.monitoring.status.views.plain_words import plain
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
+from shared.messages.operation import ProcessLoad, Work
 from shared.messages.trust import MonitorOutcome, TrustLevel
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 
@@ -290,3 +291,24 @@ def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None
     assert shown == (
         "neither inertial nor motion monitors evaluated: Short inertial window: no samples; Motion conflict: warming up"
     )
+
+
+@pytest.mark.parametrize(
+    ("level", "row", "sentence"),
+    [
+        (TrustLevel.NO_FIX, 2, "No position: this computer is too slow, and 6 s behind the sensors."),
+        (TrustLevel.CAUTION, 7, "checks are paused, because this computer is too slow."),
+    ],
+)
+def test_a_computer_that_is_too_slow_is_named_with_its_remedy_although_the_inputs_are_there(
+    level: TrustLevel, row: int, sentence: str
+) -> None:
+    load = ProcessLoad(sampled_ns=START_NS, process="core.fusion", lag_s=6.2, paused=tuple(Work))
+    shown = show(changed(trust=trust(START_NS, level, row=row), load=load))
+    assert shown.sentence.endswith(sentence) and shown.action.startswith("End other programs on this computer")
+    assert WORDS[Trust.NO_FIX] == "NO POSITION", "the receiver has a fix"
+    assert "too slow" not in show(changed(trust=trust(START_NS, level, row=row))).sentence
+    resumed = load.model_copy(update={"paused": ()})
+    assert "too slow" not in show(changed(trust=trust(START_NS, level, row=row), load=resumed)).sentence
+    unsafe = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, row=4), load=load))
+    assert "too slow" not in unsafe.sentence, "another cause stays"
