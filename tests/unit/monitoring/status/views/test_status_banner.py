@@ -60,7 +60,7 @@ def test_each_state_of_core_trust_has_its_own_word_and_sentence_even_by_a_row_of
 ) -> None:
     shown = show(changed(trust=trust(START_NS, level, reasons=FIGURES, row=99)))
     assert (shown.state, shown.row, shown.since_ns) == (Trust(level.value), 99, START_NS)
-    assert WORDS[shown.state] == level.value.upper().replace("_", " ")
+    assert WORDS[shown.state] == level.value.replace("no_fix", "no position").upper().replace("_", " ")
     assert shown.sentence == SENTENCES[level]
     assert shown.action.endswith(".")
 
