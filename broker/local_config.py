@@ -61,7 +61,7 @@ def configuration(port: int, store: Path, rules: Path, listen: str | None = None
             f"keyfile {rules / 'tls' / KEY}",
             "use_username_as_clientid true",
             "set_tcp_nodelay true",
-            "max_connections 100",
+            "max_connections 32",
         ]
     return "\n".join(lines) + "\n"
 

@@ -157,7 +157,9 @@ class Bus:
         self.sequence += 1
         self.messages_out += 1
         name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
-        if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
+        if self._is_too_large(topic, payload):
+            return
+        if not (self.connected or topic.qos):
             self.dropped += 1
             return
         if topic.fast:
@@ -207,6 +209,8 @@ class Bus:
         topic = replace(row, qos=0, retain=False)
         name, payload = self._prefix + envelope.topic, codec.replayed(envelope.payload, envelope.received_ns)
         self.messages_out += 1
+        if self._is_too_large(row, payload):
+            return
         self._send_in_order(name, payload, topic)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
@@ -276,6 +280,15 @@ class Bus:
     def _sign(self, message: Message) -> bytes:
         sender = Sender(process=self.process, incarnation=self.incarnation, sequence=self.sequence)
         return codec.signed(codec.encode(message), sender)
+
+    def _is_too_large(self, topic: Topic, payload: bytes) -> bool:
+        """Whether the broker would end the connection for this message; it is counted, and said in the heartbeat."""
+        if len(payload) <= topic.most_bytes:
+            return False
+        self.dropped += 1
+        self.rejects["too large"] += 1
+        self.last_error = f"not sent: {len(payload)} bytes on {topic.name}, which holds {topic.most_bytes} at most"
+        return True
 
     def _ready(self) -> bool:
         """Whether the broker has read everything written to it."""
