@@ -28,11 +28,12 @@ fi
 rules=$(sed -n 's/^password_file *//p' "$2" | tail -n 1)
 secret_file=$(dirname "${rules:-/dev}")/broker.watch # of the user that asks
 [ -r "$secret_file" ] || secret_file=/dev/null
-port=$(sed -n 's/^listener *\([0-9]*\).*/\1/p' "$2" | head -n 1)
+port=$(sed -n 's/^listener *\([1-9][0-9]*\).*/\1/p' "$2" | head -n 1)
+socket=$(sed -n 's/^listener *0 *//p' "$2" | head -n 1)
 if [ -n "${NOTIFY_SOCKET:-}" ] && command -v python3 >/dev/null; then
     # It ends with the broker at once where util-linux is, else at its next question.
     $(command -v setpriv >/dev/null && echo setpriv --pdeathsig KILL) \
-        python3 -I -S "$(dirname "$0")/probe.py" "$port" "$secret_file" &
+        python3 -I -S "$(dirname "$0")/probe.py" "${socket:-$port}" "$secret_file" &
 fi
 [ "${OBU_BROKER_WATCH:-}" = 1 ] || exec "$1" -c "$2"
 

@@ -25,6 +25,8 @@ class Limits:
     bytes_in_turn: int = 65_536
     unread_bytes: int = 1_048_576  # of replies to a client that does not read
     connect_within_s: float = 5.0
+    connections: int = 64  # to a listener, also of those that have not said who they are
+    connect_bytes: int = 16_384  # of the packet that says it
 
 
 class Writer(Protocol):
