@@ -21,9 +21,9 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 
 from .. import shipped
 from ..bounded import TooMuch, load_json, read_bytes
-from ..bus.codec import encode
 from ..errors import ConfigError
 from ..maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from ..messages.fitting import size
 from ..messages.toll import GateMode, LaneDescription, PlazaDescription, Position
 from ..topics import BY_NAME
 
@@ -255,10 +255,10 @@ def load_plaza(path: Path) -> Plaza:
         raise ConfigError(f"{path} is no plaza: {error}; a plaza needs a few kilobytes") from error
     except OSError as error:
         raise ConfigError(f"cannot read the plaza's file {path}: {error.strerror}; see deploy/plazas/") from error
-    size, most = len(encode(plaza.description(0))), BY_NAME["plaza/description"].most_bytes - 1_000
-    if len(plaza.lanes) > MAXIMUM_LANES or size > most:
+    taken, most = size(plaza.description(0)), BY_NAME["plaza/description"].most_bytes - 1_000
+    if len(plaza.lanes) > MAXIMUM_LANES or taken > most:
         raise ConfigError(
-            f"{path}: {len(plaza.lanes)} lanes, which take {size} bytes on the bus; {MAXIMUM_LANES} lanes and {most} "
+            f"{path}: {len(plaza.lanes)} lanes, which take {taken} bytes on the bus; {MAXIMUM_LANES} lanes and {most} "
             "bytes are possible: leave out points of the centre lines, or divide the plaza among several units"
         )
     return plaza

@@ -8,10 +8,9 @@ from math import pi, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from shared.bus.codec import encode
-from shared.bus.fitting import fitting
 from shared.maths.dates import BEYOND_NS
 from shared.maths.earth import FloatArray
+from shared.messages.fitting import fitting, size
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
     DELTAS,
@@ -715,7 +714,7 @@ class Core:
     def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
         """Everything that the passage follows from; of a very long one the newest, as much as a message holds."""
         frames = list(track.frames)
-        while len(encode(evidence := self._evidence_of(passage, track, frames))) > EVIDENCE_BYTES and len(frames) > 1:
+        while size(evidence := self._evidence_of(passage, track, frames)) > EVIDENCE_BYTES and len(frames) > 1:
             frames = frames[1 + len(frames) // 16 :]
         return evidence
 

@@ -15,9 +15,9 @@ from typing import TypeVar
 
 from pydantic import Field, ValidationError
 
-from shared.bus.fitting import fitting
 from shared.evidence import KeyFile
 from shared.messages.base import Message
+from shared.messages.fitting import fitting
 from shared.messages.toll import (
     OVERLAPS,
     PASSAGES,

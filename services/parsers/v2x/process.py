@@ -6,11 +6,11 @@ from math import hypot, radians
 
 from pydantic import Field, ValidationError
 
-from shared.bus.fitting import parts
 from shared.errors import RejectedFrame
 from shared.faults import Faults
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message
+from shared.messages.fitting import parts
 from shared.messages.gnss import GnssFix
 from shared.messages.v2x import Cam, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
 from shared.runtime.config import Section

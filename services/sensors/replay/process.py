@@ -8,9 +8,9 @@ from pathlib import Path
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope
-from shared.bus.fitting import fitting
 from shared.errors import BadPayload, BadRecording, UserError
 from shared.library.summary import SummaryWorker
+from shared.messages.fitting import fitting
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.replay import FASTEST, SLOWEST, ReplayCommand, ReplayControl, ReplayEvents, ReplayState
 from shared.recording import Recording

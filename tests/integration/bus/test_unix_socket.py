@@ -12,6 +12,8 @@ import pytest
 
 from broker import local_config
 from cli.demo.local import LocalBroker, free_port, local_broker, reaches_broker
+from cli.doctor import _broker
+from cli.main import _await_broker
 from shared.bus.bus import Bus
 from shared.runtime.config import LONGEST_SOCKET, SOCKET, BrokerAddress, broker_address, parse_vehicle
 from shared.topics import BY_NAME
@@ -75,6 +77,8 @@ def test_processes_and_programs_of_the_unit_find_the_socket_and_exchange_message
     monkeypatch.setenv("OBU_STATE", str(state))
     monkeypatch.delenv("OBU_BROKER", raising=False)
     assert broker_address() == started.address == BrokerAddress.parse(started.address.url)
+    assert _await_broker() == started.address.url, "with it `obu up` starts the processes"
+    assert _broker().what == f"broker at {path}", "and `obu doctor` asks there"
     found = path.stat()
     assert stat.S_ISSOCK(found.st_mode) and not found.st_mode & 0o007
     assert path.parent.stat().st_mode & 0o777 == 0o700

@@ -3,17 +3,21 @@
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
-from ..messages.base import Message
-from .codec import encode
+from .base import Message
 
 M = TypeVar("M", bound=Message)
+
+
+def size(message: Message) -> int:
+    """Length of a message as it is on the bus, without its sender [bytes]."""
+    return len(message.__pydantic_serializer__.to_json(message, exclude_none=True))
 
 
 def fitting(items: Sequence[M], most_bytes: int) -> Sequence[M]:
     """Take the first of a list whose encodings together have at most so many bytes."""
     left = most_bytes
     for count, item in enumerate(items):
-        left -= len(encode(item)) + 1
+        left -= size(item) + 1
         if left < 0:
             return items[:count]
     return items

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.bus.codec import encode
-from shared.bus.fitting import fitting, parts
+from shared.messages.fitting import fitting, parts
 from shared.messages.replay import TrustChange
 
 changes = st.lists(st.builds(TrustChange, since_ns=st.integers(0, 10**18), state=st.text(max_size=20)), max_size=30)
