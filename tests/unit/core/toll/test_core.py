@@ -18,6 +18,7 @@ from shared.messages.toll import (
     PassageState,
     TollDelta,
     TollPassage,
+    UsedCam,
     UsedCams,
 )
 from shared.messages.v2x import CamList, StationType
@@ -706,7 +707,7 @@ def test_the_evidence_of_a_very_long_passage_is_its_end_as_much_as_a_message_hol
 def test_used_cam_are_given_in_messages_that_the_broker_passes_on() -> None:
     core = Plant(COMMON).core
     core._table.used = [(0, (k, k, bytes(2304))) for k in range(1, 501)]
-    found = []
+    found: list[UsedCam] = []
     while cams := core.used():
         found += cams
         message = UsedCams(sampled_ns=1, since_ns=1, cams=cams)
