@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from broker.simulated import Limits
+from shared.topics import MANY_BYTES
 from tests.support.bus import brokers, raw_mqtt
 from tests.support.bus.brokers import MOSQUITTO, SIMULATED, RunningBroker
 from tests.support.bus.mqtt import KEEP_ALIVE_S, Client
@@ -128,8 +130,8 @@ def test_all_subscribers_receive_the_messages_of_all_publishers_in_one_order(bro
     assert len(set(seen[0])) == 300
 
 
-def test_a_payload_of_one_mebibyte_is_delivered_complete(alice: Client, bob: Client, topic: str) -> None:
-    payload = bytes(range(256)) * 4096
+def test_the_largest_payload_is_delivered_complete(alice: Client, bob: Client, topic: str) -> None:
+    payload = bytes(range(256)) * (MANY_BYTES // 256)
     bob.subscribe(topic)
     alice.publish(topic, payload)
     assert bob.take()[0].payload == payload
@@ -138,7 +140,7 @@ def test_a_payload_of_one_mebibyte_is_delivered_complete(alice: Client, bob: Cli
 def test_a_packet_beyond_the_limit_ends_the_connection(broker: RunningBroker, alice: Client, topic: str) -> None:
     with Client(broker.port) as client:
         client.connect()
-        client.paho.publish(topic, bytes(1_200_000), qos=0)
+        client.paho.publish(topic, bytes(Limits().packet_bytes), qos=0)
         client.ends()
     alice.publish(topic, "others go on")
 

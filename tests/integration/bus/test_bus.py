@@ -341,7 +341,8 @@ def test_an_oversized_message_is_dropped_and_counted(make_bus: Callable[[str], B
     sensor.publish(oversized)
     sensor.publish(raw(sensor, b"next"))
     received = [e.decode() for e in pump(0.3, sensor, parser)]
-    assert sensor.dropped == 1 and sensor.connected and sensor.reconnections == 0
+    assert sensor.dropped == sensor.rejects["too large"] == 1 and "gnss/raw" in str(sensor.last_error)
+    assert sensor.connected and sensor.reconnections == 0
     assert [m.data for m in received if isinstance(m, GnssRaw)] == [b"next"]
 
 
