@@ -22,6 +22,14 @@ TollDaysOption = Annotated[
     int | None,
     typer.Option("--toll-days", metavar="DAYS", min=1, max=7300, help="Days that charges of toll plazas are kept."),
 ]
+VehicleOption = Annotated[
+    int | None,
+    typer.Option("--vehicle-mb", metavar="MB", min=1, max=1_000_000, help="MB a day that each vehicle may store."),
+]
+BudgetOption = Annotated[
+    int | None,
+    typer.Option("--mb", metavar="MB", min=1, max=100_000_000, help="MB a day that all its vehicles may store."),
+]
 
 
 class Role(StrEnum):
@@ -101,6 +109,34 @@ def tenant_retention(
         note(db, tenant, "changed the retention", None, days=row[0], toll_days=row[1])
     print(f"{name} keeps reports for {row[0]} days and charges for {row[1]}")
     print("what is older is removed within six hours, or at once by `obu centre retain`")
+    return 0
+
+
+def tenant_budget(
+    name: Annotated[str, typer.Argument(help="Name of the tenant.")],
+    vehicle_mb: VehicleOption = None,
+    mb: BudgetOption = None,
+    folder: FolderOption = None,
+) -> int:
+    """Change how much the vehicles of a tenant may store a day; what is beyond gets no receipt, and an alarm `flood`.
+
+    A vehicle that reports once a second stores some 5 MB a day. What is not used is kept for three days, so that
+    a week without network is stored within an hour.
+
+    Example: [bold]obu centre tenant budget demo --vehicle-mb 100[/]
+    """
+    if vehicle_mb is None and mb is None:
+        raise UserError("say how much: --vehicle-mb for each vehicle, --mb for all of them")
+    with database(centre_of(folder)) as db:
+        tenant = tenant_id(db, name)
+        row = db.execute(
+            "UPDATE tenant SET vehicle_mb_day = coalesce(%s, vehicle_mb_day), mb_day = coalesce(%s, mb_day) "
+            "WHERE tenant_id = %s RETURNING vehicle_mb_day, mb_day",
+            (vehicle_mb, mb, tenant),
+        ).fetchone()
+        assert row is not None
+        note(db, tenant, "changed the budget", None, vehicle_mb=row[0], mb=row[1])
+    print(f"{name} may store {row[0]} MB a day of each vehicle, and {row[1]} MB of all of them; in half a minute")
     return 0
 
 

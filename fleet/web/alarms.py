@@ -58,7 +58,7 @@ class AlarmsApi:
         self,
         request: Request,
         show: Annotated[str, Query(pattern="^(open|unacknowledged|closed|all)$")] = "open",
-        kind: Annotated[str, Query(pattern="^(any|unsafe|gap|silent|signature)$")] = "any",
+        kind: Annotated[str, Query(pattern="^(any|unsafe|gap|silent|signature|flood)$")] = "any",
     ) -> Response:
         """Alarms, the open ones first, then the newest."""
         async with self._database.tenant(visitor_of(request).tenant_id) as cursor:
