@@ -2,8 +2,8 @@
 
 Each has two accounts, in bytes of storage. One is filled within minutes, so that neither disk nor other vehicles notice
 a flood; its rate is some hundred times that of a day, by which the outbox of a week without network is emptied within
-an hour. The other is filled at the rate of the day. Of the accounts of a tenant a part is kept for vehicles that report as
-usual, so that those that flood do not stop them.
+an hour. The other is filled at the rate of the day. Of the accounts of a tenant a part is kept for vehicles that report
+as usual, so that those that flood do not stop them.
 
 Nothing is lost: what gets no receipt stays in the outbox, and the vehicle sends it again. Accounts are of a process:
 where several ingests share the work, each lets as much through.

@@ -75,7 +75,7 @@ def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.S
     map_file = None if settings.map_file is None else str(settings.map_file)
     gate = WatchGate(database, client, map_file)
     routes = (
-        LoginApi(database, sessions, Attempts()),
+        LoginApi(database, sessions, Attempts(database)),
         Tiles(database),
         VehiclesApi(database),
         InstalledMap(map_file),
