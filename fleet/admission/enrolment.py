@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
 
 import psycopg
 from cryptography.exceptions import InvalidSignature
@@ -25,6 +26,13 @@ INSERT_KEY = """
 INSERT INTO certificate (key_id, vehicle, tenant_id, kind, public_key, serial, not_before, not_after)
 VALUES (%s, %s, %s, %s, %s, %s, %s, %s) ON CONFLICT (key_id) DO NOTHING
 """
+
+
+class Proven(NamedTuple):
+    """Whose certificate a request is signed with."""
+
+    vehicle: str
+    serial: str  # hexadecimal
 
 
 class Refusal(Exception):
@@ -101,10 +109,16 @@ class Enrolment:
             _note(db, tenant_id, "enrolled", vehicle, evidence[KEY])
         return answer
 
-    def renew(
-        self, certificate: str, request: str, made_ms: int, signature: bytes, evidence: Mapping[str, str]
-    ) -> dict[str, object]:
-        """Certify another key of an enrolled vehicle; raises `Refusal`, `BadRequest`, and errors of psycopg."""
+    def token_id(self, token: str) -> str | None:
+        """Name a token that can be used; None: there is none. Raises errors of psycopg."""
+        hashed = hashlib.sha256(token.encode()).digest()
+        with self._connect() as db:
+            query = "SELECT token_id FROM enrolment WHERE token_hash = %s AND used IS NULL AND expires > now()"
+            row = db.execute(query, (hashed,)).fetchone()
+        return None if row is None else str(row[0])
+
+    def proven(self, certificate: str, request: str, made_ms: int, signature: bytes) -> Proven:
+        """The vehicle that a request for renewal proves to be of; raises `Refusal`. The database is not asked."""
         old = self._authority.issued(certificate)
         vehicle = None if old is None else name_in(old)
         if old is None or vehicle is None:
@@ -120,16 +134,23 @@ class Enrolment:
             key.verify(signature, renewal_text(request, made_ms), ec.ECDSA(hashes.SHA256()))
         except (InvalidSignature, AssertionError) as error:
             raise Refusal("the request is not signed with the key of the certificate") from error
+        return Proven(vehicle, f"{old.serial_number:x}")
+
+    def renew(
+        self, certificate: str, request: str, made_ms: int, signature: bytes, evidence: Mapping[str, str]
+    ) -> dict[str, object]:
+        """Certify another key of an enrolled vehicle; raises `Refusal`, `BadRequest`, and errors of psycopg."""
+        vehicle, serial = self.proven(certificate, request, made_ms, signature)
         _check_statement(evidence, vehicle, request)
         with self._connect() as db:
             db.execute(LOCK_VEHICLE, {"vehicle": vehicle})
             row = db.execute(
                 "SELECT tenant_id, revoked FROM certificate WHERE vehicle = %s AND kind = 'tls' AND serial = %s",
-                (vehicle, f"{old.serial_number:x}"),
+                (vehicle, serial),
             ).fetchone()
             if row is None or row[1] is not None:
                 raise Refusal("the certificate is revoked; ask the operator of the centre")
-            if _renewed(db, vehicle, now) >= MOST_RENEWALS:
+            if _renewed(db, vehicle, datetime.now(UTC)) >= MOST_RENEWALS:
                 raise Refusal(f"this vehicle has renewed {MOST_RENEWALS} times in a day; try again tomorrow")
             answer = self._certify(db, int(row[0]), vehicle, request, evidence)
             _note(db, int(row[0]), "renewed", vehicle, evidence[KEY])

@@ -12,7 +12,7 @@ RENEW_AFTER_END = timedelta(days=180)  # in which a certificate that has ended c
 PART_ROWS = 5000  # a statement: locks and memory stay small
 TOLL = "toll/transaction"  # kept apart
 ENROLMENT_DAYS = 90  # after which a token that was used or has expired is forgotten
-FORGOTTEN_S = 3600  # after which attempts to log in, or to enrol, do not count any more
+FORGOTTEN_S = 3600  # after which attempts to log in do not count any more
 PARTITION = re.compile(r"segment_(\d{8})")
 # Rows of one tenant, by a column of days or of milliseconds [UTC].
 OLD_ROWS = {

@@ -1,16 +1,16 @@
-"""Attempts to log in or to enrol that failed, of all processes."""
+"""Attempts to log in that failed."""
 
 from alembic import op
 
 revision = "0003"
 down_revision = "0002"
 UPGRADE = """
--- By the SHA-256 of who is counted: an account, an address, a token. It is of no tenant: who asks is not known yet.
+-- By the SHA-256 of who is counted: an account, an address, a session. It is of no tenant: who asks is not known yet.
 CREATE TABLE attempt (
     origin bytea PRIMARY KEY, failures integer NOT NULL DEFAULT 0, last timestamptz NOT NULL DEFAULT clock_timestamp()
 );
 CREATE INDEX attempt_last ON attempt (last);
-GRANT SELECT, INSERT, UPDATE, DELETE ON attempt TO fleet_web, fleet_admission;
+GRANT SELECT, INSERT, UPDATE, DELETE ON attempt TO fleet_web;
 """
 
 

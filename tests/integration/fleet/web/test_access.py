@@ -11,6 +11,7 @@ import httpx
 import psycopg
 import pytest
 
+from fleet.web.access import login
 from fleet.web.access.attempts import Attempts, Free, origins
 from fleet.web.access.passwords import agrees, hashed, weakness
 from fleet.web.access.rights import GRANTED, ROWS, Right, Role, needed
@@ -183,7 +184,10 @@ def test_guesses_beside_each_other_pass_no_more_than_guesses_in_turn(running: Ru
     forget(running)
 
 
-def test_guesses_from_many_addresses_beside_each_other_are_counted_for_the_account(running: RunningWeb) -> None:
+def test_guesses_from_many_addresses_beside_each_other_are_counted_for_the_account(
+    running: RunningWeb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(login, "agrees", lambda *_: False)  # which takes a tenth of a second
     forget(running)
     ends = [f"127.0.1.{n}" for n in range(1, 31)]
     assert guesses(running, "anna", 150, ends)[401] == Free.ACCOUNT
@@ -205,7 +209,8 @@ def forget(running: RunningWeb) -> None:
 
 def test_a_botnet_has_a_hundred_guesses_and_a_network_of_ipv6_is_one_address(running: RunningWeb) -> None:
     forget(running)
-    attempts = Attempts(Database(running.dsn))  # as the owner, who may set a role
+    database = Database(running.dsn)  # as the owner, who may set a role
+    attempts = Attempts(database)
 
     def begin(account: str, host: str) -> float:
         return running.run(attempts.begin(origins(account, host)))
@@ -230,6 +235,7 @@ def test_a_botnet_has_a_hundred_guesses_and_a_network_of_ipv6_is_one_address(run
     assert begin("otto", "no address") == 0
     later(3601.0)
     assert begin("otto", "2001:db8::ffff") == 0, "after an hour all begins again"
+    running.run(database.close())
     forget(running)
 
 
