@@ -155,10 +155,11 @@ def tenant_web_hook(
     """
     centre = centre_of(folder)
     from fleet.alarms.signing import new_secret
-    from fleet.alarms.web_hook import SET, is_web_hook
+    from fleet.alarms.web_hook import SET, Reach
 
-    if address is not None and not is_web_hook(address):
-        raise UserError(f"{address} is no web hook: an address that begins with https://, without user and password")
+    why = None if address is None else Reach(centre.settings.web_hook_networks).why_not(address)
+    if why is not None:
+        raise UserError(f"{address!r} is no web hook: {why}")
     with database(centre) as db:
         tenant = tenant_id(db, name)
         secret = new_secret() if address else None

@@ -8,6 +8,7 @@ from pathlib import Path
 import uvicorn
 from nats.aio.client import Client
 
+from fleet.alarms.web_hook import Network, Reach
 from fleet.bus import closed, connected
 from fleet.centre import check_certificate
 from fleet.servers.nats import NatsAccess
@@ -52,6 +53,7 @@ class WebSettings:
     names: tuple[str, ...] = ()  # further names by which browsers reach this centre
     certificate: tuple[Path, Path] | None = None  # certificate and key; without them HTTP, for this machine alone
     map_file: Path | None = None
+    web_hook_networks: tuple[Network, ...] = ()  # where web hooks may be besides the public network
     session_h: float = 12.0
 
 
@@ -79,7 +81,7 @@ def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.S
         Tiles(database),
         VehiclesApi(database),
         InstalledMap(map_file),
-        AlarmsApi(database, live),
+        AlarmsApi(database, live, Reach(settings.web_hook_networks)),
         PassagesApi(database),
         EnrolmentApi(database, client, settings.enrol_url, settings.fingerprint),
         AccountsApi(database, sessions),
