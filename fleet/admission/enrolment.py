@@ -14,7 +14,7 @@ from fleet.database.retention import RENEW_AFTER_END
 from fleet.database.revoking import LOCK_VEHICLE
 from shared.evidence.statement import KEY, PUBLIC_KEY, is_genuine
 from shared.fleet.enrolling import STATEMENT, fingerprint_of, new_secret, renewal_text, request_digest
-from shared.fleet.topics import VEHICLE
+from shared.fleet.topics import RULE, VEHICLE
 
 from .authority import Authority, Certified, name_in
 
@@ -52,7 +52,7 @@ def make_token(
         There is no such tenant, no such name can be, or the vehicle belongs to another tenant.
     """
     if vehicle is not None and not VEHICLE.fullmatch(vehicle):
-        raise Refusal(f"{vehicle!r} is no name of a vehicle: letters, digits, - and _, at most 48")
+        raise Refusal(f"{vehicle!r} is no name of a vehicle: {RULE}; choose another one")
     row = db.execute("SELECT tenant_id FROM tenant WHERE name = %s", (tenant,)).fetchone()
     if row is None:
         raise Refusal(f"there is no tenant {tenant!r}; `obu centre tenant list` names them")
@@ -220,7 +220,7 @@ def _renewed(db: psycopg.Connection, vehicle: str, now: datetime) -> int:
 def _check_statement(evidence: Mapping[str, str], vehicle: str, request: str) -> None:
     """Raise `Refusal` unless the evidence key has signed this very request."""
     if not VEHICLE.fullmatch(vehicle):
-        raise Refusal("this is no name of a vehicle: letters, digits, - and _, at most 48")
+        raise Refusal(f"this is no name of a vehicle: {RULE}; name the unit otherwise with `obu enrol --name`")
     stated = evidence.get("vehicle"), evidence.get("request_sha256")
     if stated != (vehicle, request_digest(request)) or not is_genuine(STATEMENT, evidence):
         raise Refusal("the evidence key has not signed this request")

@@ -115,7 +115,8 @@ class LoginApi:
         async with self._deriving:
             right = await asyncio.to_thread(agrees, password, account.password if account else NOBODY)
         if account is None or not right:
-            log.warning("refused a password of %r", name[:40])
+            # A name that there is not may be a password in the wrong field.
+            log.warning("refused a password of %s", account.name if account else "an account that there is not")
             raise HTTPException(401, WRONG)
         await self._attempts.succeeded(counted)
         return account

@@ -7,7 +7,7 @@ import { w as all } from "./words.js";
 
 const w = all.vehicle;
 const EVERY_MS = 5000;
-const NAME = /^[A-Za-z0-9_-]{1,48}$/;
+const NAME = /^[A-Za-z0-9_][A-Za-z0-9_-]{0,47}$/;
 
 function Newest({ row, origins }) {
   if (row.utc_ms == null) return html`<${Empty} title=${w.none} why=${w.noneWhy} />`;
