@@ -29,6 +29,7 @@ from .audit import AuditApi
 from .database import Database
 from .enrolment import EnrolmentApi
 from .live import Live
+from .page_errors import PageErrorsApi
 from .passages import PassagesApi
 from .tiles import Tiles
 from .vehicles import VehiclesApi
@@ -86,6 +87,7 @@ def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.S
         EnrolmentApi(database, client, settings.enrol_url, settings.fingerprint),
         AccountsApi(database, sessions),
         AuditApi(database),
+        PageErrorsApi(),
         live,
         gate,
     )
