@@ -135,7 +135,7 @@ export const w = {
     title: "Enrol a vehicle",
     note: "The token is shown once and can be used once. Run the command on the unit.",
     vehicle: "Name of the vehicle",
-    vehicleNote: "Letters, digits, - and _. Empty: the unit's own name.",
+    vehicleNote: "Letters, digits, _ and -, not - first. Empty: the unit's own name.",
     hours: "Valid for [h]",
     make: "Make a token",
     command: "Command for the unit",
@@ -188,5 +188,5 @@ export const w = {
     done: "The password was changed; other sessions of yours have ended.",
   },
 
-  audit: { title: "Audit", columns: ["Time (UTC)", "Who", "What", "Vehicle", "Detail"], find: "Find", older: "Older", newest: "Newest", none: "No entry" },
+  audit: { title: "Audit", pageErrors: (n, time, sentence) => `${n} ${n === 1 ? "error" : "errors"} of these pages since the start of their process, the newest at ${time}: ${sentence}`, columns: ["Time (UTC)", "Who", "What", "Vehicle", "Detail"], find: "Find", older: "Older", newest: "Newest", none: "No entry" },
 };
