@@ -32,6 +32,7 @@ from fleet.servers.ports import is_of
 from fleet.servers.postgres import Postgres, name_of
 from fleet.up import LONGEST_AGAIN_S, Pauses, alone, check_rights, warn_if_away
 from fleet.web.access.accounts import NewAccount
+from fleet.web.access.rights import Role
 from shared.errors import UserError
 from shared.fleet.topics import VEHICLE, vehicle_of
 from shared.runtime.config import Vehicle
@@ -461,7 +462,7 @@ def test_a_name_that_a_command_takes_for_an_option_is_none(folder: Path, name: s
     with pytest.raises(ValidationError):
         Vehicle(name=name)
     with pytest.raises(ValidationError):
-        NewAccount(action="add", name=name, role="viewer", password="three words and one")
+        NewAccount(action="add", name=name, role=Role.VIEWER, password="three words and one")
 
 
 @pytest.mark.parametrize("name", ["--help", "a/b"])
