@@ -402,7 +402,7 @@ def test_events_are_sentences_and_nothing_on_a_page_has_brackets(
             "VALUES ('car-events', 1, %s, 1, %s, %s, %s) RETURNING 1", number, unit.now_ms, name, content,
         )  # fmt: skip
     page = open_centre("#/vehicles/car-events")
-    events = page.get_by_role("region", name="Events")
+    events = page.get_by_role("region", name="Events", exact=True)
     for sentence in (
         "The verdict became UNSAFE, before SAFE. Two satellites disagree.",
         "An outage of gnss/fix ended after 12 s. unplugged.",
