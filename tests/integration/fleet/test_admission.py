@@ -332,6 +332,12 @@ def test_accounts_and_tenants_by_commands(folder: Path) -> None:
     kept = rows(folder, "SELECT retention_days, toll_retention_days FROM tenant WHERE name = 'north'")
     assert kept == [(30, 400)]
     assert obu("centre", "tenant", "web-hook", "north", "https://hook.example/", folder=folder).returncode == 0
+    assert (
+        "web_hook_networks" in obu("centre", "tenant", "web-hook", "north", "https://10.0.0.1/", folder=folder).stderr
+    )
+    assert obu("centre", "tenant", "budget", "north", "--vehicle-mb", "100", folder=folder).returncode == 0
+    assert rows(folder, "SELECT vehicle_mb_day, mb_day FROM tenant WHERE name = 'north'") == [(100, 50_000)]
+    assert "say how much" in obu("centre", "tenant", "budget", "north", folder=folder).stderr
     assert "no web hook" in obu("centre", "tenant", "web-hook", "north", "ftp://hook.example", folder=folder).stderr
 
     assert obu("centre", "token", "--vehicle", "truck-3", "--tenant", "north", folder=folder).returncode == 0
