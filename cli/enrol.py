@@ -11,7 +11,7 @@ from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.fleet.enrolling import enrol as enrol_at
 from shared.fleet.enrolling import renew as renew_at
 from shared.fleet.identity import UplinkIdentity, date_of, identity_folder
-from shared.fleet.topics import VEHICLE
+from shared.fleet.topics import RULE, VEHICLE
 from shared.runtime.config import load_vehicle, state_dir
 
 
@@ -58,7 +58,7 @@ def enrol(
     file = load_vehicle(vehicle)
     unit = name or file.name
     if not VEHICLE.fullmatch(unit):
-        raise UserError(f"{unit!r} is no name of a vehicle: letters, digits, - and _, at most 48; give one with --name")
+        raise UserError(f"{unit!r} is no name of a vehicle: {RULE}; give one with --name")
     shown = _show(enrol_at(url, token, unit, folder, signer))
     if "monitoring.uplink" not in file.tables:
         print("Reports begin when the vehicle's file has a section [monitoring.uplink], after the next start.")

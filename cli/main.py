@@ -46,6 +46,7 @@ IN_MODULES = {  # commands that are imported when they are called: NumPy and the
     "centre tenant add": ("centre.tenants", "tenant_add"),
     "centre tenant list": ("centre.tenants", "tenant_list"),
     "centre tenant retention": ("centre.tenants", "tenant_retention"),
+    "centre tenant budget": ("centre.tenants", "tenant_budget"),
     "centre tenant web-hook": ("centre.tenants", "tenant_web_hook"),
     "centre account add": ("centre.tenants", "account_add"),
     "centre account list": ("centre.tenants", "account_list"),

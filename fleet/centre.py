@@ -4,6 +4,7 @@ import os
 import secrets
 import ssl
 import tomllib
+from ipaddress import IPv4Network, IPv6Network
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated
@@ -34,6 +35,7 @@ EXAMPLE = """# A control centre; see docs/how-to/run-a-control-centre.md. What i
 # web_names = []              # further names by which browsers reach the pages
 # web_certificate = ""        # of the pages, a file; otherwise one that the centre's own authority signs
 # web_key = ""                # of that certificate
+# web_hook_networks = []      # private networks in which web hooks of tenants may be, such as "10.1.2.0/24"
 # map_file = ""               # an installed map; see docs/how-to/install-a-map.md
 # Servers on other machines, or in containers; otherwise `obu centre up` runs both here:
 # database = ""               # such as "host=db dbname=fleet"; the owner's password: passfile=... (libpq)
@@ -56,6 +58,7 @@ class Settings(BaseModel):
     web_names: tuple[Annotated[str, Field(pattern=NAME, max_length=253)], ...] = Field(default=(), max_length=16)
     web_certificate: str = Field(default="", max_length=4096)
     web_key: str = Field(default="", max_length=4096)
+    web_hook_networks: tuple[IPv4Network | IPv6Network, ...] = Field(default=(), max_length=64)
     map_file: str = Field(default="", max_length=4096)
     database: str = Field(default="", max_length=1024)
     nats_host: str = Field(default="127.0.0.1", min_length=1, max_length=253, pattern=NAME)

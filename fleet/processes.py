@@ -29,8 +29,9 @@ def _ingest(centre: Centre) -> Work:
 
 def _alarms(centre: Centre) -> Work:
     from .alarms.process import serve
+    from .alarms.web_hook import Reach
 
-    return serve(centre.nats("alarms"), centre.dsn("alarms"))
+    return serve(centre.nats("alarms"), centre.dsn("alarms"), Reach(centre.settings.web_hook_networks))
 
 
 def _maintenance(centre: Centre) -> Work:
@@ -53,6 +54,7 @@ def _web(centre: Centre) -> Work:
             port=settings.web_port,
             names=(settings.host, *settings.web_names),
             certificate=centre.web_certificate,
+            web_hook_networks=settings.web_hook_networks,
             map_file=Path(settings.map_file) if settings.map_file else None,
         )
     )

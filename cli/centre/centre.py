@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import FIRST_TENANT, FolderOption, centre_of, database
+from .common import FolderOption, centre_of, database
 
 if TYPE_CHECKING:
     from fleet.centre import Centre
@@ -29,7 +29,8 @@ def up(folder: FolderOption = None) -> int:
     """Run a control centre on this machine: PostgreSQL, nats-server and the centre's processes, until Ctrl-C.
 
     Its folder holds the database, the authority's key and the settings (centre.toml), which are made at the first
-    start. The password of the first account, admin, is printed once.
+    start. The password of the first account, admin, is printed once on a terminal; elsewhere, as under systemd, it is
+    written to a file, so that no log holds it.
 
     Examples:
     [bold]obu centre up[/]
@@ -86,9 +87,9 @@ def _say(centre: "Centre") -> None:
     with database(centre) as db:
         accounts = db.execute("SELECT FROM account LIMIT 1").fetchone()
     if accounts is None:
-        from .tenants import Role, account_add
+        from .tenants import Role, enter_account
 
-        account_add("admin", Role.ADMIN, FIRST_TENANT, folder=centre.folder)
+        enter_account(centre, "admin", Role.ADMIN, logged=True)
     print("enrol a vehicle with a token: obu centre token --vehicle NAME   (end with Ctrl-C)", flush=True)
 
 

@@ -2,6 +2,7 @@
 
 import getpass
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,6 +68,29 @@ def tenant_id(db: "psycopg.Connection", name: str) -> int:
     if row is None:
         raise UserError(f"there is no tenant {name!r}; `obu centre tenant list` names them")
     return int(row[0])
+
+
+def hand_over(centre: "Centre", account: str, password: str, *, logged: bool) -> None:
+    """Print a made password once, or write it to a file for its user alone where a log would keep it.
+
+    `logged` says that what this process prints is kept if it is no terminal, as of a service.
+    """
+    in_journal = bool(os.environ.get("JOURNAL_STREAM")) and not sys.stdout.isatty()
+    if not in_journal and (sys.stdout.isatty() or not logged):
+        print(f"password, shown this once: {password}")
+        return
+    path = centre.folder / "secrets" / f"password-of-{account}"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(f"{password}\n")
+    except OSError as error:
+        raise UserError(
+            f"cannot write the password of {account} to {path}: {error.strerror}; mend that, then give the account "
+            f"another password: obu centre account add {account}"
+        ) from error
+    print(f"its password is in {path}, and not in this log: read it there, log in, change it, and remove the file")
 
 
 def who() -> str:

@@ -4,16 +4,19 @@ import re
 import secrets
 import sys
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from shared.errors import UserError
 
-from .common import FIRST_TENANT, FolderOption, TenantOption, centre_of, database, note, tenant_id
+from .common import FIRST_TENANT, FolderOption, TenantOption, centre_of, database, hand_over, note, tenant_id
 
-NAME = re.compile(r"[A-Za-z0-9_-]{1,48}")
-ACCOUNT = re.compile(r"[A-Za-z0-9_.@-]{1,64}")
+if TYPE_CHECKING:
+    from fleet.centre import Centre
+
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,47}")
+ACCOUNT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,63}")
 DaysOption = Annotated[
     int | None,
     typer.Option("--days", metavar="DAYS", min=1, max=3650, help="Days that positions, events and alarms are kept."),
@@ -21,6 +24,14 @@ DaysOption = Annotated[
 TollDaysOption = Annotated[
     int | None,
     typer.Option("--toll-days", metavar="DAYS", min=1, max=7300, help="Days that charges of toll plazas are kept."),
+]
+VehicleOption = Annotated[
+    int | None,
+    typer.Option("--vehicle-mb", metavar="MB", min=1, max=1_000_000, help="MB a day that each vehicle may store."),
+]
+BudgetOption = Annotated[
+    int | None,
+    typer.Option("--mb", metavar="MB", min=1, max=100_000_000, help="MB a day that all its vehicles may store."),
 ]
 
 
@@ -44,7 +55,7 @@ def tenant_add(
     Example: [bold]obu centre tenant add road-authority --days 30[/]
     """
     if not NAME.fullmatch(name):
-        raise UserError(f"{name!r} is no name of a tenant: letters, digits, - and _, at most 48")
+        raise UserError(f"{name!r} is no name of a tenant: letters, digits, _ and -, at most 48 and not - first")
     with database(centre_of(folder)) as db:
         row = db.execute(
             "INSERT INTO tenant (name) VALUES (%s) ON CONFLICT DO NOTHING RETURNING tenant_id", (name,)
@@ -104,6 +115,34 @@ def tenant_retention(
     return 0
 
 
+def tenant_budget(
+    name: Annotated[str, typer.Argument(help="Name of the tenant.")],
+    vehicle_mb: VehicleOption = None,
+    mb: BudgetOption = None,
+    folder: FolderOption = None,
+) -> int:
+    """Change how much the vehicles of a tenant may store a day; what is beyond gets no receipt, and an alarm `flood`.
+
+    A vehicle that reports once a second stores some 5 MB a day. What is not used is kept for three days, so that
+    a week without network is stored within an hour.
+
+    Example: [bold]obu centre tenant budget demo --vehicle-mb 100[/]
+    """
+    if vehicle_mb is None and mb is None:
+        raise UserError("say how much: --vehicle-mb for each vehicle, --mb for all of them")
+    with database(centre_of(folder)) as db:
+        tenant = tenant_id(db, name)
+        row = db.execute(
+            "UPDATE tenant SET vehicle_mb_day = coalesce(%s, vehicle_mb_day), mb_day = coalesce(%s, mb_day) "
+            "WHERE tenant_id = %s RETURNING vehicle_mb_day, mb_day",
+            (vehicle_mb, mb, tenant),
+        ).fetchone()
+        assert row is not None
+        note(db, tenant, "changed the budget", None, vehicle_mb=row[0], mb=row[1])
+    print(f"{name} may store {row[0]} MB a day of each vehicle, and {row[1]} MB of all of them; in half a minute")
+    return 0
+
+
 def tenant_web_hook(
     name: Annotated[str, typer.Argument(help="Name of the tenant.")],
     address: Annotated[
@@ -119,10 +158,11 @@ def tenant_web_hook(
     """
     centre = centre_of(folder)
     from fleet.alarms.signing import new_secret
-    from fleet.alarms.web_hook import SET, is_web_hook
+    from fleet.alarms.web_hook import SET, Reach
 
-    if address is not None and not is_web_hook(address):
-        raise UserError(f"{address} is no web hook: an address that begins with https://, without user and password")
+    why = None if address is None else Reach(centre.settings.web_hook_networks).why_not(address)
+    if why is not None:
+        raise UserError(f"{address!r} is no web hook: {why}")
     with database(centre) as db:
         tenant = tenant_id(db, name)
         secret = new_secret() if address else None
@@ -147,6 +187,8 @@ def account_add(
 ) -> int:
     """Add an account for the pages, or give an existing one another password and role; prints a made password once.
 
+    Where systemd would write it to its journal, it is written to a file instead.
+
     Without --role a new account is a viewer, and an existing one keeps its role. Viewer sees map, tracks and alarms;
     operator also acknowledges alarms and watches vehicles; toll sees charges and no tracks; admin does all of this,
     enrols, revokes and manages accounts.
@@ -155,11 +197,26 @@ def account_add(
     [bold]obu centre account add anna --role admin[/]
     [bold]obu centre account add otto --role operator --password-stdin < password[/]
     """
-    centre = centre_of(folder)
+    enter_account(centre_of(folder), name, role, tenant, password_stdin=password_stdin)
+    return 0
+
+
+def enter_account(
+    centre: "Centre",
+    name: str,
+    role: Role | None,
+    tenant: str = FIRST_TENANT,
+    *,
+    password_stdin: bool = False,
+    logged: bool = False,
+) -> None:
+    """Add or change an account, and hand its password over; `logged` as there. Raises `UserError`."""
     from fleet.web.access.passwords import hashed, weakness
 
     if not ACCOUNT.fullmatch(name):
-        raise UserError(f"{name!r} is no name of an account: letters, digits and . _ @ -, at most 64")
+        raise UserError(
+            f"{name!r} is no name of an account: letters, digits and . _ @ -, at most 64, no sign but _ first"
+        )
     password = sys.stdin.readline(1024).rstrip("\r\n") if password_stdin else secrets.token_urlsafe(15)
     if why := weakness(password, name):
         raise UserError(f"{why}; give another one")
@@ -180,8 +237,7 @@ def account_add(
         note(db, owner, "added an account" if row[2] else "gave an account a password", None, name=name, role=row[1])
     print(f"account {name} of {tenant} with the role {row[1]} logs in at {centre.web_url}")
     if not password_stdin:
-        print(f"password, shown this once: {password}")
-    return 0
+        hand_over(centre, name, password, logged=logged)
 
 
 def account_list(folder: FolderOption = None) -> int:

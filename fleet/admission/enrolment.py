@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
 
 import psycopg
 from cryptography.exceptions import InvalidSignature
@@ -13,7 +14,7 @@ from fleet.database.retention import RENEW_AFTER_END
 from fleet.database.revoking import LOCK_VEHICLE
 from shared.evidence.statement import KEY, PUBLIC_KEY, is_genuine
 from shared.fleet.enrolling import STATEMENT, fingerprint_of, new_secret, renewal_text, request_digest
-from shared.fleet.topics import VEHICLE
+from shared.fleet.topics import RULE, VEHICLE
 
 from .authority import Authority, Certified, name_in
 
@@ -25,6 +26,13 @@ INSERT_KEY = """
 INSERT INTO certificate (key_id, vehicle, tenant_id, kind, public_key, serial, not_before, not_after)
 VALUES (%s, %s, %s, %s, %s, %s, %s, %s) ON CONFLICT (key_id) DO NOTHING
 """
+
+
+class Proven(NamedTuple):
+    """Whose certificate a request is signed with."""
+
+    vehicle: str
+    serial: str  # hexadecimal
 
 
 class Refusal(Exception):
@@ -44,7 +52,7 @@ def make_token(
         There is no such tenant, no such name can be, or the vehicle belongs to another tenant.
     """
     if vehicle is not None and not VEHICLE.fullmatch(vehicle):
-        raise Refusal(f"{vehicle!r} is no name of a vehicle: letters, digits, - and _, at most 48")
+        raise Refusal(f"{vehicle!r} is no name of a vehicle: {RULE}; choose another one")
     row = db.execute("SELECT tenant_id FROM tenant WHERE name = %s", (tenant,)).fetchone()
     if row is None:
         raise Refusal(f"there is no tenant {tenant!r}; `obu centre tenant list` names them")
@@ -101,10 +109,16 @@ class Enrolment:
             _note(db, tenant_id, "enrolled", vehicle, evidence[KEY])
         return answer
 
-    def renew(
-        self, certificate: str, request: str, made_ms: int, signature: bytes, evidence: Mapping[str, str]
-    ) -> dict[str, object]:
-        """Certify another key of an enrolled vehicle; raises `Refusal`, `BadRequest`, and errors of psycopg."""
+    def token_id(self, token: str) -> str | None:
+        """Name a token that can be used; None: there is none. Raises errors of psycopg."""
+        hashed = hashlib.sha256(token.encode()).digest()
+        with self._connect() as db:
+            query = "SELECT token_id FROM enrolment WHERE token_hash = %s AND used IS NULL AND expires > now()"
+            row = db.execute(query, (hashed,)).fetchone()
+        return None if row is None else str(row[0])
+
+    def proven(self, certificate: str, request: str, made_ms: int, signature: bytes) -> Proven:
+        """The vehicle that a request for renewal proves to be of; raises `Refusal`. The database is not asked."""
         old = self._authority.issued(certificate)
         vehicle = None if old is None else name_in(old)
         if old is None or vehicle is None:
@@ -120,16 +134,23 @@ class Enrolment:
             key.verify(signature, renewal_text(request, made_ms), ec.ECDSA(hashes.SHA256()))
         except (InvalidSignature, AssertionError) as error:
             raise Refusal("the request is not signed with the key of the certificate") from error
+        return Proven(vehicle, f"{old.serial_number:x}")
+
+    def renew(
+        self, certificate: str, request: str, made_ms: int, signature: bytes, evidence: Mapping[str, str]
+    ) -> dict[str, object]:
+        """Certify another key of an enrolled vehicle; raises `Refusal`, `BadRequest`, and errors of psycopg."""
+        vehicle, serial = self.proven(certificate, request, made_ms, signature)
         _check_statement(evidence, vehicle, request)
         with self._connect() as db:
             db.execute(LOCK_VEHICLE, {"vehicle": vehicle})
             row = db.execute(
                 "SELECT tenant_id, revoked FROM certificate WHERE vehicle = %s AND kind = 'tls' AND serial = %s",
-                (vehicle, f"{old.serial_number:x}"),
+                (vehicle, serial),
             ).fetchone()
             if row is None or row[1] is not None:
                 raise Refusal("the certificate is revoked; ask the operator of the centre")
-            if _renewed(db, vehicle, now) >= MOST_RENEWALS:
+            if _renewed(db, vehicle, datetime.now(UTC)) >= MOST_RENEWALS:
                 raise Refusal(f"this vehicle has renewed {MOST_RENEWALS} times in a day; try again tomorrow")
             answer = self._certify(db, int(row[0]), vehicle, request, evidence)
             _note(db, int(row[0]), "renewed", vehicle, evidence[KEY])
@@ -199,7 +220,7 @@ def _renewed(db: psycopg.Connection, vehicle: str, now: datetime) -> int:
 def _check_statement(evidence: Mapping[str, str], vehicle: str, request: str) -> None:
     """Raise `Refusal` unless the evidence key has signed this very request."""
     if not VEHICLE.fullmatch(vehicle):
-        raise Refusal("this is no name of a vehicle: letters, digits, - and _, at most 48")
+        raise Refusal(f"this is no name of a vehicle: {RULE}; name the unit otherwise with `obu enrol --name`")
     stated = evidence.get("vehicle"), evidence.get("request_sha256")
     if stated != (vehicle, request_digest(request)) or not is_genuine(STATEMENT, evidence):
         raise Refusal("the evidence key has not signed this request")

@@ -34,8 +34,10 @@ log = logging.getLogger(__name__)
 MOST_BODY_BYTES = 32_768
 BODY_S = 10.0  # in which a body must be there
 AT_ONCE = 8  # requests that are verified; more wait
+AT_ONCE_SUSPECT = 2  # of addresses that were refused too often
 CONNECTIONS, PER_ADDRESS = 400, 64  # vehicles of a whole fleet may share an address
 RENEW_PERIOD_S = 12 * 3600.0  # of looking at the certificate of the servers
+NO_REQUEST = "this is no request of a unit of this version"
 Text = Annotated[str, Field(max_length=8192)]
 Word = Annotated[str, Field(max_length=512)]
 Statement = Annotated[dict[Word, Word], Field(max_length=16)]
@@ -75,15 +77,25 @@ def make_app(enrolment: Enrolment, authority: Authority) -> FastAPI:
 
     @app.post("/enrol")
     async def enrol(request: Request) -> Response:
-        return await answers.answer(request, EnrolRequest, lambda body: enrolment.enrol(**body.model_dump()))
+        def holder(body: EnrolRequest) -> str | None:
+            return enrolment.token_id(body.token)
+
+        return await answers.answer(request, EnrolRequest, holder, lambda body: enrolment.enrol(**body.model_dump()))
 
     @app.post("/renew")
     async def renew(request: Request) -> Response:
+        def holder(body: RenewRequest) -> str | None:
+            try:
+                signature = bytes.fromhex(body.signature)
+                return enrolment.proven(body.certificate, body.request, body.made_ms, signature).vehicle
+            except Refusal:
+                return None
+
         def work(body: RenewRequest) -> dict[str, object]:
             given = body.model_dump(exclude={"signature"})
             return enrolment.renew(**given, signature=bytes.fromhex(body.signature))
 
-        return await answers.answer(request, RenewRequest, work)
+        return await answers.answer(request, RenewRequest, holder, work)
 
     return app
 
@@ -92,31 +104,53 @@ class Answers:
     """Reads requests, has them done, and says what was wrong."""
 
     def __init__(self) -> None:
-        self._refusals = Refusals()
-        self._working = asyncio.Semaphore(AT_ONCE)
+        self._addresses, self._holders = Refusals(), Refusals()
+        self._working, self._suspect = asyncio.Semaphore(AT_ONCE), asyncio.Semaphore(AT_ONCE_SUSPECT)
 
-    async def answer(self, request: Request, kind: type[Body], work: Callable[[Body], dict[str, object]]) -> Response:
-        """Read a bounded body, and do the work in a thread."""
+    async def answer(
+        self,
+        request: Request,
+        kind: type[Body],
+        holder_of: Callable[[Body], str | None],
+        work: Callable[[Body], dict[str, object]],
+    ) -> Response:
+        """Read a bounded body, and do the work in a thread; `holder_of` names the token or vehicle that it proves."""
         address = place_of(request.client.host) if request.client else ""
-        if wait_s := self._refusals.wait_s(address):
-            return _refused(429, f"too many requests of this address were refused; try again in {wait_s / 60:.0f} min")
+        wait_s = self._addresses.begin(address)
+        counted = [] if wait_s else [(self._addresses, address)]
         data = await _body(request)
         if data is None:
             return _refused(413, "the request is too long or too slow")
         try:
             body = kind.model_validate_json(data)
-            async with self._working:
-                return JSONResponse(await asyncio.to_thread(work, body))
+            async with self._suspect if wait_s else self._working:
+                holder = await asyncio.to_thread(holder_of, body)
+                if holder is not None:
+                    wait_s = self._holders.begin(holder)
+                    counted += [] if wait_s else [(self._holders, holder)]
+                if wait_s:
+                    return _too_many(wait_s)
+                done = await asyncio.to_thread(work, body)
         except ValidationError as error:
-            refusal = _refused(422, f"this is no request of a unit of this version: {error.errors()[0]['msg']}")
+            return _too_many(wait_s) if wait_s else _refused(422, f"{NO_REQUEST}: {error.errors()[0]['msg']}")
         except (Refusal, BadRequest) as error:
             log.warning("refused: %s", error)
-            refusal = _refused(403, str(error))
+            return _refused(403, str(error))
         except psycopg.Error as error:
             log.error("the database cannot be used: %s", error)
+            _take_back(counted)
             return _refused(503, "the centre cannot reach its database; try again later")
-        self._refusals.add(address)
-        return refusal
+        _take_back(counted)
+        return JSONResponse(done)
+
+
+def _take_back(counted: list[tuple[Refusals, str]]) -> None:
+    for refusals, name in counted:
+        refusals.take_back(name)
+
+
+def _too_many(wait_s: float) -> Response:
+    return _refused(429, f"too many requests of this address were refused; try again in {wait_s / 60:.0f} min")
 
 
 async def _body(request: Request) -> bytes | None:

@@ -5,6 +5,8 @@
   is switched off. A centre that was away itself, or its ingest, first hears for five minutes who comes back.
 - `gap`: its outbox has dropped reports, or numbers are missing for ten minutes while later ones are there.
 - `signature`: batches on its topic are not signed by it; raised by ingest, and ended here after an hour without more.
+- `flood`: a vehicle sends more than its budget, or that of its tenant, holds, and gets no receipt for it; raised and
+  ended as `signature`.
 
 An alarm that is raised by reports that are older than five minutes is marked as late.
 """

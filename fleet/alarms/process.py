@@ -17,7 +17,7 @@ from shared.fleet.topics import ALARM, CHANGED
 
 from .judge import Row, judge
 from .late import DAY_S, judge_late
-from .web_hook import WebHooks
+from .web_hook import Reach, WebHooks
 
 log = logging.getLogger(__name__)
 
@@ -66,13 +66,13 @@ class Alarms:
         self._db = None
 
 
-async def serve(server: NatsAccess, dsn: str) -> None:
-    """Work until cancelled."""
+async def serve(server: NatsAccess, dsn: str, reach: Reach) -> None:
+    """Work until cancelled; `reach` says where web hooks may be."""
     client = await connected(server, "alarms")
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(_judge(client, Alarms(dsn)))
-            group.create_task(WebHooks(dsn).run())
+            group.create_task(WebHooks(dsn, reach).run())
     finally:
         await closed(client)
 

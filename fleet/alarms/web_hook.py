@@ -1,7 +1,8 @@
 """Tells the web hooks of tenants which alarms were raised, and which have ended.
 
-A tenant names an address, and this process reaches what its tenant does not: it is asked by HTTPS alone, never where it
-leads to this machine, no answer is followed, and nothing of one is read but whether it was taken.
+A tenant names an address, and this process reaches what its tenant does not: it is asked by HTTPS alone, at addresses
+of the public network and those that the operator has named (`web_hook_networks`), no answer is followed, and nothing of
+one is read but whether it was taken.
 """
 
 import asyncio
@@ -10,8 +11,8 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Callable, Mapping
-from ipaddress import ip_address
+from collections.abc import Mapping, Sequence
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address
 from itertools import groupby
 from typing import Any
 from urllib.parse import quote, urlsplit
@@ -48,6 +49,15 @@ WHERE alarm_id = %(alarm)s
 """
 SET = "UPDATE tenant SET web_hook = %s, web_hook_secret = %s WHERE tenant_id = %s"
 URL_SIGNS = "/%?:@!$&'()*+,;=~"  # that stay in a path and its query
+PRIVATE = (
+    "is not of the public network; name a server there, or have the operator of the centre name its network in "
+    "web_hook_networks"
+)
+UNICAST = IPv6Network("2000::/3")  # what of IPv6 is public at all
+TUNNELS = IPv6Network("2001::/32"), IPv6Network("2002::/16")  # Teredo and 6to4 lead to any address of IPv4
+OF_IPV4 = IPv6Network("::/96"), IPv6Network("::ffff:0:0/96"), IPv6Network("64:ff9b::/96")
+Address = IPv4Address | IPv6Address
+Network = IPv4Network | IPv6Network
 Row = dict[str, Any]
 
 
@@ -62,21 +72,49 @@ def is_web_hook(address: str) -> bool:
     return fits and "@" not in parts.netloc and port > 0
 
 
-def is_elsewhere(address: str) -> bool:
-    """Whether an IP address is neither this machine nor one that only its neighbours have."""
-    ip = ip_address(address.partition("%")[0])
-    ip = getattr(ip, "ipv4_mapped", None) or ip
-    return not (ip.is_loopback or ip.is_link_local or ip.is_multicast or ip.is_unspecified)
+class Reach:
+    """Which IP addresses web hooks may have: public ones, and those of networks that the operator names."""
+
+    def __init__(self, networks: Sequence[Network] = ()) -> None:
+        self._networks = tuple(networks)
+
+    def allows(self, address: str) -> bool:
+        """Whether an IP address may be connected to; of one that stands for an address of IPv4, that counts."""
+        ip = inner(ip_address(address.partition("%")[0]))
+        return is_public(ip) or any(ip in network for network in self._networks)
+
+    def why_not(self, web_hook: str) -> str | None:
+        """Why an address cannot be a web hook; None: it can, as far as is seen without asking for its name."""
+        if not is_web_hook(web_hook):
+            return "a web hook is an address that begins with https://, without user and password"
+        host = (urlsplit(web_hook).hostname or "").rstrip(".")
+        try:
+            is_allowed = self.allows(host)
+        except ValueError:
+            is_allowed = host != "localhost" and not host.endswith(".localhost")
+        return None if is_allowed else f"{host} {PRIVATE}"
+
+
+def inner(ip: Address) -> Address:
+    """The address of IPv4 that one of IPv6 leads to: mapped, compatible, or by NAT64 (RFC 6052); else itself."""
+    if isinstance(ip, IPv6Address) and any(ip in network for network in OF_IPV4):
+        return IPv4Address(int(ip) & 0xFFFF_FFFF)
+    return ip
+
+
+def is_public(ip: Address) -> bool:
+    """Whether an address is one of the public network, by the registries of IANA."""
+    if isinstance(ip, IPv6Address) and (ip not in UNICAST or any(ip in network for network in TUNNELS)):
+        return False
+    return ip.is_global and not (ip.is_multicast or ip.is_reserved or ip.is_unspecified)
 
 
 class WebHooks:
-    """Asks the database each second what is due; `trust` and `may_reach` are for tests."""
+    """Asks the database each second what is due; `trust` is for tests."""
 
-    def __init__(
-        self, dsn: str, trust: ssl.SSLContext | None = None, may_reach: Callable[[str], bool] = is_elsewhere
-    ) -> None:
+    def __init__(self, dsn: str, reach: Reach, trust: ssl.SSLContext | None = None) -> None:
         self._dsn = dsn
-        self._trust, self._may_reach = trust or ssl.create_default_context(), may_reach
+        self._trust, self._reach = trust or ssl.create_default_context(), reach
         self._db: psycopg.AsyncConnection | None = None
         self._waiting: dict[int, float] = {}  # until when [s], by tenant
 
@@ -158,6 +196,6 @@ class WebHooks:
         """Find an IP address that may be connected to: it is checked and used, so that no name can change between."""
         found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
         for *_, place in found:
-            if self._may_reach(str(place[0])):
+            if self._reach.allows(str(place[0])):
                 return str(place[0]), int(place[1])
-        raise ValueError("its name leads to this machine; name a server elsewhere")
+        raise ValueError(f"its name leads to an address that {PRIVATE}")

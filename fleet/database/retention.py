@@ -12,6 +12,7 @@ RENEW_AFTER_END = timedelta(days=180)  # in which a certificate that has ended c
 PART_ROWS = 5000  # a statement: locks and memory stay small
 TOLL = "toll/transaction"  # kept apart
 ENROLMENT_DAYS = 90  # after which a token that was used or has expired is forgotten
+FORGOTTEN_S = 3600  # after which attempts to log in do not count any more
 PARTITION = re.compile(r"segment_(\d{8})")
 # Rows of one tenant, by a column of days or of milliseconds [UTC].
 OLD_ROWS = {
@@ -72,6 +73,7 @@ def retain(dsn: str, today: date | None = None) -> Removed:
         )
         db.execute("DELETE FROM certificate WHERE kind = 'tls' AND not_after < now() - %s", (RENEW_AFTER_END,))
         db.execute("DELETE FROM session WHERE expires < now()")
+        db.execute("DELETE FROM attempt WHERE last < now() - make_interval(secs => %s)", (FORGOTTEN_S,))
     return Removed(days, rows)
 
 

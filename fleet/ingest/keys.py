@@ -17,6 +17,13 @@ MOST_KEYS = 200_000
 ED25519_BYTES = 32
 
 
+class Limits(NamedTuple):
+    """How much may be stored a day [MB], by the table `tenant`: of each vehicle, and of all of them together."""
+
+    vehicle_mb: int = 50
+    tenant_mb: int = 50_000
+
+
 class KeyRow(NamedTuple):
     """An evidence key, as the database has it."""
 
@@ -25,6 +32,7 @@ class KeyRow(NamedTuple):
     tenant_id: int
     public_key: bytes  # 32 bytes of Ed25519, or the uncompressed point of P-256
     revoked: bool
+    limits: Limits
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,7 @@ class Key:
     tenant_id: int
     public_key: "PublicKey | None"  # None: it cannot be read
     revoked: bool
+    limits: Limits
 
 
 class Keys:
@@ -55,7 +64,7 @@ class Keys:
             for key_id in wanted:
                 self._known.pop(key_id, None)
                 if (row := found.get(key_id)) is not None:
-                    key = Key(row.vehicle, row.tenant_id, public_key_of(row), row.revoked)
+                    key = Key(row.vehicle, row.tenant_id, public_key_of(row), row.revoked, row.limits)
                     self._known[key_id] = now, key
 
     def find(self, key_id: str) -> Key | None:

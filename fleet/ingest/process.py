@@ -16,20 +16,24 @@ from fleet.servers.nats import NatsAccess
 from shared.fleet.receipts import MOST_BATCHES, Receipt, Refused, Stored
 from shared.fleet.topics import BATCH, CHANGED, RECEIPT, REVOKED, subject, vehicle_of
 
-from .keys import Keys
+from .budgets import ROW_BYTES, VEHICLE, Budgets, storage_bytes
+from .keys import Keys, Limits
 from .store import Changed, Store, Unusable
 from .verification import FORMAT, KEY, Arrived, Genuine, verified
+from .waiting import Waiting
 
 log = logging.getLogger(__name__)
 
 QUEUE = "ingest"
 GROUP = 500  # batches a transaction
 LINGER_S = 0.2  # in which batches gather for one transaction: its cost is nearly that of a hundred batches
+LEAST_LINGER_S, MANY = 0.02, 100  # with fewer in the last transaction for less: a vehicle that empties its outbox waits
 TOLD_ROWS = 200  # of `vehicle_now` in a message: the longest has 500 bytes, and NATS takes 128 kB
-WAITING = 5000  # batches; what comes beyond is dropped, and vehicles send it again
-SHARE = 16  # of one vehicle among them, so that none keeps others out: its outbox has four in flight
 RETRY_S = 2.0  # after the database could not be used
 BEAT_S = 10.0  # an empty list of changes says after as long that an ingest works
+FLOOD_S = 5.0  # between two looks at what was withheld
+UNKNOWN = 0  # tenant of what no known key of its vehicle has signed
+Counts = Counter[tuple[str, str]]  # batches by vehicle and reason
 
 
 def now_ms() -> int:
@@ -43,46 +47,60 @@ class Ingest:
     def __init__(self, client: Client, store: Store, clock_ms: Callable[[], int] = now_ms) -> None:
         self._client, self._store, self._clock_ms = client, store, clock_ms
         self._keys = Keys(store.keys)
-        self._arrived: asyncio.Queue[Arrived] = asyncio.Queue(WAITING)
-        self._waiting = Counter[str]()  # of each vehicle
-        self._told_s = -BEAT_S
+        self._waiting, self._budgets = Waiting(), Budgets()
+        self._withheld = Counts()  # of each vehicle, and whose account was empty; not told yet
+        self._flood_s = self._told_s = -BEAT_S
 
     async def run(self) -> None:
         """Work until cancelled."""
         await self._client.subscribe(subject("*", BATCH), QUEUE, self._take)
         await self._client.subscribe(REVOKED, cb=self._forget)
+        number = 0
         while True:
-            try:
+            with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(BEAT_S):
-                    group = [self._taken(await self._arrived.get())]
-            except TimeoutError:
-                await self._tell([], {})
-                continue
-            if self._arrived.qsize() < GROUP:
-                await asyncio.sleep(LINGER_S)
-            while len(group) < GROUP and not self._arrived.empty():
-                group.append(self._taken(self._arrived.get_nowait()))
+                    await self._waiting.any()
+            if len(self._waiting) and len(self._waiting) < GROUP:
+                await asyncio.sleep(max(LEAST_LINGER_S, LINGER_S * min(1.0, number / MANY)))
+            group = self._waiting.take(GROUP)
+            number = len(group)
             try:
-                changed, answers, forgeries = await asyncio.to_thread(self._work, group)
+                await self._store_group(group)
             except Unusable as error:
                 log.error("nothing is stored, vehicles will send it again: %s", error)
                 await asyncio.sleep(RETRY_S)
-                continue
-            await self._tell(changed, answers)
-            if forgeries:
-                log.warning("refused: %s", dict(forgeries))
+
+    async def _store_group(self, group: Sequence[Arrived]) -> None:
+        """Store what has come, and answer; raises `Unusable`."""
+        changed, answers, forgeries, withheld = await asyncio.to_thread(self._work, group)
+        self._withheld += withheld
+        await self._tell(changed, answers)
+        if forgeries:
+            log.warning("refused: %s", dict(forgeries))
+        if self._withheld and time.monotonic() - self._flood_s >= FLOOD_S:
+            await self._tell_floods()
+
+    async def _tell_floods(self) -> None:
+        """Raise the alarm `flood`; raises `Unusable`, and what was counted is told later."""
+        counts = dict(self._withheld)
+        await asyncio.to_thread(self._store.tell_floods, counts, self._clock_ms())
+        self._withheld.subtract(counts)
+        self._withheld += Counter()  # without those that are told
+        self._flood_s = time.monotonic()
+        most = sorted(counts, key=lambda one: -counts[one])[:5]
+        log.warning("without a receipt, beyond the budget: %d batches of %d vehicles, most of %s", sum(counts.values()),
+                    len({vehicle for vehicle, _ in counts}), ", ".join(vehicle for vehicle, _ in most))  # fmt: skip
 
     async def _take(self, message: Msg) -> None:
         vehicle = vehicle_of(message.subject)
-        if vehicle is not None and not self._arrived.full() and self._waiting[vehicle] < SHARE:
-            self._waiting[vehicle] += 1
-            self._arrived.put_nowait(Arrived.of(vehicle, message.data))
-
-    def _taken(self, one: Arrived) -> Arrived:
-        self._waiting[one.vehicle] -= 1
-        if not self._waiting[one.vehicle]:
-            del self._waiting[one.vehicle]
-        return one
+        if vehicle is None:
+            return
+        if self._budgets.is_empty(vehicle, time.monotonic()):
+            self._withheld[vehicle, VEHICLE] += 1
+            return
+        arrived = Arrived.of(vehicle, message.data)
+        key = None if arrived.sealed is None else self._keys.find(arrived.sealed.key)
+        self._waiting.add(UNKNOWN if key is None or key.vehicle != vehicle else key.tenant_id, arrived)
 
     async def _forget(self, message: Msg) -> None:
         with contextlib.suppress(ValueError, KeyError, TypeError):  # from a process of the centre
@@ -90,16 +108,22 @@ class Ingest:
 
     def _work(
         self, group: Sequence[Arrived]
-    ) -> tuple[list[Changed], dict[str, list[Stored | Refused]], Counter[tuple[str, str]]]:
-        """Verify and store a group; raises `Unusable`."""
+    ) -> tuple[list[Changed], dict[str, list[Stored | Refused]], Counts, Counts]:
+        """Verify and store a group; raises `Unusable`.
+
+        Returns rows of `vehicle_now`, answers, forgeries, and what gets no answer since a budget is used up.
+        """
         answers: dict[str, list[Stored | Refused]] = defaultdict(list)
-        forgeries: Counter[tuple[str, str]] = Counter()
+        forgeries, withheld = Counts(), Counts()
         self._keys.load({one.sealed.key for one in group if one.sealed is not None})
         genuine: list[Genuine] = []
         at_ms = self._clock_ms()
         for one in group:
             key = None if one.sealed is None else self._keys.find(one.sealed.key)
             found = verified(one, key, at_ms)
+            if (whose := self._withheld_by(one, found, Limits() if key is None else key.limits)) is not None:
+                withheld[one.vehicle, whose] += 1
+                continue
             if isinstance(found, Genuine):
                 genuine.append(found)
                 continue
@@ -112,7 +136,15 @@ class Ingest:
             answers[batch.vehicle].append(batch.stored if reason is None else batch.refused(reason))
         if forgeries:
             self._store.tell_forgeries(dict(forgeries), at_ms)
-        return changed, answers, forgeries
+        return changed, answers, forgeries, withheld
+
+    def _withheld_by(self, one: Arrived, found: Genuine | Refused, limits: Limits) -> str | None:
+        """Take a batch from the budgets; or say whose is used up."""
+        if isinstance(found, Genuine):
+            size, tenant = storage_bytes(found), found.tenant_id
+        else:
+            size, tenant = ROW_BYTES + len(one.data), None
+        return self._budgets.withheld(one.vehicle, tenant, limits, size, time.monotonic())
 
     async def _tell(self, changed: list[Changed], answers: dict[str, list[Stored | Refused]]) -> None:
         now_s = time.monotonic()

@@ -11,7 +11,7 @@ from fleet.database.refusals import reason_of
 from fleet.database.retention import TOLL
 from shared.fleet.batch import Kind
 
-from .keys import KeyRow
+from .keys import KeyRow, Limits
 from .verification import CONFLICT, EPOCHS, FORMAT, Genuine, by_kind, last_position, newest
 
 # Rows of a group come by COPY into tables of the connection, and from there where they are not yet.
@@ -170,9 +170,17 @@ FROM vehicle WHERE vehicle = %(vehicle)s
 ON CONFLICT (vehicle, kind) WHERE until_ms IS NULL DO UPDATE SET detail =
     excluded.detail || jsonb_build_object('count', (alarm.detail->>'count')::bigint + %(count)s)
 """
+ALARM_FLOOD = """
+INSERT INTO alarm (tenant_id, vehicle, kind, since_ms, detail)
+SELECT tenant_id, vehicle, 'flood', %(now)s,
+    jsonb_build_object('budget', %(whose)s::text, 'withheld', %(count)s::int, 'last_ms', %(now)s::bigint)
+FROM vehicle WHERE vehicle = %(vehicle)s
+ON CONFLICT (vehicle, kind) WHERE until_ms IS NULL DO UPDATE SET detail =
+    excluded.detail || jsonb_build_object('withheld', (alarm.detail->>'withheld')::bigint + %(count)s)
+"""
 KEYS = """
-SELECT key_id, vehicle, tenant_id, public_key, revoked IS NOT NULL FROM certificate
-WHERE key_id = ANY(%s) AND kind = 'evidence'
+SELECT key_id, vehicle, tenant_id, public_key, revoked IS NOT NULL, vehicle_mb_day, mb_day
+FROM certificate JOIN tenant USING (tenant_id) WHERE key_id = ANY(%s) AND kind = 'evidence'
 """
 Changed = dict[str, object]  # a row of vehicle_now
 
@@ -194,7 +202,12 @@ class Store:
         """Ask for evidence keys; raises `Unusable`."""
         try:
             with self._connection().transaction(), self._connection().cursor() as cursor:
-                return [KeyRow(*row) for row in cursor.execute(KEYS, (key_ids,))]
+                return [
+                    KeyRow(key_id, vehicle, tenant, public_key, revoked, Limits(vehicle_mb, tenant_mb))
+                    for key_id, vehicle, tenant, public_key, revoked, vehicle_mb, tenant_mb in cursor.execute(
+                        KEYS, (key_ids,)
+                    )
+                ]
         except psycopg.Error as error:
             raise self._failed(error) from error
 
@@ -220,11 +233,17 @@ class Store:
 
     def tell_forgeries(self, counts: dict[tuple[str, str], int], now_ms: int) -> None:
         """Raise an alarm for batches of a known vehicle's topic that it has not signed; raises `Unusable`."""
+        self._alarm(ALARM_SIGNATURE, counts, "reason", now_ms)
+
+    def tell_floods(self, counts: dict[tuple[str, str], int], now_ms: int) -> None:
+        """Raise an alarm for batches that get no receipt, by vehicle and whose budget is used up; raises `Unusable`."""
+        self._alarm(ALARM_FLOOD, counts, "whose", now_ms)
+
+    def _alarm(self, statement: str, counts: dict[tuple[str, str], int], name: str, now_ms: int) -> None:
         try:
             with self._connection().transaction(), self._connection().cursor() as cursor:
-                for (vehicle, reason), count in sorted(counts.items()):
-                    values = {"vehicle": vehicle, "reason": reason, "count": count, "now": now_ms}
-                    cursor.execute(ALARM_SIGNATURE, values)
+                for (vehicle, why), count in sorted(counts.items()):
+                    cursor.execute(statement, {"vehicle": vehicle, name: why, "count": count, "now": now_ms})
         except psycopg.Error as error:
             raise self._failed(error) from error
 

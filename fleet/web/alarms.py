@@ -6,7 +6,7 @@ from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
 from pydantic import Field
 
 from fleet.alarms.signing import new_secret
-from fleet.alarms.web_hook import MOST_ADDRESS, SET, is_web_hook
+from fleet.alarms.web_hook import MOST_ADDRESS, SET, Reach
 from services.monitoring.status.web.body import json_response
 
 from .access.guard import visitor_of
@@ -44,8 +44,8 @@ class WebHook(Body):
 class AlarmsApi:
     """What the page Alarms asks for."""
 
-    def __init__(self, database: Database, live: Live) -> None:
-        self._database, self._live = database, live
+    def __init__(self, database: Database, live: Live, reach: Reach) -> None:
+        self._database, self._live, self._reach = database, live, reach
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -58,7 +58,7 @@ class AlarmsApi:
         self,
         request: Request,
         show: Annotated[str, Query(pattern="^(open|unacknowledged|closed|all)$")] = "open",
-        kind: Annotated[str, Query(pattern="^(any|unsafe|gap|silent|signature)$")] = "any",
+        kind: Annotated[str, Query(pattern="^(any|unsafe|gap|silent|signature|flood)$")] = "any",
     ) -> Response:
         """Alarms, the open ones first, then the newest."""
         async with self._database.tenant(visitor_of(request).tenant_id) as cursor:
@@ -91,8 +91,8 @@ class AlarmsApi:
     async def set_web_hook(self, request: Request) -> Response:
         """Change that address; the secret is another one after each change."""
         visitor, given = visitor_of(request), await read(request, WebHook)
-        if given.address and not is_web_hook(given.address):
-            raise HTTPException(422, "a web hook is an address that begins with https://, without user and password")
+        if given.address and (why := self._reach.why_not(given.address)) is not None:
+            raise HTTPException(422, why)
         secret = new_secret() if given.address else ""
         async with self._database.tenant(visitor.tenant_id) as cursor:
             await cursor.execute(SET, (given.address or None, secret or None, visitor.tenant_id))

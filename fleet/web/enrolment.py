@@ -13,7 +13,7 @@ from fleet.bus import told
 from fleet.database.revoking import END_TOKEN, END_TOKENS, LOCK_VEHICLE, REVOKE
 from services.monitoring.status.web.body import json_response
 from shared.fleet.enrolling import command_for, new_secret
-from shared.fleet.topics import REVOKED, VEHICLE
+from shared.fleet.topics import REVOKED, RULE, VEHICLE
 
 from .access.guard import visitor_of
 from .audit import note
@@ -96,7 +96,7 @@ class EnrolmentApi:
         """Make a token: this answer alone holds it, the database keeps its hash."""
         visitor, given = visitor_of(request), await read(request, NewToken)
         if given.vehicle and not VEHICLE.fullmatch(given.vehicle):
-            raise HTTPException(422, "a vehicle's name has letters, digits, - and _, at most 48; change it")
+            raise HTTPException(422, f"a vehicle's name has {RULE}; change it")
         secret = new_secret()
         values = hashlib.sha256(secret.encode()).digest(), visitor.tenant_id, given.vehicle or None, visitor.name
         async with self._database.tenant(visitor.tenant_id) as cursor:

@@ -8,6 +8,7 @@ from pathlib import Path
 import uvicorn
 from nats.aio.client import Client
 
+from fleet.alarms.web_hook import Network, Reach
 from fleet.bus import closed, connected
 from fleet.centre import check_certificate
 from fleet.servers.nats import NatsAccess
@@ -28,6 +29,7 @@ from .audit import AuditApi
 from .database import Database
 from .enrolment import EnrolmentApi
 from .live import Live
+from .page_errors import PageErrorsApi
 from .passages import PassagesApi
 from .tiles import Tiles
 from .vehicles import VehiclesApi
@@ -52,6 +54,7 @@ class WebSettings:
     names: tuple[str, ...] = ()  # further names by which browsers reach this centre
     certificate: tuple[Path, Path] | None = None  # certificate and key; without them HTTP, for this machine alone
     map_file: Path | None = None
+    web_hook_networks: tuple[Network, ...] = ()  # where web hooks may be besides the public network
     session_h: float = 12.0
 
 
@@ -75,15 +78,16 @@ def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.S
     map_file = None if settings.map_file is None else str(settings.map_file)
     gate = WatchGate(database, client, map_file)
     routes = (
-        LoginApi(database, sessions, Attempts()),
+        LoginApi(database, sessions, Attempts(database)),
         Tiles(database),
         VehiclesApi(database),
         InstalledMap(map_file),
-        AlarmsApi(database, live),
+        AlarmsApi(database, live, Reach(settings.web_hook_networks)),
         PassagesApi(database),
         EnrolmentApi(database, client, settings.enrol_url, settings.fingerprint),
         AccountsApi(database, sessions),
         AuditApi(database),
+        PageErrorsApi(),
         live,
         gate,
     )

@@ -25,8 +25,8 @@ TRAIL_POINTS = 5000
 SEGMENTS = 4000
 TRAIL_REPORTS = 100_000  # more than a day has at one a second; a vehicle may sign 600 of the same second in a batch
 NOW = """
-    vehicle_now.vehicle, utc_ms, position_ms, latitude_deg, longitude_deg, height_m, north_m_s, east_m_s, level_m,
-    verdict, verdict_since_ms, (extract(epoch FROM arrived) * 1000)::bigint AS arrived_ms
+    vehicle_now.vehicle, epoch, sequence, utc_ms, position_ms, latitude_deg, longitude_deg, height_m, north_m_s,
+    east_m_s, level_m, verdict, verdict_since_ms, (extract(epoch FROM arrived) * 1000)::bigint AS arrived_ms
 """
 ALARMS = "ARRAY(SELECT kind FROM alarm WHERE alarm.vehicle = vehicle_now.vehicle AND until_ms IS NULL ORDER BY kind)"
 LIST = f"""

@@ -102,7 +102,7 @@ class Vehicle(Section):
     """Name and role of this unit, and the facts of its vehicle that more than one process needs."""
 
     name: str = Field(
-        default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$", description="the second level of every topic"
+        default="vehicle", pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,47}$", description="the second level of every topic"
     )
     role: Role = Field(default=Role.OBU, description="obu: on-board unit of a vehicle; rsu: road-side unit of a plaza")
     rear_axle_body_m: Vector3 | None = Field(

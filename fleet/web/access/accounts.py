@@ -27,7 +27,7 @@ UPDATE account SET role = coalesce(%(role)s, role), disabled = CASE WHEN %(disab
     WHEN %(disabled)s THEN coalesce(disabled, now()) END
 WHERE name = %(name)s RETURNING account_id
 """
-Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[\w.@+-]+$")]
+Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\w[\w.@+-]*$")]
 
 
 class NewAccount(Body):

@@ -3,17 +3,30 @@
 An account has so many free that nobody locks another person out from one address. Within a session it counts apart.
 """
 
-import time
-from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
 from enum import IntEnum
+from hashlib import sha256
 from typing import NamedTuple
 
+from fleet.database.retention import FORGOTTEN_S
 from services.monitoring.status.web.access.peer import place_of
 
+from ..database import Database
+
 FIRST_WAIT_S, MOST_WAIT_S = 2.0, 900.0
-FORGOTTEN_S = 3600.0
-KEPT = 4096
+ENTER = "INSERT INTO attempt (origin) SELECT unnest(%s::bytea[]) ON CONFLICT DO NOTHING"
+LOCK = f"""
+SELECT origin, age_s, CASE WHEN age_s < {FORGOTTEN_S} THEN failures ELSE 0 END AS failures
+FROM (SELECT origin, failures, last FROM attempt WHERE origin = ANY(%s) ORDER BY origin FOR UPDATE) AS locked
+CROSS JOIN LATERAL (SELECT extract(epoch FROM clock_timestamp() - last)::double precision AS age_s) AS since
+"""
+COUNT = f"""
+UPDATE attempt SET last = clock_timestamp(),
+    failures = CASE WHEN last > clock_timestamp() - interval '{FORGOTTEN_S} s' THEN failures ELSE 0 END + 1
+WHERE origin = ANY(%s)
+"""
+TAKE_BACK = "UPDATE attempt SET failures = greatest(failures - 1, 0) WHERE origin = ANY(%s)"
+FORGET = "DELETE FROM attempt WHERE origin = ANY(%s)"
 
 
 class Free(IntEnum):
@@ -42,35 +55,45 @@ def origins(account: str, host: str) -> tuple[Origin, Origin, Origin]:
 
 
 class Attempts:
-    """Failures by origin; after the free ones each doubles the time until the next attempt is taken."""
+    """Failures by origin, in the database: processes share them, and a start forgets none.
 
-    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._now_s = now_s
-        self._failures: OrderedDict[Origin, tuple[int, float]] = OrderedDict()
+    After the free ones each doubles the time until the next attempt is taken.
+    """
 
-    def wait_s(self, origins: Iterable[Origin]) -> float:
-        """Seconds until the next attempt is taken; 0 if it may be made now."""
-        return max(map(self._wait_s, origins), default=0.0)
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
-    def failed(self, origins: Iterable[Origin]) -> None:
-        """Count a failure."""
-        now_s = self._now_s()
-        for origin in origins:
-            count, last_s = self._failures.pop(origin, (0, now_s))
-            self._failures[origin] = (1 if now_s - last_s > FORGOTTEN_S else count + 1), now_s
-        while len(self._failures) > KEPT:
-            self._failures.popitem(last=False)
+    async def begin(self, origins: Sequence[Origin]) -> float:
+        """Count an attempt as a failure before it is made; returns the time [s] until it may be, 0: now.
 
-    def succeeded(self, origins: Iterable[Origin]) -> None:
+        The rows are locked, so that of attempts beside each other no more pass than of attempts in turn. One that may
+        not be made is not counted.
+        """
+        by_digest = {_digest(origin): origin for origin in origins}
+        digests = sorted(by_digest)
+        async with self._database.nobody() as cursor:
+            await cursor.execute(ENTER, (digests,))
+            await cursor.execute(LOCK, (digests,))
+            rows = await cursor.fetchall()
+            wait_s = max(_wait_s(row["failures"], row["age_s"], by_digest[row["origin"]].free) for row in rows)
+            if wait_s <= 0.0:
+                await cursor.execute(COUNT, (digests,))
+        return max(wait_s, 0.0)
+
+    async def succeeded(self, origins: Sequence[Origin]) -> None:
         """Forget the failures of a person, and take back the one that was counted at once of what others share."""
-        for origin in origins:
-            count, last_s = self._failures.pop(origin, (0, 0.0))
-            if origin.free is not Free.ONE and count > 1:
-                self._failures[origin] = count - 1, last_s
+        given = sorted((_digest(origin), origin.free is Free.ONE) for origin in origins)
+        async with self._database.nobody() as cursor:
+            await cursor.execute(LOCK, ([digest for digest, _ in given],))
+            await cursor.execute(TAKE_BACK, ([digest for digest, is_one in given if not is_one],))
+            await cursor.execute(FORGET, ([digest for digest, is_one in given if is_one],))
 
-    def _wait_s(self, origin: Origin) -> float:
-        count, last_s = self._failures.get(origin, (0, 0.0))
-        if count < origin.free:
-            return 0.0
-        pause_s = min(FIRST_WAIT_S * 2.0 ** min(count - origin.free, 20), MOST_WAIT_S)
-        return max(0.0, last_s + pause_s - self._now_s())
+
+def _digest(origin: Origin) -> bytes:
+    return sha256(origin.name.encode("utf-8", "surrogatepass")).digest()
+
+
+def _wait_s(count: int, age_s: float, free: int) -> float:
+    if count < free:
+        return 0.0
+    return min(FIRST_WAIT_S * 2.0 ** min(count - free, 20), MOST_WAIT_S) - age_s

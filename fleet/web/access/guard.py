@@ -1,5 +1,6 @@
 """Stands before every route of the centre's pages: host, origin, who asks, and what the route needs."""
 
+import logging
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
 from typing import cast
@@ -25,11 +26,17 @@ from services.monitoring.status.web.told import readable
 from .rights import Right, Visitor, needed
 from .sessions import COOKIE, Sessions
 
+log = logging.getLogger(__name__)
+
 VISITOR = "centre.visitor"  # in the scope of a request
 COOKIE_VALUE = "centre.cookie"
 LOGIN_PAGE = "login"
 STYLE = "unit/style.css"
 NOT_HERE = "this centre does not answer to that name; add it to web_names in centre.toml"
+
+
+class LoggedOut(Exception):
+    """The session has ended while an answer was sent."""
 
 
 class Guard:
@@ -52,7 +59,7 @@ class Guard:
         elif scope["method"] == "HEAD":
             await answer_head(self._app, scope, receive, send)
         else:
-            await self._app(scope, receive, send)
+            await self._stream(scope, receive, send)
 
     async def _refusal(self, scope: Scope) -> Response | None:
         """Decide on a request; what may pass has its visitor in the scope."""
@@ -84,6 +91,22 @@ class Guard:
             await send(message)
 
         await self._app(scope, receive, send_while_valid)
+
+    async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on; a stream of events ends when the session of its visitor ends."""
+        visitor, cookie = scope[VISITOR], scope[COOKIE_VALUE]
+
+        async def send_while_valid(message: Scope) -> None:
+            goes_on = message["type"] == "http.response.body" and message.get("more_body", False)
+            if goes_on and visitor is not None and not await self._is_valid(visitor, cookie):
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+                raise LoggedOut
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_while_valid)
+        except* LoggedOut:  # of a group: an answer that goes on is sent by a task
+            log.info("an answer to %s was ended with the session", visitor.name)
 
     async def _is_valid(self, visitor: Visitor, cookie: str) -> bool:
         try:

@@ -107,18 +107,18 @@ class LoginApi:
 
     async def _checked(self, name: str, password: str, counted: Sequence[Origin]) -> Account:
         """The account of a name with this password; raises `HTTPException`."""
-        wait_s = self._attempts.wait_s(counted)
+        wait_s = await self._attempts.begin(counted)  # before anything else: attempts may run beside each other
         if wait_s > 0:
             text = f"too many wrong passwords; try again in {ceil(wait_s)} s"
             raise HTTPException(429, text, {"Retry-After": str(ceil(wait_s))})
         account = await self._sessions.account(name)
-        self._attempts.failed(counted)  # at once, so that attempts that run beside each other are counted
         async with self._deriving:
             right = await asyncio.to_thread(agrees, password, account.password if account else NOBODY)
         if account is None or not right:
-            log.warning("refused a password of %r", name[:40])
+            # A name that there is not may be a password in the wrong field.
+            log.warning("refused a password of %s", account.name if account else "an account that there is not")
             raise HTTPException(401, WRONG)
-        self._attempts.succeeded(counted)
+        await self._attempts.succeeded(counted)
         return account
 
     @staticmethod

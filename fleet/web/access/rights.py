@@ -66,6 +66,8 @@ ROWS = (
     Row("GET", "/api/session", Right.PUBLIC, "who has logged in, with which role"),
     Row("POST", "/api/login", Right.PUBLIC, "open a session with name and password"),
     Row("POST", "/api/logout", Right.SIGNED_IN, "end the session"),
+    Row("POST", "/api/page-error", Right.SIGNED_IN, "report an error of the page's program"),
+    Row("GET", "/api/page-errors", Right.ADMIN, "how many were reported, and the newest"),
     Row("POST", "/api/password", Right.SIGNED_IN, "change the own password"),
     Row("GET", "/tiles/{zoom}/{x}/{y}.mvt", Right.SEE, "vehicles as vector tiles"),
     Row("GET", "/api/map", Right.SEE, "installed map"),

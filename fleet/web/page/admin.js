@@ -4,7 +4,7 @@ import { session } from "./unit/store.js";
 import { Card, Empty, copyText, html } from "./unit/parts.js";
 import { reason, send } from "./store.js";
 import { Age, Problem, Table, ageS, useAsked, utc } from "./parts.js";
-import { plain } from "./vehicle.js";
+import { nameOf, plain, sentenceOf } from "./sentences.js";
 import { w as all } from "./words.js";
 
 // Sends a change, and keeps why it was refused.
@@ -140,7 +140,9 @@ export function AuditPage() {
   const query = new URLSearchParams({ ...(find.trim() ? { find: find.trim() } : {}), ...(before ? { before: String(before) } : {}) });
   const { answer, error } = useAsked(`api/audit?${query}`, before ? 0 : 10000);
   const rows = answer?.rows ?? [];
+  const failed = useAsked("api/page-errors", 10000).answer;
   return html`<div class="page admin-page"><${Card} title=${w.title} id="audit">
+    ${failed?.errors > 0 && html`<p class="note block">${w.pageErrors(failed.errors, utc(failed.newest.at_ms), failed.newest.sentence)}</p>`}
     <div class="toolbar filter"><input type="search" aria-label=${w.find} placeholder=${w.find} maxlength="80" value=${find} onInput=${(e) => { setFind(e.target.value); setBefore(null); }} />
       <button disabled=${before === null} onClick=${() => setBefore(null)}>${w.newest}</button><button disabled=${!answer?.more} onClick=${() => setBefore(rows.at(-1).at_ms)}>${w.older}</button></div>
     <${Problem} text=${error} />
@@ -153,5 +155,5 @@ export function PassagesPage() {
   const { answer, error } = useAsked("api/passages", 10000);
   return html`<div class="page admin-page"><${Card} title=${w.title} id="passages"><${Problem} text=${error} />
     ${answer && (answer.passages.length === 0 ? html`<${Empty} title=${w.none} why=${w.noneWhy} />` : html`<${Table} label=${w.title} columns=${w.columns}>
-      ${answer.passages.map((p, i) => html`<tr key=${i}><td>${utc(p.utc_ms)}</td><th scope="row">${p.vehicle}</th><td>${p.name}</td><td class="content-cell">${plain(p.content)}</td></tr>`)}</${Table}>`)}</${Card}></div>`;
+      ${answer.passages.map((p, i) => html`<tr key=${i}><td>${utc(p.utc_ms)}</td><th scope="row">${p.vehicle}</th><td>${nameOf(p.name)}</td><td class="content-cell">${sentenceOf(p.name, p.content)}</td></tr>`)}</${Table}>`)}</${Card}></div>`;
 }

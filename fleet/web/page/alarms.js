@@ -3,7 +3,7 @@ import { useEffect, useState } from "preact/hooks";
 import { Card, Empty, duration, html } from "./unit/parts.js";
 import { may, onFrame, reason, send } from "./store.js";
 import { Problem, Table, ageS, useAsked, utc } from "./parts.js";
-import { plain } from "./vehicle.js";
+import { alarmSentence } from "./sentences.js";
 import { w as all } from "./words.js";
 
 const w = all.alarms;
@@ -38,7 +38,7 @@ function Alarm({ row, onAcknowledge }) {
   const { last_ms: last, ...detail } = row.detail;
   if (last != null) detail.last = utc(last);
   return html`<tr><th scope="row"><a href=${`#/vehicles/${encodeURIComponent(row.vehicle)}`}>${row.vehicle}</a></th>
-    <td>${kind}${row.late && html` <span class="old-mark" title=${w.lateTitle}>${w.late}</span>`}${Object.keys(detail).length > 0 && html`<span class="note block">${plain(detail)}</span>`}</td>
+    <td>${kind}${row.late && html` <span class="old-mark" title=${w.lateTitle}>${w.late}</span>`}${Object.keys(detail).length > 0 && html`<span class="note block">${alarmSentence(row.kind, detail)}</span>`}</td>
     <td>${utc(row.since_ms)} <span class="dim">${all.ago(duration(ageS(row.since_ms)))}</span></td>
     <td>${row.until_ms == null ? html`<strong>${w.open}</strong>` : utc(row.until_ms)}</td>
     <td>${row.acknowledged_ms != null ? w.by(row.acknowledged_by, utc(row.acknowledged_ms))

@@ -1,7 +1,7 @@
 // The shell around the centre's pages: who is logged in, the connection, navigation.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, logOut, remember, renew, session, settings } from "./unit/store.js";
+import { clock, logOut, remember, renew, session, settings, tellErrors } from "./unit/store.js";
 import { Empty, Guard, Icon, duration, html } from "./unit/parts.js";
 import { link, may, start } from "./store.js";
 import { MapPage } from "./map.js";
@@ -97,6 +97,7 @@ function App() {
 }
 
 async function begin() {
+  tellErrors();
   const root = document.getElementById("app");
   const who = await renew().catch(() => null);
   if (!who) {

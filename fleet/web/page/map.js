@@ -4,7 +4,7 @@ import { settings } from "./unit/store.js";
 import { Card, Empty, Icon, StateIcon, html } from "./unit/parts.js";
 import { hasGraphics, loadArchiveReader, loadLibrary } from "./unit/map/library.js";
 import { drawable } from "./unit/map/style.js";
-import { VERDICTS, may, onFrame } from "./store.js";
+import { VERDICTS, heard, may, newestOf, onFrame } from "./store.js";
 import { Age, Problem, Verdict, useAsked, wordOf } from "./parts.js";
 import { FleetView } from "./view.js";
 import { w as all } from "./words.js";
@@ -139,11 +139,16 @@ export function MapPage() {
   const [view, setView] = useState(null);
   lastFilter = filter;
   const query = queryOf(filter);
-  const { answer, error, again } = useAsked(`api/vehicles${query}`, LIST_MS);
+  heard.value; // drawn again when verdicts change
+  const { answer: listed, error, again, askedAt } = useAsked(`api/vehicles${query}`, LIST_MS);
   const installed = useAsked("api/map").answer;
   const trail = useAsked(chosen ? `api/vehicles/${encodeURIComponent(chosen)}/trail` : null, LIST_MS).answer;
-  const one = useAsked(chosen ? `api/vehicles/${encodeURIComponent(chosen)}` : null, LIST_MS).answer;
-  const row = one?.vehicle?.vehicle === chosen ? one.vehicle : answer?.vehicles.find((v) => v.vehicle === chosen);
+  const asked = useAsked(chosen ? `api/vehicles/${encodeURIComponent(chosen)}` : null, LIST_MS);
+  const one = asked.answer?.vehicle?.vehicle === chosen ? asked.answer.vehicle : null;
+  if (one) newestOf(one, asked.askedAt); // before the list: both show the newer of the two
+  const answer = useMemo(() => listed && { ...listed, vehicles: listed.vehicles.map((v) => newestOf(v, askedAt)) }, [listed, heard.value, one]);
+  const found = one ?? answer?.vehicles.find((v) => v.vehicle === chosen);
+  const row = useMemo(() => found && newestOf(found, one ? asked.askedAt : askedAt), [found, answer]);
   useEffect(() => {
     let timer = null;
     const end = onFrame((frame) => {
@@ -158,6 +163,12 @@ export function MapPage() {
       clearTimeout(timer);
     };
   }, [view, query]);
+  const drawn = useRef(new Map());
+  useEffect(() => { // tiles are some seconds old: what is listed otherwise than before stands above them
+    const before = drawn.current;
+    drawn.current = new Map((answer?.vehicles ?? []).map((v) => [v.vehicle, v.verdict]));
+    view?.change((answer?.vehicles ?? []).filter((v) => before.has(v.vehicle) && before.get(v.vehicle) !== v.verdict));
+  }, [view, answer]);
   useEffect(() => { view?.choose(chosen ? row : null, chosen ? trail : null); }, [view, chosen, row, trail]);
   const show = (place, zoom = VEHICLE_ZOOM) => place?.longitude_deg != null && view?.look([place.longitude_deg, place.latitude_deg], zoom);
   const choose = (found) => {

@@ -18,24 +18,24 @@ export function Age({ ms }) {
   return html`<span class="age ${isOld(ms) ? "stale" : ""}">${age === null ? w.never : duration(age)}</span>`;
 }
 
-// A verdict in its shape, colour and word; that of an old report is faded, and says so.
+// A verdict in its shape, colour and word. That of an old report is not known to hold: it has the mark of what is old, and no colour.
 export function Verdict({ code, ms }) {
   clock.value;
   if (code == null) return html`<span class="dim">${w.unknown}</span>`;
   const old = isOld(ms);
-  return html`<span class="fleet-verdict ${old ? "faded" : ""}"><${StateIcon} state=${VERDICTS[code]} word="" />${wordOf(code)}${old && html` <span class="old-mark" title=${w.map.oldTitle}>${w.map.old}</span>`}</span>`;
+  return html`<span class="fleet-verdict ${old ? "faded" : ""}"><${StateIcon} state=${old ? "stale" : VERDICTS[code] ?? "stale"} word="" />${wordOf(code) ?? w.unknown}${old && html` <span class="old-mark" title=${w.map.oldTitle}>${w.map.old}</span>`}</span>`;
 }
 
 // The answer to a question, asked again each `everyMs` and when `again` is called; null asks nothing. The last one stays while there is none.
 export function useAsked(path, everyMs = 0) {
-  const [found, setFound] = useState({ answer: null, error: null, status: null });
+  const [found, setFound] = useState({ answer: null, error: null, status: null, askedAt: 0 });
   const again = useRef(() => {});
   useEffect(() => {
     let ended = false;
     let asking = false;
     let wanted = false;
     if (path === null) {
-      setFound({ answer: null, error: null, status: null });
+      setFound({ answer: null, error: null, status: null, askedAt: 0 });
       again.current = () => {};
       return undefined;
     }
@@ -46,11 +46,12 @@ export function useAsked(path, everyMs = 0) {
       }
       asking = true;
       wanted = false;
+      const askedAt = performance.now();
       try {
         const answer = await ask(path);
-        if (!ended) setFound({ answer, error: null, status: 200 });
+        if (!ended) setFound({ answer, error: null, status: 200, askedAt });
       } catch (error) {
-        if (!ended) setFound((before) => ({ answer: error.status === 404 ? null : before.answer, error: reason(error), status: error.status ?? null }));
+        if (!ended) setFound((before) => ({ askedAt: before.askedAt, answer: error.status === 404 ? null : before.answer, error: reason(error), status: error.status ?? null }));
       }
       asking = false;
       if (wanted && !ended) get();

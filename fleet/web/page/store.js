@@ -13,6 +13,26 @@ export const link = signal({ open: false, bus: true, lostAt: null });
 export const alarmsRaised = signal(0); // counts frames with alarms
 const listeners = new Set();
 
+// The newest report of each vehicle that a frame or an answer held, and when it was heard or asked for: what was asked
+// for earlier shows the same, so that no two places of a page state two verdicts of one vehicle.
+const REMEMBERED = 20000;
+const newest = new Map();
+export const heard = signal(0); // counts frames with changes
+
+const REPORT = ["epoch", "sequence", "utc_ms", "position_ms", "latitude_deg", "longitude_deg", "height_m", "north_m_s", "east_m_s", "level_m", "verdict", "verdict_since_ms"];
+
+// Takes a row of a vehicle that was asked for, or heard of, at `at` [ms of this page]; gives it with the newest report that is known.
+export function newestOf(row, at) {
+  const known = newest.get(row.vehicle);
+  const isOld = known && (known.report.epoch === row.epoch ? known.report.sequence > row.sequence : known.at > at);
+  if (row.utc_ms != null && isOld) return { ...row, ...known.report };
+  newest.delete(row.vehicle);
+  if (row.utc_ms == null) return row; // nothing is kept of it any more
+  newest.set(row.vehicle, { at, report: Object.fromEntries(REPORT.filter((key) => key in row).map((key) => [key, row[key]])) });
+  if (newest.size > REMEMBERED) newest.delete(newest.keys().next().value);
+  return row;
+}
+
 let offsetMs = 0; // of the centre's clock
 let attempts = 0;
 let frameAt = 0;
@@ -58,6 +78,8 @@ function connect() {
       if (again) frame.many = true; // what changed meanwhile is not known: everything is asked anew
     }
     if (frame.alarms.length) alarmsRaised.value += 1;
+    for (const row of frame.changes) newestOf(row, frameAt);
+    if (frame.changes.length) heard.value += 1;
     if (frame.many || frame.changes.length || frame.alarms.length) for (const listener of listeners) listener(frame);
   };
   opening.onclose = (event) => {

@@ -1,13 +1,14 @@
 // The page of one vehicle: its newest report with its age, events, gaps, keys, and the way to its own page.
 import { useEffect } from "preact/hooks";
 import { Card, Empty, Icon, Row, duration, html, metres } from "./unit/parts.js";
-import { may, onFrame } from "./store.js";
+import { heard, may, newestOf, onFrame } from "./store.js";
 import { Age, Problem, Table, Verdict, ageS, useAsked, utc } from "./parts.js";
+import { nameOf, sentenceOf } from "./sentences.js";
 import { w as all } from "./words.js";
 
 const w = all.vehicle;
 const EVERY_MS = 5000;
-const NAME = /^[A-Za-z0-9_-]{1,48}$/;
+const NAME = /^[A-Za-z0-9_][A-Za-z0-9_-]{0,47}$/;
 
 function Newest({ row, origins }) {
   if (row.utc_ms == null) return html`<${Empty} title=${w.none} why=${w.noneWhy} />`;
@@ -30,11 +31,8 @@ function Newest({ row, origins }) {
     ${row.erased && html`<p class="note">${w.erased}</p>`}`;
 }
 
-// What happened, as names and values without brackets.
-export const plain = (content) => Object.entries(content).map(([key, value]) => `${key}: ${typeof value === "object" ? JSON.stringify(value) : value}`).join(", ");
-
 const Events = ({ events }) => (events.length === 0 ? html`<p class="dim">${w.noEvents}</p>` : html`<${Table} label=${w.events} columns=${[w.columns.time, w.columns.name, w.columns.content]}>
-  ${events.map((e, i) => html`<tr key=${i}><td>${utc(e.utc_ms)}</td><th scope="row">${e.name}</th><td class="content-cell">${plain(e.content)}</td></tr>`)}</${Table}>`);
+  ${events.map((e, i) => html`<tr key=${i}><td>${utc(e.utc_ms)}</td><th scope="row" title=${e.name}>${nameOf(e.name)}</th><td class="content-cell">${sentenceOf(e.name, e.content)}</td></tr>`)}</${Table}>`);
 
 function Gaps({ gaps, epochs, aside }) {
   const missing = epochs.reduce((n, e) => n + Math.max(0, e.highest - e.received - e.lost), 0);
@@ -53,12 +51,13 @@ const Keys = ({ keys }) => html`<${Table} label=${w.keys} columns=${w.keyColumns
   ${keys.map((k) => html`<tr key=${k.key_id}><th scope="row"><code>${k.key_id}</code></th><td>${w.kinds[k.kind]}</td><td>${stateOf(k)}</td><td>${utc(k.made_ms)}</td><td>${utc(k.to_ms)}</td></tr>`)}</${Table}>`;
 
 export function VehiclePage({ name }) {
-  const { answer, error, status, again } = useAsked(NAME.test(name) ? `api/vehicles/${name}` : null, EVERY_MS);
+  heard.value; // as on the map
+  const { answer, error, status, again, askedAt } = useAsked(NAME.test(name) ? `api/vehicles/${name}` : null, EVERY_MS);
   useEffect(() => onFrame((frame) => (frame.many || frame.changes.some((c) => c.vehicle === name) || frame.alarms.some((a) => a.vehicle === name)) && again()), [name]);
   const back = html`<p><a href="#/map">${w.back}</a></p>`;
   if (!NAME.test(name) || [404, 422].includes(status)) return html`${back}<${Empty} title=${w.missing} why=${w.missingWhy} />`;
   if (!answer) return html`${back}${error ? html`<${Problem} text=${error} />` : html`<p class="boot">${all.connecting}</p>`}`;
-  const { vehicle } = answer;
+  const vehicle = newestOf(answer.vehicle, askedAt);
   const revoked = answer.keys.length > 0 && answer.keys.every((key) => key.revoked_ms != null);
   return html`<div class="page vehicle-page"><div class="wide toolbar">${back}
       ${revoked ? html`<span class="note push">${w.revoked}</span>` : may("operate") && html`<span class="note push">${w.watchWhy}</span><a class="button" href=${`vehicles/${encodeURIComponent(name)}/live/`}><${Icon} name="now" /> ${w.watch}</a>`}</div>

@@ -43,7 +43,7 @@ const label = ["case", [">", ["get", "age_s"], OLD_S],
 function vehicleLayers(source, id, more, only) {
   const single = only ?? ["==", ["get", "vehicles"], 1];
   const faded = ["case", [">", ["get", "age_s"], OLD_S], 0.5, 1];
-  const image = ["concat", "verdict-", ["to-string", ["get", "verdict"]]];
+  const image = ["case", [">", ["get", "age_s"], OLD_S], "verdict-old", ["concat", "verdict-", ["to-string", ["get", "verdict"]]]];
   const always = { "icon-allow-overlap": true, "icon-ignore-placement": true };
   return [
     { id: `${id}-course`, type: "symbol", source, ...more, filter: ["all", single, ["has", "course_deg"]],
@@ -56,15 +56,16 @@ function vehicleLayers(source, id, more, only) {
 
 function clusterLayers(theme) {
   const colours = trackColours(theme);
-  const colour = ["match", ["get", "verdict"], ...VERDICTS.flatMap((name, code) => [code, colours[name]]), css("mark-stale")];
+  const allOld = ["==", ["get", "old"], ["get", "vehicles"]];
+  const colour = ["case", allOld, css("mark-stale"), ["match", ["get", "verdict"], ...VERDICTS.flatMap((name, code) => [code, colours[name]]), css("mark-stale")]];
   const radius = ["interpolate", ["linear"], ["log10", ["get", "vehicles"]], 0.3, 15, 3.5, 27];
   const more = { source: "vehicles", "source-layer": "vehicles", filter: [">", ["get", "vehicles"], 1] };
-  const faded = ["case", ["==", ["get", "old"], ["get", "vehicles"]], 0.5, 1];
+  const faded = ["case", allOld, 0.5, 1];
   return [
     { id: "cluster", type: "circle", ...more, layout: { "circle-sort-key": ["get", "verdict"] },
       paint: { "circle-color": css("card"), "circle-radius": radius, "circle-stroke-color": colour, "circle-stroke-width": ["case", [">=", ["get", "verdict"], 5], 5, 3], "circle-stroke-opacity": faded, "circle-opacity": 0.94 } },
     { id: "cluster-text", type: "symbol", ...more,
-      layout: { "icon-image": ["concat", "verdict-", ["to-string", ["get", "verdict"]]], "icon-size": 0.55, "icon-offset": [0, -13], "icon-allow-overlap": true, "icon-ignore-placement": true, "text-field": ["to-string", ["get", "vehicles"]], "text-font": ["system-ui"], "text-size": 12.5, "text-offset": [0, 0.35], "text-allow-overlap": true, "text-ignore-placement": true },
+      layout: { "icon-image": ["case", allOld, "verdict-old", ["concat", "verdict-", ["to-string", ["get", "verdict"]]]], "icon-size": 0.55, "icon-offset": [0, -13], "icon-allow-overlap": true, "icon-ignore-placement": true, "text-field": ["to-string", ["get", "vehicles"]], "text-font": ["system-ui"], "text-size": 12.5, "text-offset": [0, 0.35], "text-allow-overlap": true, "text-ignore-placement": true },
       paint: { "text-color": css("text"), "icon-opacity": faded } },
   ];
 }
@@ -81,9 +82,11 @@ export class FleetView extends MapView {
   async addVehicles() {
     const colours = trackColours(this.theme);
     const images = await Promise.all(VERDICTS.map((name) => imageOf(name, colours[name], css("card"))));
+    const old = await imageOf("stale", css("mark-stale"), css("card"));
     const pointer = await arrow(css("text"));
     if (this.removed) return;
     images.forEach((image, code) => this.map.addImage(`verdict-${code}`, image, { pixelRatio: 2 }));
+    this.map.addImage("verdict-old", old, { pixelRatio: 2 });
     this.map.addImage("arrow", pointer, { pixelRatio: 2 });
     this.map.addSource("vehicles", { type: "vector", tiles: [this.address()], maxzoom: 18 });
     this.map.addSource("changed", { type: "geojson", data: collection() });

@@ -54,7 +54,7 @@ export const w = {
     more: (n) => `The first ${n} are listed; find one by its name, or narrow the filter.`,
     columns: ["Vehicle", "Verdict", "Age", "Speed"],
     noPosition: "no position",
-    alarms: { unsafe: "UNSAFE for long", gap: "evidence gap", silent: "silent", signature: "foreign signature" },
+    alarms: { unsafe: "UNSAFE for long", gap: "evidence gap", silent: "silent", signature: "foreign signature", flood: "flood" },
     open: "Open vehicle",
     centre: "Show on the map",
     close: "Close",
@@ -105,7 +105,7 @@ export const w = {
     filters: { open: "Open", unacknowledged: "Not acknowledged", closed: "Closed", all: "All" },
     kind: "Kind",
     anyKind: "Every kind",
-    kinds: { unsafe: "UNSAFE for long", gap: "Gap in the evidence", silent: "Silent", signature: "Foreign signature" },
+    kinds: { unsafe: "UNSAFE for long", gap: "Gap in the evidence", silent: "Silent", signature: "Foreign signature", flood: "Flood of reports" },
     columns: ["Vehicle", "Kind", "Since", "Until", "Acknowledged"],
     open: "open",
     late: "late",
@@ -135,7 +135,7 @@ export const w = {
     title: "Enrol a vehicle",
     note: "The token is shown once and can be used once. Run the command on the unit.",
     vehicle: "Name of the vehicle",
-    vehicleNote: "Letters, digits, - and _. Empty: the unit's own name.",
+    vehicleNote: "Letters, digits, _ and -, not - first. Empty: the unit's own name.",
     hours: "Valid for [h]",
     make: "Make a token",
     command: "Command for the unit",
@@ -188,5 +188,5 @@ export const w = {
     done: "The password was changed; other sessions of yours have ended.",
   },
 
-  audit: { title: "Audit", columns: ["Time (UTC)", "Who", "What", "Vehicle", "Detail"], find: "Find", older: "Older", newest: "Newest", none: "No entry" },
+  audit: { title: "Audit", pageErrors: (n, time, sentence) => `${n} ${n === 1 ? "error" : "errors"} of these pages since the start of their process, the newest at ${time}: ${sentence}`, columns: ["Time (UTC)", "Who", "What", "Vehicle", "Detail"], find: "Find", older: "Older", newest: "Newest", none: "No entry" },
 };

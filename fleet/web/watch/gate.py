@@ -101,7 +101,7 @@ class WatchGate:
                 await self._end(session)
 
     async def _look_after(self, session: Session) -> None:
-        now_s, pages = time.monotonic(), len(session.watched.stream.clients)
+        now_s, pages = time.monotonic(), session.watched.watchers
         if pages:
             session.seen_s = now_s
         if now_s - session.seen_s >= LINGER_S or any(task.done() for task in session.tasks):
@@ -146,7 +146,8 @@ class WatchGate:
 
         name = f"{subject(vehicle, LIVE)}.>"
         session.subscription = await self._nats.subscribe(name, cb=take, pending_msgs_limit=MOST_PENDING)
-        session.tasks = [asyncio.create_task(watched.stream.run()), asyncio.create_task(_tick(watched))]
+        works = watched.stream.run(), watched.events.run(), _tick(watched)
+        session.tasks = [asyncio.create_task(work) for work in works]
         self._sessions[vehicle] = session
         await self._tell(session, 1)
         return session
@@ -173,6 +174,8 @@ class WatchGate:
         self._sessions.pop(session.vehicle, None)
         for task in session.tasks:
             task.cancel()
+        for clients in (session.watched.stream.clients, session.watched.events.clients):
+            clients.end()
 
     async def _tell(self, session: Session, watchers: int) -> None:
         """Tell the vehicle that it is watched, or not any more."""

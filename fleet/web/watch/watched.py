@@ -64,7 +64,7 @@ class Watched:
         self.state = State(vehicle, (), self.now_ns(), HISTORY_S)
         self.stream = WatchStream(self.state, self._lock, self.now_ns, ReplayApi(None, self._lock, self.now_ns))
         self.stream.shown, self.stream.version = self.shown, pages.version
-        self._events = Events(self.state, self._lock, self.now_ns, 1)
+        self.events = Events(self.state, self._lock, self.now_ns, PAGES_OF_ONE)
         self.app = self._make_app(pages, map_file)
 
     def now_ns(self) -> int:
@@ -100,7 +100,12 @@ class Watched:
         if self._last is not None:
             last = {"utc_ms": self._last["utc_ms"], "verdict": VERDICTS[self._last["verdict"]].value}
         silent = self._heard_ns is None or self.now_ns() - self._heard_ns >= SILENT_NS
-        return {"heard_ns": self._heard_ns, "silent": silent, "last": last, "pages": len(self.stream.clients)}
+        return {"heard_ns": self._heard_ns, "silent": silent, "last": last, "pages": self.watchers}
+
+    @property
+    def watchers(self) -> int:
+        """Open pages, and programs that read the stream of events."""
+        return len(self.stream.clients) + len(self.events.clients)
 
     def _has_room(self) -> bool:
         second = int(time.monotonic())
@@ -116,7 +121,7 @@ class Watched:
         Api(state, lock, now_ns, CollectorRegistry(), HISTORY_S).add_to(app)
         SeriesApi(state, lock, now_ns, PAGES_OF_ONE).add_to(app)
         MapApi(state, lock, now_ns, map_file).add_to(app)
-        Watching(self.stream, self._events).add_to(app)
+        Watching(self.stream, self.events).add_to(app)
         app.add_api_route("/api/session", _no_session)
         app.include_router(pages.router())
         tell_browsers(app, STYLE)

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import psycopg
 import pytest
-from playwright.sync_api import Page, WebSocketRoute, expect
+from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
 from tests.browser.test_pages import judge_everywhere
 from tests.support.fleet.reports import Unit
@@ -328,3 +328,99 @@ def test_a_page_that_fails_says_so_and_the_others_go_on(
     page.get_by_role("link", name="Map").click()
     expect(page.get_by_text("This part of the page cannot be shown")).to_have_count(0)
     expect(page.get_by_role("main")).to_contain_text("car-safe")
+
+
+def test_a_verdict_that_is_old_has_no_colour_of_a_verdict_anywhere(
+    centre: RunningWeb, open_centre: Callable[..., Page]
+) -> None:
+    unit = Unit("car-parked", 92, time.time_ns() // 1_000_000 - 600_000)
+    unit.next = 3_800_000
+    unit.enter(centre.dsn)
+    centre.report(unit, 0)
+    page = open_centre("#/map")
+    row = page.locator(".fleet-list tbody tr", has_text="car-parked")
+    expect(row).to_contain_text("SAFE OLD")
+    expect(row.locator(".state.safe")).to_have_count(0)
+    expect(row.locator(".state.stale")).to_have_count(1)
+    page.goto(f"{centre.address}/#/vehicles/car-parked")
+    newest = page.get_by_role("region", name="car-parked")
+    expect(newest).to_contain_text("SAFE OLD")
+    expect(newest.locator(".state.safe")).to_have_count(0)
+
+
+def test_one_vehicle_has_one_verdict_on_a_page_whatever_was_asked_when(
+    centre: RunningWeb, open_centre: Callable[..., Page]
+) -> None:
+    unit = Unit("car-late", 93, time.time_ns() // 1_000_000)
+    unit.next = 4_200_000
+    unit.enter(centre.dsn)
+    centre.report(unit, 0)
+    page = open_centre("#/map")
+    wait_for_map(page)
+    page.get_by_role("button", name="car-late").click()
+    chosen = page.get_by_role("region", name="car-late")
+    expect(chosen).to_contain_text("SAFE")
+    answers = dict[str, str]()
+
+    def as_before(route: Route) -> None:
+        """An answer that was asked for before what the stream says."""
+        if route.request.url not in answers:
+            answers[route.request.url] = route.fetch().text()
+        route.fulfill(body=answers[route.request.url], content_type="application/json")
+
+    page.route(re.compile(r"/api/vehicles(/car-late)?$"), as_before)
+    with page.expect_response(re.compile(r"/api/vehicles$")), page.expect_response(re.compile("/car-late$")):
+        pass
+    centre.report(unit, 5)
+    for place in (chosen, page.locator(".fleet-list tr", has_text="car-late")):
+        expect(place).to_contain_text("UNSAFE")
+        expect(place.locator(".state.safe")).to_have_count(0)
+    page.unroute_all()
+
+
+HOSTILE = '{"<img src=x onerror=alert(1)>": {"a": [{"b": {"c": {"d": 1}}}]}}'
+
+
+def test_events_are_sentences_and_nothing_on_a_page_has_brackets(
+    centre: RunningWeb, open_centre: Callable[..., Page]
+) -> None:
+    unit = Unit("car-events", 94, time.time_ns() // 1_000_000)
+    unit.enter(centre.dsn)
+    centre.report(unit, 0)
+    contents = {
+        "trust/event": '{"before": "safe", "after": "unsafe", "reasons": ["Two satellites disagree"], "monitors": []}',
+        "outage/event": '{"what": "gnss/fix", "since_ns": 0, "until_ns": 12000000000, "cause": "unplugged"}',
+        "toll/transaction": '{"kind": "charge", "plaza": "west", "lane": "2", "amount_cents": 120, "currency": "EUR"}',
+        "uplink/gap": '{"why": "full", "bytes": 50000000}',
+        "uplink/clock": '{"before_ms": 1000, "after_ms": 3000, "source": "gnss"}',
+        "a/b": HOSTILE,
+        "trust/state": HOSTILE,
+    }
+    for number, (name, content) in enumerate(contents.items()):
+        centre.rows(
+            "INSERT INTO event (vehicle, epoch, sequence, tenant_id, utc_ms, name, content) "
+            "VALUES ('car-events', 1, %s, 1, %s, %s, %s) RETURNING 1", number, unit.now_ms, name, content,
+        )  # fmt: skip
+    page = open_centre("#/vehicles/car-events")
+    events = page.get_by_role("region", name="Events", exact=True)
+    for sentence in (
+        "The verdict became UNSAFE, before SAFE. Two satellites disagree.",
+        "An outage of gnss/fix ended after 12 s. unplugged.",
+        "1.20 EUR was charged at west, lane 2.",
+        "The outbox was full at 50 MB: its oldest positions were dropped.",
+        "The clock of the unit was set forward by 2.0 s, by gnss.",
+    ):
+        expect(events).to_contain_text(sentence)
+    expect(events).not_to_contain_text(re.compile(r"[{}\[\]]"))
+    assert events.locator("img").count() == 0
+
+
+def test_an_error_of_the_program_of_a_page_is_counted_at_the_centre(
+    open_centre: Callable[..., Page], no_page_fails: list[str]
+) -> None:
+    page = open_centre("#/audit")
+    with page.expect_response(re.compile("/api/page-error$")) as told:
+        page.evaluate("setTimeout(() => { throw new Error('a fault of the page') })")
+    assert told.value.status == 202
+    expect(page.get_by_role("region", name="Audit")).to_contain_text("a fault of the page", timeout=30_000)
+    assert "a fault of the page" in no_page_fails.pop()

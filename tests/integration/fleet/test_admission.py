@@ -3,7 +3,8 @@
 import asyncio
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta, tzinfo
 from errno import ENOSPC
@@ -15,11 +16,13 @@ import psycopg
 import pytest
 import uvicorn
 from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from fleet.admission import authority as authorities
 from fleet.admission import process as admission
 from fleet.admission.authority import Authority
-from fleet.admission.enrolment import MOST_RENEWALS, Enrolment, Refusal
+from fleet.admission.enrolment import MOST_RENEWALS, Enrolment, Refusal, make_token
 from fleet.admission.limits import FREE
 from fleet.admission.process import make_app
 from fleet.admission.revocation import LOOK_S, Revocation
@@ -45,8 +48,7 @@ def enrolled(folder: Path, to: Path, vehicle: str, seed: bytes) -> UplinkIdentit
 
 def aged(folder: Path, identity: UplinkIdentity, days: float) -> None:
     """Replace the certificate of a vehicle by one of the same key that was made days ago."""
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives import serialization
     from cryptography.x509.oid import NameOID
 
     pem = identity.tls.read_bytes()
@@ -229,6 +231,97 @@ def test_an_address_that_is_refused_too_often_waits_and_others_do_not(dsn: str, 
     assert asyncio.run(statuses("2001:db8:0:1::1", 1)) == [403]
 
 
+class Requests:
+    """Sends requests of units to an admission without a network."""
+
+    def __init__(self, dsn: str, folder: Path, loop: asyncio.AbstractEventLoop) -> None:
+        self.dsn, self.authority, self.loop = dsn, Authority(folder), loop
+        self.app = make_app(Enrolment(lambda: psycopg.connect(dsn), self.authority, {}), self.authority)
+        with psycopg.connect(dsn) as db:
+            db.execute("INSERT INTO tenant (name) VALUES ('demo')")
+
+    def token(self, vehicle: str | None) -> str:
+        with psycopg.connect(self.dsn) as db:
+            return make_token(db, self.authority.pem, "demo", vehicle, "a test").partition(".")[0]
+
+    def send(self, path: str, bodies: Sequence[dict[str, object]], address: str = "192.0.2.1") -> list[httpx.Response]:
+        """Send requests beside each other."""
+
+        async def work() -> list[httpx.Response]:
+            transport = httpx.ASGITransport(self.app, client=(address, 1))
+            async with httpx.AsyncClient(transport=transport, base_url="https://centre") as http:
+                return list(await asyncio.gather(*(http.post(path, json=body) for body in bodies)))
+
+        return self.loop.run_until_complete(work())
+
+    def statuses(self, path: str, bodies: Sequence[dict[str, object]], address: str = "192.0.2.1") -> Counter[int]:
+        return Counter(answer.status_code for answer in self.send(path, bodies, address))
+
+
+@pytest.fixture
+def requests(dsn: str, tmp_path: Path) -> Iterator[Requests]:
+    with asyncio.Runner() as runner:
+        yield Requests(dsn, tmp_path, runner.get_loop())
+
+
+def enrolment_of(vehicle: str, token: str, seed: int = 1) -> tuple[dict[str, object], ec.EllipticCurvePrivateKey]:
+    key, request = enrolling._key_and_request(vehicle)
+    evidence = enrolling._statement(vehicle, request, FileSigner(seed.to_bytes(32, "big")))
+    return {"token": token, "vehicle": vehicle, "request": request, "evidence": evidence}, key
+
+
+def renewal_of(vehicle: str, certificate: str, key: ec.EllipticCurvePrivateKey, seed: int = 1) -> dict[str, object]:
+    _, request = enrolling._key_and_request(vehicle)
+    evidence = enrolling._statement(vehicle, request, FileSigner(seed.to_bytes(32, "big")))
+    made_ms = round(time.time() * 1000)
+    signature = key.sign(enrolling.renewal_text(request, made_ms), ec.ECDSA(hashes.SHA256())).hex()
+    return {
+        "certificate": certificate, "request": request, "made_ms": made_ms, "signature": signature,
+        "evidence": evidence,
+    }  # fmt: skip
+
+
+def test_refusals_beside_each_other_are_counted_and_block_no_valid_request_of_that_address(
+    requests: Requests,
+) -> None:
+    wrong = [enrolment_of("car-1", f"guess {n}")[0] for n in range(64)]
+    assert requests.statuses("/enrol", wrong) == {403: FREE, 429: 64 - FREE}
+    own, key = enrolment_of("car-1", requests.token("car-1"))
+    (answer,) = requests.send("/enrol", [own])
+    assert answer.status_code == 200, answer.text
+    tenant_wide = [enrolment_of(f"new-{n}", requests.token(None), 10 + n)[0] for n in range(3)]
+    assert requests.statuses("/enrol", tenant_wide) == {200: 3}
+    certificate = answer.json()["certificate"]
+    foreign = {**renewal_of("car-1", certificate, key), "signature": "00" * 64}
+    assert requests.statuses("/renew", [foreign] * 40) == {429: 40}
+    assert requests.statuses("/renew", [foreign] * 64, "192.0.2.9") == {403: FREE, 429: 64 - FREE}
+    assert requests.statuses("/renew", [renewal_of("car-1", certificate, key)], "192.0.2.9") == {200: 1}
+    assert requests.statuses("/enrol", [own]) == {429: 1}, "a token that is used is none"
+
+
+def test_who_has_a_token_or_a_certificate_is_refused_with_it_so_often_and_others_are_not_blocked(
+    dsn: str, requests: Requests
+) -> None:
+    token, other = requests.token("car-1"), requests.token("car-2")
+    wrong = [enrolment_of("another", token)[0]] * 64
+    assert requests.statuses("/enrol", wrong) == {403: FREE, 429: 64 - FREE}
+    elsewhere = [enrolment_of("another", token)[0]] * 5
+    assert requests.statuses("/enrol", elsewhere, "192.0.2.2") == {429: 5}, "from any address"
+    body, key = enrolment_of("car-2", other, 2)
+    (answer,) = requests.send("/enrol", [body])
+    assert answer.status_code == 200, answer.text
+    with psycopg.connect(dsn) as db:
+        db.execute("UPDATE certificate SET revoked = now() WHERE vehicle = 'car-2'")
+    revoked = [renewal_of("car-2", answer.json()["certificate"], key, 2) for _ in range(40)]
+    assert requests.statuses("/renew", revoked, "192.0.2.3") == {403: FREE, 429: 40 - FREE}
+
+
+def test_what_is_granted_is_not_counted(requests: Requests) -> None:
+    fleet = [enrolment_of(f"car-{n}", requests.token(f"car-{n}"), n)[0] for n in range(1, FREE + 5)]
+    assert requests.statuses("/enrol", fleet) == {200: FREE + 4}
+    assert requests.statuses("/enrol", [enrolment_of("car-1", "guess")[0]]) == {403: 1}
+
+
 def test_accounts_and_tenants_by_commands(folder: Path) -> None:
     made = obu("centre", "tenant", "add", "north", "--days", "30", folder=folder)
     assert made.returncode == 0, made.stderr
@@ -239,6 +332,12 @@ def test_accounts_and_tenants_by_commands(folder: Path) -> None:
     kept = rows(folder, "SELECT retention_days, toll_retention_days FROM tenant WHERE name = 'north'")
     assert kept == [(30, 400)]
     assert obu("centre", "tenant", "web-hook", "north", "https://hook.example/", folder=folder).returncode == 0
+    assert (
+        "web_hook_networks" in obu("centre", "tenant", "web-hook", "north", "https://10.0.0.1/", folder=folder).stderr
+    )
+    assert obu("centre", "tenant", "budget", "north", "--vehicle-mb", "100", folder=folder).returncode == 0
+    assert rows(folder, "SELECT vehicle_mb_day, mb_day FROM tenant WHERE name = 'north'") == [(100, 50_000)]
+    assert "say how much" in obu("centre", "tenant", "budget", "north", folder=folder).stderr
     assert "no web hook" in obu("centre", "tenant", "web-hook", "north", "ftp://hook.example", folder=folder).stderr
 
     assert obu("centre", "token", "--vehicle", "truck-3", "--tenant", "north", folder=folder).returncode == 0

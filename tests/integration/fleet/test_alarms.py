@@ -17,6 +17,7 @@ from fleet.alarms import process
 from fleet.alarms.judge import CALM_MS, HEARD_MS, LIMITS, MISSING_MS, SILENT_MOVING_MS, SILENT_STANDING_MS, judge
 from fleet.alarms.late import Period, judge_late, periods
 from fleet.alarms.process import Alarms
+from fleet.alarms.web_hook import Reach
 from fleet.database.erasure import erase
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from fleet.ingest import process as ingest
@@ -182,7 +183,7 @@ def test_the_process_publishes_what_it_raises_and_outlives_its_connection_to_the
 
         client = await nats.connect(url)
         await client.subscribe(ALARM, cb=take)
-        task = asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn))
+        task = asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn, Reach()))
         try:
             async with asyncio.timeout(20.0):
                 await asyncio.to_thread(on_time, unit, put, [UNSAFE] * 61)
@@ -222,7 +223,7 @@ def test_a_fleet_is_not_silent_while_no_ingest_works(
             return owner.execute("SELECT kind FROM alarm").fetchall()
 
     async def work(url: str) -> None:
-        tasks = [asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn))]
+        tasks = [asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn, Reach()))]
         try:
             await asyncio.sleep(2.0)
             assert raised() == []

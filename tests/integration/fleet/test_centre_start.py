@@ -13,11 +13,13 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
+import httpx
 import nats
 import psycopg
 import pytest
+from pydantic import ValidationError
 
-from cli.centre.common import centre_of
+from cli.centre.common import centre_of, hand_over
 from cli.demo.local import free_port
 from fleet.admission.authority import Authority
 from fleet.bus import connected
@@ -29,11 +31,17 @@ from fleet.servers.nats import Nats, NatsAccess
 from fleet.servers.ports import is_of
 from fleet.servers.postgres import Postgres, name_of
 from fleet.up import LONGEST_AGAIN_S, Pauses, alone, check_rights, warn_if_away
+from fleet.web.access.accounts import NewAccount
+from fleet.web.access.rights import Role
 from shared.errors import UserError
+from shared.fleet.topics import VEHICLE, vehicle_of
+from shared.runtime.config import Vehicle
 from tests.support.dashboard.status_server import eventually
 from tests.support.data import REPOSITORY
+from tests.support.fleet.ports import answers
 from tests.support.fleet.running_centre import PORTS
 from tests.support.fleet.vehicle_link import obu, rows
+from tests.support.patience import HANGS_S
 
 WITHIN_S = 30.0
 
@@ -411,3 +419,59 @@ def test_a_program_goes_on_where_its_log_cannot_be_written(tmp_path: Path) -> No
     with log.output() as output:
         process = subprocess.Popen([sys.executable, "-c", "print('x' * 1_000_000)"], stdout=output)
     assert process.wait(WITHIN_S) == 0
+
+
+def test_the_first_password_is_in_a_file_and_in_no_log(folder: Path) -> None:
+    path = folder / "secrets" / "password-of-admin"
+    assert path.stat().st_mode & 0o777 == 0o600
+    password = path.read_text().strip()
+    logs = [folder.parent / "log", *(folder / "logs").iterdir(), folder / "nats" / "nats.log"]
+    assert str(path) in logs[0].read_text()
+    for log in logs:
+        assert password not in log.read_text()
+    eventually(lambda: answers(Centre(folder).settings.web_port))
+    with httpx.Client(base_url=Centre(folder).web_url, headers={"X-OBU-CSRF": "login"}, timeout=HANGS_S) as http:
+        assert http.post("/api/login", json={"name": "admin", "password": password}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("terminal", "journal", "logged", "printed"),
+    [
+        (True, False, True, True), (True, True, True, True), (False, False, True, False), (False, True, False, False),
+        (False, False, False, True),
+    ],
+)  # fmt: skip
+def test_a_password_is_printed_where_no_log_keeps_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], terminal: bool,
+    journal: bool, logged: bool, printed: bool,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    monkeypatch.setenv("JOURNAL_STREAM", "8:1") if journal else monkeypatch.delenv("JOURNAL_STREAM", raising=False)
+    for password in ("a first password", "another one"):
+        hand_over(Centre(tmp_path), "nora@north", password, logged=logged)
+        assert (password in capsys.readouterr().out) is printed
+        path = tmp_path / "secrets" / "password-of-nora@north"
+        assert path.exists() is not printed
+        assert printed or path.read_text() == f"{password}\n"
+
+
+@pytest.mark.parametrize("name", ["--help", "-x", "-", "--folder=/tmp", "", "a b", "a/b", "../a", "a\n", "\u2014help"])
+def test_a_name_that_a_command_takes_for_an_option_is_none(folder: Path, name: str) -> None:
+    assert vehicle_of(f"obu.{name}.uplink.batch") is None
+    assert not VEHICLE.fullmatch(name)
+    with pytest.raises(ValidationError):
+        Vehicle(name=name)
+    with pytest.raises(ValidationError):
+        NewAccount(action="add", name=name, role=Role.VIEWER, password="three words and one")
+
+
+@pytest.mark.parametrize("name", ["--help", "a/b"])
+def test_commands_refuse_such_a_name(folder: Path, name: str) -> None:
+    refused = (
+        obu("centre", "token", f"--vehicle={name}", folder=folder),
+        obu("centre", "tenant", "add", "--", name, folder=folder),
+        obu("centre", "account", "add", "--", name, folder=folder),
+    )
+    for done in refused:
+        assert done.returncode != 0 and "Traceback" not in done.stderr
+        assert "is no name of" in done.stderr, done.stderr

@@ -19,9 +19,10 @@ from fleet.alarms.judge import judge
 from fleet.database.erasure import Erased, erase
 from fleet.database.retention import make_days, retain
 from fleet.ingest.keys import Keys
-from fleet.ingest.process import GROUP, SHARE, Ingest
+from fleet.ingest.process import GROUP, Ingest
 from fleet.ingest.store import MOST_EPOCHS, Changed, Store, Unusable
 from fleet.ingest.verification import Arrived, Genuine, verified
+from fleet.ingest.waiting import SHARE
 from shared.fleet.batch import BadBatch
 from shared.fleet.receipts import Refused, Stored
 from shared.fleet.sealed import chain_digest
@@ -454,10 +455,10 @@ def test_a_vehicle_that_floods_has_a_share_of_what_waits_and_no_more(store: Stor
         for number in range(1000):
             await ingest._take(Msg(None, "obu.car-1.uplink.batch", data=b"%d" % number))  # type: ignore[arg-type]
         await ingest._take(Msg(None, "obu.car-2.uplink.batch", data=b"other"))  # type: ignore[arg-type]
-        assert ingest._arrived.qsize() == SHARE + 1
-        assert [ingest._taken(ingest._arrived.get_nowait()).vehicle for _ in range(SHARE + 1)][-1] == "car-2"
+        assert len(ingest._waiting) == SHARE + 1
+        assert [one.vehicle for one in ingest._waiting.take(SHARE + 1)][:3] == ["car-1", "car-2", "car-1"]
         await ingest._take(Msg(None, "obu.car-1.uplink.batch", data=b"again"))  # type: ignore[arg-type]
-        assert ingest._arrived.qsize() == 1
+        assert len(ingest._waiting) == 1
 
     asyncio.run(work())
 

@@ -6,9 +6,11 @@ import contextlib
 import hashlib
 import hmac
 import json
+import socket
 import ssl
 import time
 from collections.abc import Awaitable, Callable
+from ipaddress import ip_network
 from pathlib import Path
 
 import psycopg
@@ -16,7 +18,7 @@ import pytest
 
 from fleet.alarms import web_hook
 from fleet.alarms.signing import new_secret, signed_headers
-from fleet.alarms.web_hook import WebHooks, is_elsewhere
+from fleet.alarms.web_hook import Reach, WebHooks
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from tests.support.fleet.certificates import Authority
 
@@ -39,7 +41,7 @@ class Hooks:
         self.process = self.made()
 
     def made(self, **more: object) -> WebHooks:
-        settings = {"trust": self.trust, "may_reach": lambda _: True, **more}
+        settings = {"trust": self.trust, "reach": Reach([ip_network("127.0.0.0/8")]), **more}
         return WebHooks(dsn_of_process(self.dsn, "alarms", "a password"), **settings)  # type: ignore[arg-type]
 
     async def serve(self, serve: Serve, scheme: str = "https") -> list[bytes]:
@@ -245,7 +247,7 @@ def test_an_answer_without_end_is_not_read_and_a_slow_hook_keeps_nobody_else_wai
 def test_a_hook_without_encryption_of_an_unknown_authority_or_on_this_machine_is_not_asked(hooks: Hooks) -> None:
     async def work() -> None:
         seen = [await hooks.serve(answer_ok), await hooks.serve(answer_ok, "http")]
-        for process in (hooks.made(may_reach=is_elsewhere), hooks.made(trust=ssl.create_default_context())):
+        for process in (hooks.made(reach=Reach()), hooks.made(trust=ssl.create_default_context())):
             for tenant in hooks.tenants:
                 hooks.raise_alarm(tenant, f"car-{tenant}-{len(hooks.told())}-{id(process)}")
             await process.turn()
@@ -258,12 +260,82 @@ def test_a_hook_without_encryption_of_an_unknown_authority_or_on_this_machine_is
 
 
 @pytest.mark.parametrize(
-    ("address", "elsewhere"),
+    "address",
     [
-        ("127.0.0.1", False), ("127.9.9.9", False), ("::1", False), ("::ffff:127.0.0.1", False), ("0.0.0.0", False),
-        ("169.254.169.254", False), ("fe80::1%eth0", False), ("224.0.0.1", False), ("192.0.2.7", True),
-        ("10.1.2.3", True), ("2001:db8::7", True),
+        "127.0.0.1", "127.9.9.9", "0.0.0.0", "0.1.2.3", "10.1.2.3", "172.16.0.1", "192.168.1.1", "100.64.0.1",
+        "169.254.169.254", "192.0.2.7", "198.18.0.1", "224.0.0.1", "224.0.1.1", "240.0.0.1", "255.255.255.255", "::",
+        "::1", "fe80::1%eth0", "fec0::1", "fd00::1", "ff02::1", "ff0e::1", "2001:db8::7", "::ffff:127.0.0.1",
+        "::ffff:10.0.0.1", "::ffff:a00:1", "::10.0.0.1", "64:ff9b::10.0.0.1", "64:ff9b::7f00:1", "64:ff9b:1::1",
+        "2002:a00:1::1", "2002:7f00:1::", "2001:0:a00:1::", "100::1",
     ],
 )  # fmt: skip
-def test_a_hook_may_be_in_the_network_of_the_operator_and_not_on_this_machine(address: str, elsewhere: bool) -> None:
-    assert is_elsewhere(address) is elsewhere
+def test_a_hook_is_in_the_public_network_or_in_one_that_the_operator_names(address: str) -> None:
+    host = f"[{address}]" if ":" in address else address
+    assert not Reach().allows(address)
+    assert "web_hook_networks" in (Reach().why_not(f"https://{host.replace('%', '%25')}/hook") or "")
+
+
+@pytest.mark.parametrize("address", ["93.184.216.34", "2606:2800:220:1::1", "::ffff:93.184.216.34", "64:ff9b::808:808"])
+def test_a_hook_in_the_public_network_may_be_told(address: str) -> None:
+    assert Reach().allows(address)
+
+
+def test_networks_that_the_operator_names_are_reached_and_no_others() -> None:
+    reach = Reach([ip_network("10.1.2.0/24"), ip_network("fd00:1::/32")])
+    assert reach.allows("10.1.2.3") and reach.allows("::ffff:10.1.2.3") and reach.allows("fd00:1::9")
+    assert not reach.allows("10.1.3.3") and not reach.allows("fd00:2::9") and not reach.allows("127.0.0.1")
+    assert reach.why_not("https://10.1.2.3/hook") is None
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST.", "a.localhost", "127.0.0.1", "[::1]", "[::ffff:10.0.0.1]"])
+def test_a_hook_that_is_seen_to_be_private_is_refused_when_it_is_set(host: str) -> None:
+    assert Reach().why_not(f"https://{host}:8443/hook")
+
+
+@pytest.mark.parametrize("answers", [["10.0.0.1"], ["::ffff:127.0.0.1", "fd00::1"], ["169.254.169.254"]])
+def test_the_address_that_was_checked_is_the_one_that_is_used(hooks: Hooks, answers: list[str]) -> None:
+    """A name that leads to a public address first, and to a private one when it is asked for again."""
+    asked, connected = list[str](), list[str]()
+
+    async def work() -> None:
+        process = hooks.made(reach=Reach())
+        loop = asyncio.get_running_loop()
+
+        async def getaddrinfo(host: str, port: int, **_: object) -> list[tuple[object, ...]]:
+            asked.append(host)
+            found = ["93.184.216.34"] if len(asked) == 1 else answers
+            return [(socket.AF_INET6 if ":" in one else socket.AF_INET, 1, 6, "", (one, port)) for one in found]
+
+        async def open_connection(host: str, port: int, **_: object) -> None:
+            connected.append(host)
+            raise ConnectionRefusedError
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(loop, "getaddrinfo", getaddrinfo)
+            patch.setattr(asyncio, "open_connection", open_connection)
+            row = dict.fromkeys(("vehicle", "kind", "since_ms", "until_ms", "late", "detail"))
+            row |= {"alarm_id": 1, "web_hook_secret": SECRET}
+            with pytest.raises(ConnectionRefusedError):
+                await process._post("https://hook.example/x", row)
+            assert (asked, connected) == (["hook.example"], ["93.184.216.34"]), "the name is asked for once"
+            with pytest.raises(ValueError, match="web_hook_networks"):
+                await process._post("https://hook.example/x", row)
+            assert connected == ["93.184.216.34"]
+
+    run(work())
+
+
+def test_a_redirect_is_not_followed(hooks: Hooks) -> None:
+    async def work() -> None:
+        other = await hooks.serve(answer_ok)
+        with psycopg.connect(hooks.dsn) as db:
+            (address,) = db.execute("SELECT web_hook FROM tenant").fetchone() or ("",)
+        moved = f"HTTP/1.1 307 Moved\r\nLocation: {address}\r\nContent-Length: 0\r\n\r\n".encode()
+        first = await hooks.serve(answering(moved))
+        hooks.raise_alarm(hooks.tenants[1])
+        await hooks.process.turn()
+        assert (len(first), other) == (1, [])
+        await hooks.close()
+
+    run(work())
+    assert hooks.told() == []

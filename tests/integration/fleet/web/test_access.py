@@ -1,17 +1,25 @@
 """Who may look at a centre's pages, and at what: real pages, a real database and a real bus."""
 
+import asyncio
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
 
 import httpx
+import psycopg
 import pytest
 
+from fleet.web.access import login
 from fleet.web.access.attempts import Attempts, Free, origins
 from fleet.web.access.passwords import agrees, hashed, weakness
 from fleet.web.access.rights import GRANTED, ROWS, Right, Role, needed
+from fleet.web.database import Database
 from services.monitoring.status.web.access.table import WEBSOCKET
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.web import ACCOUNTS, PASSWORD, RunningWeb, Visitor, tenant
+from tests.support.patience import HANGS_S
 
 EXAMPLES = {
     "{zoom}": "3", "{x}": "4", "{y}": "2", "{vehicle}": "car-1", "{alarm}": "1", "{name:path}": "main.js",
@@ -146,24 +154,89 @@ def test_who_guesses_locks_out_nobody_at_another_address(running: RunningWeb) ->
         assert http.post("/api/login", json={"name": "sid", "password": PASSWORD}).status_code == 200
 
 
-def test_a_botnet_has_a_hundred_guesses_and_a_network_of_ipv6_is_one_address() -> None:
-    clock_s = 0.0
-    attempts = Attempts(lambda: clock_s)
+def guesses(running: RunningWeb, name: str, number: int, ends: Sequence[str] = ("127.0.0.1",)) -> Counter[int]:
+    """Send wrong passwords beside each other; statuses of the answers."""
+
+    async def all_at_once() -> list[httpx.Response]:
+        async with AsyncExitStack() as stack:
+            clients = [
+                await stack.enter_async_context(
+                    httpx.AsyncClient(
+                        base_url=running.address, headers={"X-OBU-CSRF": "login"}, timeout=HANGS_S,
+                        transport=httpx.AsyncHTTPTransport(local_address=end, limits=httpx.Limits()),
+                    )
+                )
+                for end in ends
+            ]  # fmt: skip
+            body = [{"name": name, "password": f"guess {n}"} for n in range(number)]
+            return await asyncio.gather(
+                *(clients[n % len(clients)].post("/api/login", json=one) for n, one in enumerate(body))
+            )
+
+    return Counter(answer.status_code for answer in asyncio.run(all_at_once()))
+
+
+@pytest.mark.parametrize("name", ["anna", "nobody-at-all", "\U0001f600"])
+def test_guesses_beside_each_other_pass_no_more_than_guesses_in_turn(running: RunningWeb, name: str) -> None:
+    forget(running)
+    assert guesses(running, name, 50) == {401: Free.ONE, 429: 50 - Free.ONE}
+    assert running.rows("SELECT max(failures) FROM attempt") == [(Free.ONE,)]
+    forget(running)
+
+
+def test_guesses_from_many_addresses_beside_each_other_are_counted_for_the_account(
+    running: RunningWeb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(login, "agrees", lambda *_: False)  # which takes a tenth of a second
+    forget(running)
+    ends = [f"127.0.1.{n}" for n in range(1, 31)]
+    assert guesses(running, "anna", 150, ends)[401] == Free.ACCOUNT
+    forget(running)
+
+
+def test_guesses_at_the_own_password_beside_each_other_are_counted(running: RunningWeb) -> None:
+    tenant(running.dsn, "demo", {"pat": "viewer"})
+    session = running.visitor("pat")
+    with ThreadPoolExecutor(30) as pool:
+        statuses = Counter(pool.map(lambda n: change(session, f"guess {n}"), range(30)))
+    assert statuses == {401: Free.ONE, 429: 30 - Free.ONE}
+
+
+def forget(running: RunningWeb) -> None:
+    with psycopg.connect(running.dsn) as db:
+        db.execute("DELETE FROM attempt")
+
+
+def test_a_botnet_has_a_hundred_guesses_and_a_network_of_ipv6_is_one_address(running: RunningWeb) -> None:
+    forget(running)
+    database = Database(running.dsn)  # as the owner, who may set a role
+    attempts = Attempts(database)
+
+    def begin(account: str, host: str) -> float:
+        return running.run(attempts.begin(origins(account, host)))
+
+    def later(seconds: float) -> None:
+        with psycopg.connect(running.dsn) as db:
+            db.execute("UPDATE attempt SET last = last - make_interval(secs => %s)", (seconds,))
+
     for number in range(Free.ACCOUNT):
-        assert attempts.wait_s(origins("anna", f"192.0.2.{number}")) == 0
-        attempts.failed(origins("anna", f"192.0.2.{number}"))
-    assert attempts.wait_s(origins("anna", "198.51.100.1")) == 2.0
-    clock_s = 2.0
+        assert begin("anna", f"192.0.2.{number}") == 0
+    assert 0 < begin("anna", "198.51.100.1") <= 2.0
+    later(2.0)
     right = origins("anna", "198.51.100.1")
-    attempts.failed(right)
-    attempts.succeeded(right)
-    clock_s = 4.0
-    assert attempts.wait_s(right) == 0, "the right password is not counted"
+    assert running.run(attempts.begin(right)) == 0
+    running.run(attempts.succeeded(right))
+    later(2.0)
+    assert running.run(attempts.begin(right)) == 0, "the right password is not counted"
     for number in range(Free.ONE):
-        attempts.failed(origins("otto", f"2001:db8::{number:x}"))
-    assert attempts.wait_s(origins("otto", "2001:db8::ffff")) > 0
-    assert attempts.wait_s(origins("otto", "2001:db8:0:1::1")) == 0
-    attempts.failed(origins("otto", "no address"))
+        assert begin("otto", f"2001:db8::{number:x}") == 0
+    assert begin("otto", "2001:db8::ffff") > 0
+    assert begin("otto", "2001:db8:0:1::1") == 0
+    assert begin("otto", "no address") == 0
+    later(3601.0)
+    assert begin("otto", "2001:db8::ffff") == 0, "after an hour all begins again"
+    running.run(database.close())
+    forget(running)
 
 
 def change(visitor: Visitor, old: str) -> int:

@@ -359,3 +359,21 @@ def test_a_token_that_nobody_has_used_is_withdrawn(running: RunningWeb) -> None:
     assert running.rows("SELECT action, vehicle FROM audit WHERE action = 'withdrew a token'") == [
         ("withdrew a token", "car-77")
     ]
+
+
+def test_errors_of_the_pages_are_counted_and_shown_to_administrators(
+    running: RunningWeb, anna: Visitor, caplog: pytest.LogCaptureFixture
+) -> None:
+    vera = running.visitor("vera")
+    before = anna.get("/api/page-errors").json()["errors"]
+    error = {"page": "map", "message": "TypeError: x\nsecond line\u202e", "place": "map.js:1:2"}
+    for _ in range(30):
+        assert vera.post("/api/page-error", error).status_code == 202
+    found = anna.get("/api/page-errors").json()
+    assert found["errors"] == before + 30
+    assert "TypeError" in found["newest"]["sentence"] and "\n" not in found["newest"]["sentence"]
+    assert 0 < sum("TypeError" in record.message for record in caplog.records) < 10
+    assert vera.get("/api/page-errors").status_code == 403
+    assert vera.post("/api/page-error", {**error, "more": 1}).status_code == 422
+    assert vera.post("/api/page-error", {**error, "message": "m" * 500}).status_code == 422
+    assert vera.http.post("/api/page-error", json=error).status_code == 403, "a page from elsewhere"

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.watched_page import stream
 from tests.support.fleet.watched_unit import watched_unit
-from tests.support.fleet.web import RunningWeb
+from tests.support.fleet.web import RunningWeb, tenant
 from tests.support.patience import HANGS_S
 
 
@@ -54,6 +54,50 @@ def test_the_page_of_a_watched_vehicle_shows_what_it_passes_on_and_the_watch_end
         eventually(lambda: vehicle.requests[-1]["watchers"] == 0)
         running.wait_for("SELECT 1 FROM audit WHERE vehicle = 'watch-1' AND action = 'ended to watch'")
     assert running.rows("SELECT who FROM audit WHERE vehicle = 'watch-1' AND action = 'began to watch'") == [("otto",)]
+
+
+def events_of(lines: Iterator[str], number: int) -> list[str]:
+    """Names of the next events of a stream."""
+    found = list[str]()
+    for line in lines:
+        if line.startswith("event: "):
+            found.append(line.removeprefix("event: "))
+        if len(found) == number:
+            break
+    return found
+
+
+def test_a_program_reads_the_stream_of_events_of_a_watched_vehicle_for_as_long_as_it_likes(
+    running: RunningWeb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate, "LINGER_S", 1.0)
+    Unit("watch-5", 25, time.time_ns() // 1_000_000).enter(running.dsn)
+    otto, second = running.visitor("otto"), running.visitor("otto")
+    address = "/vehicles/watch-5/live/api/events"
+    with watched_unit(running, "watch-5", tmp_path), otto.http.stream("GET", address) as answer:
+        assert answer.status_code == 200 and answer.headers["x-accel-buffering"] == "no"
+        lines = answer.iter_lines()
+        assert events_of(lines, 6).count("solution") >= 3, "more than the first frame"
+        with second.http.stream("GET", address) as beside:
+            assert len(events_of(beside.iter_lines(), 4)) == 4, "a second one reads as well"
+        assert len(events_of(lines, 4)) == 4
+        assert running.rows("SELECT 1 FROM audit WHERE vehicle = 'watch-5' AND action = 'ended to watch'") == []
+
+
+def test_a_stream_of_events_ends_with_the_session_of_its_reader(running: RunningWeb, tmp_path: Path) -> None:
+    tenant(running.dsn, "demo", {"eve": "operator"})
+    Unit("watch-6", 26, time.time_ns() // 1_000_000).enter(running.dsn)
+    eve, anna = running.visitor("eve"), running.visitor("anna")
+    with (
+        watched_unit(running, "watch-6", tmp_path),
+        eve.http.stream("GET", "/vehicles/watch-6/live/api/events") as answer,
+    ):
+        lines = answer.iter_lines()
+        assert events_of(lines, 4)
+        change = {"command": {"action": "change", "name": "eve", "disabled": True}}
+        assert anna.post("/api/accounts", change).status_code == 200
+        for _ in lines:  # until it ends
+            pass
 
 
 def test_a_vehicle_that_does_not_answer_is_shown_so_with_its_last_report(running: RunningWeb) -> None:

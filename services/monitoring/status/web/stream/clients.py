@@ -60,6 +60,15 @@ class Clients:
     def broadcast(self, frame: Frame) -> None:
         """Queue one frame for everyone, and disconnect who has not read the last ones."""
         for client in [client for client in self._clients if not client.put(frame)]:
-            self.leave(client)
+            self._end(client)
+
+    def end(self) -> None:
+        """Disconnect everyone: nothing more comes."""
+        for client in list(self._clients):
+            self._end(client)
+
+    def _end(self, client: Client) -> None:
+        self.leave(client)
+        if client.frames.full():
             client.frames.get_nowait()  # make room for the end
-            client.frames.put_nowait(None)
+        client.frames.put_nowait(None)
