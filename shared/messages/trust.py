@@ -23,7 +23,10 @@ from .base import (
     Velocity3,
     unit,
 )
+from .explanation import Explanation
 
+EXPLANATIONS_MAXIMUM = 64
+Explanations = Annotated[tuple[Explanation, ...], Field(max_length=EXPLANATIONS_MAXIMUM)]
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
@@ -194,6 +197,8 @@ class TrustState(Message):
     row: Count  # of the verdict table that decided
     reasons: tuple[Reason, ...]  # that of the deciding row first
     findings: tuple[Reason, ...] = ()  # accused or excluded sources that do not lower the verdict
+    reason_codes: Explanations = ()  # of `reasons`, one each; those are for people
+    finding_codes: Explanations = ()  # of `findings`, one each
     gnss_excluded: bool = False  # decided by a third source
     suspect_since_ns: Nanoseconds | None = None  # while GNSS is in conflict with other sensors, excluded or not
     odometer_excluded: bool = False
@@ -213,4 +218,5 @@ class TrustEvent(Message):
     before: TrustLevel
     after: TrustLevel
     reasons: tuple[Reason, ...]
+    reason_codes: Explanations = ()  # of `reasons`, one each
     monitors: tuple[TrustMonitor, ...] = ()
