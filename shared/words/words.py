@@ -45,7 +45,7 @@ class Row:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.1f} s" if abs(value) < 60.0 else f"{value:.0f} s"
+    return f"{value:.0f} s" if isinstance(value, int) or abs(value) >= 60.0 else f"{value:.1f} s"
 
 
 # A number's quantity: end of the names of its values, and how it is written. Angles are in radians or degrees.

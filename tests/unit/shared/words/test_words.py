@@ -120,6 +120,7 @@ def row(**changes: str) -> Words:
         ("{a_deg:angle}", {"a_deg": 0.5}, "0.5°"),
         ("{a_s:duration}", {"a_s": 6.24}, "6.2 s"),
         ("{a_s:duration}", {"a_s": 612.4}, "612 s"),
+        ("{a_s:duration}", {"a_s": 6}, "6 s"),
         ("{probability:share}", {"probability": 0.625}, "62.5 %"),
         ("{a_ns:instant}", {"a_ns": 1_795_000_000_500_000_000}, "11:06:40 UTC"),
         ("{a:monitor}", {"a": "motion"}, "Motion conflict"),
