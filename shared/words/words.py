@@ -174,9 +174,9 @@ def words(language: str = ENGLISH) -> Words:
 
 def _read(path: Path, base: Words, owner: str | None = None) -> Words:
     """Add the rows and names of a file to those that were read before."""
-    data = cast("dict[str, Tables]", tomllib.loads(path.read_text(encoding="utf-8")))
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
     names = dict(base.names)
-    for table, found in data.pop("names", {}).items():
+    for table, found in cast(Tables, data.pop("names", {})).items():
         names[table] = {**names.get(table, {}), **found}
     how = {**base.format, **cast("dict[str, str]", data.pop("format", {}))}
     owners = {owner} if owner else set(OWNERS)
@@ -184,8 +184,8 @@ def _read(path: Path, base: Words, owner: str | None = None) -> Words:
         raise ValueError(f"{path}: rows of {', '.join(sorted(foreign))}; their owner is not in OWNERS of shared/words")
     known = {field.name for field in fields(Row)}
     rows = dict(base.rows)
-    for prefix, table in data.items():
-        for short, row in table.items():
+    for prefix, table_of_rows in data.items():
+        for short, row in cast(Tables, table_of_rows).items():
             if unknown := set(row) - known:
                 raise ValueError(
                     f"{path}: {prefix}.{short} has {', '.join(sorted(unknown))}; a row has {sorted(known)}"

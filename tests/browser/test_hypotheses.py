@@ -29,7 +29,7 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
     page = open_page(suspecting.address, path="trust")
     banner = page.get_by_role("region", name="Can the position be trusted?")
     expect(banner.locator(".sentence")).to_contain_text(
-        "GNSS or the inertial sensors are wrong, and nothing decides which"
+        "The position must not be used: GNSS or the inertial sensors may be wrong."
     )
     card = page.get_by_role("region", name="Hypotheses")
     gnss = card.locator("tr", has=page.get_by_role("button", name="GNSS is wrong"))

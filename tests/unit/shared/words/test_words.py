@@ -1,6 +1,7 @@
 """The words of codes: complete in every language, short enough, data alone, and what is shown where they do not fit."""
 
 from datetime import timedelta, timezone
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -9,7 +10,7 @@ from pydantic import ValidationError
 
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
-from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, explain
+from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
 from shared.words import words as words_module
@@ -133,8 +134,8 @@ def row(**changes: str) -> Words:
         ("{a}", {"a": Quoted(quoted="{b}")}, "“{b}”"),
     ],
 )
-def test_values_are_written_by_their_quantity(template: str, values: dict[str, object], said: str) -> None:
-    assert row(detail=template).detail(explain("trust.x", **values)) == said
+def test_values_are_written_by_their_quantity(template: str, values: dict[str, Value], said: str) -> None:
+    assert row(detail=template).detail(Explanation(code="trust.x", values=values)) == said
 
 
 def test_the_viewer_decides_language_and_time_zone() -> None:
@@ -203,7 +204,7 @@ def test_whatever_the_values_are_rendering_ends_in_text_or_in_none(code: str, da
             assert said is None or "{" not in PLACEHOLDER.sub("", said) or "“" in said
 
 
-def test_a_file_with_an_unknown_owner_or_field_is_refused(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_with_an_unknown_owner_or_field_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for text, error in (("[other.x]\ndetail = ''\n", "owner is not in OWNERS"), ("[trust.x]\nicon = ''\n", "has icon")):
         file = tmp_path / "xx.toml"
         file.write_text(text)
