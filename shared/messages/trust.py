@@ -59,6 +59,7 @@ class TrustMonitor(Message):
     monitor: Name
     outcome: MonitorOutcome
     reason: Reason
+    reason_code: Explanation | None = None  # of `reason`, where the monitor has codes
     accused: tuple[Name, ...] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
     doubtful: bool = False  # it passes, but by little: the position deserves caution
@@ -183,6 +184,7 @@ class Belief(Message):
     survives: bool  # above the integrity risk: the level reaches to its solution
     acted_on: bool = False  # it alone survives: its source is not used
     reason: Reason  # what speaks for it and against it
+    reason_code: Explanation | None = None  # of `reason`, which is for people
     since_ns: Nanoseconds | None = None  # suspect time, while something speaks for it
     distance_m: Deviation | None = None  # horizontal, of the published position from its solution
     level_m: Deviation | None = None  # horizontal protection level of its solution

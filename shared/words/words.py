@@ -23,7 +23,7 @@ OWNERS = {"trust": "services/core/trust", "banner": "services/monitoring/status/
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")
 REASON_LENGTH = 400  # of a message
-PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w+))?\}")
+PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w+))?(?::(and|or))?\}")
 SUBJECT, TEXT = "subject", "text"
 Tables = dict[str, dict[str, str]]
 Names = Mapping[str, Mapping[str, str]]
@@ -33,7 +33,8 @@ Names = Mapping[str, Mapping[str, str]]
 class Row:
     """Words of one code.
 
-    A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several,
+    A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several of them
+    (joined by "or", as `{name:table:and}` by "and"),
     `{name}` for references and quotations, `{subject}` for the subject, and `{name:text}` for a text of another
     message that has no code.
     """
@@ -48,6 +49,10 @@ def _seconds(value: float) -> str:
     return f"{value:.0f} s" if isinstance(value, int) or abs(value) >= 60.0 else f"{value:.1f} s"
 
 
+def _plain_number(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
 # A number's quantity: end of the names of its values, and how it is written. Angles are in radians or degrees.
 QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "distance": (("_m",), lambda value: f"{value:.1f} m"),
@@ -55,7 +60,7 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
     "duration": (("_s",), _seconds),
     "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
-    "number": (("statistic", "threshold", "count"), lambda value: f"{value:.3g}"),
+    "number": (("statistic", "threshold", "count"), _plain_number),
 }
 INSTANT = "instant"  # a stamp, shown as time of day
 INSTANT_ENDING = "_ns"
@@ -121,7 +126,7 @@ class Words:
             number = degrees(_number(value)) if name.endswith("_rad") else _number(value)
             return QUANTITIES[kind][1](number).replace(".", self.format["decimal"])
         if isinstance(value, tuple):
-            return self._any_of([self._single(one, kind) for one in value])
+            return self._joined([self._single(one, kind) for one in value], self.format[found[3] or "or"])
         return self._single(value, kind)
 
     def _single(self, value: Value, table: str | None) -> str:
@@ -141,11 +146,11 @@ class Words:
         kind = self.format.get(reference.kind)  # the names of satellites and processes say what they are
         return f"{kind} {reference.name}" if kind else reference.name
 
-    def _any_of(self, names: list[str]) -> str:
+    def _joined(self, names: list[str], word: str) -> str:
         """Join names: "a, b or c"."""
         if not names:
             return self.format["nothing"]
-        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {self.format['or']} {names[-1]}"
+        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def reason(explanation: Explanation) -> str:

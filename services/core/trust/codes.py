@@ -51,4 +51,16 @@ class Code(StrEnum):
     ACCUSED_IN_USE = "trust.accused_in_use"
     ACCUSED_LEFT_OUT = "trust.accused_left_out"
     ODOMETER_LEFT_OUT = "trust.odometer_left_out"
+    # of the comparison of hypotheses
+    NOT_COMPARABLE = "trust.not_comparable"
+    HARDLY_MOVES = "trust.hardly_moves"
+    SOLUTIONS_COMPARED = "trust.solutions_compared"
+    NO_TWO_AGREE = "trust.no_two_agree"
+    # of a belief
+    NO_ACCUSATION = "trust.no_accusation"
+    FALSE_ALARMS = "trust.false_alarms"
+    NO_EVIDENCE = "trust.no_evidence"
+    SUPPORTED = "trust.supported"
+    CONTRADICTED = "trust.contradicted"
+    DISPUTED = "trust.disputed"
     SATELLITE_EXCLUDED = "trust.satellite_excluded"

@@ -75,7 +75,7 @@ class Posterior:
     probability: float
     survives: bool
     acted_on: bool
-    reason: str
+    why: Explanation
     since_ns: int | None = None  # suspect time
 
 

@@ -256,7 +256,7 @@ class Process:
         text = reason(used.why) if used.why else used.reason[:REASON_LENGTH]
         return TrustMonitor(
             sampled_ns=facts.time_ns if last is None else last.sampled_ns, monitor=monitor.value,
-            outcome=MonitorOutcome(used.outcome.value), reason=text,
+            outcome=MonitorOutcome(used.outcome.value), reason=text, reason_code=used.why,
             accused=used.accused, since_ns=used.since_ns, suspect_since_ns=used.suspect_since_ns,
             statistic=used.statistic, threshold=used.threshold, false_alarm_rate=used.false_alarm_rate,
             window_s=used.window_s, doubtful=used.doubtful,
@@ -319,7 +319,7 @@ def _beliefs(facts: Facts) -> Iterator[Belief]:
         other = facts.alternatives.get(one.hypothesis)
         yield Belief(
             hypothesis=one.hypothesis, prior=one.prior, probability=min(1.0, one.probability), survives=one.survives,
-            acted_on=one.acted_on, reason=one.reason[:REASON_LENGTH], since_ns=one.since_ns,
+            acted_on=one.acted_on, reason=reason(one.why), reason_code=one.why, since_ns=one.since_ns,
             distance_m=None if other is None else other.distance_m, level_m=None if other is None else other.level_m,
         )  # fmt: skip
 

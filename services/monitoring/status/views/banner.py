@@ -28,7 +28,7 @@ from shared.words.words import ENGLISH, LANGUAGES, Words, words
 
 from .geometry import vertical_sd
 from .hypotheses import figures
-from .plain_words import label_of, plain, who
+from .plain_words import label_of, said, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
@@ -292,8 +292,8 @@ def _cause(e: Evidence, trust: TrustState) -> Explanation | None:
 
 def details(reasons: Sequence[str], codes: Sequence[Explanation]) -> list[str]:
     """Say reasons with their figures: by their codes, and what has no code or no row by the message's own text."""
-    said = [words().detail(code) or text for code, text in zip(codes, reasons, strict=False)]
-    return [*said, *reasons[len(said) :]]
+    found = [said(text, code) for code, text in zip(codes, reasons, strict=False)]
+    return [*found, *reasons[len(found) :]]
 
 
 def _checks(e: Evidence) -> list[Check]:
@@ -319,7 +319,7 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
         nothing = NOTHING_TO_JUDGE if e.trust.state is TrustLevel.NO_FIX else None
         missing = no_verdict(e.trust_age_s) or earlier or nothing
-        text = plain(statement.reason)
+        text = said(statement.reason, statement.reason_code)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
             text = f"suspects {who(statement.accused)}: {text}"

@@ -6,7 +6,7 @@ from math import hypot
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses
 
 from ..history.alternatives import Line, separation_ratio, worst
-from .plain_words import HYPOTHESES, plain, who
+from .plain_words import HYPOTHESES, plain, said, who
 
 Json = dict[str, object]
 Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live
@@ -24,7 +24,7 @@ def suspected(beliefs: Iterable[Belief]) -> list[Belief]:
 def figures(beliefs: Iterable[Belief]) -> list[str]:
     """Give probability and reason of each hypothesis that is suspected, for those who ask why."""
     return [
-        f"{HYPOTHESES[one.hypothesis].label}: {100.0 * one.probability:.3g} %; {plain(one.reason)}"
+        f"{HYPOTHESES[one.hypothesis].label}: {100.0 * one.probability:.3g} %; {said(one.reason, one.reason_code)}"
         for one in suspected(beliefs)
     ]
 
@@ -63,7 +63,7 @@ def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]
         "survives": None if belief is None else belief.survives,
         "acted_on": bool(belief and belief.acted_on),
         "suspected": bool(belief and suspected((belief,))),
-        "reason": None if belief is None else plain(belief.reason),
+        "reason": None if belief is None else said(belief.reason, belief.reason_code),
         "since_ns": belief.since_ns if belief else None,
         "distance_m": _rounded(distance_m),
         "level_m": _rounded(level_m),

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from shared.messages.explanation import Explanation
 from shared.messages.trust import Hypothesis
 from shared.words.words import words
 
@@ -59,6 +60,11 @@ def plain(reason: str) -> str:
     joined = NESTED.sub(lambda found: f"{LABELS[found[1]]}: " if found[1] in LABELS else found[0], joined)
     joined = SINCE.sub(lambda found: f"since {datetime.fromtimestamp(float(found[1]), UTC):%H:%M:%S} UTC", joined)
     return UPPER.sub(lambda found: found[0].upper(), joined.replace("_", " "))
+
+
+def said(reason: str, code: Explanation | None) -> str:
+    """Put a reason into words: by its code, else the text itself; one without a code in the words of the page."""
+    return plain(reason) if code is None else words().detail(code) or reason
 
 
 def who(accused: Sequence[str]) -> str:

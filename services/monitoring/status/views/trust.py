@@ -3,7 +3,7 @@
 from shared.messages.trust import MonitorTest, TrustEvent, TrustMonitor, TrustState
 
 from .banner import MONITORS_MAXIMUM, details, ratio_of
-from .plain_words import label_of, plain, who
+from .plain_words import label_of, said, who
 
 Json = dict[str, object]
 TESTS_MAXIMUM = 64  # shown of one monitor
@@ -58,4 +58,5 @@ def _test(test: MonitorTest) -> Json:
 def _common(shown: TrustMonitor | MonitorTest, name: str) -> Json:
     ratio = ratio_of(shown.outcome, shown.statistic, shown.threshold)
     label = label_of(name) if isinstance(shown, TrustMonitor) else name.replace("_", " ")
-    return {"label": label, "reason": plain(shown.reason), "ratio": None if ratio is None else round(ratio, 4)}
+    text = said(shown.reason, shown.reason_code if isinstance(shown, TrustMonitor) else None)
+    return {"label": label, "reason": text, "ratio": None if ratio is None else round(ratio, 4)}

@@ -86,7 +86,9 @@ def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None
     suspecting = [one.values["monitor"] for one in state.reason_codes if one.code == Code.MONITOR_SUSPECTS]
     assert suspecting == ["inertial_short"]
     belief = next(one for one in state.beliefs if one.hypothesis is Hypothesis.GNSS)
-    assert belief.survives and "inertial_short" in belief.reason
+    assert belief.survives and belief.reason_code is not None
+    assert belief.reason_code.values["supporting"] == ("inertial_short",)
+    assert belief.reason.startswith("for it: Short inertial window")
 
 
 def accused_for(process: Process, seconds: int, accused: tuple[str, ...], **known: object) -> list[TrustState]:

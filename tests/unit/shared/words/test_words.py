@@ -82,7 +82,7 @@ def test_a_sentence_is_one_line_without_figures_and_short_with_its_longest_value
 def test_a_placeholder_names_a_quantity_that_fits_its_value_or_a_table_that_exists(language: str, code: str) -> None:
     spoken = words(language)
     for field in FIELDS:
-        for name, kind in PLACEHOLDER.findall(getattr(spoken.row(code), field)):
+        for name, kind, _ in PLACEHOLDER.findall(getattr(spoken.row(code), field)):
             if kind in QUANTITIES:
                 assert name.endswith(QUANTITIES[kind][0]), f"{code}: {name} is not {kind}"
             elif kind == INSTANT:
@@ -127,6 +127,7 @@ def row(**changes: str) -> Words:
         ("{a:monitor}", {"a": "motion"}, "Motion conflict"),
         ("{a:monitor}", {"a": "of_a_newer_release"}, "of a newer release"),
         ("{a:source}", {"a": ("gnss", "imu", "odometer")}, "GNSS, the inertial sensors or the odometer"),
+        ("{a:source:and}", {"a": ("gnss", "imu")}, "GNSS and the inertial sensors"),
         ("{a}", {"a": (Reference(kind=ReferenceKind.NEIGHBOUR, name="17"),)}, "neighbour 17"),
         ("{a}", {"a": Reference(kind=ReferenceKind.LANE, name="n1")}, "lane n1"),
         ("{a}", {"a": Reference(kind=ReferenceKind.PROCESS, name="core.trust")}, "core.trust"),
