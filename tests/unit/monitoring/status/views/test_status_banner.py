@@ -20,11 +20,12 @@ from services.monitoring.status.views.banner import (
     show,
 )
 from services.monitoring.status.views.plain_words import plain
+from shared.bus import codec
 from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.operation import ProcessLoad, Work
-from shared.messages.trust import MonitorOutcome, TrustLevel
+from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
 from shared.words.words import words
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 from tests.support.words import longest
@@ -342,3 +343,17 @@ def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None
     assert shown == (
         "neither inertial nor motion monitors evaluated: Short inertial window: no samples; Motion conflict: warming up"
     )
+
+
+def test_a_verdict_of_release_0_1_0_decodes_and_is_shown_by_its_own_reasons() -> None:
+    payload = (
+        b'{"sender":{"process":"core.trust","incarnation":1,"sequence":7},"sampled_ns":1795000000000000000,'
+        b'"state":"caution","since_ns":1795000000000000000,"row":12,"reasons":["neither inertial nor motion monitors '
+        b'evaluated: inertial_short: no samples"],"findings":["satellites not evaluated: no raw measurements"],'
+        b'"gnss_excluded":false,"alert_limit_horizontal_m":10.0,"alert_limit_vertical_m":20.0,"monitors":[]}'
+    )
+    state = codec.decode("trust/state", payload)
+    assert isinstance(state, TrustState) and state.reason_codes == state.finding_codes == ()
+    shown = show(changed(trust=state))
+    assert (shown.state, shown.sentence) == (Trust.CAUTION, state.reasons[0])
+    assert shown.action == words().action(explain("banner.caution"))
