@@ -105,16 +105,16 @@ wheel: $(VENV)/.dashboard ## build the wheel into dist/, with the dashboard
 audit: | $(VENV)/.dashboard ## ask databases about known weaknesses of the dependencies (needs internet)
 	@$(PYTHON) deploy/audit.py
 
-PAPERS := $(if $(SMOKE),cooperative,motion-conflict cooperative spoofing toll navigation)
+PAPERS := $(if $(SMOKE),motion-conflict,motion-conflict cooperative spoofing toll navigation)
 
 papers: setup ## reproduce the papers' numbers (minutes); all of them, also behind one that fails
 	@failed=; for paper in $(PAPERS); do \
 		case $$paper in navigation) out=;; *) out="--out .obu/papers/$$paper";; esac; \
-		$(PYTHON) -m cli papers $$paper $$out || failed="$$failed $$paper"; \
+		$(PYTHON) -m cli papers $$paper $$out $(if $(SMOKE),--drives 1) || failed="$$failed $$paper"; \
 	done; [ -z "$$failed" ] || { echo "outside their limits:$$failed"; exit 1; }
 
 attack-lab: setup ## attack simulated drives, scored against the truth (11 minutes on two cores)
-	@$(PYTHON) -m cli attack-lab $(if $(SMOKE),--attack position_jump --after 5 --out .obu/attack-lab-smoke,$(if $(SHORT),--quick --out .obu/attack-lab-short,--out .obu/attack-lab)) \
+	@$(PYTHON) -m cli attack-lab $(if $(SMOKE),--attack position_jump@20:3 --after 2 --clean 20 --out .obu/attack-lab-smoke,$(if $(SHORT),--quick --out .obu/attack-lab-short,--out .obu/attack-lab)) \
 		$(if $(FULL),--seeds 3 --scenario urban --scenario highway,$(if $(RUNS),--seeds $(RUNS))) $(if $(FRESH),--fresh)
 
 alarms: setup ## count false alarms of the monitors in fault-free epochs (11 minutes)

@@ -125,6 +125,24 @@ def separate(private: Path, page_user: int, uplink_user: int, evidence_group: in
         raise UserError(str(error)) from error
 
 
+def share_socket(folder: Path, owner: int, group: int) -> None:
+    """Make the folder in which the broker, user `owner`, puts its socket, which takes the folder's group.
+
+    The group may enter it and connect, and nobody else.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            os.fchown(opened, os.geteuid(), os.getegid())
+            os.fchmod(opened, 0o2750)  # before its group is another's: a container may not set the bit afterwards
+            os.fchown(opened, owner, group)
+        finally:
+            os.close(opened)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {folder}: {error.strerror}; run the command with `sudo`") from error
+
+
 def share(state: Path, group: int) -> None:
     """Give the state folder of an earlier version, where one user ran every process, to root and a group.
 

@@ -10,6 +10,8 @@ import shutil
 import sys
 from pathlib import Path
 
+from shared.runtime.config import INSTALLED_SOCKET, LONGEST_SOCKET, SOCKET
+
 from .keys import ACCESS_LIST, PASSWORDS
 
 TLS_PORT = 8883
@@ -30,15 +32,21 @@ def command(program: str, config: Path) -> list[str]:
     return ["sh", str(HERE / "start.sh"), program, str(config)]
 
 
-def configuration(port: int, store: Path, rules: Path, listen: str | None = None) -> str:
+def configuration(port: int, store: Path, rules: Path, listen: str | None = None, socket: Path | None = None) -> str:
     """Keep every line of `mosquitto.conf` but its places: a loopback port, a folder of its own, and the folder `rules`.
 
     It holds the password file and the access list (`broker.keys.make`). With `listen`, an address of this machine or
-    0.0.0.0, there is a second listener, which speaks TLS with the certificate in `rules / "tls"` (`broker.tls.make`).
+    0.0.0.0, there is a listener that speaks TLS with the certificate in `rules / "tls"` (`broker.tls.make`); with
+    `socket`, the path of a Unix socket, one for the processes of the unit.
     """
+    text = (HERE / "mosquitto.conf").read_text(encoding="utf-8")
     lines = []
-    for line in (HERE / "mosquitto.conf").read_text(encoding="utf-8").splitlines():
-        if line.startswith("listener "):
+    if socket is None:
+        text = text[: text.index("# The unit's own processes")] + text[text.index("# Address and paths") :]
+    for line in text.splitlines():
+        if line.startswith("listener 0 "):
+            lines.append(f"listener 0 {socket}")
+        elif line.startswith("listener "):
             # In its place: what follows holds for this listener, and before any it would open one on every address.
             lines += [f"listener {port} 127.0.0.1", "socket_domain ipv4"]
         elif line.split(" ")[0] not in OWN_PLACES:
@@ -61,16 +69,25 @@ def configuration(port: int, store: Path, rules: Path, listen: str | None = None
             f"keyfile {rules / 'tls' / KEY}",
             "use_username_as_clientid true",
             "set_tcp_nodelay true",
-            "max_connections 100",
+            "max_connections 32",
         ]
     return "\n".join(lines) + "\n"
 
 
-def write(folder: Path, port: int, rules: Path) -> Path:
+def socket_in(folder: Path) -> Path | None:
+    """Make the folder of the socket in a state folder, for its owner alone; None where its path is too long."""
+    path = folder / SOCKET
+    if len(os.fsencode(path)) > LONGEST_SOCKET:
+        return None
+    path.parent.mkdir(mode=0o700, exist_ok=True)
+    return path
+
+
+def write(folder: Path, port: int, rules: Path, socket: Path | None = None) -> Path:
     """Write a configuration for a broker that is started by whoever calls this, and keeps its files in `folder`."""
     store = folder / "broker"
     store.mkdir(exist_ok=True)
-    text = configuration(port, store, rules)
+    text = configuration(port, store, rules, socket=socket)
     if os.geteuid() == 0:  # started by root it would give up its rights, and with them the folder
         text += "user root\n"
     path = folder / "mosquitto.conf"
@@ -91,10 +108,13 @@ def main() -> None:
     parser.add_argument(
         "--listen", metavar="ADDRESS", help=f"listen for other machines as well, by TLS on port {TLS_PORT}, as 0.0.0.0"
     )
+    parser.add_argument(
+        "--socket", type=Path, default=INSTALLED_SOCKET, help="Unix socket for the processes of the unit"
+    )
     options = parser.parse_args()
     if options.listen is not None and not (options.rules / "tls" / CERTIFICATE).exists():
         parser.error(f"there is no certificate in {options.rules / 'tls'}: `obu keys tls NAME` makes one")
-    sys.stdout.write(configuration(options.port, options.store, options.rules, options.listen))
+    sys.stdout.write(configuration(options.port, options.store, options.rules, options.listen, options.socket))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""Asks the broker of this machine for a sign of life, for the service manager: `python -I -S probe.py PORT [SECRET]`.
+"""Asks the broker of this machine for a sign of life, for the service manager: `python -I -S probe.py ADDRESS [FILE]`.
 
 One connection stays open and sends a ping every few seconds. The loop that answers it is the one that passes messages
 on, so a broker that hangs answers none. Any answer counts, also a refusal to connect: no right on any topic is needed.
-The probe is the user `broker.watch`; start.sh names the file of its secret, which is beside the password file.
+The probe is the user `broker.watch`; start.sh names the file of its secret, which is beside the password file, and the
+socket of the unit's own processes as the address, or else a port: others can occupy that.
 
 Each answer is passed on as WATCHDOG=1 to the socket in NOTIFY_SOCKET. The program ends with its parent, the broker. It
 reads the standard library alone, and is started without the project: it shall take little memory.
@@ -39,18 +40,31 @@ def _length(count: int) -> bytes:
             return bytes(digits)
 
 
+def _connected(address: int | str) -> socket.socket:
+    if isinstance(address, int):
+        return socket.create_connection(("127.0.0.1", address), ANSWER_S)
+    connection = socket.socket(socket.AF_UNIX)
+    try:
+        connection.settimeout(ANSWER_S)
+        connection.connect(address)
+    except OSError:
+        connection.close()
+        raise
+    return connection
+
+
 class Probe:
     """A connection that is asked; `ask` opens it anew where it is gone."""
 
-    def __init__(self, port: int, secret: str | None = None) -> None:
-        self._port, self._secret = port, secret
+    def __init__(self, address: int | str, secret: str | None = None) -> None:
+        self._address, self._secret = address, secret  # a port of this machine, or the path of a Unix socket
         self._connection: socket.socket | None = None
 
     def ask(self) -> bool:
         """Whether the broker answers."""
         try:
             if self._connection is None:
-                self._connection = socket.create_connection(("127.0.0.1", self._port), ANSWER_S)
+                self._connection = _connected(self._address)
                 answered = self._answer(connect_packet(self._secret))
             else:
                 answered = self._answer(PINGREQ)
@@ -102,7 +116,8 @@ def tell(words: str) -> None:
 
 def main(arguments: list[str]) -> None:
     """Ask until the parent ends."""
-    broker, probe = os.getppid(), Probe(int(arguments[0]), secret_in(arguments[1] if len(arguments) > 1 else None))
+    address = int(arguments[0]) if arguments[0].isdigit() else arguments[0]
+    broker, probe = os.getppid(), Probe(address, secret_in(arguments[1] if len(arguments) > 1 else None))
     ready = False
     while os.getppid() == broker:
         if probe.ask():

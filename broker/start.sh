@@ -1,24 +1,25 @@
 #!/bin/sh
 # Starts Mosquitto: start.sh PROGRAM CONFIGURATION. Mosquitto ends at once where it cannot read its store, as after a power
 # cut, and would never start again. Such a store is set aside, which is said, and the broker starts without it: retained
-# messages are published again by those who know them. It is one
-#   - that does not begin as every store does (null bytes), or
-#   - with which the last start did not come as far as its first save, which is 30 s after it or at a regular stop.
+# messages are published again by those who know them. Mosquitto itself tells whether it can, before it starts: with a
+# configuration that ends it (a password file that there is not) as soon as it has read the store, and which changes nothing.
 set -u
 store=$(sed -n 's/^persistence_location *//p' "$2" | tail -n 1)
 store=${store%/}
 file=$store/mosquitto.db
-tried=$store/mosquitto.tried # the store of the last start
 
-if [ -s "$file" ]; then
-    state=$(stat -c '%i %Y %s' "$file")
-    name=$(dd if="$file" bs=1 skip=3 count=12 2>/dev/null | tr -d '\000')
-    if [ "$name" != "mosquitto db" ] || [ "$state" = "$(cat "$tried" 2>/dev/null)" ]; then
-        mv -f "$file" "$file.unreadable" &&
-            echo "the store of the broker cannot be read: set aside as $file.unreadable, starting without it" >&2
-    else
-        echo "$state" 2>/dev/null >"$tried" || echo "cannot write into $store: the disk may be full" >&2
-    fi
+cannot_read() {
+    said=$({
+        sed -n '/^user /p' "$2"
+        printf '%s\n' "persistence true" "persistence_location $store/" "log_dest stderr" \
+            "listener 0 /nonexistent/socket" "password_file /nonexistent/passwords"
+    } | timeout 10 "$1" -c /dev/stdin 2>&1)
+    case $? in 134 | 135 | 139) return 0 ;; esac # It ends with a fault, as it would when started.
+    case $said in *"Couldn't open database"*) return 0 ;; *) return 1 ;; esac
+}
+if [ -s "$file" ] && cannot_read "$@"; then
+    mv -f "$file" "$file.unreadable" &&
+        echo "the store of the broker cannot be read: set aside as $file.unreadable, starting without it" >&2
 fi
 
 # A broker that hangs answers no ping. Where a service manager listens (NOTIFY_SOCKET), it is told of each answer, and
@@ -27,11 +28,12 @@ fi
 rules=$(sed -n 's/^password_file *//p' "$2" | tail -n 1)
 secret_file=$(dirname "${rules:-/dev}")/broker.watch # of the user that asks
 [ -r "$secret_file" ] || secret_file=/dev/null
-port=$(sed -n 's/^listener *\([0-9]*\).*/\1/p' "$2" | head -n 1)
+port=$(sed -n 's/^listener *\([1-9][0-9]*\).*/\1/p' "$2" | head -n 1)
+socket=$(sed -n 's/^listener *0 *//p' "$2" | head -n 1)
 if [ -n "${NOTIFY_SOCKET:-}" ] && command -v python3 >/dev/null; then
     # It ends with the broker at once where util-linux is, else at its next question.
     $(command -v setpriv >/dev/null && echo setpriv --pdeathsig KILL) \
-        python3 -I -S "$(dirname "$0")/probe.py" "$port" "$secret_file" &
+        python3 -I -S "$(dirname "$0")/probe.py" "${socket:-$port}" "$secret_file" &
 fi
 [ "${OBU_BROKER_WATCH:-}" = 1 ] || exec "$1" -c "$2"
 

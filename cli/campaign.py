@@ -266,13 +266,13 @@ def code_of(module: str) -> str:
     """Digest of the sources that a module of the project depends on, and of the versions of Python and `PACKAGES`."""
     digest = hashlib.sha256(f"{platform.python_version()} {[version(name) for name in PACKAGES]}".encode())
     for path in sorted(sources_of(module)):
-        digest.update(f"\n{path.relative_to(ROOT)}\n{_content_of(path)}".encode())
+        digest.update(f"\n{path.relative_to(ROOT)}\n{_content_of(path, path.stat().st_mtime_ns)}".encode())
     return digest.hexdigest()
 
 
 @cache
-def _content_of(path: Path) -> str:
-    """Digest of a file; of Python without comments and docstrings, which change no result."""
+def _content_of(path: Path, _changed_ns: int) -> str:
+    """Digest of a file as it was last changed; of Python without comments and docstrings, which change no result."""
     content = path.read_bytes()
     if path.suffix == ".py":
         tree = ast.parse(content)

@@ -47,7 +47,13 @@ def _user(name: str) -> int:
 
 
 def make(
-    vehicle: Path | None, files: Path | None, owner: str | None, group: str | None = None, *, containers: bool = False
+    vehicle: Path | None,
+    files: Path | None,
+    owner: str | None,
+    group: str | None = None,
+    *,
+    containers: bool = False,
+    socket_folder: Path | None = None,
 ) -> int:
     """Make the secrets that are missing, and write the broker's files."""
     where = folder()
@@ -70,6 +76,14 @@ def make(
         )
         signing = keys.CONTAINER_EVIDENCE_GROUP if group is None else _group(f"{group}-evidence")
         keys.separate(private_folder(state), page_user, uplink_user, signing)
+        if socket_folder is not None:
+            if made.owner is None:
+                raise UserError("whose socket is it? Name the broker's user with --broker-user")
+            keys.share_socket(
+                socket_folder, keys.user_number(made.owner), keys.CONTAINER_GROUP if group is None else _group(group)
+            )
+    elif socket_folder is not None:
+        raise UserError("--socket-folder needs --group or --containers: who may connect")
     print(f"secrets of {unit.name!r} in {where}; the broker's files: {passwords} and {rules}")
     return 0
 

@@ -1,7 +1,9 @@
 """The command line: one line a command, its work in a file of its own."""
 
+import contextlib
 import functools
 import logging
+import os
 import signal
 import sys
 import time
@@ -233,8 +235,9 @@ def up(
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     file = unit_file(vehicle, role)
     _end_on_sigterm()
-    _await_broker()
-    environment = {"OBU_VEHICLE": str(Path(file.path).resolve())} if Path(file.path).is_file() else {}
+    environment = {"OBU_BROKER": _await_broker()}
+    if Path(file.path).is_file():
+        environment["OBU_VEHICLE"] = str(Path(file.path).resolve())
     supervisor = unit(file, environment)
     try:
         while True:
@@ -246,24 +249,31 @@ def up(
         supervisor.stop()
 
 
-def _await_broker() -> None:
-    """Wait for the broker before any process starts, so that its absence is one line and not one a process."""
+def _await_broker() -> str:
+    """Wait for the broker before any process starts, so that its absence is one line and not one a process.
+
+    Returns its address for the processes.
+    """
     from shared.runtime.config import broker_address
 
     from .demo.local import reaches_broker, start_of_broker
 
-    address, told = broker_address(), False
+    told = False
     while True:
+        address = broker_address()  # the socket is there once the broker has made it
         try:
             reaches_broker(address)
         except OSError as error:
             if not told:
-                where, reason = f"{address.host}:{address.port}", error.strerror or error
-                print(f"no broker at {where} ({reason}); waiting for it: {start_of_broker(address)}", file=sys.stderr)
+                reason = error.strerror or error
+                print(
+                    f"no broker at {address.place} ({reason}); waiting for it: {start_of_broker(address)}",
+                    file=sys.stderr,
+                )
                 told = True
             time.sleep(0.5)
         else:
-            return
+            return os.environ.get("OBU_BROKER") or address.url  # with its credentials
 
 
 @app.command()
@@ -283,18 +293,24 @@ def broker(
     [bold]obu broker --vehicle deploy/vehicles/pi.toml[/]
     [bold]obu broker --port 1884 --broker simulated[/]
     """
-    import os
+    from shared.runtime.config import SOCKET, BrokerAddress, state_dir
 
-    from shared.runtime.config import state_dir
-
-    from .demo.local import broker_command, port_or_free
+    from .demo.local import local_broker, port_or_free, reaches_broker
 
     _, taken = port_or_free(port)
     if taken:
         raise UserError(f"port {port} {taken}: a broker may run already (`obu doctor`); choose another with --port")
-    command = broker_command(state_dir().resolve(), port, kind.value, load_vehicle(vehicle))
+    state = state_dir().resolve()
+    with contextlib.suppress(OSError):
+        reaches_broker(BrokerAddress.at(state / SOCKET))
+        raise UserError(f"a broker of {state} runs already (`obu doctor`); end it, or set OBU_STATE to another folder")
+    started = local_broker(state, port, kind.value, load_vehicle(vehicle))
+    if started.remark:
+        print(started.remark, file=sys.stderr)
     print(f"broker at mqtt://127.0.0.1:{port}   (end with Ctrl-C)", flush=True)
-    os.execvp(command[0], command)
+    if started.address.socket is not None:
+        print(f"for the unit's own processes: {started.address.url}", flush=True)
+    os.execvp(started.command[0], started.command)
 
 
 @keys_app.command("make")
@@ -315,6 +331,10 @@ def keys_make(
     containers: Annotated[
         bool, typer.Option("--containers", help="Give each secret to the user of its container.")
     ] = False,
+    socket_folder: Annotated[
+        Path | None,
+        typer.Option("--socket-folder", metavar="FOLDER", help="Make the folder of the socket, for that group."),
+    ] = None,
 ) -> None:
     """Make the secrets that are missing, and the files by which the broker checks them; what exists is kept.
 
@@ -326,7 +346,7 @@ def keys_make(
     """
     from .keys import make
 
-    raise typer.Exit(make(vehicle, files, owner, group, containers=containers))
+    raise typer.Exit(make(vehicle, files, owner, group, containers=containers, socket_folder=socket_folder))
 
 
 @keys_app.command("list")

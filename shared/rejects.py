@@ -88,10 +88,13 @@ OF_CORE = {
     "position *": Reason("a position that is no number, or next to a pole", "check the receiver"),
     "field of another strength than the Earth's": Reason("a disturbed magnetometer", "mount it away from iron"),
     "*is excluded by core.trust": Reason("a measurement of a device that is not trusted", "see the page Trust"),
+    "tracks left out": Reason("tracks at the plaza beyond what one message holds", _NONE),
     "unknown monitor": Reason("a monitor that this version does not know", "run one version of the unit"),
 }
 OF_MONITORING = {
     "tariff class": Reason("a passage of a class without a tariff", "complete the tariff of the plaza"),
+    "passages left out": Reason("the oldest of more open passages than one message holds", _NONE),
+    "outages left out": Reason("outages of a replay beyond what one message holds", _NONE),
     "another plaza": Reason("a passage of another plaza", "give the road-side unit the file of its plaza"),
     "receipt of an unknown transaction": Reason("a receipt without a transaction", "report it with the recording"),
     "database": Reason("an entry that the ledger's database refused", "free the disk; see the log"),
@@ -113,6 +116,7 @@ OF_BUS = {
     "payload": Reason("a message that breaks its contract", "bring the program that sends it to this version"),
     "envelope": Reason("a message without sender or topic", "as payload"),
     "sender": Reason("a message of a program that may not send it", "check the names and secrets of the bus"),
+    "too large": Reason("a message longer than its topic holds, which was not sent", _CAUSE),
     "refused": Reason("a subscription or message that the broker refuses", "run `obu keys`, then restart the broker"),
     "stamp": Reason("a message stamped before 1980 or after 2100", "set the clock of this computer"),
     "input too old": Reason("an input skipped because the process is too far behind", "use a faster computer"),

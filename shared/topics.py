@@ -76,7 +76,7 @@ from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
-ONE_BYTES, MANY_BYTES = 131_072, 1_048_576
+ONE_BYTES, MANY_BYTES = 131_072, 245_760  # with topic and header below `max_packet_size` of the broker
 OF_MANY = ("v2x/", "toll/", "plaza/", "simulation/", "replay/", "mode/")
 BROKER_LOG = "$SYS/broker/log/N"  # what the broker has refused, for monitoring.health
 REPLAY = "replay"  # the program `obu replay --broker`

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from broker import local_config
-from cli.demo.local import broker_command, free_port, reaches_broker, unit
+from cli.demo.local import free_port, local_broker, reaches_broker, unit
 from cli.demo.supervisor import Supervisor
 from shared.bus.bus import Bus
 from shared.messages.imu import ImuSamples
@@ -121,12 +121,11 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
     port, path = free_port(), folder / "vehicle.toml"
     path.write_text(VEHICLE)
     (folder / "logs").mkdir()
-    environment = {
-        "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder)
-    }  # fmt: skip
+    broker = local_broker(folder, port, "mosquitto", parse_vehicle(VEHICLE))
+    environment = {"OBU_VEHICLE": str(path), "OBU_BROKER": broker.address.url, "OBU_STATE": str(folder)}
     supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
     supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party"])
-    supervisor.add("broker", broker_command(folder, port, "mosquitto", parse_vehicle(VEHICLE)))
+    supervisor.add("broker", broker.command)
     try:
         _await_start(supervisor, folder)
         for name in COLD:

@@ -64,6 +64,7 @@ def import_drives(names: Sequence[str], *, workers: int = 0, fresh: bool = False
 def import_drive(name: str) -> None:
     """Run `obu import` for a drive."""
     recording(name).parent.mkdir(parents=True, exist_ok=True)
+    recording(name).unlink(missing_ok=True)  # of another version of the code
     _obu(["import", str(_mapping(name)), str(_source(name)), "-o", str(recording(name))])
 
 

@@ -15,7 +15,9 @@ MB = 1_000_000
 FLOOD_S = 12.0
 TAKEN = "parsers.v2x"  # a name with a secret that does not run in the demo: a process that was taken over
 TOPICS = ("v2x/cam", "v2x/send", f"health/{TAKEN}", f"consumed/{TAKEN}")
-SESSIONS, SILENT, VISITORS = 470, 500, 1100
+SESSIONS, OCCUPYING, VISITORS = 470, 1000, 1100
+BEGUN = b"\x10\xff\xff\x0f"  # a CONNECT of the largest packet, whose rest does not come
+RESTARTED, BACK_S = "core.cooperative", 10.0  # meanwhile
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,12 @@ class Flood:
     verdicts: tuple[str, ...]  # during and after it
     page_slowest_s: float
     log_bytes: int
+    recovered: bool = True  # what was to come back did
 
     @property
     def passed(self) -> bool:
         """Broker below 100 MB, the verdict SAFE throughout, the page answering others, logs below 10 kB."""
-        return (
+        return self.recovered and (
             self.broker_peak_mb < 100.0 and set(self.verdicts) == {"safe"} and self.page_slowest_s < 5.0
             and self.log_bytes < 10_000
         )  # fmt: skip
@@ -58,12 +61,13 @@ class Gauge:
         self.peak_mb = max(self.peak_mb, self._unit.broker().memory_info().rss / MB)
         self._due_s = time.monotonic() + 0.5
 
-    def result(self, name: str, refused: str) -> Flood:
+    def result(self, name: str, refused: str, recovered: bool = True) -> Flood:
         """What came of it."""
         self._due_s = 0.0
         self.read()
         logs = _log_bytes(self._unit) - self._logs
-        return Flood(name, refused, round(self.peak_mb, 1), tuple(self.verdicts), round(self.slowest_s, 2), logs)
+        peak_mb, slowest_s = round(self.peak_mb, 1), round(self.slowest_s, 2)
+        return Flood(name, refused, peak_mb, tuple(self.verdicts), slowest_s, logs, recovered)
 
 
 def _log_bytes(unit: Unit) -> int:
@@ -74,7 +78,7 @@ def _log_bytes(unit: Unit) -> int:
 def every_flood(unit: Unit) -> Iterator[Flood]:
     """Try each flood, one after the other."""
     floods: tuple[Callable[[Unit], Flood], ...] = (
-        _without_secret, _retained, _sessions, _acknowledged, _silent, _visitors
+        _without_secret, _retained, _sessions, _acknowledged, _silent, _unfinished, _visitors
     )  # fmt: skip
     for flood in floods:
         yield flood(unit)
@@ -154,14 +158,37 @@ def _acknowledged(unit: Unit) -> Flood:
 
 
 def _silent(unit: Unit) -> Flood:
+    return _occupied(unit, f"{OCCUPYING} connections to the broker that say nothing", b"")
+
+
+def _unfinished(unit: Unit) -> Flood:
+    return _occupied(unit, f"{OCCUPYING} connections to the broker with an unfinished CONNECT", BEGUN)
+
+
+def _occupied(unit: Unit, name: str, first: bytes) -> Flood:
+    """Occupy the broker's port; a process that is killed meanwhile has to be connected again."""
     gauge = Gauge(unit)
     with ExitStack() as stack:
-        for _ in range(SILENT):
-            stack.enter_context(socket.create_connection(("127.0.0.1", unit.broker_port), timeout=2.0))
-        end = time.monotonic() + 5.0
-        while time.monotonic() < end:
+        for _ in range(OCCUPYING):
+            try:
+                connection = stack.enter_context(socket.create_connection(("127.0.0.1", unit.broker_port), timeout=2.0))
+                connection.sendall(first)
+            except OSError:
+                continue  # refused
             gauge.read()
-    return gauge.result(f"{SILENT} connections to the broker that say nothing", "closed after 90 s")
+        before = unit.child(f"cli run {RESTARTED}").pid
+        unit.child(f"cli run {RESTARTED}").kill()
+
+        def is_back() -> bool:
+            gauge.read()
+            try:
+                return unit.child(f"cli run {RESTARTED}").pid != before and unit.is_well()
+            except LookupError:
+                return False
+
+        back_s = unit.until(is_back, BACK_S)
+    back = "not back" if back_s is None else f"back after {back_s:.1f} s"
+    return gauge.result(name, f"those beyond 64 refused, {RESTARTED}, killed meanwhile, {back}", back_s is not None)
 
 
 def _visitors(unit: Unit) -> Flood:

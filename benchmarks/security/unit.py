@@ -42,7 +42,7 @@ class Unit:
     @property
     def broker_port(self) -> int:
         """Port of the broker."""
-        return int((self.state / "credentials" / "address").read_text().strip().rpartition(":")[2])
+        return int((self.state / "credentials" / "address").read_text().split()[0].rpartition(":")[2])
 
     def secret(self, name: str) -> str:
         """Secret of a user of the bus: an attacker that has taken a process over knows it."""

@@ -21,7 +21,7 @@ import psutil
 
 from benchmarks import tables
 from benchmarks.bus.hops import Ages
-from cli.demo.local import broker_command, free_port
+from cli.demo.local import free_port, local_broker
 from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.operation import ProcessHealth
@@ -165,11 +165,12 @@ def running(folder: Path, port: int, broker: str) -> Iterator[dict[str, psutil.P
     broker_port = free_port()
     file = folder / "vehicle.toml"
     file.write_text(f'[vehicle]\nname = "bench"\nrole = "rsu"\n\n[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\n')
+    started = local_broker(folder, broker_port, broker, load_vehicle(file))
     environment = os.environ | {
-        "OBU_VEHICLE": str(file), "OBU_BROKER": f"mqtt://127.0.0.1:{broker_port}", "OBU_STATE": str(folder)
+        "OBU_VEHICLE": str(file), "OBU_BROKER": started.address.url, "OBU_STATE": str(folder)
     }  # fmt: skip
     os.environ["OBU_BROKER"] = environment["OBU_BROKER"]
-    commands = {"broker": broker_command(folder, broker_port, broker, load_vehicle(file))}
+    commands = {"broker": started.command}
     commands |= {name: [sys.executable, "-m", "cli", "run", name] for name in MEASURED}
     with (folder / "log").open("w") as log:
         children = {

@@ -22,6 +22,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m broker.simulated", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=1883, help="0: any free port, which is then printed")
+    parser.add_argument("--socket", type=Path, help="Unix socket to listen on as well, for the processes of the unit")
     parser.add_argument("--acl", type=Path, help="access list, in the format of Mosquitto's acl_file")
     parser.add_argument(
         "--passwords", type=Path, help="password file, as Mosquitto's; without it every client is who it says"
@@ -32,7 +33,7 @@ def main() -> int:
     try:
         rules = _Rules(options.acl, options.passwords)
         rules.read()
-        asyncio.run(_serve(options.host, options.port, rules, announce=options.print_port or options.port == 0))
+        asyncio.run(_serve(options, rules))
     except (OSError, OverflowError) as error:
         return _fail(f"cannot listen on {options.host}:{options.port}: {error}; try --port 0 for any free port")
     except AclError as error:
@@ -75,15 +76,15 @@ def _text(path: Path, kind: type[AclError | PasswordsError]) -> str:
         raise kind(f"it cannot be read ({error})") from error
 
 
-async def _serve(host: str, port: int, rules: _Rules, *, announce: bool) -> None:
+async def _serve(options: argparse.Namespace, rules: _Rules) -> None:
     server = Server(rules.broker)
-    await server.listen(host, port)
+    await server.listen(options.host, options.port, options.socket)
     loop = asyncio.get_running_loop()
     loop.add_signal_handler(signal.SIGHUP, rules.read_anew)
     for ending in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(ending, server.stop)
-    if announce:
-        sys.stdout.write(f"listening on {host}:{server.port}\n")
+    if options.print_port or options.port == 0:
+        sys.stdout.write(f"listening on {options.host}:{server.port}\n")
         sys.stdout.flush()
     signs = asyncio.create_task(_tell_that_it_works())
     await server.serve()

@@ -71,6 +71,12 @@ class Broker:
             detail = f"{request.user} may not write its will to {request.will.topic}"
             raise ProtocolError(detail, Answer.NOT_AUTHORIZED)
 
+    def turn_away(self, peer: object) -> None:
+        """Note a connection beyond the maximum."""
+        self.counters.note("too many connections", f"{self.limits.connections} are the maximum")
+        where = peer[0] if isinstance(peer, tuple) else "unix-socket"
+        self._log(f"Client connection from {where} denied: max_connections exceeded.")
+
     def _log(self, text: str) -> None:
         """Tell in Mosquitto's words what was refused, on its topic."""
         self.publish(Publish(BROKER_LOG, f"{int(time.time())}: {text}".encode()))

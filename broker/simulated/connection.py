@@ -38,7 +38,7 @@ class Connection(asyncio.Protocol):
         self.writable = True
         self._broker = broker
         self._connections = connections
-        self._framer = Framer(broker.limits.packet_bytes)
+        self._framer = Framer(broker.limits.packet_bytes, broker.limits.connect_bytes)
         self._session: Session | None = None
         self._inbox: deque[tuple[int, bytes]] = deque()  # packets that wait for their turn
         self._refused: ProtocolError | None = None  # by what follows them
@@ -55,7 +55,13 @@ class Connection(asyncio.Protocol):
         self._transport = cast(asyncio.Transport, transport)
         self._loop = asyncio.get_running_loop()
         self._connections.add(self)
-        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if len(self._connections) > self._broker.limits.connections:
+            self._broker.turn_away(transport.get_extra_info("peername"))
+            self.end()
+            return
+        opened = transport.get_extra_info("socket")
+        if opened.family != socket.AF_UNIX:
+            opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._transport.set_write_buffer_limits(UNSENT_BYTES)
         self._heard_s = self._loop.time()
         self._watch()

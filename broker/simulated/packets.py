@@ -102,10 +102,10 @@ Packet = Connect | Publish | Acknowledge | Subscribe | Unsubscribe | Ping | Disc
 
 
 class Framer:
-    """Splits a byte stream into packets; buffers at most `limit` bytes plus one read."""
+    """Splits a byte stream into packets; buffers at most `limit` bytes plus one read, of the first packet `first`."""
 
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
+    def __init__(self, limit: int, first: int | None = None) -> None:
+        self._limit, self._later = limit if first is None else first, limit
         self._left = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -115,7 +115,7 @@ class Framer:
         while (span := self._span(position)) is not None:
             start, stop = span
             yield self._left[position], bytes(self._left[start:stop])
-            position = stop
+            position, self._limit = stop, self._later
         del self._left[:position]
 
     def _span(self, position: int) -> tuple[int, int] | None:

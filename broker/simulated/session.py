@@ -12,7 +12,7 @@ from .packets import Publish, encode_publish
 class Limits:
     """Limits on the memory that a client can occupy."""
 
-    packet_bytes: int = 1_114_112  # 1 MiB of payload, 64 KiB of the rest
+    packet_bytes: int = 262_144  # 240 KiB of payload, 16 KiB of the rest
     queue_messages: int = 1_000
     queue_bytes: int = 4_194_304  # of payload
     in_flight: int = 100
@@ -25,6 +25,8 @@ class Limits:
     bytes_in_turn: int = 65_536
     unread_bytes: int = 1_048_576  # of replies to a client that does not read
     connect_within_s: float = 5.0
+    connections: int = 64  # to a listener, also of those that have not said who they are
+    connect_bytes: int = 16_384  # of the packet that says it
 
 
 class Writer(Protocol):

@@ -54,6 +54,15 @@ def attack_lab(  # noqa: PLR0913  # one argument an option
             help="How long a simulated drive goes on after its attack; 300 for a full campaign.",
         ),
     ] = AFTER_S,
+    clean: Annotated[
+        float | None,
+        typer.Option(
+            min=10.0,
+            max=36_000.0,
+            metavar="SECONDS",
+            help="Length of a simulated drive without an attack; default: 600, with --quick 180.",
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Output folder.")] = Path("attack-lab"),
     jobs: Annotated[
         int, typer.Option(min=0, metavar="COUNT", help="Runs at the same time; 0: one for each processor.")
@@ -78,7 +87,9 @@ def attack_lab(  # noqa: PLR0913  # one argument an option
     texts = attack or list(QUICK if quick else ATTACKS)
     scenarios = scenario or ["urban"]
     attacks = [text for text in texts if text != CLEAN]
-    cases = list(plan(attacks, scenarios, seeds, recording or [], QUICK_CLEAN_S if quick else CLEAN_S, after))
+    cases = list(
+        plan(attacks, scenarios, seeds, recording or [], clean or (QUICK_CLEAN_S if quick else CLEAN_S), after)
+    )
     if not cases:
         raise UserError("nothing to run: give --seeds of at least 1, or a --recording")
     try:

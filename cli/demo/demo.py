@@ -22,7 +22,7 @@ from shared.errors import BadPayload, UserError
 from shared.evidence import keys_folder
 from shared.library.order import in_order, read_order
 from shared.processes import Role
-from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
+from shared.runtime.config import Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
 from shared.topics import TOPICS
 
 from ..token import listens_on_network, login_link, network_address, port_of
@@ -32,10 +32,10 @@ from .detection import AttackSummary
 from .local import (
     ROADSIDE,
     as_toml,
-    broker_command,
     free_port,
     fresh_folder,
     how_to_listen,
+    local_broker,
     only_one,
     port_or_free,
     unit,
@@ -108,7 +108,6 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     vehicle = _vehicle(options, http_port)
     environment = {
         "OBU_VEHICLE": str(vehicle_path),
-        "OBU_BROKER": f"mqtt://127.0.0.1:{port}",
         "OBU_STATE": str(folder),
         "OBU_KEYS": str(keys_folder(folder.parent)),  # the next demo empties its folder
     }
@@ -120,15 +119,18 @@ def _drive(options: DemoOptions, folder: Path) -> int:
         vehicle_path.write_text(vehicle.text, encoding="utf-8")
         (folder / "logs").mkdir()
         (folder / "demo.pid").write_text(str(os.getpid()))
-        broker = broker_command(folder, port, options.broker, load_vehicle(vehicle_path))
+        broker = local_broker(folder, port, options.broker, load_vehicle(vehicle_path))
     except OSError as error:
         raise UserError(
             f"cannot write into {folder}: {error.strerror}; make room on its disk, or set OBU_STATE to another folder"
         ) from error
-    supervisor = unit(vehicle, environment, folder / "logs", broker)
+    environment["OBU_BROKER"] = broker.address.url
+    supervisor = unit(vehicle, environment, folder / "logs", broker.command)
     console = Console(stderr=True)
     what = f"scenario {options.scenario}" if options.role is Role.OBU else f"toll plaza, {options.vehicles} vehicles"
     console.print(f"[bold]OBU demo[/]: {what}, seed {options.seed}; logs in {folder / 'logs'}")
+    if broker.remark:
+        console.print(broker.remark, soft_wrap=True)
     if taken:
         console.print(
             f"port {options.http_port} {taken}: the dashboard uses {http_port}; "
@@ -137,7 +139,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
         )
     address = f"http://127.0.0.1:{http_port}"
     observed = OBSERVED if options.role is Role.OBU else plaza_balance.OBSERVED
-    bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
+    bus = Bus("observer", vehicle.name, broker.address,
               [t for t in TOPICS if t.name in observed and not t.is_covered], folder, observer=True)  # fmt: skip
     balance: Balance | PlazaBalance = PlazaBalance()
     if options.role is Role.OBU:
@@ -233,7 +235,7 @@ def _tell_others(folder: Path, address: str, console: Console) -> None:
 def _how_to_listen(bus: Bus) -> str:
     """The environment with which another terminal receives the messages of this unit, and finds a secret for it."""
     keys = keys_folder(bus.state_dir.parent)
-    return how_to_listen(f"mqtt://{bus.address.host}:{bus.address.port}", bus.state_dir, keys)
+    return how_to_listen(bus.address.url, bus.state_dir, keys)
 
 
 def why_unhealthy(summary: Summary | PlazaSummary) -> str:

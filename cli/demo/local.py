@@ -11,13 +11,14 @@ import shutil
 import socket
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from broker import keys, local_config
 from shared.errors import UserError
 from shared.processes import Role
-from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle
-from shared.runtime.credentials import ADDRESS, FOLDER
+from shared.runtime.config import INSTALLED_SOCKET, BrokerAddress, Table, VehicleFile, load_vehicle
+from shared.runtime.credentials import FOLDER, note_addresses
 
 from .supervisor import Supervisor
 
@@ -84,23 +85,44 @@ def fresh_folder(path: Path) -> Path:
     return path
 
 
-def broker_command(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, replay: bool = False) -> list[str]:
-    """The command of a broker on a loopback port: Mosquitto if installed, otherwise the simulated one.
+@dataclass(frozen=True)
+class LocalBroker:
+    """Command of a broker on this machine, the address for the unit's own processes, and what is to be said of it."""
+
+    command: list[str]
+    address: BrokerAddress
+    remark: str | None = None
+
+
+def local_broker(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, replay: bool = False) -> LocalBroker:
+    """A broker on a loopback port and a socket in `folder`: Mosquitto if installed, otherwise the simulated one.
 
     `kind` is "auto", "mosquitto" or "simulated". The secrets of the unit and the broker's rules are made in `folder`,
-    where they are missing.
+    where they are missing. Where its path is too long for a socket, the unit's own processes take the port too.
     """
     mosquitto = local_config.executable()
     if not mosquitto and kind == "mosquitto":
         raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
     credentials, rules = folder / FOLDER, folder / keys.RULES
     passwords, acl = keys.make(credentials, vehicle, keys.Made(vehicle.path, str(rules), replay=replay))
-    (credentials / ADDRESS).write_text(f"127.0.0.1:{port}\n", encoding="ascii")
+    by_port, socket_path = BrokerAddress(port=port), local_config.socket_in(folder)
+    address, remark = by_port, None
+    if socket_path is None:
+        remark = (
+            f"{folder} is too long a path for a Unix socket: the unit's own processes take the port as well, where any "
+            "program of this machine can occupy the connections; set OBU_STATE to a shorter one"
+        )
+    else:
+        address = BrokerAddress.at(socket_path)
+    note_addresses(credentials, *dict.fromkeys((by_port.place, address.place)))
     if mosquitto and kind != "simulated":
-        return local_config.command(mosquitto, local_config.write(folder, port, rules))
-    return [
-        sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl), "--passwords", str(passwords)
-    ]  # fmt: skip
+        command = local_config.command(mosquitto, local_config.write(folder, port, rules, socket_path))
+    else:
+        command = [
+            sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl),
+            "--passwords", str(passwords), *([] if socket_path is None else ["--socket", str(socket_path)]),
+        ]  # fmt: skip
+    return LocalBroker(command, address, remark)
 
 
 def how_to_listen(broker: str, state: Path, keys_folder: Path | None = None) -> str:
@@ -114,14 +136,19 @@ def how_to_listen(broker: str, state: Path, keys_folder: Path | None = None) -> 
 
 def reaches_broker(address: BrokerAddress) -> None:
     """Connect to a broker and disconnect; raises `OSError` if none responds."""
+    if address.socket is not None:
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(2.0)
+            connection.connect(address.socket)
+        return
     socket.create_connection((address.host, address.port), timeout=2.0).close()
 
 
 def start_of_broker(address: BrokerAddress) -> str:
     """How to start the broker of an address, as a clause."""
-    if address.host not in ("127.0.0.1", "localhost", "::1"):
+    if address.socket is None and address.host not in ("127.0.0.1", "localhost", "::1"):
         return f"start the broker on {address.host}"
-    if SERVICE.exists():
+    if SERVICE.exists() and address.socket in (None, str(INSTALLED_SOCKET)):
         return "start it with `sudo systemctl start obu-broker`"
     port = "" if address.port == BrokerAddress.port else f" --port {address.port}"
     return f"start one with `obu broker{port}`"

@@ -16,7 +16,7 @@ from .finding import Finding
 from .host import host
 from .unit import unit
 
-OTHER_BROKER = "set OBU_BROKER=mqtt://host:port (a demo prints the line to copy)"
+OTHER_BROKER = "set OBU_BROKER to its address (a demo prints the line to copy)"
 STORE_REMEDY = "what was retained has been published again; check the disk, and delete the file"
 LIBRARIES = Path(__file__).parents[2] / "services" / "monitoring" / "status" / "dashboard" / "node_modules"
 
@@ -88,7 +88,7 @@ def _v2x(vehicle: VehicleFile) -> Iterator[Finding]:
 
 def _broker() -> Finding:
     address = broker_address()
-    what = f"broker at {address.host}:{address.port}"
+    what = f"broker at {address.place}"
     try:
         reaches_broker(address)
     except OSError as error:

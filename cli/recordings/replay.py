@@ -22,7 +22,7 @@ from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import ADDRESS_FILE, BrokerAddress, Table, VehicleFile, load_vehicle, state_dir
 from shared.topics import BY_MESSAGE
 
-from ..demo.local import as_toml, broker_command, free_port, how_to_listen, port_or_free
+from ..demo.local import as_toml, free_port, how_to_listen, local_broker, port_or_free
 from ..demo.supervisor import Supervisor
 from ..progress import progress_on
 from .common import open_recording, vehicle_of
@@ -91,12 +91,14 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     (folder / "logs").mkdir()
     environment = {
         "OBU_VEHICLE": str(folder / "vehicle.toml"),
-        "OBU_BROKER": f"mqtt://127.0.0.1:{broker_port}",
         "OBU_STATE": str(folder),
     }
+    broker = local_broker(folder, broker_port, "auto", load_vehicle(folder / "vehicle.toml"), replay=True)
+    environment["OBU_BROKER"] = broker.address.url
+    if broker.remark:
+        console.print(broker.remark, soft_wrap=True)
     supervisor = Supervisor({**os.environ, **environment}, folder / "logs")
-    broker = broker_command(folder, broker_port, "auto", load_vehicle(folder / "vehicle.toml"), replay=True)
-    supervisor.add("broker", broker, throughout=True)
+    supervisor.add("broker", broker.command, throughout=True)
     for name in RUN_HERE:
         supervisor.add_process(name)
     if taken:

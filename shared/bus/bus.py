@@ -49,6 +49,7 @@ STEADY_S = 3.0  # a shorter connection counts as failed: two clients of one name
 QUEUE_LENGTH = 2000
 IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
 REFUSAL = re.compile(rb"\bClient (.{1,64}?) disconnected, not authori[sz]ed")
+CROWDED = re.compile(rb"\bClient connection from .{1,100}? denied: max_connections exceeded")
 REFUSED_KEPT = 8
 MOST_READS = 64  # per call, so that a flood of messages does not stop the loop
 
@@ -80,7 +81,7 @@ class Bus:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
         self.refused: list[str] = []  # clients without the right secret, newest last; after `hear_broker`
-        self.refusals = 0
+        self.refusals = self.crowded = 0  # connections without the right secret, and beyond the most of a listener
         self.tell_kinds: Callable[[], tuple[MessageKind, ...]] = tuple  # messages of its devices by kind
         self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
@@ -115,7 +116,10 @@ class Bus:
         # A broker that checks secrets takes the user for the client identifier; for others observers differ by it.
         unproved = self._observer and who.secret is None
         client_id = f"{self.process}-{self.incarnation:x}" if unproved else who.user
-        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv311, reconnect_on_failure=False)
+        client = _Client(
+            CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv311, reconnect_on_failure=False,
+            transport="tcp" if self.address.socket is None else "unix",
+        )  # fmt: skip
         client.username_pw_set(who.user, who.secret)
         if self.address.tls:
             try:
@@ -145,7 +149,7 @@ class Bus:
         if not self._observer:
             return identity_of(self.process, self.state_dir)
         find = observer_of if self.process == OBSERVER else replay_of
-        return find(self.state_dir, f"{self.address.host}:{self.address.port}")
+        return find(self.state_dir, self.address.place)
 
     def now_ns(self) -> int:
         """Read the OBU time line."""
@@ -157,7 +161,9 @@ class Bus:
         self.sequence += 1
         self.messages_out += 1
         name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
-        if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
+        if self._is_too_large(topic, payload):
+            return
+        if not (self.connected or topic.qos):
             self.dropped += 1
             return
         if topic.fast:
@@ -166,7 +172,7 @@ class Bus:
         self._send_in_order(name, payload, topic)
 
     def hear_broker(self) -> None:
-        """Receive what the broker writes into its log: counts connections that it has refused in `refused`."""
+        """Receive what the broker writes into its log: counts what it has refused in `refusals` and `crowded`."""
         self._hears_broker, self._filters[BROKER_LOG] = True, 0
 
     def follow(self, fast: frozenset[str]) -> None:
@@ -207,6 +213,8 @@ class Bus:
         topic = replace(row, qos=0, retain=False)
         name, payload = self._prefix + envelope.topic, codec.replayed(envelope.payload, envelope.received_ns)
         self.messages_out += 1
+        if self._is_too_large(row, payload):
+            return
         self._send_in_order(name, payload, topic)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
@@ -277,6 +285,15 @@ class Bus:
         sender = Sender(process=self.process, incarnation=self.incarnation, sequence=self.sequence)
         return codec.signed(codec.encode(message), sender)
 
+    def _is_too_large(self, topic: Topic, payload: bytes) -> bool:
+        """Whether the broker would end the connection for this message; it is counted, and said in the heartbeat."""
+        if len(payload) <= topic.most_bytes:
+            return False
+        self.dropped += 1
+        self.rejects["too large"] += 1
+        self.last_error = f"not sent: {len(payload)} bytes on {topic.name}, which holds {topic.most_bytes} at most"
+        return True
+
     def _ready(self) -> bool:
         """Whether the broker has read everything written to it."""
         return self.connected and not self._client.want_write()
@@ -310,9 +327,9 @@ class Bus:
         self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
         self._attempts += 1
         try:
-            self._client.connect(self.address.host, self.address.port, KEEP_ALIVE_S)
+            self._client.connect(self.address.socket or self.address.host, self.address.port, KEEP_ALIVE_S)
         except OSError as error:
-            self.last_error = f"no broker at {self.address.host}:{self.address.port}: {reason_of(error)}"
+            self.last_error = f"no broker at {self.address.place}: {reason_of(error)}"
             if self._attempts == 1:
                 log.warning("%s; connecting again until it responds", self.last_error)
         return self._client.socket() is not None
@@ -350,7 +367,7 @@ class Bus:
             return
         self.connected, self.last_error = True, None
         self._connected_s, self._next_heartbeat = time.monotonic(), 0.0
-        log.info("connected to %s:%d", self.address.host, self.address.port)
+        log.info("connected to %s", self.address.place)
         if self._filters:
             client.subscribe(list(self._filters.items()))  # after each connection: sessions are clean
 
@@ -383,6 +400,8 @@ class Bus:
         if found := REFUSAL.search(line):
             self.refusals += 1
             self.refused = [*self.refused[1 - REFUSED_KEPT :], found[1].decode("utf-8", "replace")]
+        elif CROWDED.search(line):
+            self.crowded += 1
 
     def _on_disconnect(
         self, _c: mqtt.Client, _u: object, _f: mqtt.DisconnectFlags, reason: ReasonCode, _p: Properties | None
@@ -440,6 +459,20 @@ class Bus:
         return envelopes
 
 
+class _Client(mqtt.Client):
+    """With a time limit for a Unix socket: a broker that hangs accepts no connection, and paho waits for it forever."""
+
+    def _create_unix_socket_connection(self) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connection.settimeout(CONNECT_S)
+            connection.connect(self._host)
+        except OSError:
+            connection.close()
+            raise
+        return connection
+
+
 def decoded(bus: Bus, envelope: Envelope) -> Message | None:
     """Decode the payload; an invalid one is counted as rejected and gives None."""
     try:
@@ -473,5 +506,5 @@ def _is_broker_log(message: mqtt.MQTTMessage) -> bool:
 
 def _send_at_once(_client: mqtt.Client, _userdata: object, sock: object) -> None:
     """Without TCP_NODELAY bursts of small messages wait for the peer's delayed acknowledgement: 20 to 40 ms."""
-    if isinstance(sock, socket.socket):
+    if isinstance(sock, socket.socket) and sock.family != socket.AF_UNIX:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

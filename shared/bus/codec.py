@@ -10,7 +10,7 @@ from ..maths.dates import BEYOND_NS
 from ..messages.base import Message, Sender
 from ..topics import BY_MESSAGE, Topic, topic_of
 
-MAXIMUM_PAYLOAD = 1 << 20  # bytes
+MAXIMUM_PAYLOAD = 1 << 20  # bytes that are read: recordings of 0.1 hold such; `Topic.most_bytes` may be sent
 SENDER = b'{"sender":'
 HEAD_BYTES = 300  # the stamps stand at the front of a payload
 STAMPS = ("received_ns", "sampled_ns", "now_ns", "sent_ns")

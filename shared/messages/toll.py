@@ -28,7 +28,7 @@ Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecima
 Cents = Annotated[int, Field(ge=-10_000_000, le=10_000_000), unit("1/100 of the currency")]
 PASSAGES = 400  # at most in one message
 STATIONS = 1000  # at most in one message
-SETTLED = 5000  # at most in one message
+SETTLED = 700  # that are listed in one message
 STATION_IDS = 16  # of one passage
 MAX_USED = 2000  # CAM in one message
 OVERLAPS = 16  # of one passage with others in its lane
@@ -382,7 +382,7 @@ class OpenPassages(Message):
     sampled_ns: Nanoseconds
     passages: Annotated[tuple[TollPassage, ...], Field(max_length=PASSAGES)]  # newest statement of each, no evidence
     # Final and stored in the last minutes, the newest: their statements need not be repeated.
-    settled: Annotated[tuple[Digest, ...], Field(max_length=SETTLED)]
+    settled: Annotated[tuple[Digest, ...], Field(max_length=5000)]
     registered: Annotated[tuple[RegisteredStation, ...], Field(max_length=STATIONS)] = ()  # the newest
     since_ns: Nanoseconds | None = None  # start of the ledger's process
     core_since_ns: Nanoseconds | None = None  # process of `core.toll` that has all RestoredCams; None: none is known

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
 from typing import Self, TypeVar
-from urllib.parse import unquote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
@@ -27,6 +27,9 @@ log = logging.getLogger(__name__)
 
 NO_TEXT = "it is not UTF-8 text"
 EXAMPLES = f"{shipped(Path('deploy/vehicles'))}/"
+# Sockets at which the broker serves the unit's own processes: in the state folder, and of an installed unit.
+UNIX, SOCKET, INSTALLED_SOCKET = "mqtt+unix", Path("bus/socket"), Path("/run/obu-broker/socket")
+LONGEST_SOCKET = 107  # bytes of its path, in Linux
 ADDRESS_FILE = "status.address"  # where monitoring.status serves the dashboard
 
 S = TypeVar("S", bound="Section")
@@ -142,19 +145,41 @@ class BrokerAddress:
     password: str | None = field(default=None, repr=False)
     tls: bool = False
     authority: str | None = None  # file of the authority that signed the broker's certificate; None: the system's
+    socket: str | None = None  # path of a Unix socket in the place of host and port
+
+    @property
+    def place(self) -> str:
+        """Where the broker is: the path of its socket, or host:port."""
+        return self.socket or f"{self.host}:{self.port}"
+
+    @property
+    def url(self) -> str:
+        """Address as it stands in OBU_BROKER, without credentials."""
+        if self.socket is not None:
+            return f"{UNIX}://{quote(self.socket)}"
+        return f"{'mqtts' if self.tls else 'mqtt'}://{self.place}"
+
+    @classmethod
+    def at(cls, socket: Path) -> "BrokerAddress":
+        """Address of a Unix socket."""
+        return cls(socket=str(socket))
 
     @classmethod
     def parse(cls, url: str) -> "BrokerAddress":
-        """Read mqtt://[user:password@]host[:port], or mqtts://... of a broker that speaks TLS."""
+        """Read mqtt://[user:password@]host[:port], mqtts://... of a broker that speaks TLS, or mqtt+unix:///path."""
         parts = urlsplit(url if "://" in url else f"mqtt://{url}")
         shown = url.rpartition("@")[2]  # without a password
         try:
             port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         except ValueError as error:
             raise UserError(f"the broker's address {shown!r} has no valid port: try mqtt://127.0.0.1:1883") from error
-        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
-            raise UserError(f"the broker's address {shown!r} is not understood: try mqtt://127.0.0.1:1883")
         user, password = (None if part is None else unquote(part) for part in (parts.username, parts.password))
+        if parts.scheme == UNIX and parts.path.startswith("/") and not parts.hostname:
+            return cls(username=user, password=password, socket=unquote(parts.path))
+        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
+            raise UserError(
+                f"the broker's address {shown!r} is not understood: try mqtt://127.0.0.1:1883, or {UNIX}:///path/of/socket"
+            )
         authority = os.environ.get("OBU_BROKER_CA") or None
         return cls(parts.hostname, port, user, password, parts.scheme == "mqtts", authority)
 
@@ -322,13 +347,30 @@ def address_file(state: Path) -> Path:
 
 
 def broker_address() -> BrokerAddress:
-    """The address in OBU_BROKER, otherwise the default."""
-    return BrokerAddress.parse(os.environ.get("OBU_BROKER", "mqtt://127.0.0.1:1883"))
+    """The address in OBU_BROKER, else the socket of the unit of this machine, or its port."""
+    if url := os.environ.get("OBU_BROKER"):
+        return BrokerAddress.parse(url)
+    for path in (_state_path().resolve() / SOCKET, INSTALLED_SOCKET):
+        if may_connect(path):
+            return BrokerAddress.at(path)
+    return BrokerAddress()
+
+
+def may_connect(path: Path) -> bool:
+    """Whether there is a socket to which this user may connect; a broker need not listen."""
+    try:
+        return path.is_socket() and os.access(path, os.W_OK)
+    except OSError:
+        return False
+
+
+def _state_path() -> Path:
+    return Path(os.environ.get("OBU_STATE", ".obu"))
 
 
 def state_dir() -> Path:
     """The folder of persistent files: OBU_STATE, or .obu in the working folder; a full disk may leave it missing."""
-    path = Path(os.environ.get("OBU_STATE", ".obu"))
+    path = _state_path()
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

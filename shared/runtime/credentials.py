@@ -10,16 +10,18 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
+from urllib.parse import quote
 
 from ..errors import UserError
 from ..topics import REPLAY
 from .private import PRIVATE, private_folder
 
 FOLDER = "credentials"
-ADDRESS = "address"  # in the folder: host:port of the broker that knows these secrets, where a program started it
+ADDRESS = "address"  # in the folder: where the broker that knows these secrets is, where a program started it
 READERS = "readers"  # in the folder: those of `obu keys add`
 INSTALLED = PRIVATE  # of a unit under systemd
 LONGEST = 1_000  # bytes of a file
+PLAIN = "/:[]"  # letters of an address that stand as they are
 OBSERVER = "observer"
 OBSERVERS = tuple(f"{OBSERVER}.{number}" for number in range(1, 9))
 WATCH, CHECK = "broker.watch", "broker.check"  # the broker's own probe, and the health check of its container
@@ -54,7 +56,7 @@ def identity_of(process: str, state: Path) -> Identity:
 
 
 def observer_of(state: Path, address: str) -> Identity:
-    """Claim an observer of the broker at `address` (host:port); raises `UserError` if all are in use."""
+    """Claim an observer of the broker at `address` (host:port or a path); raises `UserError` if all are in use."""
     folder = _known(state, address)
     if folder is None:
         return Identity(OBSERVERS[0])
@@ -78,7 +80,7 @@ def observer_of(state: Path, address: str) -> Identity:
 
 
 def replay_of(state: Path, address: str) -> Identity:
-    """Read the secret of `obu replay --broker` for the broker at `address` (host:port)."""
+    """Read the secret of `obu replay --broker` for the broker at `address` (host:port or a path)."""
     folder = _known(state, address)
     return Identity(REPLAY, _read(folder / REPLAY) if folder else None)
 
@@ -88,8 +90,13 @@ def _known(state: Path, address: str) -> Path | None:
     if given := os.environ.get("OBU_CREDENTIALS"):
         return Path(given)
     folders = [base / FOLDER for base in (state, state / "demo", INSTALLED) if _is_folder(base / FOLDER)]
-    started = [folder for folder in folders if _read(folder / ADDRESS) == address]
+    started = [folder for folder in folders if quote(address, safe=PLAIN) in (_read(folder / ADDRESS) or "").split()]
     return next(iter((*started, *(folder for folder in folders if _read(folder / ADDRESS) is None))), None)
+
+
+def note_addresses(folder: Path, *addresses: str) -> None:
+    """Write where the broker that knows the secrets of a folder is: host:port, or the path of a socket."""
+    (folder / ADDRESS).write_text("".join(f"{quote(address, safe=PLAIN)}\n" for address in addresses), encoding="ascii")
 
 
 def _is_folder(path: Path) -> bool:

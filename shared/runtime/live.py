@@ -33,6 +33,7 @@ log = logging.getLogger(__name__)
 
 TICK_NS = 1_000_000_000
 JOURNAL_S = 1.0
+MOST_RUNS = 600  # in one message of the journal: 114 kB with the longest names
 SERVE_S = 0.2  # longest time between two turns of the bus, which sends the heartbeats
 PORTION_BYTES = 32 * 1024  # more than the chunk of a driver; whatever they hold takes less than 0.1 s
 
@@ -98,12 +99,11 @@ class Journal:
         """Note that `close` of the process was called."""
         self._append("close", "", 0, 0)
 
-    def take(self) -> Consumed | None:
-        """The runs since the last call; None without any."""
-        if not self._runs:
-            return None
-        runs, self._runs = tuple(self._runs), []
-        return Consumed(process=self._process, incarnation=self._incarnation, runs=runs)
+    def take(self) -> Iterator[Consumed]:
+        """The runs since the last call, in messages that the broker passes on; none without any."""
+        while self._runs:
+            runs, self._runs = tuple(self._runs[:MOST_RUNS]), self._runs[MOST_RUNS:]
+            yield Consumed(process=self._process, incarnation=self._incarnation, runs=runs)
 
     def _append(self, topic: str, producer: str, incarnation: int, sequence: int) -> None:
         if self._runs:
@@ -282,7 +282,7 @@ class LiveReactor:
     def _publish_journal(self, *, at_once: bool = False) -> None:
         if at_once or time.monotonic() >= self._next_journal:
             self._next_journal = time.monotonic() + JOURNAL_S
-            if (consumed := self._journal.take()) is not None:
+            for consumed in self._journal.take():
                 self._bus.publish(consumed)
 
 

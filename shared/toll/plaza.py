@@ -23,9 +23,12 @@ from .. import shipped
 from ..bounded import TooMuch, load_json, read_bytes
 from ..errors import ConfigError
 from ..maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from ..messages.fitting import size
 from ..messages.toll import GateMode, LaneDescription, PlazaDescription, Position
+from ..topics import BY_NAME
 
 FloatArray = npt.NDArray[np.float64]
+MAXIMUM_LANES = 100  # whose balances of two hours one message holds
 MAXIMUM_BYTES = 1_000_000
 MAXIMUM_EXTENT_M = 5_000.0  # within it the tangent plane is accurate to a few centimetres
 Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -247,11 +250,18 @@ def plaza_path(path: Path) -> Path:
 def load_plaza(path: Path) -> Plaza:
     """Read a plaza's file."""
     try:
-        return parse_plaza(read_bytes(plaza_path(path), MAXIMUM_BYTES), str(path))
+        plaza = parse_plaza(read_bytes(plaza_path(path), MAXIMUM_BYTES), str(path))
     except TooMuch as error:
         raise ConfigError(f"{path} is no plaza: {error}; a plaza needs a few kilobytes") from error
     except OSError as error:
         raise ConfigError(f"cannot read the plaza's file {path}: {error.strerror}; see deploy/plazas/") from error
+    taken, most = size(plaza.description(0)), BY_NAME["plaza/description"].most_bytes - 1_000
+    if len(plaza.lanes) > MAXIMUM_LANES or taken > most:
+        raise ConfigError(
+            f"{path}: {len(plaza.lanes)} lanes, which take {taken} bytes on the bus; {MAXIMUM_LANES} lanes and {most} "
+            "bytes are possible: leave out points of the centre lines, or divide the plaza among several units"
+        )
+    return plaza
 
 
 def along(centre: FloatArray, line: FloatArray) -> float | None:

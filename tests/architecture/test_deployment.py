@@ -12,6 +12,7 @@ from broker.keys import CONTAINER_GROUP, CONTAINER_USERS
 from cli.demo import supervisor
 from shared.bus import bus
 from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
+from shared.runtime.config import INSTALLED_SOCKET, BrokerAddress
 from shared.topics import BY_NAME, hot_path
 from tests.support.patience import HANGS_S
 
@@ -218,7 +219,26 @@ def test_the_broker_runs_as_mosquitto_with_the_configuration_of_the_repository(s
     assert simulated["broker"]["user"] == "1883:1883"
     mounted = [str(volume).split(":")[0] for volume in cast("list[object]", simulated["broker"]["volumes"])]
     assert {"./broker/mosquitto.conf", "rules"} <= set(mounted)
+    text = (ROOT / "broker" / "mosquitto.conf").read_text()
+    assert f"listener 0 {INSTALLED_SOCKET}\n" in text
     assert all((ROOT / path).is_file() for path in mounted if path.startswith("./"))
+
+
+def test_every_process_reaches_the_broker_by_its_socket(simulated: dict[str, Service]) -> None:
+    """Whoever occupies the port keeps none of them out."""
+    url, folder = BrokerAddress.at(INSTALLED_SOCKET).url, INSTALLED_SOCKET.parent
+    for name, service in simulated.items():
+        mode = "" if name in ("keys", "broker") else ":ro"
+        assert f"socket:{folder}{mode}" in cast("list[str]", service["volumes"]), name
+        if cast("list[str]", service["command"])[:1] == ["run"]:
+            assert cast("dict[str, str]", service["environment"])["OBU_BROKER"] == url, name
+    for file in (SIMULATED, ROADSIDE):
+        assert "socket" in yaml.load((ROOT / file).read_text(), ComposeLoader)["volumes"], file
+    made = f"--socket-folder {folder}"
+    assert made in " ".join(cast("list[str]", simulated["keys"]["command"]))
+    assert f"OBU_BROKER={url} " in (SYSTEMD / "obu@.service").read_text()
+    broker = (SYSTEMD / "obu-broker.service").read_text()
+    assert f"--broker-user mosquitto --group obu {made}\n" in broker and f"ReadWritePaths=-{folder}\n" in broker
 
 
 def test_the_maker_of_secrets_ends_before_others_start_and_reaches_nobody(simulated: dict[str, Service]) -> None:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shared.maths.dates import BEYOND_NS
 from shared.maths.earth import FloatArray
+from shared.messages.fitting import fitting, size
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
     DELTAS,
@@ -52,6 +53,8 @@ MAX_UNSETTLED = 2000  # final statements that wait for the ledger
 REPEATED = 50  # of them a second
 GATE_VALID_S = 5  # after the predicted crossing
 LEAST_PROBABILITY = 1e-9  # that is published
+# Bytes in one message (`Topic.most_bytes`); UsedCams holds so many deltas of at most 700 bytes as well.
+EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 160, 150
 DELTA_ROUNDING = 4  # decimals of metres
 NO_VEHICLE = {StationType.ROAD_SIDE_UNIT, StationType.PEDESTRIAN, StationType.CYCLIST, StationType.TRAM}
 
@@ -177,7 +180,13 @@ class Core:
 
     def used(self) -> tuple[UsedCam, ...]:
         """Take what was used since the last call, at most as many as a message holds."""
-        taken, self._table.used = self._table.used[:MAX_USED], self._table.used[MAX_USED:]
+        count, left = 0, USED_BYTES
+        for _, (_, _, data) in self._table.used[:MAX_USED]:
+            left -= USED_OVERHEAD + 4 * (len(data) + 2) // 3
+            if left < 0:
+                break
+            count += 1
+        taken, self._table.used = self._table.used[:count], self._table.used[count:]
         self._taken += taken
         while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
             self._taken.popleft()
@@ -282,14 +291,18 @@ class Core:
                 passage.track = None
 
     def tracks(self, now_ns: int) -> TollTracks:
-        """Describe every track."""
+        """Describe every track, as far as a message holds them; the rest is counted."""
+        described = [
+            self._track(track, journey.here, journey.passage)
+            for track in self._table.tracks
+            if (journey := self._journeys.get(track.number)) and journey.here
+        ]
+        tracks = fitting(described, TRACKS_BYTES)
+        if len(tracks) < len(described):
+            self._rejected["tracks left out"] += len(described) - len(tracks)
         return TollTracks(
             sampled_ns=now_ns,
-            tracks=tuple(
-                self._track(track, journey.here, journey.passage)
-                for track in self._table.tracks
-                if (journey := self._journeys.get(track.number)) and journey.here
-            ),
+            tracks=tuple(tracks),
             cams=self._cams,
             rejected=self.rejected.total(),
             trust=self._trust(now_ns),
@@ -699,7 +712,15 @@ class Core:
         )
 
     def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
-        first_ns, last_ns = track.frames[0][1], track.frames[-1][1]
+        """Everything that the passage follows from; of a very long one the newest, as much as a message holds."""
+        frames = list(track.frames)
+        while size(evidence := self._evidence_of(passage, track, frames)) > EVIDENCE_BYTES and len(frames) > 1:
+            frames = frames[1 + len(frames) // 16 :]
+        return evidence
+
+    def _evidence_of(self, passage: Passage, track: Track, frames: Sequence[Received]) -> PassageEvidence:
+        first_ns, last_ns = frames[0][1], frames[-1][1]
+        since_ns = 0 if len(frames) == len(track.frames) else first_ns
         before_ns = round((self._settings.delta.max_age_s + self._settings.delta.latency_s) * SECOND_NS)
         return PassageEvidence(
             version=VERSION,
@@ -707,12 +728,13 @@ class Core:
             track_since_ns=track.since_ns,
             frames=tuple(
                 EvidenceFrame(sampled_ns=sampled_ns, received_ns=received_ns, data=data)
-                for sampled_ns, received_ns, data in track.frames
+                for sampled_ns, received_ns, data in frames
             ),
             deltas=tuple(d for d in self._deltas if first_ns - before_ns <= d.sampled_ns <= last_ns),
             lanes=tuple(
                 LanePosterior(sampled_ns=time_ns, lanes=self._probabilities(lanes))
                 for time_ns, lanes in passage.posteriors
+                if time_ns >= since_ns
             ),
         )
 

@@ -26,7 +26,7 @@ from shared.messages.v2x import Cam, CamList
 from shared.toll.plaza import load_plaza
 from shared.v2x.evidence import cam_of
 
-from .core import SECOND_NS, Core, derive
+from .core import DELTAS_AT_ONCE, SECOND_NS, Core, derive
 from .passages import passage_id
 from .settings import Settings
 
@@ -182,8 +182,9 @@ class Process:
             return
         deltas, self._new_deltas = tuple(self._new_deltas), []
         while (cams := self._core.used()) or deltas:
-            yield UsedCams(sampled_ns=now_ns, since_ns=self._since_ns, cams=cams, deltas=deltas, anew=anew)
-            deltas, anew = (), False
+            first, deltas = deltas[:DELTAS_AT_ONCE], deltas[DELTAS_AT_ONCE:]
+            yield UsedCams(sampled_ns=now_ns, since_ns=self._since_ns, cams=cams, deltas=first, anew=anew)
+            anew = False
 
     def _use_delta(self, delta: TollDelta) -> None:
         if self._core.use_delta(delta):  # the process after this one must use no other ones

@@ -49,6 +49,7 @@ class Process:
                 report_ns = now_ns + REPORT_NS
                 watch.judge_load(now_ns, os.getloadavg()[0])
                 watch.intruders.refused(bus.refusals, bus.refused, now_ns)
+                watch.intruders.crowded(bus.crowded, now_ns)
                 bus.publish(watch.report(now_ns))
 
 

@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError
 
 from shared.evidence import KeyFile
 from shared.messages.base import Message
+from shared.messages.fitting import fitting
 from shared.messages.toll import (
     OVERLAPS,
     PASSAGES,
@@ -53,6 +54,7 @@ NS = 1_000_000_000
 HOUR_NS = 3600 * NS
 DAY_NS = 24 * HOUR_NS
 DOUBTFUL_NS = 30 * DAY_NS  # since the newest evidence, after which a date at the start is not believed at once
+PASSAGES_BYTES = 120_000  # in one message, beside 50 kB of settled ones and 70 kB of stations
 RECENT = 50
 USED_KEPT_NS = 70 * NS
 OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
@@ -421,6 +423,10 @@ class Ledger:
         """List what `core.toll` continues after a restart, and what it need not repeat."""
         rows = self._store.rows("SELECT passage_id, statement FROM passage ORDER BY sampled_ns DESC LIMIT 300")
         stored = tuple(self._read(TollPassage, row["statement"], row["passage_id"]) for row in rows)
+        open_ = stored + tuple(self._unregistered.values())[: PASSAGES - len(stored)]
+        passages = fitting(open_, PASSAGES_BYTES)
+        if len(passages) < len(open_):
+            self.rejects["passages left out"] += len(open_) - len(passages)
         recently_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         settled = self._store.rows(
             "SELECT passage_id FROM settled WHERE final_ns >= ? ORDER BY final_ns DESC LIMIT ?", recently_ns, SETTLED
@@ -431,7 +437,7 @@ class Ledger:
         )  # fmt: skip
         return OpenPassages(
             sampled_ns=now_ns,
-            passages=stored + tuple(self._unregistered.values())[: PASSAGES - len(stored)],
+            passages=tuple(passages),
             settled=tuple(row["passage_id"] for row in settled),
             registered=tuple(
                 RegisteredStation(station_id=row["station_id"], valid_until_ns=row["valid_until_ns"])

@@ -10,12 +10,16 @@ from shared.errors import RejectedFrame
 from shared.faults import Faults
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message
+from shared.messages.fitting import parts
 from shared.messages.gnss import GnssFix
 from shared.messages.v2x import Cam, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
 from shared.runtime.config import Section
+from shared.topics import BY_NAME
 from shared.v2x import cam, frames, geonetworking, its_time
 
 MAX_FRAMES = 1024  # of one batch
+LIST_BYTES = BY_NAME["v2x/cam"].most_bytes - 1_000  # of CAM in one message
+CERTAIN_CAMS = LIST_BYTES // 10_000  # so many fit, also with the longest frames and paths
 PAI_INTERVAL_M = 80.0  # itsGnPaiInterval: EN 302 636-4-1, annex H
 NS_PER_MS = 1_000_000
 
@@ -58,8 +62,8 @@ class Process:
         match message:
             case CamFrames():
                 cams = tuple(self._decode_batch(message))
-                if cams:
-                    yield CamList(received_ns=message.received_ns, source=message.source, cams=cams)
+                for part in [cams] if 0 < len(cams) <= CERTAIN_CAMS else parts(cams, LIST_BYTES):
+                    yield CamList(received_ns=message.received_ns, source=message.source, cams=tuple(part))
             case OwnCam():
                 yield from self._encode(message)
             case GnssFix(utc_ns=int(utc_ns)):

@@ -10,6 +10,7 @@ from pydantic import Field
 from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload, BadRecording, UserError
 from shared.library.summary import SummaryWorker
+from shared.messages.fitting import fitting
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.replay import FASTEST, SLOWEST, ReplayCommand, ReplayControl, ReplayEvents, ReplayState
 from shared.recording import Recording
@@ -25,6 +26,7 @@ STATE_S, ORIGIN_S = 0.1, 2.0
 STEP_S = 0.02  # of the host's clock, between two looks for messages that are due
 SETTLED_S = 0.3  # after the last jump: then the past minute follows
 PAST_NS, RECENT_NS = 60_000_000_000, 3_000_000_000
+OUTAGES_BYTES = 190_000  # in one message, beside 500 changes of the verdict
 BURST = 100  # messages between two turns of the network
 WATCHED_NICE = 5  # of the computation of events that somebody waits for
 
@@ -90,7 +92,9 @@ class Process:
                 bus.publish(self._state(until_ns))
             if not summarised and (summary := events.result()) is not None:
                 summarised = True
-                bus.publish(ReplayEvents(trust=summary.trust, outages=summary.outages))
+                outages = fitting(summary.outages, OUTAGES_BYTES)
+                bus.rejects["outages left out"] += len(summary.outages) - len(outages)
+                bus.publish(ReplayEvents(trust=summary.trust, outages=tuple(outages)))
 
     def _controls(self, envelopes: Iterable[Envelope]) -> bool:
         """Carry out the commands that came; return whether the position jumped."""

@@ -14,7 +14,7 @@ from shared.runtime.config import Section
 from shared.v2x import frames
 
 BATCH_S = 0.02
-MAX_BATCH_FRAMES = 200  # of the longest frames: 0.5 MB
+MAX_BATCH_FRAMES = 72  # of the longest frames: 167 kB, and 223 kB in base 64
 MAX_READ = 4096  # frames in one go
 BURST_S = 0.5  # of frames at the greatest rate, after a pause
 

@@ -37,7 +37,7 @@ def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.setattr(local_config, "TLS_PORT", free_port())
     plain = local_config.configuration
     monkeypatch.setattr(
-        local_config, "configuration", lambda port, store, rules: plain(port, store, rules, "127.0.0.1")
+        local_config, "configuration", lambda port, store, rules, socket: plain(port, store, rules, "127.0.0.1", socket)
     )
     running = mosquitto.start_closed(tmp_path, rights)
     yield local_config.TLS_PORT

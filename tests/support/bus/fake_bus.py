@@ -30,7 +30,7 @@ class FakeBus:
         self.last_error: str | None = None
         self.published: list[Message] = []
         self.hears_broker = False
-        self.refusals = 0
+        self.refusals = self.crowded = 0
         self.refused: list[str] = []
         self.followed: frozenset[str] | None = None
         self.asked: frozenset[str] = frozenset()  # topics besides those of the process

@@ -12,6 +12,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+KEEP_ALIVE_S = 60
 PATIENCE_S = 5.0
 QUIET_S = 0.1  # [s] on a loopback, longer than any delivery takes
 
@@ -45,7 +46,7 @@ class Client:
         self.paho.on_message = self._on_message
         self.paho.on_socket_open = _no_delay
 
-    def connect(self, *, keep_alive_s: int = 60) -> ReasonCode:
+    def connect(self, *, keep_alive_s: int = KEEP_ALIVE_S) -> ReasonCode:
         """Connect and return the broker's answer."""
         self.connack, self.ended = None, False
         self.paho.connect("127.0.0.1", self.port, keep_alive_s)

@@ -23,7 +23,7 @@ def test_a_table_is_older_after_a_change_of_code_and_not_of_comments(
     monkeypatch.setattr(tables, "ROOT", tmp_path)
     monkeypatch.setattr(tables, "DIGESTS", tmp_path / "code.json")
     monkeypatch.setattr(tables, "TABLES", {"page.md": tables.Table("measure", "make measure")})
-    monkeypatch.setattr(tables, "code_of", lambda _module: campaign._content_of.__wrapped__(source))
+    monkeypatch.setattr(tables, "code_of", lambda _module: campaign._content_of.__wrapped__(source, 0))
     source.write_text("def measured() -> int:\n    return 1\n")
     page.write_text("# Figures\n\n1\n")
     assert tables.renew() == ["page.md"], "nothing says of which code it is"

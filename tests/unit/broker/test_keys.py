@@ -1,6 +1,7 @@
 """Secrets of a unit and the broker's files: made once, kept, readable by their owner alone."""
 
 import os
+import socket
 import stat
 from pathlib import Path
 
@@ -176,3 +177,18 @@ def test_left_overs_of_a_write_are_no_users(tmp_path: Path) -> None:
     keys.add_reader(tmp_path / "credentials", "gateway")
     (tmp_path / "credentials" / "readers" / ".eve.part").write_text("a" * 64)
     assert set(made_again(tmp_path)[1].lines) & {"gateway", ".eve.part"} == {"gateway"}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a folder to others")
+def test_the_folder_of_the_socket_is_of_the_broker_and_its_group_may_enter_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "run" / "obu-broker"
+    for _ in range(2):  # at each start of the broker
+        keys.share_socket(folder, 1_883, 12_345)
+        found = folder.stat()
+        assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (1_883, 12_345, 0o2750)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(folder / "socket"))
+    assert (folder / "socket").stat().st_gid == 12_345, "the socket has the group of its folder"
+    (tmp_path / "link").symlink_to(folder)
+    with pytest.raises(UserError, match="cannot make the folder"):
+        keys.share_socket(tmp_path / "link", 0, 0)

@@ -167,6 +167,7 @@ def test_the_command_that_starts_the_broker_is_given(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("cli.demo.local.SERVICE", Path("/no/such/service"))
     assert start_of_broker(BrokerAddress()) == "start one with `obu broker`"
     assert start_of_broker(BrokerAddress(port=1884)) == "start one with `obu broker --port 1884`"
+    assert start_of_broker(BrokerAddress.at(Path("/state/bus/socket"))) == "start one with `obu broker`"
     assert start_of_broker(BrokerAddress("10.0.0.7")) == "start the broker on 10.0.0.7"
 
 

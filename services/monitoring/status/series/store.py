@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Sequence
 
 from shared.messages.base import Message
+from shared.messages.gnss import Constellation
+from shared.messages.navigation import AidingKind
 from shared.topics import BY_NAME
 
 from ..flow import LATENCY_MAXIMUM_S, on_demand, stamp_ns
@@ -16,11 +18,7 @@ BYTES_MAXIMUM = FIELDS_MAXIMUM * BYTES_PER_FIELD
 KEEP_ASKED_NS = 3600 * SECOND_NS  # after the last question, a field gives way to another one
 LOOKED_AT_NS = 60 * SECOND_NS  # after the last question, a field is taken from messages that come on demand
 HOUR_NS = COARSE_NS * COARSE_CELLS
-_AIDING = (
-    "gnss_position", "gnss_velocity", "odometer", "non_holonomic", "zero_velocity", "zero_angular_rate",
-    "baseline_heading",
-)  # fmt: skip
-_CONSTELLATIONS = ("gps", "galileo", "glonass", "beidou", "qzss", "sbas")
+_CONSTELLATIONS = tuple(name for name in Constellation if name is not Constellation.UNKNOWN)
 _LATENCIES = ("gnss/fix", "imu/sample", "vehicle/wheel_speed", "navigation/solution", "trust/state")
 # What the page Charts draws: kept from the start, and never given up.
 STANDARD = (
@@ -41,7 +39,7 @@ STANDARD = (
     "truth/state:height_ellipsoid_m",
     "trust/state:alert_limit_horizontal_m",
     "trust/state:alert_limit_vertical_m",
-    *(f"navigation/aiding[{kind}]:test_ratio" for kind in _AIDING),
+    *(f"navigation/aiding[{kind}]:test_ratio" for kind in AidingKind),
     *(f"{topic}:{LATENCY}" for topic in _LATENCIES),
 )  # fmt: skip
 

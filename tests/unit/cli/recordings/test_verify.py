@@ -94,7 +94,7 @@ class Recorded:
             self.publish(self.name, answer)
 
     def journal(self) -> None:
-        consumed = self.order.take()
+        consumed = next(self.order.take(), None)
         assert consumed is not None
         self.publish(self.name, consumed)
 

@@ -7,11 +7,22 @@ from math import cos, isclose, sin
 import numpy as np
 import pytest
 
-from services.core.toll.core import derive
+from services.core.toll.core import DELTAS_AT_ONCE, EVIDENCE_BYTES, USED_BYTES, derive
 from services.core.toll.settings import Settings
 from services.core.toll.tracks import Repetitions
-from shared.messages.toll import STATION_IDS, OpenPassages, PassageState, TollPassage
+from shared.bus.codec import encode
+from shared.messages.toll import (
+    STATION_IDS,
+    OpenPassages,
+    PassageEvidence,
+    PassageState,
+    TollDelta,
+    TollPassage,
+    UsedCam,
+    UsedCams,
+)
 from shared.messages.v2x import CamList, StationType
+from shared.topics import MANY_BYTES
 from tests.support.v2x.toll import START_NS, Plant, Vehicle, fix, lane_of, place
 
 COMMON = (2.5, -1.5)  # [m, north and east] error that the receivers have in common
@@ -671,3 +682,49 @@ def test_a_crawling_vehicle_that_misses_one_cam_is_not_continued_by_one_in_its_p
         iter(table.use([replace(near, speed=speed, start=-61.0, since=2.0).named(8).cam(plant.plaza, 2.9)]))
     )
     assert update.continues is None
+
+
+def test_the_evidence_of_a_very_long_passage_is_its_end_as_much_as_a_message_holds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def evidence() -> PassageEvidence:
+        plant = Plant(COMMON)
+        plant.register(7)
+        plant.drive(CAR, until=20.0)
+        charged = plant.passages[-1]
+        assert plant.states[-1] == "charged" and charged.evidence is not None
+        return charged.evidence
+
+    whole = evidence()
+    assert len(encode(whole)) <= EVIDENCE_BYTES
+    monkeypatch.setattr("services.core.toll.core.EVIDENCE_BYTES", len(encode(whole)) // 2)
+    cut = evidence()
+    assert len(encode(whole)) // 3 < len(encode(cut)) <= len(encode(whole)) // 2
+    assert cut.frames == whole.frames[-len(cut.frames) :]
+    assert cut.lanes == tuple(row for row in whole.lanes if row.sampled_ns >= cut.frames[0].received_ns)
+
+
+def test_used_cam_are_given_in_messages_that_the_broker_passes_on() -> None:
+    core = Plant(COMMON).core
+    core._table.used = [(0, (k, k, bytes(2304))) for k in range(1, 501)]
+    found: list[UsedCam] = []
+    while cams := core.used():
+        found += cams
+        message = UsedCams(sampled_ns=1, since_ns=1, cams=cams)
+        assert len(encode(message)) <= USED_BYTES + 200
+    assert [cam.sampled_ns for cam in found] == list(range(1, 501))
+    delta = TollDelta(
+        sampled_ns=10**18, plaza=64 * "p", valid=True, reason=400 * "r", north_m=-1.234567890123456, east_m=-1.2,
+        sd_m=1.234567890123456, fixes=10, window_s=60.0,
+    )  # fmt: skip
+    deltas = DELTAS_AT_ONCE * (delta,)
+    assert len(encode(UsedCams(sampled_ns=1, since_ns=1, cams=(), deltas=deltas))) + USED_BYTES < MANY_BYTES - 1_000
+
+
+def test_tracks_beyond_what_a_message_holds_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = Plant(COMMON)
+    plant.drive(CAR, Vehicle(8, "n1", error=COMMON), until=5.0)
+    (first, second) = plant.core.tracks(START_NS).tracks
+    monkeypatch.setattr("services.core.toll.core.TRACKS_BYTES", len(encode(first)) + 10)
+    assert plant.core.tracks(START_NS).tracks == (first,) != (second,)
+    assert plant.core.rejected["tracks left out"] == 1

@@ -17,6 +17,17 @@ def texts(watch: Watch, now_ns: int) -> list[str]:
     return [problem.text for problem in watch.report(now_ns).problems if problem.what in ("broker", FUSION)]
 
 
+def test_connections_beyond_the_maximum_are_a_problem_for_a_minute() -> None:
+    intruders = Intruders()
+    intruders.crowded(0, NOW_NS)
+    assert list(intruders.problems(NOW_NS)) == []
+    intruders.crowded(3, NOW_NS)
+    intruders.crowded(4, NOW_NS + SECOND)
+    (problem,) = intruders.problems(NOW_NS + SECOND)
+    assert problem.what == "broker" and "refused 4 connections in the last minute" in problem.text
+    assert list(intruders.problems(NOW_NS + 62 * SECOND)) == []
+
+
 def test_refused_connections_are_a_problem_for_a_minute_with_the_names_that_were_given() -> None:
     intruders = Intruders()
     intruders.refused(0, [], NOW_NS)

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.ledger.ledger import Ledger, Settings
+from services.monitoring.ledger.ledger import PASSAGES_BYTES, Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Row, Store, Value
-from shared.messages.toll import SETTLED, EvidencePack, PassageState, TransactionKind
+from shared.bus.codec import encode
+from shared.messages.toll import SETTLED, STATIONS, EvidencePack, PassageState, RegisteredStation, TransactionKind
+from shared.topics import MANY_BYTES
 from tests.support.v2x.tolling import NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
@@ -430,3 +432,21 @@ def test_a_clock_that_jumps_ahead_between_two_starts_deletes_no_evidence_at_once
     again.expire(jumped_ns + day_ns)
     assert again.evidence(vehicle.passage_id) is None, "a date that stays is the right one"
     store.close()
+
+
+def test_the_longest_list_of_settled_passages_and_stations_leaves_room_for_the_open_ones(
+    opened: tuple[Ledger, Store], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger, store = opened
+    with store.transaction():
+        for k in range(SETTLED + 10):
+            store.execute("INSERT INTO settled VALUES (?, ?, '{}')", f"{k:064x}", LATER_NS + k)
+    longest = RegisteredStation(station_id=2**32 - 1, valid_until_ns=4 * 10**18)
+    found = ledger.open_passages(LATER_NS + NS).model_copy(update={"registered": STATIONS * (longest,)})
+    assert len(encode(found)) + PASSAGES_BYTES + 1_000 <= MANY_BYTES
+    for vehicle in (Vehicle(), Vehicle(name="second")):
+        ledger.passage(vehicle.says(PassageState.OPEN), LATER_NS)
+    first, second = ledger.open_passages(LATER_NS).passages
+    monkeypatch.setattr("services.monitoring.ledger.ledger.PASSAGES_BYTES", len(encode(first)) + 10)
+    assert ledger.open_passages(LATER_NS).passages == (first,) != (second,)
+    assert ledger.rejects["passages left out"] == 1

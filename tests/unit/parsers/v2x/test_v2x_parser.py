@@ -7,10 +7,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.parsers.v2x.process import Config, Process
+from services.sensors.v2x.process import MAX_BATCH_FRAMES
 from shared.bus import codec
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.v2x import Cam, CamContent, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
+from shared.messages.v2x import (
+    MAX_FRAME_BYTES,
+    Cam,
+    CamContent,
+    CamFrames,
+    CamList,
+    Encapsulation,
+    OwnCam,
+    StationType,
+    V2xSend,
+)
+from shared.topics import BY_NAME
 from shared.v2x import frames, geonetworking, its_time
 from tests.support.data import recording
 from tests.support.gnss.captures import packets
@@ -252,3 +264,24 @@ def test_the_capture_of_the_test_system_is_decoded_although_its_clock_is_a_secon
     assert len(ages_s) == 10
     assert ages_s == pytest.approx([1.004] * 10, abs=0.01)
     assert process.rejects == Counter()
+
+
+@pytest.mark.parametrize("count", [1, 24, 25, 1024])
+def test_a_batch_of_any_size_becomes_lists_that_the_broker_passes_on(count: int) -> None:
+    content = cams.BRAKING
+    assert content.low_frequency is not None
+    path = content.low_frequency.path[:1] * 40
+    longest = content.model_copy(update={"low_frequency": content.low_frequency.model_copy(update={"path": path})})
+    data = frames.pack((NOW_NS + k, packet(longest)) for k in range(count))
+    batch = CamFrames.model_construct(received_ns=NOW_NS, source="v2x", data=data)
+    lists = list(Process(Config()).handle(batch))
+    assert [one.received_ns for found in lists if isinstance(found, CamList) for one in found.cams] == [
+        NOW_NS + k for k in range(count)
+    ]
+    assert all(len(codec.encode(found)) + 300 <= BY_NAME["v2x/cam"].most_bytes for found in lists)
+
+
+def test_a_batch_of_the_longest_frames_fits_into_a_message() -> None:
+    data = frames.pack((NOW_NS, bytes(MAX_FRAME_BYTES)) for _ in range(MAX_BATCH_FRAMES))
+    batch = CamFrames(received_ns=NOW_NS, source="v2x", data=data)
+    assert len(codec.encode(batch)) + 300 <= BY_NAME["v2x/raw"].most_bytes

@@ -3,8 +3,10 @@ import pytest
 
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.motion.centre_line import WIDTH_M, centre_line, road_network
-from services.sensors.simulator.scenarios import SCENARIOS, scenario_of
+from services.sensors.simulator.scenarios import SCENARIOS, Scenario, scenario_of
+from shared.bus.codec import encode
 from shared.maths.ellipsoid import curvature_radii
+from shared.topics import BY_NAME
 
 
 @pytest.mark.parametrize("name", ["parking_lot", "urban", "tunnel"])
@@ -20,6 +22,11 @@ def test_the_vehicle_drives_on_the_road_that_is_published(name: str) -> None:
     nearest = ends[:-1] + np.clip(share, 0.0, 1.0)[..., None] * along
     off = np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
     assert off.max() < 0.5, "metres from the centre line"
+
+
+@pytest.mark.parametrize("row", SCENARIOS, ids=lambda row: row.name)
+def test_the_roads_of_every_scenario_fit_into_a_message(row: Scenario) -> None:
+    assert len(encode(road_network(row.course, row.start, 7))) <= BY_NAME["simulation/roads"].most_bytes - 300
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS[:4], ids=lambda row: row.name)

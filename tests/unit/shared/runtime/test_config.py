@@ -94,6 +94,12 @@ def test_an_unknown_role_is_an_error_that_names_the_roles() -> None:
     [
         ("mqtt://broker:1884", BrokerAddress("broker", 1884)),
         ("broker", BrokerAddress("broker", 1883)),
+        ("mqtt+unix:///run/obu-broker/socket", BrokerAddress(socket="/run/obu-broker/socket")),
+        ("mqtt+unix:///a%20b/%C3%A9", BrokerAddress(socket="/a b/\u00e9")),
+        (
+            "mqtt+unix://me:secret@/run/socket",
+            BrokerAddress(username="me", password="secret", socket="/run/socket"),
+        ),
         ("mqtt://core.fusion:secret@10.0.0.1", BrokerAddress("10.0.0.1", 1883, "core.fusion", "secret")),
     ],
 )
@@ -101,7 +107,9 @@ def test_the_address_of_the_broker_is_read(url: str, expected: BrokerAddress) ->
     assert BrokerAddress.parse(url) == expected
 
 
-@pytest.mark.parametrize("url", ["http://broker", "mqtt://broker:many", "mqtt://"])
+@pytest.mark.parametrize(
+    "url", ["http://broker", "mqtt://broker:many", "mqtt://", "mqtt+unix://", "mqtt+unix://host/path"]
+)
 def test_an_invalid_address_is_an_error_with_an_example(url: str) -> None:
     with pytest.raises(UserError, match=r"mqtt://127.0.0.1:1883"):
         BrokerAddress.parse(url)

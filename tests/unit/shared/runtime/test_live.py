@@ -18,7 +18,8 @@ from shared.messages.navigation import FilterState
 from shared.messages.operation import Consumed
 from shared.messages.v2x import CamFrames
 from shared.messages.vehicle import CanRaw
-from shared.runtime.live import PORTION_BYTES, SERVE_S, LiveReactor, portions
+from shared.runtime.live import MOST_RUNS, PORTION_BYTES, SERVE_S, Journal, LiveReactor, portions
+from shared.topics import BY_NAME
 
 OLD_LIFE, LIFE = 1_000, 2_000
 
@@ -171,3 +172,14 @@ def test_what_arrives_meanwhile_is_consumed_and_the_oldest_of_too_much_is_droppe
     LiveReactor(process, cast(Bus, bus)).run()
     stamps = [m.sampled_ns for m in process.messages if isinstance(m, FilterState)]
     assert stamps == list(range(3, QUEUE_LENGTH + 3)) and bus.dropped == 3
+
+
+def test_the_journal_of_a_long_burst_is_divided_among_messages_that_the_broker_passes_on() -> None:
+    life = 4 * 10**18
+    journal = Journal(64 * "p", life)
+    for number in range(2 * MOST_RUNS + 1):
+        journal.add(Envelope(64 * "t", b"", 1, producer=64 * "q", incarnation=life, sequence=2 * number))
+    parts = list(journal.take())
+    assert [run[3] for part in parts for run in part.runs] == [2 * number for number in range(2 * MOST_RUNS + 1)]
+    assert max(len(codec.encode(part)) for part in parts) + 300 <= BY_NAME["consumed/+"].most_bytes
+    assert list(journal.take()) == []

@@ -86,3 +86,24 @@ def test_a_file_without_a_json_object_is_an_error_that_names_the_example(data: b
 def test_a_missing_file_is_named() -> None:
     with pytest.raises(ConfigError, match=r"gone\.geojson"):
         load_plaza(Path("gone.geojson"))
+
+
+def test_a_plaza_that_no_message_holds_is_refused_with_what_to_change(tmp_path: Path) -> None:
+    def lengthen(document: Document) -> None:
+        for feature in document["features"]:
+            if feature["properties"]["kind"] == "lane":
+                first, second, *rest = feature["geometry"]["coordinates"]
+                steps = np.linspace(0.0, 1.0, 490, endpoint=False)[:, None]
+                points = (np.array(first) + steps * (np.array(second) - np.array(first))).tolist()
+                feature["geometry"]["coordinates"] = [*points, second, *rest]
+                beside = {
+                    **feature,
+                    "properties": {**feature["properties"], "lane": feature["properties"]["lane"] + "b"},
+                }
+                document["features"] = [*document["features"], beside]
+
+    path = tmp_path / "plaza.geojson"
+    path.write_bytes(changed(lengthen))
+    with pytest.raises(ConfigError, match="leave out points of the centre lines"):
+        load_plaza(path)
+    assert parse_plaza(path.read_bytes()).name, "evidence of an earlier version is still read"

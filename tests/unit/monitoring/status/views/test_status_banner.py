@@ -178,13 +178,27 @@ def test_every_level_of_a_row_is_a_state_and_every_code_of_the_banner_has_a_row(
     assert {code for code in words().rows if code.startswith("banner.")} == {str(code) for code in Code}
 
 
-def test_a_computer_that_is_too_slow_is_the_cause_of_a_lost_position_and_of_paused_checks() -> None:
-    load = ProcessLoad(sampled_ns=START_NS, process="core.fusion", lag_s=1.5, paused=(Work.HYPOTHESES,), skipped=0)
-    lost = show(changed(trust=trust(START_NS, TrustLevel.NO_FIX), load=load, cause="core.fusion was lost"))
-    assert lost.sentence == "No position: this computer is too slow, and 2 s behind the sensors."
-    paused = show(changed(trust=trust(START_NS, TrustLevel.CAUTION, explain("trust.checks_paused")), load=load))
-    assert paused.sentence == "Use the position with caution: checks are paused, because this computer is too slow."
-    assert paused.action == lost.action and paused.action.startswith("End other programs")
+@pytest.mark.parametrize(
+    ("level", "why", "sentence"),
+    [
+        (TrustLevel.NO_FIX, "trust.solution_old",
+         "No position: this computer is too slow, and 6 s behind the sensors."),
+        (TrustLevel.CAUTION, "trust.checks_paused",
+         "Use the position with caution: checks are paused, because this computer is too slow."),
+    ],
+)  # fmt: skip
+def test_a_computer_that_is_too_slow_is_named_with_its_remedy_although_the_inputs_are_there(
+    level: TrustLevel, why: str, sentence: str
+) -> None:
+    load = ProcessLoad(sampled_ns=START_NS, process="core.fusion", lag_s=6.2, paused=tuple(Work))
+    shown = show(changed(trust=trust(START_NS, level, explain(why)), load=load, cause="core.fusion was lost"))
+    assert shown.sentence == sentence and shown.action.startswith("End other programs on this computer")
+    assert WORDS[Trust.NO_FIX] == "NO POSITION", "the receiver has a fix"
+    other = trust(START_NS, level, explain("trust.solution_old"))
+    for calm in (None, load.model_copy(update={"paused": ()})):
+        assert "too slow" not in show(changed(trust=other, load=calm)).sentence
+    unsafe = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, explain("trust.unsafe_conflict")), load=load))
+    assert "too slow" not in unsafe.sentence, "another cause stays"
 
 
 def test_before_the_first_verdict_after_a_start_the_banner_says_what_it_waits_for() -> None:
