@@ -159,6 +159,7 @@ bench-replay: $(VENV)/.testing $(VENV)/.debian ## measure a two-hour recording i
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.drives.golden
+	@$(PYTHON) -m tests.support.words
 
 picture: $(VENV)/.testing $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
 	@$(PYTHON) -m docs.picture

@@ -20,6 +20,7 @@ from shared.processes import PROCESSES, Role, running
 from shared.protocols.registry import PROTOCOLS
 from shared.rejects import PARTS
 from shared.runtime.config import Section, Vehicle, own_fields
+from shared.words.words import PLACEHOLDER, words
 
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
@@ -157,7 +158,7 @@ def missing_page() -> str:
     rows = [
         (
             row.sensors, row.published, row.uncertainty, " → ".join(f"`{phase}`" for phase in row.phases),
-            " → ".join(level.upper() for level in row.verdicts), row.sentence, row.cost,
+            " → ".join(level.upper() for level in row.verdicts), _form(row.code), row.cost,
         )
         for row in MISSING
     ]  # fmt: skip
@@ -174,6 +175,11 @@ def missing_page() -> str:
         "10 s, or by `obu command select_source`; `switches` lists the newest changes with their reasons. UBX and NMEA "
         "of one receiver are one receiver, of which UBX is preferred.\n"
     )
+
+
+def _form(code: str) -> str:
+    """Words of a code with its values left out."""
+    return PLACEHOLDER.sub("...", words().row(code).detail)
 
 
 def access_page() -> str:

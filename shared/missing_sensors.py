@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from .messages.navigation import NavigationPhase
 from .messages.trust import TrustLevel
 
-NO_INERTIAL_UNIT = "no inertial unit: an attack would not be noticed"
-NO_GNSS_YET = "no GNSS fix has been used"
+NO_INERTIAL_UNIT = "trust.no_inertial_unit"
+NO_GNSS_YET = "trust.no_gnss_yet"
+SOLUTION_OLD = "trust.solution_old"
 
 
 @dataclass(frozen=True)
@@ -18,18 +19,18 @@ class Missing:
     uncertainty: str  # covariance and protection level
     phases: tuple[NavigationPhase, ...]  # of `navigation/state`
     verdicts: tuple[TrustLevel, ...]  # in the order in which they follow
-    sentence: str  # reason of the verdict, or how it begins
+    code: str  # of the first reason of the last verdict
     cost: str
 
 
 MISSING = (
     Missing(
         "none", "position, velocity and attitude, ten times a second", "of the filter",
-        (NavigationPhase.NAVIGATING,), (TrustLevel.SAFE,), "protection levels ...", "nothing",
+        (NavigationPhase.NAVIGATING,), (TrustLevel.SAFE,), "trust.safe", "nothing",
     ),
     Missing(
         "CAN (odometer, wheel speeds)", "the same", "of the filter; without GNSS it grows faster",
-        (NavigationPhase.NAVIGATING,), (TrustLevel.SAFE, TrustLevel.CAUTION), "protection levels ...",
+        (NavigationPhase.NAVIGATING,), (TrustLevel.SAFE, TrustLevel.CAUTION), "trust.safe",
         "`motion` and `motion_fast` are not evaluated; of GNSS and inertial sensors that contradict each other it "
         "cannot be said which is wrong",
     ),
@@ -63,15 +64,15 @@ MISSING = (
     ),
     Missing(
         "GNSS, lost on the way", "dead reckoning", "growing by the inertial sensors and the odometer",
-        (NavigationPhase.COASTING,), (TrustLevel.DEAD_RECKONING, TrustLevel.UNSAFE), "no GNSS fix used for ...",
+        (NavigationPhase.COASTING,), (TrustLevel.DEAD_RECKONING, TrustLevel.UNSAFE), "trust.gnss_missing",
         "above the alert limit the verdict is UNSAFE",
     ),
     Missing(
         "IMU and GNSS", "nothing", "none", (NavigationPhase.WAITING_FOR_IMU, NavigationPhase.GNSS_ONLY),
-        (TrustLevel.NO_FIX,), "navigation solution is ... s old", "everything; the odometer alone gives no position",
+        (TrustLevel.NO_FIX,), SOLUTION_OLD, "everything; the odometer alone gives no position",
     ),
     Missing(
         "IMU, while GNSS is excluded by `core.trust`", "nothing", "none", (NavigationPhase.WAITING_FOR_IMU,),
-        (TrustLevel.NO_FIX,), "navigation solution is ... s old", "dead reckoning needs inertial samples",
+        (TrustLevel.NO_FIX,), SOLUTION_OLD, "dead reckoning needs inertial samples",
     ),
 )  # fmt: skip

@@ -23,7 +23,10 @@ from .base import (
     Velocity3,
     unit,
 )
+from .explanation import Explanation
 
+EXPLANATIONS_MAXIMUM = 64
+Explanations = Annotated[tuple[Explanation, ...], Field(max_length=EXPLANATIONS_MAXIMUM)]
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
@@ -56,6 +59,7 @@ class TrustMonitor(Message):
     monitor: Name
     outcome: MonitorOutcome
     reason: Reason
+    reason_code: Explanation | None = None  # of `reason`, where the monitor has codes
     accused: tuple[Name, ...] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
     doubtful: bool = False  # it passes, but by little: the position deserves caution
@@ -180,6 +184,7 @@ class Belief(Message):
     survives: bool  # above the integrity risk: the level reaches to its solution
     acted_on: bool = False  # it alone survives: its source is not used
     reason: Reason  # what speaks for it and against it
+    reason_code: Explanation | None = None  # of `reason`, which is for people
     since_ns: Nanoseconds | None = None  # suspect time, while something speaks for it
     distance_m: Deviation | None = None  # horizontal, of the published position from its solution
     level_m: Deviation | None = None  # horizontal protection level of its solution
@@ -194,6 +199,8 @@ class TrustState(Message):
     row: Count  # of the verdict table that decided
     reasons: tuple[Reason, ...]  # that of the deciding row first
     findings: tuple[Reason, ...] = ()  # accused or excluded sources that do not lower the verdict
+    reason_codes: Explanations = ()  # of `reasons`, one each; those are for people
+    finding_codes: Explanations = ()  # of `findings`, one each
     gnss_excluded: bool = False  # decided by a third source
     suspect_since_ns: Nanoseconds | None = None  # while GNSS is in conflict with other sensors, excluded or not
     odometer_excluded: bool = False
@@ -213,4 +220,5 @@ class TrustEvent(Message):
     before: TrustLevel
     after: TrustLevel
     reasons: tuple[Reason, ...]
+    reason_codes: Explanations = ()  # of `reasons`, one each
     monitors: tuple[TrustMonitor, ...] = ()

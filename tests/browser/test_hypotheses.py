@@ -29,7 +29,7 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
     page = open_page(suspecting.address, path="trust")
     banner = page.get_by_role("region", name="Can the position be trusted?")
     expect(banner.locator(".sentence")).to_contain_text(
-        "GNSS or the inertial sensors are wrong, and nothing decides which"
+        "The position must not be used: GNSS or the inertial sensors may be wrong."
     )
     card = page.get_by_role("region", name="Hypotheses")
     gnss = card.locator("tr", has=page.get_by_role("button", name="GNSS is wrong"))
@@ -90,3 +90,19 @@ def test_without_beliefs_and_positions_the_page_trust_says_what_is_missing(
     with status_server(tmp_path) as quiet:
         page = open_page(quiet.address, path="trust")
         expect(page.get_by_role("region", name="Hypotheses")).to_contain_text("no position")
+
+
+@pytest.mark.parametrize(
+    ("locale", "language", "sentence"),
+    [
+        ("de-DE", "de", "Position nicht verwenden: möglicher Fehler von GNSS oder Inertialsensoren."),
+        ("fr-FR", "fr", "Ne pas utiliser la position, erreur possible : GNSS ou capteurs inertiels."),
+        ("ja-JP", "en", "The position must not be used: GNSS or the inertial sensors may be wrong."),
+    ],
+)
+def test_the_banner_speaks_the_language_of_the_browser_and_otherwise_english(
+    suspecting: Running, open_page: Callable[..., Page], locale: str, language: str, sentence: str
+) -> None:
+    shown = open_page(suspecting.address, locale=locale).locator(".banner .sentence > span").first
+    expect(shown).to_have_text(sentence)
+    expect(shown).to_have_attribute("lang", language)

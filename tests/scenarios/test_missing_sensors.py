@@ -126,7 +126,7 @@ def test_without_an_imu_each_fix_is_published_and_the_verdict_is_caution() -> No
     verdicts = [one for one in out if isinstance(one, TrustState)]
     assert verdicts[0].state is TrustLevel.INITIALISING
     assert verdicts[-1].state is TrustLevel.CAUTION
-    assert NO_INERTIAL_UNIT in verdicts[-1].reasons[0]
+    assert verdicts[-1].reason_codes[0].code == NO_INERTIAL_UNIT
 
 
 def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
@@ -184,7 +184,7 @@ def test_without_gnss_a_parked_vehicle_starts_at_its_saved_position() -> None:
     states = [one for one in out if isinstance(one, TrustState)]
     assert states[0].state is TrustLevel.INITIALISING
     assert TrustLevel.DEAD_RECKONING in {one.state for one in states}
-    assert any(NO_GNSS_YET in one.reasons[0] for one in states)
+    assert any(one.reason_codes[0].code == NO_GNSS_YET for one in states)
 
 
 def test_a_position_saved_on_the_move_is_no_place_to_start_from() -> None:

@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
 from shared.messages.trust import Hypothesis
+
+from .codes import Code
 
 DEFAULT_RISK = 1e-3  # before fusion has stated one
 SECOND_NS = 1_000_000_000
@@ -32,6 +35,7 @@ AGAINST_GNSS = (*INERTIAL, Monitor.GYROSCOPE, Monitor.DRIFT, Monitor.SATELLITES)
 # Without a statement of these the verdict is at best CAUTION; the others are tests that not every vehicle has.
 REQUIRED = (*MOTION, *INERTIAL, Monitor.SATELLITES, Monitor.EVIDENCE)
 GNSS, ODOMETER, IMU = "gnss", "odometer", "imu"  # accused by name; satellites and neighbours by their IDs
+NEIGHBOUR = "neighbour"  # begins the name of one
 
 
 class Outcome(StrEnum):
@@ -59,6 +63,7 @@ class Statement:
     suspect_since_ns: int | None = None
     doubtful: bool = False
     accusing_tests: tuple[str, ...] = ()
+    why: Explanation | None = None  # in place of `reason`, where this process says it
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class Posterior:
     probability: float
     survives: bool
     acted_on: bool
-    reason: str
+    why: Explanation
     since_ns: int | None = None  # suspect time
 
 
@@ -132,8 +137,8 @@ class Facts:
     other_distance_m: float | None = None  # between the two solutions of a conflict, None without a second one
     other_level_m: float | None = None  # horizontal protection level of the one that is not published
     without_gnss_level_m: float | None = None  # horizontal protection level of the solution without GNSS
-    exclusion_declined: str | None = None  # fusion's reason why GNSS goes on being used
-    held: str | None = None  # difference of positions that the level holds, and what would end it
+    exclusion_declined: bool = False  # fusion goes on using GNSS
+    held_m: tuple[float, float] | None = None  # differences of positions, horizontal and vertical, that the level holds
     odometer_in_use: bool = False  # by fusion
     odometer_excluded: bool = False  # trust has excluded it
     imu_excluded: bool = False
@@ -190,15 +195,22 @@ class Facts:
         """
         last = self.statements.get(monitor)
         if last is None:
-            return Statement(monitor, Outcome.NOT_EVALUATED, self.time_ns, "has not published yet")
+            return Statement(
+                monitor,
+                Outcome.NOT_EVALUATED,
+                self.time_ns,
+                "",
+                why=explain(Code.MONITORS_MISSING, monitors=(monitor,)),
+            )
         if not self.is_silent(monitor):
             return last
-        age_s = (self.time_ns - last.stated_ns) / SECOND_NS
-        stated_s = last.stated_ns / SECOND_NS
-        late = f"no message for {age_s:.1f} s" if age_s > 0.0 else f"stamp is {-age_s:.1f} s ahead"
-        since = f"{late}, not evaluated since {stated_s:.1f} s"
+        ahead_s = (last.stated_ns - self.time_ns) / SECOND_NS
+        if ahead_s > 0.0:
+            why = explain(Code.MONITOR_AHEAD, monitor=monitor, ahead_s=ahead_s)
+        else:
+            why = explain(Code.MONITOR_SILENT, monitor=monitor, since_ns=last.stated_ns)
         return replace(
-            last, outcome=Outcome.NOT_EVALUATED, reason=since, accused=(), statistic=None, suspect_since_ns=None,
+            last, outcome=Outcome.NOT_EVALUATED, reason="", why=why, accused=(), statistic=None, suspect_since_ns=None,
             doubtful=False, since_ns=last.stated_ns,
         )  # fmt: skip
 
@@ -214,3 +226,12 @@ class Facts:
             for statement in found
             if statement.outcome is Outcome.ACCUSES and (accused is None or accused in statement.accused)
         ]
+
+
+def reference(accused: str) -> Reference:
+    """Typed reference of a name that a monitor accuses."""
+    if accused in (GNSS, ODOMETER, IMU):
+        return Reference(kind=ReferenceKind.SOURCE, name=accused)
+    if accused.startswith(NEIGHBOUR):
+        return Reference(kind=ReferenceKind.NEIGHBOUR, name=accused.removeprefix(NEIGHBOUR).strip())
+    return Reference(kind=ReferenceKind.SATELLITE, name=accused)

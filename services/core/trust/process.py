@@ -9,6 +9,7 @@ from pydantic import Field
 
 from shared.load import CHECKS
 from shared.messages.base import Tick
+from shared.messages.explanation import explain
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessLoad
 from shared.messages.trust import (
@@ -22,7 +23,9 @@ from shared.messages.trust import (
     TrustState,
 )
 from shared.runtime.config import VehicleSettings
+from shared.words.words import REASON_LENGTH, reason
 
+from .codes import Code
 from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Outcome, Solution, Statement
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
@@ -34,7 +37,6 @@ Out = TrustState | TrustEvent
 MONITORS = frozenset(Monitor)
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
-REASON_LENGTH = 400  # of a message
 ALTERNATIVES_NS = 5_000_000_000  # age at which solutions of the bank are no longer used
 ODOMETER_SILENT_S = 3.0  # after which it decides nothing
 
@@ -137,7 +139,7 @@ class Process:
         facts, admission = self._admitted(facts)
         found = verdict(facts)
         before = self._published
-        level = TrustLevel(found.state.value)
+        level = found.state
         horizontal_m, vertical_m = facts.solution.protection_levels_m if facts.solution else (None, None)
         changed = before is None or before.state is not level
         if not (changed or at_once):
@@ -147,8 +149,10 @@ class Process:
             state=level,
             since_ns=facts.time_ns if before is None or changed else before.since_ns,
             row=found.row,
-            reasons=tuple(reason[:REASON_LENGTH] for reason in found.reasons),
-            findings=tuple(finding[:REASON_LENGTH] for finding in found.findings),
+            reasons=tuple(reason(one) for one in found.reasons),
+            findings=tuple(reason(one) for one in found.findings),
+            reason_codes=found.reasons,
+            finding_codes=found.findings,
             gnss_excluded=admission.excluded,
             suspect_since_ns=admission.suspect_since_ns,
             odometer_excluded=facts.odometer_excluded,
@@ -167,7 +171,7 @@ class Process:
             if before is not None or level is not TrustLevel.INITIALISING:
                 yield TrustEvent(
                     sampled_ns=state.sampled_ns, before=earlier, after=level, reasons=state.reasons,
-                    monitors=state.monitors,
+                    reason_codes=state.reason_codes, monitors=state.monitors,
                 )  # fmt: skip
 
     def _heard(self, statement: Statement) -> Statement:
@@ -179,7 +183,7 @@ class Process:
         ):
             return replace(
                 statement, outcome=Outcome.NOT_EVALUATED, accused=(), statistic=None, suspect_since_ns=None,
-                reason="its window reaches back into a conflict that has ended",
+                reason="", why=explain(Code.WINDOW_REACHES_BACK),
             )  # fmt: skip
         return statement
 
@@ -217,7 +221,7 @@ class Process:
             self._gnss.end(time_ns)
         admission = self._gnss.update(
             time_ns, accused=judged.accused, agrees=judged.agrees, decided=judged.decided,
-            contradicted=judged.contradicted, declined=facts.exclusion_declined is not None,
+            contradicted=judged.contradicted, declined=facts.exclusion_declined,
             suspect_since_ns=judged.suspect_since_ns, within_s=judged.within_s,
         )  # fmt: skip
         if facts.conflict_open and not admission.open:
@@ -247,11 +251,12 @@ class Process:
     def _current(self, facts: Facts, monitor: Monitor) -> TrustMonitor:
         """Statement of a monitor as the verdict uses it: a silent one is not evaluated."""
         used, last = facts.statement(monitor), self._monitors.get(monitor)
-        if last is not None and used.outcome.value == last.outcome.value and used.reason == last.reason:
+        if last is not None and used.why is None and used.outcome.value == last.outcome.value:
             return last
+        text = reason(used.why) if used.why else used.reason[:REASON_LENGTH]
         return TrustMonitor(
             sampled_ns=facts.time_ns if last is None else last.sampled_ns, monitor=monitor.value,
-            outcome=MonitorOutcome(used.outcome.value), reason=used.reason[:REASON_LENGTH],
+            outcome=MonitorOutcome(used.outcome.value), reason=text, reason_code=used.why,
             accused=used.accused, since_ns=used.since_ns, suspect_since_ns=used.suspect_since_ns,
             statistic=used.statistic, threshold=used.threshold, false_alarm_rate=used.false_alarm_rate,
             window_s=used.window_s, doubtful=used.doubtful,
@@ -271,8 +276,8 @@ class Process:
             other_distance_m=None if state is None else state.other_distance_m,
             other_level_m=None if state is None else state.other_level_m,
             without_gnss_level_m=None if state is None else state.without_gnss_level_m,
-            exclusion_declined=None if state is None else state.exclusion_declined,
-            held=None if state is None else state.held_reason,
+            exclusion_declined=state is not None and state.exclusion_declined is not None,
+            held_m=None if state is None or state.held_reason is None else _held_m(state),
             odometer_in_use=state is not None
             and state.odometer_age_s is not None
             and state.odometer_age_s <= ODOMETER_SILENT_S,
@@ -304,13 +309,17 @@ class Process:
         return excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
 
 
+def _held_m(state: NavigationState) -> tuple[float, float]:
+    return state.held_horizontal_m or 0.0, state.held_vertical_m or 0.0
+
+
 def _beliefs(facts: Facts) -> Iterator[Belief]:
     """Posteriors with the solutions that belong to them, as a message."""
     for one in facts.beliefs:
         other = facts.alternatives.get(one.hypothesis)
         yield Belief(
             hypothesis=one.hypothesis, prior=one.prior, probability=min(1.0, one.probability), survives=one.survives,
-            acted_on=one.acted_on, reason=one.reason[:REASON_LENGTH], since_ns=one.since_ns,
+            acted_on=one.acted_on, reason=reason(one.why), reason_code=one.why, since_ns=one.since_ns,
             distance_m=None if other is None else other.distance_m, level_m=None if other is None else other.level_m,
         )  # fmt: skip
 

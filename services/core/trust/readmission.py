@@ -160,7 +160,7 @@ def judge_gnss(facts: Facts) -> Judgement:
     exceeded = facts.level_exceeded if level_m is None else level_m > facts.limits.horizontal_m
     limit = AGREES_ABOVE_LIMIT if exceeded else AGREES
     compared = ratio is not None and ratio <= limit
-    alone = facts.exclusion_declined is not None and level_m is None  # the level holds the difference
+    alone = facts.exclusion_declined and level_m is None  # the level holds the difference
     useful = level_m is not None and level_m <= USEFUL_LIMITS * facts.limits.horizontal_m
     came_back = facts.gnss_was_apart and useful and ratio is not None and ratio <= AGREES
     present = [one for one in accusing if not (came_back and one.monitor in REACHING_BACK)]
@@ -199,4 +199,4 @@ def judge_imu(facts: Facts) -> Judgement:
 
 def is_lost(facts: Facts) -> bool:
     """Whether fusion is without a position, or publishes none: nothing is left that GNSS can be compared with."""
-    return solution_lost(facts) is not None
+    return bool(solution_lost(facts))

@@ -17,106 +17,129 @@ row   condition                                                                 
 The level reaches to the solution of every hypothesis that survives, so that row 3 decides between UNSAFE and CAUTION.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import StrEnum
 
-from shared.load import PAUSED
-from shared.messages.trust import Hypothesis
-from shared.missing_sensors import NO_GNSS_YET, NO_INERTIAL_UNIT
+from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
+from shared.messages.trust import Hypothesis, TrustLevel
 
-from .facts import AGAINST_GNSS, GNSS, IMU, INERTIAL, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Posterior, Statement
+from .codes import Code
+from .facts import (
+    AGAINST_GNSS,
+    GNSS,
+    IMU,
+    INERTIAL,
+    NEIGHBOUR,
+    ODOMETER,
+    SECOND_NS,
+    Facts,
+    Monitor,
+    Outcome,
+    Posterior,
+    Statement,
+    reference,
+)
 
-
-class TrustState(StrEnum):
-    """Whether the position can be used."""
-
-    SAFE = "safe"
-    CAUTION = "caution"
-    UNSAFE = "unsafe"
-    DEAD_RECKONING = "dead_reckoning"
-    NO_FIX = "no_fix"
-    INITIALISING = "initialising"
+NAMED_MAXIMUM = 2  # hypotheses in one sentence
+REASONS_MAXIMUM = 32
+FINDINGS_MAXIMUM = 64
+Explanations = tuple[Explanation, ...]
+Row = Callable[[Facts], Explanations]  # empty where the row does not match
 
 
 @dataclass(frozen=True)
 class Verdict:
     """State, the row that decided, and why.
 
-    `reasons` begins with that of the deciding row; those of later rows that match too follow. `findings` are sensors,
-    satellites and neighbours that are accused or left out without lowering the verdict.
+    `reasons` begins with those of the deciding row, whose first is the one to be shown alone; those of later rows that
+    match too follow. `findings` are sensors, satellites and neighbours that are accused or left out without lowering
+    the verdict.
     """
 
-    state: TrustState
+    state: TrustLevel
     row: int
-    reasons: tuple[str, ...]
-    findings: tuple[str, ...]
+    reasons: Explanations
+    findings: Explanations
 
 
-Row = Callable[[Facts], str | None]
-CHECKS_PAUSED = f"checks are {PAUSED}"
+def _no_solution(facts: Facts) -> Explanations:
+    return (explain(Code.NO_SOLUTION_YET),) if facts.solution is None else ()
 
 
-def _no_solution(facts: Facts) -> str | None:
-    return "no navigation solution yet" if facts.solution is None else None
-
-
-def solution_lost(facts: Facts) -> str | None:
-    """Row 2: why there is no position, or none that is current; None before the first."""
+def solution_lost(facts: Facts) -> Explanations:
+    """Row 2: why there is no position, or none that is current; empty before the first."""
     solution = facts.solution
     if solution is None:
-        return None
+        return ()
     age_s, limit_s = (facts.time_ns - solution.sampled_ns) / SECOND_NS, facts.limits.solution_silent_after_s
     if not -1.0 <= age_s <= limit_s:
-        return f"navigation solution is {age_s:.1f} s old, limit {limit_s:.1f} s"
-    return None if solution.navigating else f"navigation solution is lost: fusion's phase is {solution.phase}"
+        return (explain(Code.SOLUTION_OLD, age_s=age_s, limit_s=limit_s),)
+    return () if solution.navigating else (explain(Code.SOLUTION_LOST, phase=solution.phase),)
 
 
-def _levels(facts: Facts, share: float) -> str | None:
-    """Say which protection level exceeds a share of its alert limit; one that is missing does."""
+def _axes(facts: Facts) -> tuple[tuple[str, float | None, float], ...]:
+    """Name, protection level and alert limit of each axis."""
     if facts.solution is None:
-        return None
+        return ()
+    horizontal_m, vertical_m = facts.solution.protection_levels_m
+    return (
+        ("horizontal", horizontal_m, facts.limits.horizontal_m),
+        ("vertical", vertical_m, facts.limits.vertical_m),
+    )
+
+
+def _above_alert_limit(facts: Facts) -> Explanations:
+    """Row 3: a level above its limit, after what makes it more than a lack of accuracy."""
+    levels = [
+        explain(Code.LEVEL_MISSING, axis=axis)
+        if level_m is None
+        else explain(Code.LEVEL_ABOVE_LIMIT, axis=axis, level_m=level_m, limit_m=limit_m)
+        for axis, level_m, limit_m in _axes(facts)
+        if level_m is None or not level_m <= limit_m
+    ]
+    return (*_cause_of_conflict(facts), *levels, *_both_sides(facts)) if levels else ()
+
+
+def _cause_of_conflict(facts: Facts) -> Explanations:
+    """What contradicts the position that must not be used; empty without a contradiction."""
+    if _excluded(facts):
+        return (explain(Code.UNSAFE_DEAD_RECKONING),)
+    if surviving := _surviving(facts):
+        code = Code.UNSAFE_SUSPECTED if len(surviving) <= NAMED_MAXIMUM else Code.UNSAFE_MANY_SUSPECTED
+        return (explain(code, suspects=[one.hypothesis for one in surviving]), *_probabilities(surviving))
+    return (explain(Code.UNSAFE_CONFLICT),) if facts.conflict_open else ()
+
+
+def _both_sides(facts: Facts) -> Explanations:
+    """What a level covers beside the uncertainty of the solution itself."""
     found = []
-    for name, level, limit in (
-        ("horizontal", facts.solution.protection_level_horizontal_m, facts.limits.horizontal_m),
-        ("vertical", facts.solution.protection_level_vertical_m, facts.limits.vertical_m),
-    ):
-        if level is None:
-            found.append(f"{name} protection level is missing")
-        elif not level <= share * limit:
-            of_limit = "" if share == 1.0 else f"{100.0 * share:.0f} % of "
-            found.append(f"{name} protection level {level:.1f} m is above {of_limit}the alert limit of {limit:.1f} m")
-    return "; ".join(found) or None
-
-
-def _above_alert_limit(facts: Facts) -> str | None:
-    found = _levels(facts, 1.0)
-    return None if found is None else found + _both_sides(facts)
-
-
-def _both_sides(facts: Facts) -> str:
-    """Say what a level holds beside the uncertainty of the solution itself."""
-    said = ""
     if facts.other_distance_m is not None and facts.other_level_m is not None:
-        one, other = ("without", "with") if facts.exclusion_confirmed else ("with", "without")
-        said += (
-            f"; the solution {one} GNSS is {facts.other_distance_m:.1f} m from the one {other} it, whose own level is "
-            f"{facts.other_level_m:.1f} m"
-        )
-    if facts.held is not None:
-        said += f"; the level holds: {facts.held}"
-    return said
+        other = "with_gnss" if facts.exclusion_confirmed else "without_gnss"
+        found.append(
+            explain(
+                Code.SOLUTIONS_APART, other=other, distance_m=facts.other_distance_m, level_m=facts.other_level_m
+            )
+        )  # fmt: skip
+    return (*found, *_held(facts))
 
 
-def _not_reached(facts: Facts) -> str | None:
+def _held(facts: Facts) -> Explanations:
+    if facts.held_m is None:
+        return ()
+    return (explain(Code.LEVEL_HELD, horizontal_m=facts.held_m[0], vertical_m=facts.held_m[1]),)
+
+
+def _not_reached(facts: Facts) -> Explanations:
     """Row 4: a hypothesis to whose solution the level does not reach."""
-    found = [reason for reason in (_conflict(facts), _satellite_fault(facts)) if reason is not None]
-    found += [
-        f"{WRONG[one.hypothesis]}, and nothing says where the vehicle is then ({one.reason})"
+    unknown = tuple(
+        explain(Code.NO_OTHER_SOLUTION, hypothesis=one.hypothesis)
         for one in facts.surviving
         if _is_unknown(facts, one.hypothesis)
-    ]
-    return "; ".join(found) or None
+    )
+    found = (*_conflict(facts), *_satellite_fault(facts), *unknown)
+    if not found or found[0].code == Code.SATELLITE_IN_USE or _excluded(facts) or not facts.surviving:
+        return found
+    return (*_cause_of_conflict(facts), *found)
 
 
 def _is_unknown(facts: Facts, hypothesis: Hypothesis) -> bool:
@@ -126,220 +149,237 @@ def _is_unknown(facts: Facts, hypothesis: Hypothesis) -> bool:
     return hypothesis in SOLVED_BY_THE_BANK and hypothesis not in facts.alternatives
 
 
-def _conflict(facts: Facts) -> str | None:
+def _conflict(facts: Facts) -> Explanations:
     """A conflict of GNSS of which fusion does not state both sides."""
     accusing = facts.accusing(AGAINST_GNSS, GNSS)
     if _excluded(facts) or facts.imu_exclusion_confirmed or not (accusing or facts.conflict_open):
-        return None
+        return ()
     if facts.conflict_open and (facts.other_level_m is not None or facts.exclusion_declined):
-        return None
-    why = _sentences(facts, accusing) if accusing else "GNSS has not agreed for long enough"
-    return f"{why}; fusion has not computed the solution without GNSS yet"
+        return ()
+    why = _statements(accusing) if accusing else (explain(Code.GNSS_NOT_AGREED),)
+    return (explain(Code.NO_SOLUTION_WITHOUT_GNSS), *why)
 
 
-def _satellite_fault(facts: Facts) -> str | None:
+def _satellite_fault(facts: Facts) -> Explanations:
+    """A satellite that is accused, and not left out."""
     if _excluded(facts):
-        return None
+        return ()
+    accusing = facts.accusing((Monitor.SATELLITES,))
     inside = [
         accused
-        for statement in facts.accusing((Monitor.SATELLITES,))
+        for statement in accusing
         for accused in statement.accused
-        if accused not in facts.satellites_left_out and not accused.startswith("neighbour")
+        if accused not in facts.satellites_left_out and not accused.startswith(NEIGHBOUR)
     ]
     if not inside:
-        return None
-    return f"{_sentences(facts, facts.accusing((Monitor.SATELLITES,)))}; the position in use contains the fault"
+        return ()
+    return (explain(Code.SATELLITE_IN_USE, satellites=_references(inside)), *_statements(accusing))
 
 
-def _without_gnss(facts: Facts) -> str | None:
+def _without_gnss(facts: Facts) -> Explanations:
     """Row 5: dead reckoning, because GNSS is excluded or missing."""
     if _excluded(facts):
         accusing = facts.accusing(AGAINST_GNSS, GNSS)
-        why = f": {_sentences(facts, accusing)}" if accusing else " until it has agreed for the minimum healthy time"
-        return f"GNSS is excluded, position by dead reckoning{why}{_both_sides(facts)}"
+        why = _statements(accusing) if accusing else (explain(Code.GNSS_NOT_AGREED),)
+        return (explain(Code.GNSS_EXCLUDED), *why, *_both_sides(facts))
     return _coasting(facts)
 
 
-def _coasting(facts: Facts) -> str | None:
+def _coasting(facts: Facts) -> Explanations:
     if facts.solution is None or facts.imu_exclusion_confirmed:  # the position without inertial sensors is of GNSS
-        return None
+        return ()
     age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s
     if age_s is None:
-        return NO_GNSS_YET
-    return None if age_s <= limit_s else f"no GNSS fix used for {age_s:.1f} s, limit {limit_s:.1f} s"
+        return (explain(Code.NO_GNSS_YET),)
+    return () if age_s <= limit_s else (explain(Code.GNSS_MISSING, age_s=age_s, limit_s=limit_s),)
 
 
-def _unresolved(facts: Facts) -> str | None:
+def _unresolved(facts: Facts) -> Explanations:
     """Row 6: hypotheses that survive, sources that are not used, and monitors that doubt."""
-    found = []
+    found: list[Explanation] = []
     if _surviving(facts) and not _excluded(facts):
-        found.append(_of_hypotheses(facts))
+        found += _of_hypotheses(facts)
     elif facts.conflict_open and not _excluded(facts):
-        declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
-        found.append(f"GNSS has not agreed for long enough after a conflict{declined}{_both_sides(facts)}")
+        found += [explain(Code.CONFLICT), *_declined(facts), *_both_sides(facts)]
     if facts.imu_excluded and not facts.survives(Hypothesis.IMU):
-        found.append("the inertial sensors have not agreed for long enough")
-    accusing = facts.accusing((Monitor.EVIDENCE,))
-    found += [_sentences(facts, accusing)] if accusing else []
-    found += [
-        f"monitor {monitor} is close to its threshold: {statement.reason}"
-        for monitor in INERTIAL
-        if (statement := facts.statement(monitor)).doubtful and statement.outcome is Outcome.PASS
-    ]
-    return "; ".join(found) or None
+        found.append(explain(Code.IMU_NOT_AGREED))
+    if accusing := facts.accusing((Monitor.EVIDENCE,)):
+        found += [explain(Code.GNSS_DISTURBED), *_statements(accusing)]
+    for monitor in INERTIAL:
+        statement = facts.statement(monitor)
+        if statement.doubtful and statement.outcome is Outcome.PASS:
+            found.append(explain(Code.MONITOR_DOUBTFUL, monitor=monitor))
+    return tuple(found)
 
 
 def _surviving(facts: Facts) -> tuple[Posterior, ...]:
     """Hypotheses that lower the verdict: not a satellite that is left out."""
-    outside = _satellite_fault(facts) is None
+    outside = not _satellite_fault(facts)
     return tuple(one for one in facts.surviving if not (one.hypothesis is Hypothesis.SATELLITES and outside))
 
 
-def _of_hypotheses(facts: Facts) -> str:
-    """Say between which hypotheses nothing decides, or which one is acted on, and what the monitors say."""
+def _of_hypotheses(facts: Facts) -> Explanations:
+    """Between which hypotheses nothing decides, or which one is acted on, and what the monitors say."""
     surviving = _surviving(facts)
-    named = ", or ".join(f"{WRONG[one.hypothesis]} ({100.0 * one.probability:.1f} %)" for one in surviving)
+    suspects = [one.hypothesis for one in surviving]
     said = [one for one in facts.accusing(tuple(Monitor)) if one.monitor is not Monitor.EVIDENCE]
-    why = f": {_sentences(facts, said)}" if said else ""
-    if len(surviving) > 1:
-        declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
-        return f"unresolved: {named}; {_decider(facts)}{why}{declined}{_both_sides(facts)}"
-    return f"{named}; {_consequence_of(surviving[0].hypothesis, facts)}{why}{_both_sides(facts)}"
+    rest = (*_probabilities(surviving), *_statements(said), *_declined(facts), *_both_sides(facts))
+    if len(suspects) == 1 and _is_left_out(suspects[0], facts):
+        return (explain(Code.SOURCE_LEFT_OUT, hypothesis=suspects[0]), *rest)
+    code = Code.SUSPECTED if len(suspects) <= NAMED_MAXIMUM else Code.MANY_SUSPECTED
+    decider = (explain(Code.DECIDED_BY, means=_decider(facts)),) if len(suspects) > 1 else ()
+    return (explain(code, suspects=suspects), *decider, *rest)
+
+
+def _probabilities(posteriors: Iterable[Posterior]) -> Explanations:
+    return tuple(explain(Code.HYPOTHESIS, hypothesis=one.hypothesis, probability=one.probability) for one in posteriors)
+
+
+def _declined(facts: Facts) -> Explanations:
+    return (explain(Code.EXCLUSION_DECLINED),) if facts.exclusion_declined else ()
 
 
 def _decider(facts: Facts) -> str:
-    """Say what would decide between the hypotheses that survive."""
+    """What would decide between the hypotheses that survive."""
     names = {one.hypothesis for one in facts.surviving}
     if Hypothesis.GNSS_AND_ODOMETER in names:
-        return "centripetal speed in further bends, a second receiver or authenticated signals would decide"
+        return "bends"
     if names >= {Hypothesis.GNSS, Hypothesis.IMU} and not facts.odometer_in_use:
-        return "an odometer or wheel speeds would decide"
+        return "odometer"
     if names >= {Hypothesis.GNSS, Hypothesis.ODOMETER}:
-        return "the inertial change of speed in braking or acceleration would decide"
-    return "a step back, a second receiver or authenticated signals would decide"
+        return "braking"
+    return "return"
 
 
-def _consequence_of(hypothesis: Hypothesis, facts: Facts) -> str:
-    """What follows for the source of a hypothesis that alone survives."""
-    match hypothesis:
-        case Hypothesis.ODOMETER:
-            return "it is no longer used" if facts.odometer_excluded else "it is not used for the position"
-        case Hypothesis.IMU if facts.imu_exclusion_confirmed:
-            return "the position is that of GNSS and odometer"
-        case Hypothesis.GNSS if facts.exclusion_declined:
-            return f"it is used all the same: {facts.exclusion_declined}"
-        case _:
-            return "the level reaches to the solution without it"
+def _is_left_out(hypothesis: Hypothesis, facts: Facts) -> bool:
+    """Whether the position is computed without the source of a hypothesis."""
+    return (hypothesis is Hypothesis.ODOMETER and facts.odometer_excluded) or (
+        hypothesis is Hypothesis.IMU and facts.imu_exclusion_confirmed
+    )
 
 
-def _silent(facts: Facts) -> str | None:
+def _silent(facts: Facts) -> Explanations:
+    """Required monitors that do not publish; those that never have are named together."""
     silent = [monitor for monitor in Monitor if monitor in facts.limits.required and facts.is_silent(monitor)]
-    return "; ".join(f"monitor {monitor}: {facts.statement(monitor).reason}" for monitor in silent) or None
+    missing = [monitor for monitor in silent if monitor not in facts.statements]
+    known = [why for monitor in silent if monitor in facts.statements and (why := facts.statement(monitor).why)]
+    return (*((explain(Code.MONITORS_MISSING, monitors=missing),) if missing else ()), *known)
 
 
-def _not_checked(facts: Facts) -> str | None:
+def _not_checked(facts: Facts) -> Explanations:
     """Row 7: the position needs one independent check, of which there are two kinds, and monitors that are alive."""
-    checks = (*INERTIAL, Monitor.SATELLITES)
-    found = []
+    found: list[Explanation] = []
     if facts.solution is not None and facts.solution.gnss_only:
-        found.append(NO_INERTIAL_UNIT)
+        found.append(explain(Code.NO_INERTIAL_UNIT))
     if facts.checks_paused:
-        found.append(CHECKS_PAUSED)
-    if all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in checks):
-        reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
-        found.append(f"no independent check of the position is evaluated: {reasons}")
-    if (silent := _silent(facts)) is not None:
-        found.append(silent)
-    return "; ".join(found) or None
+        found.append(explain(Code.CHECKS_PAUSED))
+    if len(_not_evaluated(facts)) == len(CHECKS):
+        found += [explain(Code.NO_INDEPENDENT_CHECK), explain(Code.NOT_EVALUATED, monitors=CHECKS)]
+    return (*found, *_silent(facts))
 
 
-def _near_alert_limit(facts: Facts) -> str | None:
-    return _levels(facts, facts.limits.near_share)
+def _not_evaluated(facts: Facts) -> list[Monitor]:
+    """Independent checks without an outcome."""
+    return [monitor for monitor in CHECKS if facts.outcome(monitor) is Outcome.NOT_EVALUATED]
+
+
+def _near_alert_limit(facts: Facts) -> Explanations:
+    """Row 8: a level above a share of its limit, which it does not exceed."""
+    share = facts.limits.near_share
+    return tuple(
+        explain(Code.LEVEL_NEAR_LIMIT, axis=axis, level_m=level_m, limit_m=limit_m, share=share)
+        for axis, level_m, limit_m in _axes(facts)
+        if level_m is not None and share * limit_m < level_m <= limit_m
+    )
 
 
 def _excluded(facts: Facts) -> bool:
     return facts.gnss_excluded and facts.exclusion_confirmed
 
 
-def _sentences(facts: Facts, statements: list[Statement]) -> str:
-    return "; ".join(_sentence(facts, statement) for statement in statements)
+def _references(accused: Iterable[str]) -> tuple[Reference, ...]:
+    return tuple(reference(name) for name in accused)[:ACCUSED_MAXIMUM]
 
 
-def _sentence(facts: Facts, statement: Statement) -> str:
-    who = " or ".join(statement.accused) or "nobody"
-    text = f"monitor {statement.monitor} suspects {who}: {statement.reason}"
-    if statement.statistic is not None and statement.threshold is not None:
-        text += f" (statistic {statement.statistic:.3g}, threshold {statement.threshold:.3g})"
-    if statement.suspect_since_ns is not None:
-        text += f", suspect for {(facts.time_ns - statement.suspect_since_ns) / SECOND_NS:.0f} s"
-    return text
+def _statements(statements: Iterable[Statement]) -> Explanations:
+    return tuple(_statement(statement) for statement in statements)
 
 
-# Of each hypothesis, in words.
-WRONG = {
-    Hypothesis.GNSS: "GNSS is wrong",
-    Hypothesis.IMU: "the inertial sensors are wrong",
-    Hypothesis.ODOMETER: "the odometer is wrong",
-    Hypothesis.GNSS_AND_ODOMETER: "GNSS and odometer are falsified alike",
-    Hypothesis.RECEIVER_TIME: "the time of the receiver is wrong",
-    Hypothesis.SATELLITES: "a satellite is wrong",
-}
+def _statement(statement: Statement) -> Explanation:
+    accused = _references(statement.accused)
+    since_ns = statement.stated_ns if statement.suspect_since_ns is None else statement.suspect_since_ns
+    if statement.statistic is None or statement.threshold is None:
+        return explain(Code.MONITOR_SUSPECTS_BY_RULE, monitor=statement.monitor, accused=accused, since_ns=since_ns)
+    return explain(
+        Code.MONITOR_SUSPECTS, monitor=statement.monitor, accused=accused, statistic=statement.statistic,
+        threshold=statement.threshold, since_ns=since_ns,
+    )  # fmt: skip
+
+
+ACCUSED_MAXIMUM = 16  # named of one statement
+CHECKS = (*INERTIAL, Monitor.SATELLITES)  # independent of the position
 SOLVED_BY_THE_BANK = (
     Hypothesis.IMU, Hypothesis.ODOMETER, Hypothesis.GNSS_AND_ODOMETER, Hypothesis.RECEIVER_TIME,
 )  # fmt: skip
-ROWS: tuple[tuple[TrustState, Row], ...] = (
-    (TrustState.INITIALISING, _no_solution),
-    (TrustState.NO_FIX, solution_lost),
-    (TrustState.UNSAFE, _above_alert_limit),
-    (TrustState.UNSAFE, _not_reached),
-    (TrustState.DEAD_RECKONING, _without_gnss),
-    (TrustState.CAUTION, _unresolved),
-    (TrustState.CAUTION, _not_checked),
-    (TrustState.CAUTION, _near_alert_limit),
+ROWS: tuple[tuple[TrustLevel, Row], ...] = (
+    (TrustLevel.INITIALISING, _no_solution),
+    (TrustLevel.NO_FIX, solution_lost),
+    (TrustLevel.UNSAFE, _above_alert_limit),
+    (TrustLevel.UNSAFE, _not_reached),
+    (TrustLevel.DEAD_RECKONING, _without_gnss),
+    (TrustLevel.CAUTION, _unresolved),
+    (TrustLevel.CAUTION, _not_checked),
+    (TrustLevel.CAUTION, _near_alert_limit),
 )
 
 
-def findings(facts: Facts) -> tuple[str, ...]:
+def findings(facts: Facts) -> Explanations:
     """Sensors, satellites and neighbours that are accused, satellites that are left out, and checks that are missing.
 
     A check that is not evaluated lowers nothing while another one is.
     """
     accused = {name for statement in facts.accusing(tuple(Monitor)) for name in statement.accused}
-    named = [f"{name} is suspected{_consequence(name, facts)}" for name in sorted(accused)]
+    found = [explain(_consequence(name, facts), reference(name)) for name in sorted(accused)]
     if facts.odometer_excluded and ODOMETER not in accused:
-        named.append("odometer is not used: it was suspected before")
-    named += [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)]
-    if facts.checks_paused:
-        named.append(CHECKS_PAUSED)
-    if facts.held is not None:
-        named.append(f"the level holds: {facts.held}")
-    missing = [
-        monitor for monitor in (*INERTIAL, Monitor.SATELLITES) if facts.outcome(monitor) is Outcome.NOT_EVALUATED
+        found.append(explain(Code.ODOMETER_LEFT_OUT))
+    found += [
+        explain(Code.SATELLITE_EXCLUDED, Reference(kind=ReferenceKind.SATELLITE, name=name))
+        for name in sorted(facts.satellites_left_out)
     ]
-    return tuple(named + [f"{monitor} not evaluated: {facts.statement(monitor).reason}" for monitor in missing])
+    if facts.checks_paused:
+        found.append(explain(Code.CHECKS_PAUSED))
+    found += _held(facts)
+    if missing := _not_evaluated(facts):
+        found.append(explain(Code.NOT_EVALUATED, monitors=missing))
+    return tuple(found[:FINDINGS_MAXIMUM])
 
 
-def _consequence(name: str, facts: Facts) -> str:
-    """What follows for a sensor that is suspected."""
-    if name == GNSS:
-        return ", and not used" if _excluded(facts) else ", and still used"
-    if name == ODOMETER:
-        return ", and not used" if facts.odometer_excluded else ", and still used"
-    if name == IMU:
-        return ", and not used" if facts.imu_exclusion_confirmed else ", and still used"
-    return ""
+def _consequence(name: str, facts: Facts) -> Code:
+    """What follows for a source that is suspected."""
+    left_out = {GNSS: _excluded(facts), ODOMETER: facts.odometer_excluded, IMU: facts.imu_exclusion_confirmed}
+    if name not in left_out:
+        return Code.ACCUSED
+    return Code.ACCUSED_LEFT_OUT if left_out[name] else Code.ACCUSED_IN_USE
+
+
+def _safe(facts: Facts) -> Explanation:
+    """Why the position can be used."""
+    (_, horizontal_m, horizontal_limit_m), (_, vertical_m, vertical_limit_m) = _axes(facts)
+    without = any(one.acted_on for one in facts.surviving)  # what survives in a position that is SAFE is left out
+    return explain(
+        Code.SAFE_WITHOUT_SATELLITES if without else Code.SAFE, horizontal_m=horizontal_m, vertical_m=vertical_m,
+        horizontal_limit_m=horizontal_limit_m, vertical_limit_m=vertical_limit_m,
+    )  # fmt: skip
 
 
 def verdict(facts: Facts) -> Verdict:
     """Apply the table of this module to the facts."""
-    matching = [(row, state, reason) for row, (state, find) in enumerate(ROWS, 1) if (reason := find(facts))]
-    if matching:
-        row, state, _ = matching[0]
-        return Verdict(state, row, tuple(reason for _, _, reason in matching), findings(facts))
-    limits, solution = facts.limits, facts.solution
-    levels = (solution.protection_level_horizontal_m, solution.protection_level_vertical_m) if solution else (0.0, 0.0)
-    reason = (
-        f"protection levels {levels[0]:.1f} m horizontal and {levels[1]:.1f} m vertical, "
-        f"alert limits {limits.horizontal_m:.1f} m and {limits.vertical_m:.1f} m; no monitor suspects GNSS"
-    )
-    return Verdict(TrustState.SAFE, len(ROWS) + 1, (reason,), findings(facts))
+    matching = [(row, state, found) for row, (state, find) in enumerate(ROWS, 1) if (found := find(facts))]
+    if not matching:
+        return Verdict(TrustLevel.SAFE, len(ROWS) + 1, (_safe(facts),), findings(facts))
+    row, state, _ = matching[0]
+    reasons: list[Explanation] = []
+    for explanation in (one for _, _, found in matching for one in found):
+        if explanation not in reasons:  # two rows may rest on the same statement
+            reasons.append(explanation)
+    return Verdict(state, row, tuple(reasons[:REASONS_MAXIMUM]), findings(facts))

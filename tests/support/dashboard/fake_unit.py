@@ -18,6 +18,7 @@ from shared.attacks import BY_NAME as ATTACK_ROWS
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, Tick, Vector3
+from shared.messages.explanation import explain
 from shared.messages.gnss import (
     CarrierSolution,
     Constellation,
@@ -80,6 +81,7 @@ from shared.messages.trust import (
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
 from shared.topics import TOPICS, topic_of
+from shared.words.words import reason
 from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
@@ -262,8 +264,16 @@ class FakeUnit:
             return
         if isinstance(message, TrustMonitor | NavigationSolution | NavigationState | Tick):
             for found in self.trust.handle(message):
-                stated = isinstance(found, TrustState) and self.beliefs
-                self.bus.feed(found.model_copy(update={"beliefs": self.beliefs}) if stated else found, "core.trust")
+                if isinstance(found, TrustState) and self.beliefs:
+                    suspected = explain("trust.unsafe_suspected", suspects=(Hypothesis.GNSS, Hypothesis.IMU))
+                    more = {
+                        "beliefs": self.beliefs,
+                        "reason_codes": (suspected, *found.reason_codes),
+                        "reasons": (reason(suspected), *found.reasons),
+                    }
+                    self.bus.feed(found.model_copy(update=more), "core.trust")
+                else:
+                    self.bus.feed(found, "core.trust")
 
     def command(self, message: SimulationAttack) -> None:
         """Note an attack, or the end of those that were active, and answer as the simulator does."""

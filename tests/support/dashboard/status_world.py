@@ -5,11 +5,13 @@ from dataclasses import dataclass, field
 from services.monitoring.status.state import State
 from shared.bus import codec
 from shared.messages.base import Message
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
+from shared.words.words import reason
 from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
@@ -151,9 +153,25 @@ def monitor(now_ns: int, name: str = "inertial_short", **changes: object) -> Tru
     return base.model_copy(update=changes)
 
 
-def trust(now_ns: int, level: TrustLevel = TrustLevel.SAFE, **changes: object) -> TrustState:
+# The code and the row with which core.trust decides for a state, unless a test names others.
+DECIDING = {
+    TrustLevel.INITIALISING: (1, "trust.no_solution_yet"),
+    TrustLevel.NO_FIX: (2, "trust.solution_old"),
+    TrustLevel.UNSAFE: (4, "trust.no_solution_without_gnss"),
+    TrustLevel.DEAD_RECKONING: (5, "trust.gnss_excluded"),
+    TrustLevel.CAUTION: (6, "trust.gnss_disturbed"),
+    TrustLevel.SAFE: (9, "trust.safe"),
+}
+
+
+def trust(
+    now_ns: int, level: TrustLevel = TrustLevel.SAFE, *why: Explanation, **changes: object
+) -> TrustState:  # fmt: skip
+    """A verdict with the codes that are given; with `reasons` alone it is a message without codes."""
+    row, code = DECIDING[level]
+    codes = why or (() if "reasons" in changes else (explain(code),))
     base = TrustState(
-        sampled_ns=now_ns, state=level, since_ns=START_NS, row=14, reasons=("no monitor accuses GNSS",),
-        alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0, monitors=(monitor(now_ns),),
+        sampled_ns=now_ns, state=level, since_ns=START_NS, row=row, reasons=tuple(reason(one) for one in codes),
+        reason_codes=codes, alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0, monitors=(monitor(now_ns),),
     )  # fmt: skip
     return base.model_copy(update=changes)

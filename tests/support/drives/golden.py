@@ -56,9 +56,9 @@ def record_golden_drive(path: Path) -> Path:
     return path
 
 
-def results() -> Iterator[Message]:
+def results(runtime: type[OfflineUnit] = OfflineUnit) -> Iterator[Message]:
     """Replay the stored bytes through layers 2 to 4; yield what they publish."""
-    unit = OfflineUnit(load_vehicle(VEHICLE))
+    unit = runtime(load_vehicle(VEHICLE))
     yield from (message for message in unit.run(device_bytes()) if type(message) not in FILES.values())
 
 

@@ -73,7 +73,7 @@ class Maker:
             patterns = [one.pattern for one in metadata if getattr(one, "pattern", None)]  # type: ignore[attr-defined]
             return next(
                 text
-                for text in ("x", *("0" * n for n in (16, 32, 64, 128)), "EUR")
+                for text in ("x", *("0" * n for n in (16, 32, 64, 128)), "EUR", "owner.code")
                 if all(re.match(p, text) for p in patterns)
             )
         if issubclass(kind, BaseModel):
@@ -198,7 +198,10 @@ class Mutating:
         place = self._random.choice(list(places(whole)))
         bound: Any = self._extremes.setdefault((kind, high), extreme(kind, high=high)).model_dump()
         for step in place:
-            bound = bound[min(step, len(bound) - 1)] if isinstance(step, int) else bound[step]
+            if isinstance(step, int):
+                bound = bound[min(step, len(bound) - 1)]
+            else:
+                bound = bound.get(step, next(iter(bound.values())))  # all values of a table have the same bounds
         if not isinstance(bound, int | float):
             return None
         try:

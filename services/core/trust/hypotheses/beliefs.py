@@ -8,8 +8,10 @@ source is not used. Of several none is.
 from collections.abc import Collection, Iterable
 from math import exp, log
 
+from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Belief, Hypothesis
 
+from ..codes import Code
 from ..facts import SECOND_NS, Facts, Monitor, Outcome, Posterior
 from .evidence import MOST, Evidence, explained_by
 from .priors import PRIOR, SUSPECTED
@@ -105,7 +107,7 @@ class Beliefs:
                 share,
                 k in surviving or (k is Hypothesis.NOTHING and share > risk),
                 surviving == {k} and share > CERTAIN,
-                self._reason(k),
+                self._why(k),
                 self._since_ns.get(k),
             )
             for k, share in shares.items()
@@ -116,13 +118,14 @@ class Beliefs:
         said = sum(evidence.sums.get(hypothesis, 0.0) for evidence in self._evidence.values())
         return said + self._earlier.get(hypothesis, 0.0)
 
-    def _reason(self, hypothesis: Hypothesis) -> str:
+    def _why(self, hypothesis: Hypothesis) -> Explanation:
         """Which monitors speak for it and against it."""
         if hypothesis is Hypothesis.NOTHING:
-            return "no monitor accuses" if not self._since_ns else "what the monitors say would be false alarms"
+            return explain(Code.FALSE_ALARMS if self._since_ns else Code.NO_ACCUSATION)
         sums = {monitor: evidence.sums.get(hypothesis, 0.0) for monitor, evidence in self._evidence.items()}
-        speaks_for = [str(monitor) for monitor, total in sums.items() if total > 0.0]
-        against = [str(monitor) for monitor, total in sums.items() if total < 0.0]
-        parts = [f"for it: {', '.join(speaks_for)}"] if speaks_for else []
-        parts += [f"against it: {', '.join(against)}"] if against else []
-        return "; ".join(parts) or "no monitor says anything of it"
+        supporting = tuple(monitor for monitor, total in sums.items() if total > 0.0) or None
+        contradicting = tuple(monitor for monitor, total in sums.items() if total < 0.0) or None
+        if supporting is None and contradicting is None:
+            return explain(Code.NO_EVIDENCE)
+        code = Code.CONTRADICTED if supporting is None else Code.DISPUTED if contradicting else Code.SUPPORTED
+        return explain(code, supporting=supporting, contradicting=contradicting)

@@ -5,12 +5,15 @@ without GNSS, which has the odometer, and the one without odometer, which has GN
 direction of motion: a wrong heading turns it and leaves its length, so that the gyroscope decides nothing here.
 """
 
+from dataclasses import replace
 from math import hypot
 from statistics import NormalDist
 from typing import NamedTuple
 
+from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
 
+from ..codes import Code
 from ..facts import GNSS, IMU, ODOMETER, Monitor, Outcome, Statement
 
 FALSE_ALARM_RATE = 1e-3  # it decides where another monitor, with its own rate, has found a contradiction
@@ -37,23 +40,26 @@ def compared(bank: TrustHypotheses) -> Statement:
         false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
     )  # fmt: skip
     if any(one not in known for one in NEEDED):
-        return _with(base, Outcome.NOT_EVALUATED, "no solution by inertial sensors alone, or no odometer")
+        return _with(base, Outcome.NOT_EVALUATED, explain(Code.NOT_COMPARABLE))
     alone, without_gnss, without_odometer = (known[one] for one in NEEDED)
     if hypot(*alone.velocity_ned_m_s[:2]) < LEAST_SPEED_M_S:
-        return _with(base, Outcome.NOT_EVALUATED, "the vehicle hardly moves")
+        return _with(base, Outcome.NOT_EVALUATED, explain(Code.HARDLY_MOVES))
     odometer, gnss = _along(alone, without_gnss), _along(alone, without_odometer)
     # An odometer that this solution would reject takes no part in the solution without GNSS.
     wrong_speed = alone.odometer_innovations or 0.0
-    said = (
-        f"inertial sensors alone are {odometer.distance_m:.1f} m from the solution with odometer and "
-        f"{gnss.distance_m:.1f} m from the one with GNSS along the way; chi-square {odometer.squared:.1f} and "
-        f"{gnss.squared:.1f}, that of the odometer's speed {wrong_speed:.1f}, limit {LIMIT:.1f}"
-    )
     accused = _accused(max(odometer.squared, wrong_speed), odometer, gnss, _along(without_gnss, without_odometer))
     if accused is None:
-        return _with(base, Outcome.NOT_EVALUATED, f"{said}: no two of three agree")
+        return _with(base, Outcome.NOT_EVALUATED, _compared(Code.NO_TWO_AGREE, odometer, gnss, wrong_speed))
     statistic = max(odometer.squared, gnss.squared, wrong_speed)
-    return _with(base, Outcome.ACCUSES if accused else Outcome.PASS, said, accused, statistic)
+    outcome = Outcome.ACCUSES if accused else Outcome.PASS
+    return _with(base, outcome, _compared(Code.SOLUTIONS_COMPARED, odometer, gnss, wrong_speed), accused, statistic)
+
+
+def _compared(code: Code, odometer: Apart, gnss: Apart, wrong_speed: float) -> Explanation:
+    return explain(
+        code, odometer_m=odometer.distance_m, gnss_m=gnss.distance_m, odometer_statistic=odometer.squared,
+        gnss_statistic=gnss.squared, speed_statistic=wrong_speed, threshold=LIMIT,
+    )  # fmt: skip
 
 
 def _accused(of_odometer: float, odometer: Apart, gnss: Apart, both: Apart) -> tuple[str, ...] | None:
@@ -68,12 +74,9 @@ def _accused(of_odometer: float, odometer: Apart, gnss: Apart, both: Apart) -> t
 
 
 def _with(
-    base: Statement, outcome: Outcome, reason: str, accused: tuple[str, ...] = (), statistic: float | None = None
+    base: Statement, outcome: Outcome, why: Explanation, accused: tuple[str, ...] = (), statistic: float | None = None
 ) -> Statement:
-    return Statement(
-        base.monitor, outcome, base.stated_ns, reason, accused, statistic, base.threshold, base.false_alarm_rate,
-        base.window_s,
-    )  # fmt: skip
+    return replace(base, outcome=outcome, why=why, accused=accused, statistic=statistic)
 
 
 def _along(one: HypothesisSolution, other: HypothesisSolution) -> Apart:

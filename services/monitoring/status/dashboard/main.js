@@ -149,7 +149,7 @@ function Banner({ onWhy }) {
   return html`<section class="banner ${v.state}" aria-label=${words.banner.label}>
     <${Icon} name=${v.state} />
     <p class="word">${v.word}</p>
-    <p class="sentence">${v.sentence}${since && html`<span class="since"> ${words.banner.since(since)}</span>`}</p>
+    <p class="sentence"><span lang=${v.language ?? "en"}>${v.sentence}</span>${since && html`<span class="since"> ${words.banner.since(since)}</span>`}</p>
     ${state.value && html`<button class="why" onClick=${onWhy}>${words.banner.why}<${Icon} name="next" /></button>`}
     <p class="sr" role="status">${alarming ? "" : spoken.current.text}</p>
     <p class="sr" role="alert">${spoken.current.alarm}</p>
@@ -162,8 +162,8 @@ function WhyDrawer({ onClose }) {
   const v = verdict();
   const report = () => copyText([`${v.word}: ${v.sentence}`, ...checksNow(banner).map((c) => `- ${c.label}: ${words.check[c.state]}, ${c.text}`)].join("\n"));
   return html`<${Drawer} title=${words.banner.drawer(v.word)} onClose=${onClose} head=${html`<button onClick=${report}>${words.copyReport}</button>`}>
-    <p class="lead-text">${v.sentence}</p>
-    ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
+    <p class="lead-text" lang=${v.language ?? "en"}>${v.sentence}</p>
+    ${v.action && html`<h3>${words.banner.action}</h3><p lang=${v.language ?? "en"}>${v.action}</p>`}
     ${v.reasons?.length > 0 && html`<h3>${words.banner.reasons}</h3><ul class="reasons">${v.reasons.map((reason) => html`<li key=${reason}>${reason}</li>`)}</ul>`}
     <h3>${words.banner.checks}</h3>
     ${role() === "obu" && html`<p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>`}

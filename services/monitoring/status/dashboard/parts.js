@@ -187,14 +187,16 @@ export async function copyText(text) {
 export const checksNow = (banner) => (isLive() ? banner.checks
   : banner.checks.map((c) => ({ ...c, state: "stale", text: words.status.unknown, ratio: null })));
 
-// What the banner says: the server's words, or that the connection is lost and so no verdict is known.
+// What the banner says: the server's words in the browser's language, or that the connection is lost and so no verdict is known.
 export function verdict() {
   const banner = state.value?.banner;
   if (!banner && link.value.why === "full") return { state: "disconnected", word: words.trust.disconnected, sentence: words.lost.full(link.value.viewers.connected), since_ns: null };
   if (!banner) return { state: "starting", word: words.trust.starting, sentence: words.connecting, since_ns: null };
   const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
   if (!isLive() && (paused.value || lostS > 1 || connected())) return { ...banner, state: "disconnected", word: words.trust.disconnected, sentence: words.banner.disconnected, action: null, since_ns: state.value.now_ns };
-  return banner;
+  const language = navigator.languages?.map((one) => one.slice(0, 2)).find((one) => one === "en" || banner.languages?.[one]);
+  // The centre may have put a sentence of its own in place of the unit's.
+  return banner.languages?.[language] && banner.state !== "disconnected" ? { ...banner, ...banner.languages[language], language } : banner;
 }
 
 const UNKNOWN = ["stale", "starting", "broker_lost", "disconnected"];

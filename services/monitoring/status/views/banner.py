@@ -1,14 +1,16 @@
 """One sentence first: can this position be used, and if not, why and what to do.
 
-The verdict is made in `core.trust` alone; this module puts `trust/state` into words. SAFE is shown when, and only when,
-the newest `trust/state` is within its deadline and says so.
+The verdict is made in `core.trust` alone; this module shows the words of its first code. SAFE is shown when, and only
+when, the newest `trust/state` is within its deadline and says so. What the banner itself says has codes too, and
+`words.toml` beside this file has their words.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import degrees
 
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import (
     AidingKind,
@@ -20,13 +22,13 @@ from shared.messages.navigation import (
 )
 from shared.messages.operation import ProcessLoad
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
-from shared.missing_sensors import NO_INERTIAL_UNIT
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
+from shared.words.words import ENGLISH, LANGUAGES, Words, words
 
 from .geometry import vertical_sd
-from .hypotheses import figures, sentence_of, suspected
-from .plain_words import label_of, plain, sentence, who
+from .hypotheses import figures
+from .plain_words import label_of, said, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
@@ -70,7 +72,6 @@ WORDS = {
     Trust.OFF: "NOT EVALUATED",
 }
 KNOWN = frozenset(Trust(level.value) for level in TrustLevel) | {Trust.ABOVE_LIMIT}  # a verdict is there
-ROW_ABOVE_LIMIT = 3  # of the verdict table of `core.trust`
 OUTCOMES = {
     MonitorOutcome.PASS: Trust.SAFE,
     MonitorOutcome.ACCUSES: Trust.UNSAFE,
@@ -125,6 +126,39 @@ class Check:
     kind: Kind = Kind.INPUT
 
 
+class Code(StrEnum):
+    """What the banner itself says: of each state of the verdict, and where there is no verdict or no position."""
+
+    SAFE = "banner.safe"
+    CAUTION = "banner.caution"
+    UNSAFE = "banner.unsafe"
+    DEAD_RECKONING = "banner.dead_reckoning"
+    NO_FIX = "banner.no_fix"
+    NO_FIX_CAUSE = "banner.no_fix_cause"
+    NO_FIX_SLOW = "banner.no_fix_slow"
+    NO_FIX_WAITING = "banner.no_fix_waiting"
+    INITIALISING = "banner.initialising"
+    INITIALISING_CAUSE = "banner.initialising_cause"
+    INITIALISING_WAITING = "banner.initialising_waiting"
+    BROKER_LOST = "banner.broker_lost"
+    STARTING = "banner.starting"
+    NO_VERDICT = "banner.no_verdict"
+    NO_VERDICT_CAUSE = "banner.no_verdict_cause"
+    OLD_VERDICT = "banner.old_verdict"
+    OLD_VERDICT_CAUSE = "banner.old_verdict_cause"
+
+
+OF_STATE = {level: Code(f"banner.{level.value}") for level in TrustLevel}
+
+
+@dataclass(frozen=True)
+class Line:
+    """Sentence and what to do, in one language."""
+
+    sentence: str
+    action: str
+
+
 @dataclass(frozen=True)
 class Verdict:
     """The banner: a state, one sentence, what to do, and the checks."""
@@ -136,79 +170,16 @@ class Verdict:
     reasons: tuple[str, ...] = ()  # with statistics, for those who ask why
     since_ns: int | None = None  # of the state
     row: int | None = None  # of the verdict table of `core.trust` that decided
+    lines: Mapping[str, Line] = field(default_factory=dict)  # in languages other than English
 
 
-WAITING = {
-    NavigationPhase.WAITING_FOR_IMU: "no inertial data are received",
-    NavigationPhase.LEVELLING: "stand still for a few seconds",
-    NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
-    NavigationPhase.WAITING_FOR_HEADING: "the heading is not known: drive a few metres",
-}
-NOT_CHECKED = (TrustLevel.CAUTION, 7)  # state and row without an independent check
-SENTENCES = {
-    TrustLevel.SAFE: "The position can be used",
-    TrustLevel.CAUTION: "Use the position with caution",
-    TrustLevel.UNSAFE: "The position must not be used",
-    TrustLevel.DEAD_RECKONING: "Position by dead reckoning",
-    TrustLevel.NO_FIX: "No position",
-    TrustLevel.INITIALISING: "No position yet",
-}
-# Why, by the row of the verdict table of `core.trust` that decided; the state tells rows of earlier releases apart.
-NO_GNSS = "no GNSS is received that can be used"
-WHY = {
-    (TrustLevel.INITIALISING, 1): "the first solution is awaited",
-    (TrustLevel.NO_FIX, 2): "there is no current solution",
-    (TrustLevel.UNSAFE, 3): "its error may be above the alert limit",
-    (TrustLevel.UNSAFE, 4): "a source is suspected, and it is not known where the vehicle is without it",
-    (TrustLevel.DEAD_RECKONING, 5): "GNSS is not used, because other sensors contradict it",
-    (TrustLevel.CAUTION, 6): "there are signs that a source may be wrong",
-    (TrustLevel.CAUTION, 7): "no independent check of it is complete",
-    (TrustLevel.CAUTION, 8): "its error may come close to the alert limit",
-    (TrustLevel.UNSAFE, 5): "it contains a satellite that is suspected",
-    (TrustLevel.UNSAFE, 6): "GNSS and the odometer disagree, and it is not known which of them is wrong",
-    (TrustLevel.DEAD_RECKONING, 7): "GNSS is not used, because other sensors contradict it",
-    (TrustLevel.DEAD_RECKONING, 8): NO_GNSS,
-    (TrustLevel.CAUTION, 10): "there are signs that GNSS may be disturbed",
-    (TrustLevel.CAUTION, 11): "a monitor that is required does not report",
-    (TrustLevel.CAUTION, 12): "nothing independent checks it yet",
-    (TrustLevel.CAUTION, 13): "its error may come close to the alert limit",
-}
-ROWS_CONFLICT = (6, 9)  # 9 of earlier releases
-ROW_WITHOUT_GNSS = 5
-# Rows with a cause of their own, whatever hypotheses survive beside it.
-OTHER_CAUSES = {
-    (TrustLevel.UNSAFE, 5),
-    (TrustLevel.DEAD_RECKONING, 8),
-    (TrustLevel.CAUTION, 7),
-    (TrustLevel.CAUTION, 11),
-    (TrustLevel.CAUTION, 12),
-}
-JUDGED = (TrustLevel.CAUTION, TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING)
-ACTIONS = {
-    TrustLevel.SAFE: "Use the position within its protection level. The Trust page shows every monitor.",
-    TrustLevel.CAUTION: (
-        "Use it for route guidance, not where a wrong position does harm. The Trust page shows what is not evaluated."
-    ),
-    TrustLevel.UNSAFE: (
-        "Do not use the position shown. Check the antenna and leave the area of interference; the Trust page shows the "
-        "evidence."
-    ),
-    TrustLevel.DEAD_RECKONING: "Expect the error to grow with distance and time, until GNSS is used again.",
-    TrustLevel.NO_FIX: (
-        "Do not use the position shown. It is the last one known, and the circle grows with time. "
-        "The checks show which input is missing."
-    ),
-    TrustLevel.INITIALISING: (
-        "The checks show which input is missing. Outdoors a first position takes up to a minute."
-    ),
-}  # fmt: skip
-ABOVE_LIMIT_ACTION = (
-    "Do not use the position where an error above the alert limit does harm. The protection level falls with more "
-    "satellites, corrections or a moving vehicle. The alert limits are set in the vehicle's file."
-)
-TOO_SLOW_ACTION = (
-    "End other programs on this computer, check its temperature and power supply, lower the rates of the sensors, or "
-    "use a faster one. Everything is resumed by itself."
+WAITING = frozenset(
+    (
+        NavigationPhase.WAITING_FOR_IMU,
+        NavigationPhase.LEVELLING,
+        NavigationPhase.WAITING_FOR_GNSS,
+        NavigationPhase.WAITING_FOR_HEADING,
+    )
 )
 
 
@@ -216,29 +187,50 @@ def show(evidence: Evidence) -> Verdict:
     """Make the banner of the newest `trust/state`, or say why there is no verdict."""
     e, checks = evidence, tuple(_checks(evidence))
     if not e.broker:
-        return Verdict(
-            Trust.BROKER_LOST,
-            f"Nothing is known: {e.cause or 'the broker is not reachable'}.",
-            "Start the broker or read its log. All messages pass through it; processes reconnect by themselves.",
-            tuple(replace(check, state=Trust.STALE, text="not known", ratio=None) for check in checks),
-            since_ns=e.received_ns,
-        )
+        stale = tuple(replace(check, state=Trust.STALE, text="not known", ratio=None) for check in checks)
+        lines = _lines(explain(Code.BROKER_LOST), cause=e.cause or "the broker is not reachable")
+        return _spoken(Trust.BROKER_LOST, lines, stale, since_ns=e.received_ns)
     if e.awaited:
-        return Verdict(
-            Trust.STARTING,
-            f"Nothing is known yet: waiting for {e.awaited}.",
-            "Wait a few seconds. If it lasts, the page System shows which process does not publish.",
-            checks,
-        )
-    if e.trust is None or (missing := no_verdict(e.trust_age_s)):
-        why = "no verdict of core.trust" if e.trust is None else missing
-        return Verdict(
-            Trust.STALE,
-            sentence(f"Trust is not evaluated: {why}", e.trust_cause),
-            "Do not rely on the position shown: no monitor is evaluated. The log of core.trust has the reason.",
-            checks,
-        )
+        return _spoken(Trust.STARTING, _lines(explain(Code.STARTING), cause=e.awaited), checks)
+    if e.trust is None or no_verdict(e.trust_age_s):
+        return _spoken(Trust.STALE, _without_verdict(e), checks)
     return _verdict(e, e.trust, checks)
+
+
+def _lines(
+    explanation: Explanation, state: TrustLevel | None = None, reason: str = "", cause: str = ""
+) -> dict[str, Line]:
+    """Put a code into words in every language.
+
+    Parameters
+    ----------
+    explanation : Explanation
+        What is to be said.
+    state : TrustLevel, optional
+        Whose words are used for what the code has none.
+    reason : str
+        The message's own text of this code, shown where the code has no words.
+    cause : str
+        Text of a message without codes, which the sentence names.
+    """
+    return {language: _line(words(language), explanation, state, reason, cause) for language in LANGUAGES}
+
+
+def _line(spoken: Words, explanation: Explanation, state: TrustLevel | None, reason: str, cause: str) -> Line:
+    general = None if state is None else explain(OF_STATE[state])
+    sentence = spoken.sentence(explanation, cause=cause) or reason
+    action = spoken.action(explanation)
+    if general is not None:
+        sentence, action = sentence or spoken.sentence(general) or "", action or spoken.action(general)
+    return Line(sentence, action or "")
+
+
+def _without_verdict(e: Evidence) -> dict[str, Line]:
+    if e.trust is None or e.trust_age_s is None:
+        why = explain(Code.NO_VERDICT_CAUSE if e.trust_cause else Code.NO_VERDICT)
+    else:
+        why = explain(Code.OLD_VERDICT_CAUSE if e.trust_cause else Code.OLD_VERDICT, age_s=round(e.trust_age_s))
+    return _lines(why, cause=e.trust_cause or "")
 
 
 def no_verdict(age_s: float | None) -> str | None:
@@ -249,66 +241,59 @@ def no_verdict(age_s: float | None) -> str | None:
 
 
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
-    waiting = WAITING.get(e.phase) if e.phase else None
-    slow = _too_slow(e, trust)
-    known = {TrustLevel.NO_FIX: slow or e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(
-        trust.state
-    )
-    if (trust.state, trust.row) == NOT_CHECKED and e.phase is NavigationPhase.GNSS_ONLY:
-        known = NO_INERTIAL_UNIT
-    elif (trust.state, trust.row) == NOT_CHECKED:
-        known = slow
-    why = known or _which_is_wrong(e, trust) or _why(trust)
-    conflict = trust.suspect_since_ns is not None or suspected(trust.beliefs)
-    above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT and not conflict
-    return Verdict(
-        Trust.ABOVE_LIMIT if above else Trust(trust.state.value),
-        sentence(f"{SENTENCES[trust.state]}{f': {why}' if why else ''}"),
-        ABOVE_LIMIT_ACTION if above else TOO_SLOW_ACTION if slow and known == slow else ACTIONS[trust.state],
+    """Show what decided, by its code; without one, as in recordings of earlier releases, by its reason as it is."""
+    deciding = trust.reason_codes[0] if trust.reason_codes else explain(OF_STATE[trust.state])
+    reason = trust.reasons[0] if trust.reasons else ""
+    known = _cause(e, trust)
+    if known is None and not trust.reason_codes and reason:
+        lines = {language: replace(line, sentence=reason) for language, line in _lines(deciding).items()}
+    else:
+        lines = _lines(known or deciding, trust.state, reason, e.cause or "")
+    return _spoken(
+        Trust(words().row(deciding.code).level or trust.state.value),
+        lines,
         checks,
-        (*(plain(reason) for reason in trust.reasons), *figures(trust.beliefs)),
+        (*details(trust.reasons, trust.reason_codes), *figures(trust.beliefs)),
         trust.since_ns,
         trust.row,
     )
 
 
-def _too_slow(e: Evidence, trust: TrustState) -> str | None:
-    """Why this computer is the cause of a verdict: it is too slow for the checks, or even for the position."""
-    load = e.load
-    if load is None or not load.paused:
-        return None
-    if trust.state is TrustLevel.NO_FIX:
-        return f"this computer is too slow, and {load.lag_s:.0f} s behind the sensors"
-    return "checks are paused, because this computer is too slow"
+def _spoken(
+    state: Trust,
+    lines: Mapping[str, Line],
+    checks: tuple[Check, ...],
+    reasons: tuple[str, ...] = (),
+    since_ns: int | None = None,
+    row: int | None = None,
+) -> Verdict:
+    english = lines[ENGLISH]
+    others = {language: line for language, line in lines.items() if language != ENGLISH}
+    return Verdict(state, english.sentence, english.action, checks, reasons, since_ns, row, others)
 
 
-def _which_is_wrong(e: Evidence, trust: TrustState) -> str | None:
-    """Name what may be wrong by the hypotheses that survive; where the position can be used, only what is acted on."""
-    beliefs = trust.beliefs
-    if trust.state is TrustLevel.SAFE:
-        beliefs = tuple(one for one in beliefs if one.acted_on)
-    elif trust.state not in JUDGED or (trust.state, trust.row) in OTHER_CAUSES or _without_gnss(trust):
-        return None
-    return sentence_of(beliefs, odometer=e.odometer_age_s is not None and not trust.odometer_excluded)
+def _cause(e: Evidence, trust: TrustState) -> Explanation | None:
+    """Why there is no position, where this process knows more of it than `core.trust`."""
+    waiting = e.phase in WAITING
+    match trust.state:
+        case TrustLevel.NO_FIX if e.load is not None and e.load.paused:
+            return explain(Code.NO_FIX_SLOW, lag_s=round(e.load.lag_s))
+        case TrustLevel.NO_FIX if e.cause:
+            return explain(Code.NO_FIX_CAUSE)
+        case TrustLevel.NO_FIX if waiting:
+            return explain(Code.NO_FIX_WAITING, phase=e.phase)
+        case TrustLevel.INITIALISING if waiting:
+            return explain(Code.INITIALISING_WAITING, phase=e.phase)
+        case TrustLevel.INITIALISING if e.cause:
+            return explain(Code.INITIALISING_CAUSE)
+        case _:
+            return None
 
 
-def _without_gnss(trust: TrustState) -> bool:
-    """Whether GNSS is missing and not excluded."""
-    return (trust.state, trust.row, trust.gnss_excluded) == (TrustLevel.DEAD_RECKONING, ROW_WITHOUT_GNSS, False)
-
-
-def _why(trust: TrustState) -> str | None:
-    """Say why in a few words without figures; None where the state says it all."""
-    if _without_gnss(trust):
-        return NO_GNSS
-    if trust.state is TrustLevel.CAUTION and trust.row in ROWS_CONFLICT:
-        if trust.odometer_excluded:
-            return "the odometer is not used, because GNSS and the inertial sensors contradict it"
-        if trust.suspect_since_ns is not None:
-            return "GNSS and other sensors disagree, and it is not known which of them is wrong"
-        if trust.row == ROWS_CONFLICT[1]:
-            return "GNSS and the odometer disagree"
-    return WHY.get((trust.state, trust.row))
+def details(reasons: Sequence[str], codes: Sequence[Explanation]) -> list[str]:
+    """Say reasons with their figures: by their codes, and what has no code or no row by the message's own text."""
+    found = [said(text, code) for code, text in zip(codes, reasons, strict=False)]
+    return [*found, *reasons[len(found) :]]
 
 
 def _checks(e: Evidence) -> list[Check]:
@@ -334,7 +319,7 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
         nothing = NOTHING_TO_JUDGE if e.trust.state is TrustLevel.NO_FIX else None
         missing = no_verdict(e.trust_age_s) or earlier or nothing
-        text = plain(statement.reason)
+        text = said(statement.reason, statement.reason_code)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
             text = f"suspects {who(statement.accused)}: {text}"

@@ -6,11 +6,10 @@ from math import hypot
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses
 
 from ..history.alternatives import Line, separation_ratio, worst
-from .plain_words import HYPOTHESES, all_of, plain, who
+from .plain_words import HYPOTHESES, plain, said, who
 
 Json = dict[str, object]
 Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live
-NAMED_MAXIMUM = 3  # hypotheses in one sentence
 
 
 def suspected(beliefs: Iterable[Belief]) -> list[Belief]:
@@ -22,45 +21,10 @@ def suspected(beliefs: Iterable[Belief]) -> list[Belief]:
     ]
 
 
-def sentence_of(beliefs: Sequence[Belief], *, odometer: bool) -> str | None:
-    """Say what the surviving hypotheses mean, in one clause without figures.
-
-    Parameters
-    ----------
-    beliefs : sequence of Belief
-        Of the newest verdict.
-    odometer : bool
-        Whether there is an odometer, on which a position without the inertial sensors then rests too.
-
-    Returns
-    -------
-    str or None
-        None while nothing is suspected.
-    """
-    found = suspected(beliefs)
-    if not found:
-        return None
-    if acted := next((one for one in found if one.acted_on), None):
-        words = HYPOTHESES[acted.hypothesis]
-        by_gnss = acted.hypothesis is Hypothesis.IMU and not odometer
-        return f"{words.source} {words.is_wrong}, {'and the position is by GNSS' if by_gnss else words.consequence}"
-    innocent = any(one.hypothesis is Hypothesis.NOTHING and one.survives for one in beliefs)
-    most = sorted(found, key=lambda one: one.probability, reverse=True)[:NAMED_MAXIMUM]
-    names = [HYPOTHESES[one.hypothesis].source for one in most] + ["others"] * (len(found) > NAMED_MAXIMUM)
-    verb = "may be wrong" if innocent else "are wrong" if len(found) > NAMED_MAXIMUM else _verb(most[-1])
-    if len(names) == 1:
-        return f"{names[0]} {verb}, {'and nothing decides it' if innocent else 'but is still used'}"
-    return f"{all_of(names, 'or')} {verb}, and nothing decides which"
-
-
-def _verb(belief: Belief) -> str:
-    return HYPOTHESES[belief.hypothesis].is_wrong
-
-
 def figures(beliefs: Iterable[Belief]) -> list[str]:
     """Give probability and reason of each hypothesis that is suspected, for those who ask why."""
     return [
-        f"{HYPOTHESES[one.hypothesis].label}: {100.0 * one.probability:.3g} %; {plain(one.reason)}"
+        f"{HYPOTHESES[one.hypothesis].label}: {100.0 * one.probability:.3g} %; {said(one.reason, one.reason_code)}"
         for one in suspected(beliefs)
     ]
 
@@ -99,7 +63,7 @@ def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]
         "survives": None if belief is None else belief.survives,
         "acted_on": bool(belief and belief.acted_on),
         "suspected": bool(belief and suspected((belief,))),
-        "reason": None if belief is None else plain(belief.reason),
+        "reason": None if belief is None else said(belief.reason, belief.reason_code),
         "since_ns": belief.since_ns if belief else None,
         "distance_m": _rounded(distance_m),
         "level_m": _rounded(level_m),

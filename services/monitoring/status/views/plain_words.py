@@ -5,20 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from shared.messages.explanation import Explanation
 from shared.messages.trust import Hypothesis
+from shared.words.words import words
 
-LABELS = {
-    "motion": "Motion conflict",
-    "motion_fast": "Fast motion test",
-    "inertial_short": "Short inertial window",
-    "inertial_long": "Long inertial window",
-    "satellites": "Satellites",
-    "evidence": "Receiver evidence",
-    "gyroscope": "Gyroscope test",
-    "drift": "Slow drift test",
-    "coherent_scale": "Common scale test",
-    "hypotheses": "Comparison of hypotheses",
-}
+LABELS = words().names["monitor"]
 
 
 @dataclass(frozen=True)
@@ -26,39 +17,21 @@ class HypothesisWords:
     """One hypothesis in words."""
 
     label: str  # of a row or a metric
-    source: str  # subject of a sentence
-    is_wrong: str  # verb of that subject
-    consequence: str  # while it is acted on
     condition: str  # of the solution that follows from it
 
 
-NOT_USED, ARE_NOT_USED = "and is not used", "and are not used"
 HYPOTHESES = {
-    Hypothesis.NOTHING: HypothesisWords(
-        "Nothing is wrong", "nothing", "is wrong", "and all sources are used", "if nothing is wrong"
-    ),
-    Hypothesis.GNSS: HypothesisWords("GNSS is wrong", "GNSS", "is wrong", NOT_USED, "if GNSS is wrong"),
-    Hypothesis.IMU: HypothesisWords(
-        "The inertial sensors are wrong", "the inertial sensors", "are wrong",
-        "and the position is by GNSS and odometer", "if the inertial sensors are wrong",
-    ),
-    Hypothesis.ODOMETER: HypothesisWords(
-        "The odometer is wrong", "the odometer", "is wrong", NOT_USED, "if the odometer is wrong"
-    ),
+    Hypothesis.NOTHING: HypothesisWords("Nothing is wrong", "if nothing is wrong"),
+    Hypothesis.GNSS: HypothesisWords("GNSS is wrong", "if GNSS is wrong"),
+    Hypothesis.IMU: HypothesisWords("The inertial sensors are wrong", "if the inertial sensors are wrong"),
+    Hypothesis.ODOMETER: HypothesisWords("The odometer is wrong", "if the odometer is wrong"),
     Hypothesis.GNSS_AND_ODOMETER: HypothesisWords(
-        "GNSS and odometer are falsified alike", "GNSS and odometer alike", "are wrong",
-        "and the position is by the inertial sensors alone", "if GNSS and odometer are falsified alike",
+        "GNSS and odometer are falsified alike", "if GNSS and odometer are falsified alike"
     ),
-    Hypothesis.RECEIVER_TIME: HypothesisWords(
-        "The receiver's time is wrong", "the receiver's time", "is wrong", NOT_USED, "if the receiver's time is wrong"
-    ),
-    Hypothesis.SATELLITES: HypothesisWords(
-        "Satellites are wrong", "single satellites", "are wrong", ARE_NOT_USED, "if these satellites are wrong"
-    ),
-}  # fmt: skip
+    Hypothesis.RECEIVER_TIME: HypothesisWords("The receiver's time is wrong", "if the receiver's time is wrong"),
+    Hypothesis.SATELLITES: HypothesisWords("Satellites are wrong", "if these satellites are wrong"),
+}
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
-SUSPECTS = re.compile(r"\bmonitor ([a-z_]+) (?:suspects|accuses)\b")  # the latter in recordings of earlier releases
-EARLIER = {"no monitor accuses": "no monitor suspects", " is accused": " is suspected", "was accused": "was suspected"}
 NESTED = re.compile(r"(?<=: )([a-z_]+): ")  # a monitor's reason inside that of a row
 UPPER = re.compile(r"\b(gnss|imu)\b")
 SINCE = re.compile(r"since (\d{9,10}\.\d) s")  # on the OBU time line, which is UTC
@@ -70,7 +43,7 @@ def label_of(monitor: str) -> str:
 
 
 def plain(reason: str) -> str:
-    """Put a reason of `trust/state` into the words of the page: monitors by label, instants as time of day.
+    """Put a reason of a monitor into the words of the page: monitors by label, instants as time of day.
 
     Successive statements of the form "monitor: text" with the same text are joined: "Satellites and Motion conflict:
     have not published yet".
@@ -85,21 +58,18 @@ def plain(reason: str) -> str:
             said.append((names, text))
     joined = "; ".join(_stated(names, text) for names, text in said)
     joined = NESTED.sub(lambda found: f"{LABELS[found[1]]}: " if found[1] in LABELS else found[0], joined)
-    joined = SUSPECTS.sub(lambda found: f"{label_of(found[1])} suspects", joined)
-    for old, new in EARLIER.items():
-        joined = joined.replace(old, new)
     joined = SINCE.sub(lambda found: f"since {datetime.fromtimestamp(float(found[1]), UTC):%H:%M:%S} UTC", joined)
     return UPPER.sub(lambda found: found[0].upper(), joined.replace("_", " "))
+
+
+def said(reason: str, code: Explanation | None) -> str:
+    """Put a reason into words: by its code, else the text itself; one without a code in the words of the page."""
+    return plain(reason) if code is None else words().detail(code) or reason
 
 
 def who(accused: Sequence[str]) -> str:
     """Name what is suspected: sensors, satellites, neighbours."""
     return plain(" or ".join(accused))
-
-
-def sentence(text: str, detail: str | None = None) -> str:
-    """End a sentence, with a detail in parentheses if there is one."""
-    return f"{text}{f' ({detail})' if detail else ''}."
 
 
 def _stated(names: Sequence[str], text: str) -> str:

@@ -101,6 +101,7 @@ def banner(state: State) -> Json:
         "word": WORDS[verdict.state],
         "sentence": verdict.sentence,
         "action": verdict.action,
+        "languages": {name: {"sentence": one.sentence, "action": one.action} for name, one in verdict.lines.items()},
         "reasons": list(verdict.reasons),
         "since_ns": verdict.since_ns,
         "row": verdict.row,

@@ -2,8 +2,8 @@
 
 from shared.messages.trust import MonitorTest, TrustEvent, TrustMonitor, TrustState
 
-from .banner import MONITORS_MAXIMUM, ratio_of
-from .plain_words import label_of, plain, who
+from .banner import MONITORS_MAXIMUM, details, ratio_of
+from .plain_words import label_of, said, who
 
 Json = dict[str, object]
 TESTS_MAXIMUM = 64  # shown of one monitor
@@ -12,7 +12,7 @@ TESTS_MAXIMUM = 64  # shown of one monitor
 def verdict(state: TrustState, updated_ns: int | None) -> Json:
     """Show a verdict with its reasons, exclusions and limits; stamps instead of ages."""
     shown = state.model_dump(mode="json", exclude={"monitors", "reasons", "findings", "beliefs"})
-    reasons, findings = ([plain(text) for text in texts] for texts in (state.reasons, state.findings))
+    reasons, findings = details(state.reasons, state.reason_codes), details(state.findings, state.finding_codes)
     return {**shown, "updated_ns": updated_ns, "reasons": reasons, "findings": findings}
 
 
@@ -27,7 +27,7 @@ def event(change: TrustEvent) -> Json:
         "sampled_ns": change.sampled_ns,
         "before": change.before,
         "after": change.after,
-        "reasons": [plain(text) for text in change.reasons],
+        "reasons": details(change.reasons, change.reason_codes),
         "accusing": [
             {
                 "monitor": label_of(m.monitor),
@@ -58,4 +58,5 @@ def _test(test: MonitorTest) -> Json:
 def _common(shown: TrustMonitor | MonitorTest, name: str) -> Json:
     ratio = ratio_of(shown.outcome, shown.statistic, shown.threshold)
     label = label_of(name) if isinstance(shown, TrustMonitor) else name.replace("_", " ")
-    return {"label": label, "reason": plain(shown.reason), "ratio": None if ratio is None else round(ratio, 4)}
+    text = said(shown.reason, shown.reason_code if isinstance(shown, TrustMonitor) else None)
+    return {"label": label, "reason": text, "ratio": None if ratio is None else round(ratio, 4)}

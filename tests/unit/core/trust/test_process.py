@@ -2,12 +2,14 @@ from collections.abc import Iterable
 
 import pytest
 
+from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
 from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.trust import Hypothesis, MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import Vehicle
+from shared.words.words import words
 
 SECOND_NS = 1_000_000_000
 
@@ -81,9 +83,12 @@ def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None
     assert states(published) == [TrustLevel.UNSAFE]
     state = next(message for message in published if isinstance(message, TrustState))
     assert state.suspect_since_ns == -8 * SECOND_NS
-    assert "inertial_short" in state.reasons[0]
+    suspecting = [one.values["monitor"] for one in state.reason_codes if one.code == Code.MONITOR_SUSPECTS]
+    assert suspecting == ["inertial_short"]
     belief = next(one for one in state.beliefs if one.hypothesis is Hypothesis.GNSS)
-    assert belief.survives and "inertial_short" in belief.reason
+    assert belief.survives and belief.reason_code is not None
+    assert belief.reason_code.values["supporting"] == ("inertial_short",)
+    assert belief.reason.startswith("for it: Short inertial window")
 
 
 def accused_for(process: Process, seconds: int, accused: tuple[str, ...], **known: object) -> list[TrustState]:
@@ -208,3 +213,32 @@ def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> Non
     last = [[one for one in published if isinstance(one, TrustState)][-1] for published in (before, after)]
     assert [one.row for one in last] == [4, 9]
     assert "satellite G05 is excluded" in last[1].findings
+
+
+def test_reasons_and_findings_are_the_english_details_of_their_codes_one_each() -> None:
+    process = Process(Config())
+    accusing = statement(Monitor.SATELLITES, SECOND_NS, MonitorOutcome.ACCUSES, ("G05",))
+    published = second(process, SECOND_NS, [statement(Monitor.MOTION, SECOND_NS), accusing])
+    state = [one for one in published if isinstance(one, TrustState)][-1]
+    for texts, codes in ((state.reasons, state.reason_codes), (state.findings, state.finding_codes)):
+        assert len(texts) == len(codes) > 0
+        assert list(texts) == [words().detail(one) for one in codes]
+    event = [one for one in published if isinstance(one, TrustEvent)][-1]
+    assert event.reason_codes and len(event.reason_codes) == len(event.reasons)
+    assert TrustState.model_validate_json(state.model_dump_json(exclude_none=True)) == state
+    unheard = next(one for one in state.monitors if one.monitor == "evidence")
+    assert unheard.reason == "no message has come yet of Receiver evidence"
+
+
+def test_a_window_that_reaches_back_into_a_conflict_says_so_as_the_reason_of_its_monitor() -> None:
+    process = Process(Config())
+    second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
+    process._ended_ns = 2 * SECOND_NS  # a conflict has ended
+    now_ns = 3 * SECOND_NS
+    long = statement(Monitor.INERTIAL_LONG, now_ns, MonitorOutcome.ACCUSES, ("gnss",))
+    published = second(process, now_ns, [*passing(now_ns), long.model_copy(update={"window_s": 60.0})])
+    state = [one for one in published if isinstance(one, TrustState)][-1]
+    assert state.state is TrustLevel.SAFE
+    found = next(one for one in state.monitors if one.monitor == "inertial_long")
+    assert (found.outcome, found.accused) == (MonitorOutcome.NOT_EVALUATED, ())
+    assert found.reason == "its window reaches back into a conflict that has ended"

@@ -11,7 +11,7 @@ import pytest
 from services.core.trust.facts import Monitor
 from services.monitoring.status.process import DASHBOARD
 from services.monitoring.status.series.fields import parse, unit_of
-from services.monitoring.status.views.banner import ACTIONS, SENTENCES, WORDS, Trust
+from services.monitoring.status.views.banner import OF_STATE, WORDS, Trust
 from services.monitoring.status.views.gnss import LETTERS
 from services.monitoring.status.views.plain_words import HYPOTHESES, LABELS
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, InterferenceState
@@ -111,11 +111,10 @@ def test_an_aid_without_a_unit_is_plotted_without_one(monkeypatch: pytest.Monkey
         (LABELS, Monitor),
         (HYPOTHESES, Hypothesis),
         (WORDS, Trust),
-        (SENTENCES, TrustLevel),
-        (ACTIONS, TrustLevel),
+        (OF_STATE, TrustLevel),
         (LETTERS, Constellation),
     ],
-    ids=["LABELS", "HYPOTHESES", "WORDS", "SENTENCES", "ACTIONS", "LETTERS"],
+    ids=["LABELS", "HYPOTHESES", "WORDS", "OF_STATE", "LETTERS"],
 )
 def test_every_value_is_in_the_tables_of_the_server(table: dict[str, object], values: type[StrEnum]) -> None:
     missing = [value.value for value in values if value not in table]

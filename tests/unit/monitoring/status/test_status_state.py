@@ -13,6 +13,7 @@ from services.monitoring.status.views import position, reports, snapshot
 from services.monitoring.status.views.banner import Trust
 from shared.bus.codec import encode
 from shared.errors import BadPayload
+from shared.messages.explanation import explain
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import AidingKind, NavigationPhase, TruthState
@@ -433,8 +434,8 @@ def test_no_process_is_ready_after_the_restart_of_the_watchdog_before_its_first_
 
 
 def test_an_exceeded_alert_limit_degrades_the_health_and_is_a_state_of_its_own(driving: World) -> None:
-    why = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m",)
-    driving.hear(trust(driving.now_ns, TrustLevel.UNSAFE, reasons=why, row=3), "core.trust")
+    why = explain("trust.level_above_limit", axis="horizontal", level_m=25.0, limit_m=10.0)
+    driving.hear(trust(driving.now_ns, TrustLevel.UNSAFE, why), "core.trust")
     driving.pass_time(0.3)
     health = reports.health(driving.state, driving.now_ns)
     assert health["state"] == "degraded"
@@ -465,7 +466,7 @@ def test_trust_events_are_listed_newest_first_with_who_accused_and_are_bounded(d
         driving.hear(
             TrustEvent(
                 sampled_ns=driving.now_ns + k, before=TrustLevel.SAFE, after=TrustLevel.UNSAFE,
-                reasons=("monitor inertial_short accuses gnss",),
+                reasons=("x", "of another release"), reason_codes=(explain("trust.gnss_not_agreed"),),
                 monitors=(accusing, monitor(driving.now_ns, "motion")),
             ),
             "core.trust",
@@ -473,7 +474,7 @@ def test_trust_events_are_listed_newest_first_with_who_accused_and_are_bounded(d
     events = snapshot.trust(driving.state, driving.now_ns)["events"]
     assert isinstance(events, list) and len(events) == 50
     assert [event["sampled_ns"] - driving.now_ns for event in events[:2]] == [59, 58]
-    assert events[0]["reasons"] == ["Short inertial window suspects GNSS"]
+    assert events[0]["reasons"] == ["GNSS has not agreed for long enough", "of another release"]
     assert [who["monitor"] for who in events[0]["accusing"]] == ["Short inertial window"]
 
 

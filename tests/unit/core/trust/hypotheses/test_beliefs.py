@@ -5,11 +5,14 @@ from math import exp
 
 import pytest
 
+from services.core.trust.codes import Code
 from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Posterior, Statement
 from services.core.trust.hypotheses.beliefs import CERTAIN, Beliefs
 from services.core.trust.hypotheses.evidence import FALSE_ALARM, MOST, Evidence, explained_by
 from services.core.trust.hypotheses.priors import PRIOR
+from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis
+from shared.words.words import words
 
 H = Hypothesis
 EITHER, SPEEDS = ("gnss", "imu"), ("gnss", "odometer")
@@ -60,6 +63,21 @@ def test_hypotheses_that_explain_what_is_said_survive_and_one_alone_is_acted_on(
     assert {name for name, one in found.items() if one.acted_on} == ({acted_on} if acted_on else set())
     if acted_on is not None:
         assert surviving == {acted_on} and found[acted_on].probability > CERTAIN
+
+
+def test_a_belief_names_the_monitors_that_speak_for_it_and_against_it() -> None:
+    quiet = after(3, {})
+    assert quiet[H.NOTHING].why == explain(Code.NO_ACCUSATION) and quiet[H.GNSS].why == explain(Code.NO_EVIDENCE)
+    found = after(30, {**ALL_PASS, Monitor.INERTIAL_SHORT: EITHER, Monitor.GYROSCOPE: ("imu",)})
+    assert found[H.NOTHING].why == explain(Code.FALSE_ALARMS)
+    assert found[H.IMU].why.code in (Code.SUPPORTED, Code.DISPUTED)
+    assert {"inertial_short", "gyroscope"} <= set(found[H.IMU].why.values["supporting"])  # type: ignore[arg-type]
+    alone = after(30, {Monitor.INERTIAL_SHORT: EITHER})
+    assert alone[H.IMU].why == explain(Code.SUPPORTED, supporting=("inertial_short",))
+    against = after(30, {Monitor.SATELLITES: ("G05",), Monitor.GYROSCOPE: (), Monitor.INERTIAL_SHORT: EITHER})
+    disputed = explain(Code.DISPUTED, supporting=("inertial_short",), contradicting=("gyroscope",))
+    assert against[H.GNSS].why == disputed
+    assert all(words().detail(one.why) for made in (quiet, found, alone, against) for one in made.values())
 
 
 def test_without_a_statement_the_posteriors_are_the_priors() -> None:

@@ -2,9 +2,12 @@
 
 import pytest
 
+from services.core.trust.codes import Code
 from services.core.trust.facts import Outcome
 from services.core.trust.hypotheses.comparison import LIMIT, compared
+from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
+from shared.words.words import words
 
 ALONE, WITHOUT_GNSS, WITHOUT_ODOMETER = Hypothesis.GNSS_AND_ODOMETER, Hypothesis.GNSS, Hypothesis.ODOMETER
 
@@ -49,6 +52,9 @@ def test_two_of_three_decide(
         )
     )
     assert (found.outcome, found.accused) == (outcome, accused)
+    code = Code.NO_TWO_AGREE if outcome is Outcome.NOT_EVALUATED else Code.SOLUTIONS_COMPARED
+    assert found.why is not None and found.why.code == code and words().detail(found.why)
+    assert found.why.values["gnss_m"] == abs(without_odometer_m) and found.why.values["speed_statistic"] == odometer
 
 
 def test_a_difference_across_the_way_decides_nothing_because_a_wrong_heading_makes_one() -> None:
@@ -68,5 +74,7 @@ def test_nothing_is_compared_without_all_three_or_at_standstill(hypothesis: Hypo
     three = [solution(one, 0.0, 1.0) for one in (ALONE, WITHOUT_GNSS, WITHOUT_ODOMETER)]
     two = [one for one in three if one.hypothesis is not hypothesis]
     assert compared(bank(*two)).outcome is Outcome.NOT_EVALUATED
+    assert compared(bank(*two)).why == explain(Code.NOT_COMPARABLE)
     slow = [solution(one.hypothesis, 0.0, 1.0, speed=0.5) for one in three]
     assert compared(bank(*slow)).outcome is Outcome.NOT_EVALUATED
+    assert compared(bank(*slow)).why == explain(Code.HARDLY_MOVES)

@@ -7,14 +7,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.core.trust.verdict import ROWS
-from services.monitoring.status.views.banner import WORDS, Evidence, Kind, Trust, ratio_of, show
+from services.monitoring.status.views.banner import (
+    OF_STATE,
+    WORDS,
+    Check,
+    Code,
+    Evidence,
+    Kind,
+    Trust,
+    Verdict,
+    ratio_of,
+    show,
+)
 from services.monitoring.status.views.plain_words import plain
+from shared.bus import codec
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.operation import ProcessLoad, Work
-from shared.messages.trust import MonitorOutcome, TrustLevel
+from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.words.words import words
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
+from tests.support.words import longest
 
 LEVELS = {"protection_level_horizontal_m": 3.14, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}
 GOOD = Evidence(
@@ -38,56 +52,81 @@ def changed(**changes: object) -> Evidence:
     return dataclasses.replace(GOOD, **changes)  # type: ignore[arg-type]  # the test's own keys
 
 
+def by_name(shown: Verdict) -> list[tuple[str, Check]]:
+    return [(check.name, check) for check in shown.checks]
+
+
 def check(evidence: Evidence, name: str) -> tuple[Trust, str]:
     found = next(c for c in show(evidence).checks if c.name == name)
     return found.state, found.text
 
 
-SENTENCES = {
-    TrustLevel.SAFE: "The position can be used.",
-    TrustLevel.CAUTION: "Use the position with caution.",
-    TrustLevel.UNSAFE: "The position must not be used.",
-    TrustLevel.DEAD_RECKONING: "Position by dead reckoning.",
-    TrustLevel.NO_FIX: "No position.",
-    TrustLevel.INITIALISING: "No position yet.",
-}
-FIGURES = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m", "second reason")
-
-
 @pytest.mark.parametrize("level", TrustLevel)
-def test_each_state_of_core_trust_has_its_own_word_and_sentence_even_by_a_row_of_another_release(
-    level: TrustLevel,
-) -> None:
-    shown = show(changed(trust=trust(START_NS, level, reasons=FIGURES, row=99)))
-    assert (shown.state, shown.row, shown.since_ns) == (Trust(level.value), 99, START_NS)
-    assert WORDS[shown.state] == level.value.replace("no_fix", "no position").upper().replace("_", " ")
-    assert shown.sentence == SENTENCES[level]
-    assert shown.action.endswith(".")
+def test_each_state_of_core_trust_has_its_own_word_sentence_and_action(level: TrustLevel) -> None:
+    shown = show(changed(trust=trust(START_NS, level, reasons=()), phase=None))
+    assert (shown.state, shown.since_ns) == (Trust(level.value), START_NS)
+    assert WORDS[shown.state] == (
+        "NO POSITION" if level is TrustLevel.NO_FIX else level.value.upper().replace("_", " ")
+    )
+    general = explain(OF_STATE[level])
+    assert (shown.sentence, shown.action) == (words().sentence(general), words().action(general))
 
 
-@pytest.mark.parametrize("row", range(1, len(ROWS) + 2))
-def test_each_row_of_the_verdict_table_is_one_plain_sentence_and_its_figures_are_for_those_who_ask(row: int) -> None:
-    states = [TrustLevel(state.value) for state, _ in ROWS]
-    level = states[row - 1] if row <= len(states) else TrustLevel.SAFE
-    evidence = changed(trust=trust(START_NS, level, reasons=FIGURES, row=row), cause=None, phase=None)
-    shown = show(evidence)
-    assert shown.sentence.startswith(SENTENCES[level].removesuffix("."))
-    assert level is TrustLevel.SAFE or len(shown.sentence) > len(SENTENCES[level]), "it says why"
+DECIDING = sorted(code for code, row in words().rows.items() if code.startswith("trust.") and row.sentence)
+
+
+@pytest.mark.parametrize("code", DECIDING)
+def test_a_code_is_one_plain_sentence_and_its_figures_are_for_those_who_ask(code: str) -> None:
+    level = TrustLevel.CAUTION
+    why = longest(code, words())
+    shown = show(changed(trust=trust(START_NS, level, why, explain("trust.gnss_not_agreed"), row=99), phase=None))
+    assert shown.sentence == words().sentence(why)
     assert not re.search(r"\d|statistic|threshold|;|\(", shown.sentence) and shown.sentence.count(".") == 1
-    assert shown.reasons == FIGURES
+    assert shown.action == (words().action(why) or words().action(explain("banner.caution")))
+    assert shown.reasons == (words().detail(why), "GNSS has not agreed for long enough")
+    assert shown.row == 99, "which is shown, and decides nothing"
+
+
+def test_the_banner_speaks_every_language() -> None:
+    shown = show(
+        changed(trust=trust(START_NS, TrustLevel.CAUTION, explain("trust.suspected", suspects=("gnss", "imu"))))
+    )
+    assert {name: line.sentence for name, line in shown.lines.items()} == {
+        "de": "Position mit Vorsicht verwenden: möglicher Fehler von GNSS oder Inertialsensoren.",
+        "fr": "Position à utiliser avec prudence, erreur possible : GNSS ou capteurs inertiels.",
+    }
+    assert all(line.action for line in shown.lines.values())
 
 
 @pytest.mark.parametrize(
-    ("changes", "why"),
-    [
-        ({"odometer_excluded": True}, "the odometer is not used"),
-        ({"suspect_since_ns": START_NS}, "it is not known which of them is wrong"),
-        ({}, "GNSS and the odometer disagree"),
-    ],
+    "why",
+    [(), (explain("trust.of_a_newer_release", a=1),), (explain("trust.suspected"),)],
+    ids=["a recording of an earlier release", "a newer vehicle", "values that do not fit"],
 )
-def test_a_conflict_says_what_follows_for_the_odometer(changes: dict[str, object], why: str) -> None:
-    verdict = trust(START_NS, TrustLevel.CAUTION, row=9).model_copy(update=changes)
-    assert why in show(changed(trust=verdict)).sentence
+@pytest.mark.parametrize("level", TrustLevel)
+def test_a_message_without_codes_or_with_unknown_ones_is_shown_by_its_reason_as_it_is(
+    level: TrustLevel, why: tuple[Explanation, ...]
+) -> None:
+    reasons = ("monitor inertial_short suspects gnss: " + "far too long " * 20, "second reason since 1795000000.5 s")
+    state = trust(START_NS, level, *why, reasons=reasons)
+    shown = show(changed(trust=state, phase=None))
+    assert shown.sentence == reasons[0]
+    assert {line.sentence for line in shown.lines.values()} == {reasons[0]}
+    assert shown.reasons == reasons
+    assert (shown.state, shown.action) == (Trust(level.value), words().action(explain(OF_STATE[level])))
+
+
+@pytest.mark.parametrize("code", [*DECIDING, "trust.of_a_newer_release"])
+def test_with_every_text_replaced_by_x_the_state_and_what_is_to_be_done_are_the_same(code: str) -> None:
+    why = longest(code, words()) if code in words().rows else explain(code)
+    for level in TrustLevel:
+        state = trust(START_NS, level, why)
+        states = [state, state.model_copy(update={"reasons": ("x",), "monitors": (monitor(START_NS, reason="x"),)})]
+        before, after = (show(changed(trust=one)) for one in states)
+        assert (before.state, before.action, before.row) == (after.state, after.action, after.row)
+        assert {name: (c.state, c.ratio) for name, c in by_name(before)} == {
+            n: (c.state, c.ratio) for n, c in by_name(after)
+        }
 
 
 @given(
@@ -124,13 +163,42 @@ def test_it_is_safe_when_and_only_when_a_verdict_within_its_deadline_says_so(
 
 
 def test_an_exceeded_alert_limit_differs_from_an_accusation_in_state_word_and_advice() -> None:
-    why = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m",)
-    above = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=why, row=3)))
-    accused = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=("GNSS is accused",), row=4)))
+    why = explain("trust.level_above_limit", axis="horizontal", level_m=25.0, limit_m=10.0)
+    above = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, why)))
+    accused = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, explain("trust.unsafe_conflict"), why)))
     assert (above.state, WORDS[above.state]) == (Trust.ABOVE_LIMIT, "ABOVE LIMIT")
     assert above.sentence == "The position must not be used: its error may be above the alert limit."
+    assert above.reasons == ("horizontal protection level 25.0 m is above the alert limit of 10.0 m",)
     assert accused.state is Trust.UNSAFE
     assert above.action != accused.action
+
+
+def test_every_level_of_a_row_is_a_state_and_every_code_of_the_banner_has_a_row() -> None:
+    assert {row.level for row in words().rows.values() if row.level} <= {state.value for state in Trust}
+    assert {code for code in words().rows if code.startswith("banner.")} == {str(code) for code in Code}
+
+
+@pytest.mark.parametrize(
+    ("level", "why", "sentence"),
+    [
+        (TrustLevel.NO_FIX, "trust.solution_old",
+         "No position: this computer is too slow, and 6 s behind the sensors."),
+        (TrustLevel.CAUTION, "trust.checks_paused",
+         "Use the position with caution: checks are paused, because this computer is too slow."),
+    ],
+)  # fmt: skip
+def test_a_computer_that_is_too_slow_is_named_with_its_remedy_although_the_inputs_are_there(
+    level: TrustLevel, why: str, sentence: str
+) -> None:
+    load = ProcessLoad(sampled_ns=START_NS, process="core.fusion", lag_s=6.2, paused=tuple(Work))
+    shown = show(changed(trust=trust(START_NS, level, explain(why)), load=load, cause="core.fusion was lost"))
+    assert shown.sentence == sentence and shown.action.startswith("End other programs on this computer")
+    assert WORDS[Trust.NO_FIX] == "NO POSITION", "the receiver has a fix"
+    other = trust(START_NS, level, explain("trust.solution_old"))
+    for calm in (None, load.model_copy(update={"paused": ()})):
+        assert "too slow" not in show(changed(trust=other, load=calm)).sentence
+    unsafe = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, explain("trust.unsafe_conflict")), load=load))
+    assert "too slow" not in unsafe.sentence, "another cause stays"
 
 
 def test_before_the_first_verdict_after_a_start_the_banner_says_what_it_waits_for() -> None:
@@ -220,8 +288,6 @@ def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluate
     [
         ("monitor motion: has not published yet; monitor satellites: has not published yet",
          "Motion conflict and Satellites: have not published yet"),
-        ("monitor inertial_short accuses gnss: too large (statistic 9, threshold 8); fusion has not confirmed",
-         "Short inertial window suspects GNSS: too large (statistic 9, threshold 8); fusion has not confirmed"),
         ("monitor evidence: no message for 6.0 s, not evaluated since 1795000000.5 s",
          "Receiver evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
         ("navigation solution is lost: fusion's phase is waiting_for_gnss",
@@ -293,22 +359,15 @@ def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None
     )
 
 
-@pytest.mark.parametrize(
-    ("level", "row", "sentence"),
-    [
-        (TrustLevel.NO_FIX, 2, "No position: this computer is too slow, and 6 s behind the sensors."),
-        (TrustLevel.CAUTION, 7, "checks are paused, because this computer is too slow."),
-    ],
-)
-def test_a_computer_that_is_too_slow_is_named_with_its_remedy_although_the_inputs_are_there(
-    level: TrustLevel, row: int, sentence: str
-) -> None:
-    load = ProcessLoad(sampled_ns=START_NS, process="core.fusion", lag_s=6.2, paused=tuple(Work))
-    shown = show(changed(trust=trust(START_NS, level, row=row), load=load))
-    assert shown.sentence.endswith(sentence) and shown.action.startswith("End other programs on this computer")
-    assert WORDS[Trust.NO_FIX] == "NO POSITION", "the receiver has a fix"
-    assert "too slow" not in show(changed(trust=trust(START_NS, level, row=row))).sentence
-    resumed = load.model_copy(update={"paused": ()})
-    assert "too slow" not in show(changed(trust=trust(START_NS, level, row=row), load=resumed)).sentence
-    unsafe = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, row=4), load=load))
-    assert "too slow" not in unsafe.sentence, "another cause stays"
+def test_a_verdict_of_release_0_1_0_decodes_and_is_shown_by_its_own_reasons() -> None:
+    payload = (
+        b'{"sender":{"process":"core.trust","incarnation":1,"sequence":7},"sampled_ns":1795000000000000000,'
+        b'"state":"caution","since_ns":1795000000000000000,"row":12,"reasons":["neither inertial nor motion monitors '
+        b'evaluated: inertial_short: no samples"],"findings":["satellites not evaluated: no raw measurements"],'
+        b'"gnss_excluded":false,"alert_limit_horizontal_m":10.0,"alert_limit_vertical_m":20.0,"monitors":[]}'
+    )
+    state = codec.decode("trust/state", payload)
+    assert isinstance(state, TrustState) and state.reason_codes == state.finding_codes == ()
+    shown = show(changed(trust=state))
+    assert (shown.state, shown.sentence) == (Trust.CAUTION, state.reasons[0])
+    assert shown.action == words().action(explain("banner.caution"))

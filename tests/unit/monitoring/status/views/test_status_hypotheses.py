@@ -1,18 +1,14 @@
 """What a person reads of the hypotheses: the banner's clause, the table, the satellites, the tracks."""
 
 import dataclasses
-import re
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic_core import to_json
 
 from services.monitoring.status.history.alternatives import POINTS_MAXIMUM, Alternatives
 from services.monitoring.status.series.fields import parse, value_at
 from services.monitoring.status.state import State
 from services.monitoring.status.views import hypotheses, reports
-from services.monitoring.status.views.banner import Evidence, Trust, show
+from services.monitoring.status.views.banner import Evidence, show
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses, TrustLevel
 from tests.support.dashboard.status_world import START_NS, World, trust
 
@@ -43,67 +39,7 @@ def stated(ns: int, *solutions: HypothesisSolution, source: str = "core.fusion",
     return TrustHypotheses(sampled_ns=ns, source=source, solutions=solutions).model_copy(update=changes)
 
 
-def banner(*beliefs: Belief, level: TrustLevel = TrustLevel.UNSAFE, row: int = 4, **changes: object) -> str:
-    shown = trust(START_NS, level, row=row, beliefs=beliefs)
-    return show(dataclasses.replace(GOOD, trust=shown, **changes)).sentence  # type: ignore[arg-type]  # test's own keys
-
-
 NOTHING = belief(Hypothesis.NOTHING, 0.2)
-EXCLUDED = belief(Hypothesis.NOTHING, 1e-6)
-
-
-@pytest.mark.parametrize(
-    ("beliefs", "clause"),
-    [
-        ((EXCLUDED, belief(Hypothesis.GNSS, 0.6), belief(Hypothesis.IMU, 0.4)),
-         "GNSS or the inertial sensors are wrong, and nothing decides which"),
-        ((NOTHING, belief(Hypothesis.GNSS, 0.5), belief(Hypothesis.IMU, 0.3)),
-         "GNSS or the inertial sensors may be wrong, and nothing decides which"),
-        ((NOTHING, belief(Hypothesis.IMU, 0.3), belief(Hypothesis.GNSS, 0.5), belief(Hypothesis.ODOMETER, 0.1)),
-         "GNSS, the inertial sensors or the odometer may be wrong, and nothing decides which"),
-        ((EXCLUDED, belief(Hypothesis.IMU, 0.995, acted_on=True)),
-         "the inertial sensors are wrong, and the position is by GNSS and odometer"),
-        ((EXCLUDED, belief(Hypothesis.GNSS_AND_ODOMETER, 0.999, acted_on=True)),
-         "GNSS and odometer alike are wrong, and the position is by the inertial sensors alone"),
-        ((EXCLUDED, belief(Hypothesis.GNSS, 0.999, acted_on=True)), "GNSS is wrong, and is not used"),
-        ((EXCLUDED, belief(Hypothesis.GNSS, 0.999)), "GNSS is wrong, but is still used"),
-        ((NOTHING, belief(Hypothesis.RECEIVER_TIME, 0.2)), "the receiver's time may be wrong, and nothing decides it"),
-        (tuple(belief(h, 0.2) for h in Hypothesis),
-         "GNSS, the inertial sensors, the odometer or others may be wrong, and nothing decides which"),
-    ],
-)  # fmt: skip
-def test_the_banner_names_the_hypotheses_that_survive(beliefs: tuple[Belief, ...], clause: str) -> None:
-    assert banner(*beliefs) == f"The position must not be used: {clause}."
-
-
-def test_without_an_odometer_the_position_is_not_said_to_be_by_it() -> None:
-    acted = belief(Hypothesis.IMU, 0.995, acted_on=True)
-    assert banner(acted, odometer_age_s=None).endswith("wrong, and the position is by GNSS.")
-
-
-def test_what_only_its_prior_keeps_alive_is_not_suspected_and_safe_says_nothing_of_it() -> None:
-    quiet = belief(Hypothesis.GNSS, 0.002, since_ns=None)
-    assert banner(NOTHING, quiet) == banner()
-    spoken = belief(Hypothesis.GNSS, 0.3)
-    assert banner(NOTHING, spoken, level=TrustLevel.SAFE, row=14) == "The position can be used."
-    acted = belief(Hypothesis.ODOMETER, 0.999, acted_on=True)
-    text = banner(EXCLUDED, acted, level=TrustLevel.SAFE, row=14)
-    assert text == "The position can be used: the odometer is wrong, and is not used."
-
-
-@pytest.mark.parametrize(
-    ("level", "row"),
-    [(TrustLevel.NO_FIX, 2), (TrustLevel.INITIALISING, 1), (TrustLevel.UNSAFE, 5), (TrustLevel.CAUTION, 11)],
-)
-def test_a_verdict_with_a_cause_of_its_own_keeps_it(level: TrustLevel, row: int) -> None:
-    assert banner(belief(Hypothesis.GNSS, 0.5), level=level, row=row) == banner(level=level, row=row)
-
-
-def test_a_level_above_the_limit_for_an_alternative_is_unsafe_and_not_a_lack_of_accuracy() -> None:
-    alternative = trust(START_NS, TrustLevel.UNSAFE, row=3, beliefs=(NOTHING, belief(Hypothesis.GNSS, 0.4)))
-    assert show(dataclasses.replace(GOOD, trust=alternative)).state is Trust.UNSAFE
-    none = trust(START_NS, TrustLevel.UNSAFE, row=3, beliefs=(NOTHING,))
-    assert show(dataclasses.replace(GOOD, trust=none)).state is Trust.ABOVE_LIMIT
 
 
 def test_whoever_asks_why_reads_the_probability_and_the_reason_of_each_suspect() -> None:
@@ -111,17 +47,6 @@ def test_whoever_asks_why_reads_the_probability_and_the_reason_of_each_suspect()
     assert show(dataclasses.replace(GOOD, trust=shown)).reasons[-1] == (
         "The inertial sensors are wrong: 62.5 %; for and against"
     )
-
-
-@given(st.lists(st.sampled_from(Hypothesis), unique=True), st.data())
-def test_whatever_survives_the_clause_is_short_and_has_neither_figures_nor_names_of_the_code(
-    found: list[Hypothesis], data: st.DataObject
-) -> None:
-    beliefs = [belief(h, data.draw(st.floats(0.0, 1.0)), acted_on=data.draw(st.booleans())) for h in found]
-    clause = hypotheses.sentence_of(beliefs, odometer=True)
-    assert (clause is None) == (not hypotheses.suspected(beliefs))
-    if clause is not None:
-        assert len(clause) <= 110 and not re.search(r"[\d_;.]", clause)
 
 
 def test_a_row_has_belief_solution_and_distance_and_a_missing_one_says_why() -> None:

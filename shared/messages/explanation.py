@@ -1,0 +1,74 @@
+"""What explains a verdict, a test or a problem: a code with values, which `shared/words` puts into words."""
+
+from enum import Enum, StrEnum
+from typing import Annotated
+
+from pydantic import Field
+
+from .base import LARGEST_STATISTIC, Integer, Message, Name
+
+CODE = r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$"
+QUOTED_LENGTH = 80
+VALUES_MAXIMUM = 12
+LIST_MAXIMUM = 32
+SIGNIFICANT = 6  # digits of a value
+
+
+class ReferenceKind(StrEnum):
+    """What a reference names."""
+
+    SOURCE = "source"  # gnss, imu, odometer
+    SATELLITE = "satellite"
+    NEIGHBOUR = "neighbour"
+    PROCESS = "process"
+    LANE = "lane"
+
+
+class Reference(Message):
+    """Something that has a name of its own."""
+
+    kind: ReferenceKind
+    name: Name
+
+
+class Quoted(Message):
+    """Text of a device, as it is."""
+
+    quoted: Annotated[str, Field(max_length=QUOTED_LENGTH)]
+
+
+Code = Annotated[str, Field(pattern=CODE, max_length=64)]  # begins with its owner
+ValueName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]  # of a number it ends in its unit
+Word = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]  # of an enumeration
+Number = Annotated[float, Field(ge=-LARGEST_STATISTIC, le=LARGEST_STATISTIC)]
+Value = (
+    Integer
+    | Number
+    | Word
+    | Quoted
+    | Reference
+    | Annotated[tuple[Word, ...], Field(max_length=LIST_MAXIMUM)]
+    | Annotated[tuple[Reference, ...], Field(max_length=LIST_MAXIMUM)]
+)
+
+
+class Explanation(Message):
+    """Why something is as it is: a code, its values by name, and what it is about."""
+
+    code: Code
+    values: Annotated[dict[ValueName, Value], Field(default_factory=dict, max_length=VALUES_MAXIMUM)]
+    subject: Reference | None = None
+
+
+def explain(code: str, subject: Reference | None = None, **values: object) -> Explanation:
+    """Make an explanation; enumerations become their words, floats are rounded, and values of None are left out."""
+    kept = {name: _plain(value) for name, value in values.items() if value is not None}
+    return Explanation(code=str(code), values=kept, subject=subject)  # type: ignore[arg-type]  # checked by the model
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float):
+        return float(f"{value:.{SIGNIFICANT}g}")
+    return tuple(_plain(one) for one in value) if isinstance(value, list | tuple) else value

@@ -1,0 +1,1 @@
+"""The words of codes: rows of data beside their owners, further languages, and their rendering."""

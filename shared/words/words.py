@@ -1,0 +1,205 @@
+"""Puts explanations into words: a row for each code, in the language and the time zone of the viewer.
+
+Rows are data without expressions. Those in English stand in `words.toml` beside the owner of the codes; `OWNERS` lists
+the owners. Every other language is one file beside this module; what it lacks is said in English.
+"""
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime, tzinfo
+from functools import cache
+from math import degrees
+from pathlib import Path
+from typing import cast
+
+from ..messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value
+
+REPOSITORY = Path(__file__).parents[2]
+FOLDER = Path(__file__).parent
+# Prefix of the codes: folder with `words.toml`.
+OWNERS = {"trust": "services/core/trust", "banner": "services/monitoring/status/views"}
+ENGLISH = "en"
+LANGUAGES = (ENGLISH, "de", "fr")
+REASON_LENGTH = 400  # of a message
+PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w+))?(?::(and|or))?\}")
+SUBJECT, TEXT = "subject", "text"
+Tables = dict[str, dict[str, str]]
+Names = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Words of one code.
+
+    A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several of them
+    (joined by "or", as `{name:table:and}` by "and"),
+    `{name}` for references and quotations, `{subject}` for the subject, and `{name:text}` for a text of another
+    message that has no code.
+    """
+
+    sentence: str = ""  # one line for a driver, without figures
+    action: str = ""  # what to do
+    detail: str = ""  # with figures: the `reason` of a message, and what stands behind "Why?"
+    level: str = ""  # state that is shown while this code decides, where that is not the state of the message
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.0f} s" if isinstance(value, int) or abs(value) >= 60.0 else f"{value:.1f} s"
+
+
+def _plain_number(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
+# A number's quantity: end of the names of its values, and how it is written. Angles are in radians or degrees.
+QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
+    "distance": (("_m",), lambda value: f"{value:.1f} m"),
+    "speed": (("_m_s",), lambda value: f"{value:.1f} m/s"),
+    "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
+    "duration": (("_s",), _seconds),
+    "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
+    "number": (("statistic", "threshold", "count"), _plain_number),
+}
+INSTANT = "instant"  # a stamp, shown as time of day
+INSTANT_ENDING = "_ns"
+
+
+@dataclass(frozen=True)
+class Words:
+    """All rows and names in one language; what it lacks is said by another one."""
+
+    language: str
+    rows: Mapping[str, Row]
+    names: Names
+    format: Mapping[str, str]
+    otherwise: "Words | None" = None
+
+    def row(self, code: str) -> Row:
+        """Row of a code, empty where there is none."""
+        return self.rows.get(code, Row())
+
+    def sentence(self, explanation: Explanation, **texts: str) -> str | None:
+        """One line for a driver; None without a row that fits. `texts` are those of messages without codes."""
+        found = self._render(self.row(explanation.code).sentence, explanation, texts=texts)
+        return found or (self.otherwise.sentence(explanation, **texts) if self.otherwise else None)
+
+    def action(self, explanation: Explanation) -> str | None:
+        """What to do; None where the state says it."""
+        found = self._render(self.row(explanation.code).action, explanation)
+        return found or (self.otherwise.action(explanation) if self.otherwise else None)
+
+    def detail(self, explanation: Explanation, zone: tzinfo = UTC) -> str | None:
+        """One line with figures; None without a row that fits."""
+        found = self._render(self.row(explanation.code).detail, explanation, zone)
+        return found or (self.otherwise.detail(explanation, zone) if self.otherwise else None)
+
+    def name(self, table: str, word: str) -> str:
+        """Name of a word of an enumeration; an unknown one as it is, with spaces."""
+        found = self.names.get(table, {}).get(word)
+        return found or (self.otherwise.name(table, word) if self.otherwise else word.replace("_", " "))
+
+    def _render(
+        self, template: str, explanation: Explanation, zone: tzinfo = UTC, texts: Mapping[str, str] | None = None
+    ) -> str | None:
+        """Fill the placeholders; None where a value is missing or does not fit, as in a message of another release."""
+        try:
+            filled = PLACEHOLDER.sub(lambda found: self._filled(found, explanation, zone, texts or {}), template)
+        except (KeyError, TypeError, ValueError, OverflowError, OSError):
+            return None
+        return filled or None
+
+    def _filled(
+        self, found: re.Match[str], explanation: Explanation, zone: tzinfo, texts: Mapping[str, str]
+    ) -> str:  # fmt: skip
+        name, kind = found[1], found[2]
+        if kind == TEXT:
+            return texts[name]
+        if name == SUBJECT:
+            return self._reference(explanation.subject)
+        value = explanation.values[name]
+        if kind == INSTANT:
+            at = datetime.fromtimestamp(_number(value) * 1e-9, zone)
+            return f"{at:%H:%M:%S} {at.tzname()}"
+        if kind in QUANTITIES:
+            number = degrees(_number(value)) if name.endswith("_rad") else _number(value)
+            return QUANTITIES[kind][1](number).replace(".", self.format["decimal"])
+        if isinstance(value, tuple):
+            return self._joined([self._single(one, kind) for one in value], self.format[found[3] or "or"])
+        return self._single(value, kind)
+
+    def _single(self, value: Value, table: str | None) -> str:
+        if isinstance(value, Reference):
+            return self._reference(value)
+        if isinstance(value, Quoted):
+            return f"“{value.quoted}”"
+        if table is None or not isinstance(value, str):
+            raise TypeError(f"{value!r} is written by the name of a table")
+        return self.name(table, value)
+
+    def _reference(self, reference: Reference | None) -> str:
+        if reference is None:
+            raise KeyError(SUBJECT)
+        if reference.kind is ReferenceKind.SOURCE:
+            return self.name("source", reference.name)
+        kind = self.format.get(reference.kind)  # the names of satellites and processes say what they are
+        return f"{kind} {reference.name}" if kind else reference.name
+
+    def _joined(self, names: list[str], word: str) -> str:
+        """Join names: "a, b or c"."""
+        if not names:
+            return self.format["nothing"]
+        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
+def reason(explanation: Explanation) -> str:
+    """Render the English detail of a code of one's own, as it stands in messages."""
+    return (words().detail(explanation) or explanation.code)[:REASON_LENGTH]
+
+
+@cache
+def words(language: str = ENGLISH) -> Words:
+    """Words of a language.
+
+    Raises
+    ------
+    ValueError
+        There is no such language, or a file has a row whose owner or field is unknown.
+    """
+    if language not in LANGUAGES:
+        raise ValueError(f"no words in {language!r}; there are {', '.join(LANGUAGES)}")
+    if language != ENGLISH:
+        return _read(FOLDER / f"{language}.toml", Words(language, {}, {}, {}, words()))
+    found = _read(FOLDER / "en.toml", Words(ENGLISH, {}, {}, {}))
+    for owner, folder in OWNERS.items():
+        found = _read(REPOSITORY / folder / "words.toml", found, owner)
+    return found
+
+
+def _read(path: Path, base: Words, owner: str | None = None) -> Words:
+    """Add the rows and names of a file to those that were read before."""
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    names = dict(base.names)
+    for table, found in cast(Tables, data.pop("names", {})).items():
+        names[table] = {**names.get(table, {}), **found}
+    how = {**base.format, **cast("dict[str, str]", data.pop("format", {}))}
+    owners = {owner} if owner else set(OWNERS)
+    if foreign := set(data) - owners:
+        raise ValueError(f"{path}: rows of {', '.join(sorted(foreign))}; their owner is not in OWNERS of shared/words")
+    known = {field.name for field in fields(Row)}
+    rows = dict(base.rows)
+    for prefix, table_of_rows in data.items():
+        for short, row in cast(Tables, table_of_rows).items():
+            if unknown := set(row) - known:
+                raise ValueError(
+                    f"{path}: {prefix}.{short} has {', '.join(sorted(unknown))}; a row has {sorted(known)}"
+                )
+            rows[f"{prefix}.{short}"] = Row(**row)
+    return replace(base, rows=rows, names=names, format=how)
+
+
+def _number(value: Value) -> float:
+    if isinstance(value, int | float):
+        return value
+    raise TypeError(f"{value!r} is no number")

@@ -1,0 +1,63 @@
+"""Every row of the words with its longest values: what `tests/golden/sentences.txt` holds for review."""
+
+from collections.abc import Iterator, Mapping
+
+from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
+from shared.words.words import INSTANT, LANGUAGES, PLACEHOLDER, QUANTITIES, SUBJECT, TEXT, Words, words
+from tests.support.data import REPOSITORY
+
+FILE = REPOSITORY / "tests" / "golden" / "sentences.txt"
+FIELDS = ("sentence", "action", "detail")
+NUMBER, ANGLE, SHARE, STAMP_NS = 12345.6, 3.14, 0.123, 1_795_000_000 * 10**9
+# Values that are lists, and how many of them a sentence names, or a detail can.
+LISTS = {"suspects": 2, "monitors": 10, "supporting": 5, "contradicting": 5, "accused": 16, "satellites": 16}
+
+
+def longest(code: str, spoken: Words) -> Explanation:
+    """An explanation with the longest values that the words of a code name."""
+    row, english = spoken.row(code), words().row(code)
+    texts = [getattr(one, field) for one in (row, english) for field in FIELDS]
+    found = {match[1]: match[2] for text in texts for match in PLACEHOLDER.finditer(text)}
+    values = {name: _value(name, kind, spoken) for name, kind in found.items() if kind != TEXT and name != SUBJECT}
+    return explain(code, Reference(kind=ReferenceKind.SOURCE, name="imu") if SUBJECT in found else None, **values)
+
+
+def texts(code: str, spoken: Words) -> Mapping[str, str | None]:
+    """Render sentence, action and detail of a code with its longest values; a text of others is left empty."""
+    explanation = longest(code, spoken)
+    return {
+        "sentence": spoken.sentence(explanation, cause=""),
+        "action": spoken.action(explanation),
+        "detail": spoken.detail(explanation),
+    }
+
+
+def _value(name: str, kind: str | None, spoken: Words) -> object:
+    if kind is None:
+        return (Reference(kind=ReferenceKind.SATELLITE, name="G05"),) * LISTS[name]
+    if kind in QUANTITIES:
+        return {"angle": ANGLE, "share": SHARE}.get(kind, NUMBER)
+    if kind == INSTANT:
+        return STAMP_NS
+    table = {**words().names[kind], **spoken.names.get(kind, {})}
+    by_length = sorted(table, key=lambda word: -len(table[word]))
+    return tuple(by_length[: LISTS[name]]) if name in LISTS else by_length[0]
+
+
+def lines() -> Iterator[str]:
+    """Yield the snapshot: every language, every code, what it says."""
+    for language in LANGUAGES:
+        spoken = words(language)
+        for code in spoken.rows:
+            for field, text in texts(code, spoken).items():
+                if text and getattr(spoken.row(code), field):
+                    yield f"{language} {code} {field}: {text}"
+
+
+def main() -> None:
+    """Write the snapshot."""
+    FILE.write_text("\n".join(lines()) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
