@@ -351,7 +351,7 @@ def test_a_verdict_that_is_old_has_no_colour_of_a_verdict_anywhere(
 def test_one_vehicle_has_one_verdict_on_a_page_whatever_was_asked_when(
     centre: RunningWeb, open_centre: Callable[..., Page]
 ) -> None:
-    unit = Unit("car-late", 93, time.time_ns() // 1_000_000)
+    unit = Unit("car-late", 193, time.time_ns() // 1_000_000)
     unit.next = 4_200_000
     unit.enter(centre.dsn)
     centre.report(unit, 0)
@@ -384,7 +384,7 @@ HOSTILE = '{"<img src=x onerror=alert(1)>": {"a": [{"b": {"c": {"d": 1}}}]}}'
 def test_events_are_sentences_and_nothing_on_a_page_has_brackets(
     centre: RunningWeb, open_centre: Callable[..., Page]
 ) -> None:
-    unit = Unit("car-events", 94, time.time_ns() // 1_000_000)
+    unit = Unit("car-events", 194, time.time_ns() // 1_000_000)
     unit.enter(centre.dsn)
     centre.report(unit, 0)
     contents = {
