@@ -47,9 +47,10 @@ TABLES = {
 
 def publish(path: Path, text: str) -> None:
     """Write a table that has just been measured, with the digest of the code that measured it."""
-    name = path.relative_to(ROOT).as_posix()
-    digests = _digests() | {name: code_of(TABLES[name].module)}
-    DIGESTS.write_text(json.dumps(digests, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    if path.is_relative_to(ROOT):  # a copy elsewhere is no published one
+        name = path.relative_to(ROOT).as_posix()
+        digests = _digests() | {name: code_of(TABLES[name].module)}
+        DIGESTS.write_text(json.dumps(digests, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     path.write_text(text, encoding="utf-8")
 
 
