@@ -36,7 +36,7 @@ class Load:
         self._since_resumed: int | None = None  # ticks
         self._stuck = 0  # ticks with everything paused and a lag above SKIP_ABOVE_S
         self._skip_before_ns = 0
-        self._told: tuple[int, int] | None = None
+        self._told_skipped: int | None = None  # skipped inputs when it was last said that nothing is paused
         self.lag_s = 0.0
         self.skipped = 0
 
@@ -60,9 +60,9 @@ class Load:
         self.lag_s = max(0.0, (now_ns - arrival_ns) * 1e-9)
         self._judge(now_ns, shrinks=self.lag_s < before_s - SHRINKS_S)
         quiet = self.lag_s < RESUME_BELOW_S and not self._paused
-        if quiet and self._told == (0, self.skipped):
+        if quiet and self._told_skipped == self.skipped:
             return None
-        self._told = (self._paused, self.skipped) if quiet else None
+        self._told_skipped = self.skipped if quiet else None
         return ProcessLoad(
             sampled_ns=now_ns, process=self._process, lag_s=self.lag_s, paused=ORDER[: self._paused],
             skipped=self.skipped,

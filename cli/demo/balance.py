@@ -78,6 +78,11 @@ class Summary:
         """Whether the position was lost for a large part of the run."""
         return self.trust.get("no_fix", 0.0) > MISSING_SHARE * self.duration_s
 
+    @property
+    def unusable(self) -> bool:
+        """Whether the positions of the run could not be used."""
+        return self.too_slow or self.position_missing
+
 
 class Balance:
     """Collects the messages of a run for its figures; with `keep=False` only whether they arrive."""
@@ -186,7 +191,7 @@ class Balance:
             checks_paused_s=round(self._paused_ns * 1e-9, 1),
             attacks=summarise(runs, self._verdicts, self._begin_ns or self._first_ns),
         )
-        return replace(summary, healthy=summary.healthy and not summary.too_slow and not summary.position_missing)
+        return replace(summary, healthy=summary.healthy and not summary.unusable)
 
     def _same_epochs(self, fixes: list[tuple[int, tuple[float, float, float]]]) -> tuple[FloatArray, FloatArray]:
         """Errors of fixes and of the solution at their times [m, NED], where both are known, shape (n, 3) each.

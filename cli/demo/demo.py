@@ -48,7 +48,6 @@ SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
 OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw",
             "trust/state", "simulation/state", "health/load")  # fmt: skip
 START_LIMIT_S = 60.0
-NOT_USABLE = "not usable"
 LINK_S = 3600.0  # in which a link may log in
 
 
@@ -246,20 +245,18 @@ def why_unhealthy(summary: Summary | PlazaSummary) -> str:
         )
     if isinstance(summary, PlazaSummary):
         return "no passage was charged: the first one takes about 30 s; try --duration 60"
-    return why_not_usable(summary) or _without_position(summary)
+    return _why_unusable(summary) if summary.unusable else _without_position(summary)
 
 
-def why_not_usable(summary: Summary) -> str | None:
-    """Say why the positions of a run could not be used although all processes ran; None if they could."""
+def _why_unusable(summary: Summary) -> str:
+    """Say why the positions of a run could not be used although all processes ran."""
     missing = f"no position for {summary.trust.get('no_fix', 0.0):.0f} of {summary.duration_s:.0f} s"
-    if summary.too_slow:
-        return (
-            f"{NOT_USABLE}: this computer is too slow: {missing}, checks paused for {summary.checks_paused_s:.0f} s, "
-            f"positions {(summary.end_to_end_latency_p50_ms or 0.0) / 1e3:.1f} s late at the median; end other "
-            "programs, or use a faster computer"
-        )
+    if not summary.too_slow:
+        return f"not usable: {missing}; the page System shows which input was missing"
     return (
-        f"{NOT_USABLE}: {missing}; the page System shows which input was missing" if summary.position_missing else None
+        f"not usable: this computer is too slow: {missing}, checks paused for {summary.checks_paused_s:.0f} s, "
+        f"positions {(summary.end_to_end_latency_p50_ms or 0.0) / 1e3:.1f} s late at the median; end other "
+        "programs, or use a faster computer"
     )
 
 
@@ -282,8 +279,8 @@ def _detection(attack: AttackSummary) -> str:
 
 def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Console) -> None:
     if not summary.healthy:
-        why = why_unhealthy(summary)
-        console.print(why if why.startswith(NOT_USABLE) else f"not healthy: {why}", soft_wrap=True, highlight=False)
+        what = "" if isinstance(summary, Summary) and summary.unusable else "not healthy: "
+        console.print(f"{what}{why_unhealthy(summary)}", soft_wrap=True, highlight=False)
     if options.json_output:
         print(json.dumps(asdict(summary)))
         return

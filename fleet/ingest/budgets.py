@@ -19,11 +19,9 @@ from .verification import Genuine
 
 MB = 1_000_000
 DAY_S = 86_400.0
-ROW_BYTES, EVENT_BYTES, REPORT_BYTES = (
-    256,
-    128,
-    16,
-)  # of a batch with its index, of an event, of a report when it is read
+ROW_BYTES = 256  # of a batch with its index
+EVENT_BYTES = 128  # of an event
+REPORT_BYTES = 16  # of a report when it is read
 MOST_VEHICLES = 200_000
 RESERVE = 0.25  # of a tenant's accounts, for vehicles that have used less than `USUAL` of their own day
 USUAL = 0.1

@@ -162,21 +162,14 @@ SELECT %(vehicle)s, %(epoch)s, %(tenant)s, stored.count - before.count, %(first)
 ON CONFLICT (vehicle, epoch) DO UPDATE SET
     lost = epoch.lost + excluded.lost, highest = greatest(epoch.highest, excluded.highest)
 """
-ALARM_SIGNATURE = """
+# An open alarm with a reason and a count, each under a name of its own in the detail; its count grows.
+ALARM = """
 INSERT INTO alarm (tenant_id, vehicle, kind, since_ms, detail)
-SELECT tenant_id, vehicle, 'signature', %(now)s,
-    jsonb_build_object('reason', %(reason)s::text, 'count', %(count)s::int, 'last_ms', %(now)s::bigint)
+SELECT tenant_id, vehicle, %(kind)s, %(now)s, jsonb_build_object(
+    %(reason_name)s::text, %(reason)s::text, %(count_name)s::text, %(count)s::int, 'last_ms', %(now)s::bigint)
 FROM vehicle WHERE vehicle = %(vehicle)s
-ON CONFLICT (vehicle, kind) WHERE until_ms IS NULL DO UPDATE SET detail =
-    excluded.detail || jsonb_build_object('count', (alarm.detail->>'count')::bigint + %(count)s)
-"""
-ALARM_FLOOD = """
-INSERT INTO alarm (tenant_id, vehicle, kind, since_ms, detail)
-SELECT tenant_id, vehicle, 'flood', %(now)s,
-    jsonb_build_object('budget', %(whose)s::text, 'withheld', %(count)s::int, 'last_ms', %(now)s::bigint)
-FROM vehicle WHERE vehicle = %(vehicle)s
-ON CONFLICT (vehicle, kind) WHERE until_ms IS NULL DO UPDATE SET detail =
-    excluded.detail || jsonb_build_object('withheld', (alarm.detail->>'withheld')::bigint + %(count)s)
+ON CONFLICT (vehicle, kind) WHERE until_ms IS NULL DO UPDATE SET detail = excluded.detail ||
+    jsonb_build_object(%(count_name)s::text, (alarm.detail->>%(count_name)s::text)::bigint + %(count)s)
 """
 KEYS = """
 SELECT key_id, vehicle, tenant_id, public_key, revoked IS NOT NULL, vehicle_mb_day, mb_day
@@ -233,17 +226,20 @@ class Store:
 
     def tell_forgeries(self, counts: dict[tuple[str, str], int], now_ms: int) -> None:
         """Raise an alarm for batches of a known vehicle's topic that it has not signed; raises `Unusable`."""
-        self._alarm(ALARM_SIGNATURE, counts, "reason", now_ms)
+        self._alarm("signature", "reason", "count", counts, now_ms)
 
     def tell_floods(self, counts: dict[tuple[str, str], int], now_ms: int) -> None:
         """Raise an alarm for batches that get no receipt, by vehicle and whose budget is used up; raises `Unusable`."""
-        self._alarm(ALARM_FLOOD, counts, "whose", now_ms)
+        self._alarm("flood", "budget", "withheld", counts, now_ms)
 
-    def _alarm(self, statement: str, counts: dict[tuple[str, str], int], name: str, now_ms: int) -> None:
+    def _alarm(
+        self, kind: str, reason_name: str, count_name: str, counts: dict[tuple[str, str], int], now_ms: int
+    ) -> None:
+        names = {"kind": kind, "reason_name": reason_name, "count_name": count_name, "now": now_ms}
         try:
             with self._connection().transaction(), self._connection().cursor() as cursor:
-                for (vehicle, why), count in sorted(counts.items()):
-                    cursor.execute(statement, {"vehicle": vehicle, name: why, "count": count, "now": now_ms})
+                for (vehicle, reason), count in sorted(counts.items()):
+                    cursor.execute(ALARM, {**names, "vehicle": vehicle, "reason": reason, "count": count})
         except psycopg.Error as error:
             raise self._failed(error) from error
 
