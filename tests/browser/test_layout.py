@@ -92,6 +92,23 @@ def test_drawers_fit_the_screen_of_a_phone(server: Running, open_page: Callable[
         nothing_is(page, OFF_SCREEN)
 
 
+def test_a_drawer_that_follows_another_at_once_stays_open(server: Running, open_page: Callable[..., Page]) -> None:
+    """The event of a dialog's end comes later than the key."""
+    page = open_page(server.address, path="now")
+    expect(page.locator(".banner .word")).to_have_text("SAFE")
+    page.keyboard.press("w")
+    expect(page.get_by_role("dialog")).to_be_visible()
+    page.evaluate(
+        """() => new Promise((done) => {
+          const dialog = document.querySelector("dialog");
+          dialog.addEventListener("close", () => setTimeout(done, 0));
+          dialog.close();
+          dispatchEvent(new KeyboardEvent("keydown", { key: "?" }));
+        })"""
+    )
+    expect(page.get_by_role("dialog", name="Help")).to_be_visible()
+
+
 def test_names_of_lanes_stand_beside_lines_and_vehicles(plaza: Running, open_page: Callable[..., Page]) -> None:
     page = open_page(plaza.address, path="toll")
     expect(page.locator(".plaza text").first).to_be_visible()

@@ -1,6 +1,6 @@
 // The shell around the pages: unit, connection, the verdict in one sentence, and navigation.
 import { render } from "preact";
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, tellErrors, togglePause } from "./store.js";
 import { Drawer, Empty, Guard, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
 import { NowPage } from "./now.js";
@@ -251,7 +251,7 @@ function HelpDrawer({ onClose }) {
 }
 
 function useKeys(open) {
-  useEffect(() => {
+  useLayoutEffect(() => { // no key is lost between the first picture and the effects after it
     let before = "";
     const pressed = (event) => {
       const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
@@ -278,6 +278,8 @@ function App() {
   const [, redraw] = useState(0);
   const [tries, setTries] = useState(0);
   const heading = useRef(null);
+  // The event of a dialog that was closed may come after another one was opened.
+  const closed = (name) => () => setDrawer((shown) => (shown === name ? null : shown));
   useKeys(setDrawer);
   useEffect(() => {
     document.documentElement.dataset.theme = settings.value.theme;
@@ -309,8 +311,8 @@ function App() {
     <div class="body"><${Guard}><${Navigation} page=${page} /></${Guard}>
       <main id="content" class=${connected() || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1><${Guard} key=${page}>${shown}</${Guard}></main></div>
     <${Guard}><${Footer} /></${Guard}>
-    <${Guard} key=${drawer}>${drawer === "why" && ready && html`<${WhyDrawer} onClose=${() => setDrawer(null)} />`}
-    ${drawer === "help" && html`<${HelpDrawer} onClose=${() => setDrawer(null)} />`}</${Guard}>`;
+    <${Guard} key=${drawer}>${drawer === "why" && ready && html`<${WhyDrawer} onClose=${closed("why")} />`}
+    ${drawer === "help" && html`<${HelpDrawer} onClose=${closed("help")} />`}</${Guard}>`;
 }
 
 const root = document.getElementById("app");

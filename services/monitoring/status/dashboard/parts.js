@@ -1,6 +1,6 @@
 // Small parts that every page uses: icons, numbers with units, ages, cards.
 import { Component, h } from "preact";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 import htm from "htm";
 import { ageS, clock, connected, freshness, isLive, link, paused, settings, state } from "./store.js";
 import { words } from "./words.js";
@@ -153,7 +153,7 @@ export function KindsTable({ kinds }) {
 
 export function Drawer({ title, onClose, children, head, wide }) {
   const ref = useRef(null);
-  useEffect(() => {
+  useLayoutEffect(() => {
     ref.current.showModal();
   }, []);
   return html`<dialog ref=${ref} class="drawer ${wide ? "wide" : ""}" aria-labelledby="drawer-title"
