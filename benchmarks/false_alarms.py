@@ -32,7 +32,7 @@ from services.core.spoofing.process import Process as Spoofing
 from services.sensors.simulator.drive import simulate
 from shared.messages.base import Tick
 from shared.messages.navigation import FilterState, NavigationSolution
-from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.trust import Outcome, TrustMonitor
 from tests.support.drives.motion import World, drives_and_stops
 from tests.support.drives.spoofing import inputs
 
@@ -67,11 +67,11 @@ class Count:
 
 
 Key = tuple[str, float | None]  # test, design rate
-Outcome = tuple[str, float | None, bool | None]  # test, design rate, accuses (None: not evaluated)
+Result = tuple[str, float | None, bool | None]  # test, design rate, accuses (None: not evaluated)
 Drive = Callable[[int, int], list[Count]]  # of a seed and seconds, at all design rates
 
 
-def counted(epochs: Iterator[Sequence[Outcome]]) -> list[Count]:
+def counted(epochs: Iterator[Sequence[Result]]) -> list[Count]:
     """Count evaluations and uninterrupted accusations of each test and design rate."""
     evaluations: Counter[Key] = Counter()
     episodes: Counter[Key] = Counter()
@@ -105,7 +105,7 @@ def motion_at(seed: int, seconds: int, rate: float | None) -> list[Count]:
     )  # fmt: skip
     names = [field.name for field in fields(MotionVerdicts)]
 
-    def epochs() -> Iterator[list[Outcome]]:
+    def epochs() -> Iterator[list[Result]]:
         for verdicts in world.run(float(seconds)):
             found = [(name, getattr(verdicts, name)) for name in names]
             yield [
@@ -133,7 +133,7 @@ def inertial(seed: int, seconds: int) -> list[Count]:
         for rate in DESIGN_RATES
     ]
 
-    def epochs() -> Iterator[list[Outcome]]:
+    def epochs() -> Iterator[list[Result]]:
         for message in inputs(drive):
             received: list[SpoofingIn] = [message]
             if not isinstance(message, Tick):
@@ -149,7 +149,7 @@ def inertial(seed: int, seconds: int) -> list[Count]:
             ]
             found = {(test.name, test.false_alarm_rate): test.outcome for test in tests}
             yield [
-                (*key, None if outcome is MonitorOutcome.NOT_EVALUATED else outcome is MonitorOutcome.ACCUSES)
+                (*key, None if outcome is Outcome.NOT_EVALUATED else outcome is Outcome.ACCUSES)
                 for key, outcome in found.items()
             ]
 

@@ -26,7 +26,6 @@ from services.core.cooperative.measurements import (
     Constellation,
     FloatArray,
     Measurement,
-    Outcome,
     RawEpoch,
     SatelliteId,
 )
@@ -52,6 +51,7 @@ from services.sensors.simulator.gnss.reception import Fix
 from services.sensors.simulator.gnss.sky import SkyModel
 from shared.maths.earth import Geodetic
 from shared.maths.quantiles import chi_square_limit
+from shared.messages.trust import Outcome
 
 RATES = (1e-2, 1e-3, 1e-5)
 PLACES = 50

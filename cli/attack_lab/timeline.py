@@ -9,7 +9,7 @@ import numpy.typing as npt
 from shared.maths.earth import FloatArray
 from shared.messages.base import Message, Vector3
 from shared.messages.navigation import NavigationSolution, TruthState
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustState
 
 from ..campaign import Kept
 from ..solve.metrics.errors import errors_against
@@ -114,9 +114,9 @@ def _monitors(
         for monitor in state.monitors:
             intervals = accused.setdefault(monitor.monitor, [])
             evaluated.setdefault(monitor.monitor, 0.0)
-            if monitor.outcome is not MonitorOutcome.NOT_EVALUATED:
+            if monitor.outcome is not Outcome.NOT_EVALUATED:
                 evaluated[monitor.monitor] += end_s - begin_s
-            if monitor.outcome is not MonitorOutcome.ACCUSES:
+            if monitor.outcome is not Outcome.ACCUSES:
                 continue
             _extend(intervals, begin_s, end_s)
     return accused, evaluated
@@ -129,7 +129,7 @@ def _sources(
     named: dict[str, list[Interval]] = {}
     excluded: dict[str, list[Interval]] = {}
     for state, (begin_s, end_s) in _lasting(states, start_ns, end_ns):
-        accusing = (monitor for monitor in state.monitors if monitor.outcome is MonitorOutcome.ACCUSES)
+        accusing = (monitor for monitor in state.monitors if monitor.outcome is Outcome.ACCUSES)
         for name in {name for monitor in accusing for name in monitor.accused}:
             _extend(named.setdefault(name, []), begin_s, end_s)
         for name, is_excluded in (("gnss", state.gnss_excluded), ("odometer", state.odometer_excluded)):

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from shared.attacks import BY_NAME
 from shared.messages.simulation import AttackName, AttackRun
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustState
 
 NS = 1_000_000_000
 LONGEST_GAP_S = 2.0  # between two states; beyond it nothing is known about the verdict
@@ -34,7 +34,7 @@ def signs(state: TrustState, attack: AttackName) -> tuple[str, ...]:
     found += [f"verdict {state.state}"] if state.state in ALARMS else []
     for monitor in state.monitors:
         accused = [one for one in monitor.accused if one.startswith("neighbour") == by_neighbours]
-        if monitor.outcome is MonitorOutcome.ACCUSES and accused:
+        if monitor.outcome is Outcome.ACCUSES and accused:
             found.append(f"{monitor.monitor} suspects {', '.join(accused)}")
     return tuple(found)
 

@@ -30,8 +30,8 @@ Explanations = Annotated[tuple[Explanation, ...], Field(max_length=EXPLANATIONS_
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
-class MonitorOutcome(StrEnum):
-    """Result of a monitor: "not evaluated" is neither passed nor failed."""
+class Outcome(StrEnum):
+    """Result of a test or of a monitor: "not evaluated" is neither passed nor failed."""
 
     PASS = "pass"
     ACCUSES = "accuses"
@@ -42,8 +42,9 @@ class MonitorTest(Message):
     """One test of a monitor: it accuses when the statistic is greater than the threshold."""
 
     name: Name
-    outcome: MonitorOutcome
-    reason: Reason
+    outcome: Outcome
+    reason: Reason = ""  # for people, where there is no code
+    reason_code: Explanation | None = None
     statistic: Annotated[Statistic, unit("of the test")] | None = None
     threshold: Annotated[Statistic, unit("of the test")] | None = None
     unit: Name = "-"
@@ -57,7 +58,7 @@ class TrustMonitor(Message):
 
     sampled_ns: Nanoseconds
     monitor: Name
-    outcome: MonitorOutcome
+    outcome: Outcome
     reason: Reason
     reason_code: Explanation | None = None  # of `reason`, where the monitor has codes
     accused: tuple[Name, ...] = ()  # gnss, odometer, the ID of a satellite or of a neighbour

@@ -10,7 +10,7 @@ from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.base import Message
 from shared.messages.gnss import FaultFreeFix, GnssFix, GnssRawEpoch
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationState
-from shared.messages.trust import MonitorOutcome, TrustMonitor, TrustState
+from shared.messages.trust import Outcome, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
 
@@ -71,7 +71,7 @@ def test_an_excluded_satellite_is_a_finding_and_no_accusation(
     accusing = [
         one
         for one in published
-        if isinstance(one, TrustMonitor) and one.monitor == "satellites" and one.outcome is MonitorOutcome.ACCUSES
+        if isinstance(one, TrustMonitor) and one.monitor == "satellites" and one.outcome is Outcome.ACCUSES
     ]
     [name] = accusing[0].accused
     known = [one for one in published if isinstance(one, NavigationState) and one.satellites_left_out]

@@ -8,7 +8,7 @@ import pytest
 from services.core.cooperative.process import Config, Process
 from services.sensors.simulator.world import messages
 from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRawEpoch
-from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.trust import Outcome, TrustMonitor
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
 
@@ -32,15 +32,15 @@ def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_complete(scen
     found = statements(scenario, seed, 60.0)
     assert {one.monitor for one in found} == {"satellites"} and len(found) > 55
     begin, later = found[0], found[EPHEMERIDES_S + 2 :]
-    assert begin.outcome is MonitorOutcome.NOT_EVALUATED and begin.reason
+    assert begin.outcome is Outcome.NOT_EVALUATED and begin.reason
     assert "ephemerides of 0 of" in found[10].reason
-    assert {one.outcome for one in later} == {MonitorOutcome.PASS} and len(later) > 20
+    assert {one.outcome for one in later} == {Outcome.PASS} and len(later) > 20
     assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in later)
 
 
 def test_in_a_tunnel_the_monitor_is_not_evaluated_with_a_reason() -> None:
     found = statements("tunnel", 1, 80.0)
-    assert found[-1].outcome is MonitorOutcome.NOT_EVALUATED
+    assert found[-1].outcome is Outcome.NOT_EVALUATED
     assert found[-1].reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
 
 
@@ -72,8 +72,8 @@ def with_push(row: int) -> Iterator[tuple[str, TrustMonitor]]:
 def test_a_pseudorange_error_of_50_m_on_one_satellite_is_excluded_in_its_epoch(row: int) -> None:
     found = list(with_push(row))
     (_, before), (name, at_once), *later = found[PUSHED_EPOCH - 2 :]
-    assert before.outcome is MonitorOutcome.PASS
+    assert before.outcome is Outcome.PASS
     for one in (at_once, *(statement for _, statement in later)):
-        assert (one.outcome, one.accused) == (MonitorOutcome.ACCUSES, (name,))
+        assert (one.outcome, one.accused) == (Outcome.ACCUSES, (name,))
         assert one.suspect_since_ns == before.sampled_ns
         assert one.statistic is not None and one.threshold is not None and one.statistic < one.threshold

@@ -27,7 +27,6 @@ from services.core.cooperative.hypotheses import satellite_hypotheses
 from services.core.cooperative.measurements import (
     WEEK_NS,
     Constellation,
-    Outcome,
     RawEpoch,
     SatelliteId,
     SatelliteVerdict,
@@ -35,7 +34,7 @@ from services.core.cooperative.measurements import (
 from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
-from shared.messages.trust import TrustHypotheses
+from shared.messages.trust import Outcome, TrustHypotheses
 from tests.support.data import recording
 from tests.support.gnss.rtcm import read_rtcm
 

@@ -12,7 +12,7 @@ from services.core.spoofing.process import Config
 from services.core.spoofing.windows.position_step import FALSE_ALARM_RATE
 from services.sensors.simulator.world import messages
 from shared.errors import ConfigError, UserError
-from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.trust import Outcome, TrustMonitor
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle
 from shared.runtime.live import arrival_ns
@@ -75,10 +75,10 @@ def test_the_profile_names_its_recordings_and_is_read_by_core_spoofing(learned: 
 def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learned: Learned) -> None:
     vehicle = learned.vehicle(VEHICLE)
     profile = vehicle.section("core.spoofing", Config).profile
-    judged = [s for s in statements(learned, vehicle) if s.outcome is not MonitorOutcome.NOT_EVALUATED]
+    judged = [s for s in statements(learned, vehicle) if s.outcome is not Outcome.NOT_EVALUATED]
     assert len(judged) > 20
     assert {s.false_alarm_rate for s in judged} <= {profile.false_alarm_rate, FALSE_ALARM_RATE}, "of the deciding test"
-    assert not [s for s in judged if s.outcome is MonitorOutcome.ACCUSES]
+    assert not [s for s in judged if s.outcome is Outcome.ACCUSES]
     assert not [s for s in judged if "another unit" in s.model_dump_json()]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.rotation import Vector
+from shared.messages.trust import Outcome
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -56,14 +57,6 @@ class RawEpoch:
 
     gps_time_ns: int
     measurements: tuple[Measurement, ...]
-
-
-class Outcome(StrEnum):
-    """What a monitor concludes."""
-
-    PASS = "pass"
-    ACCUSES = "accuses"
-    NOT_EVALUATED = "not_evaluated"
 
 
 @dataclass(frozen=True)

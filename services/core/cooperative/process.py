@@ -15,13 +15,13 @@ from shared.messages.base import Symmetric3, Tick
 from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.neighbours import Neighbour, NeighbourStates
 from shared.messages.operation import ModeState
-from shared.messages.trust import TrustHypotheses, TrustMonitor
+from shared.messages.trust import Outcome, TrustHypotheses, TrustMonitor
 from shared.runtime.config import VehicleSettings
 
 from .broadcast.store import EphemerisStore
 from .fault_free import fault_free_fix
 from .hypotheses import satellite_hypotheses
-from .measurements import Constellation, Measurement, Outcome, RawEpoch, SatelliteId, SatelliteVerdict
+from .measurements import Constellation, Measurement, RawEpoch, SatelliteId, SatelliteVerdict
 from .satellites.model import ErrorModel
 from .satellites.monitor import RaimSettings, SatelliteMonitor
 from .satellites.solution import PositionFit

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 
 from .detection import local_threshold
-from .measurements import NeighbourFinding, Outcome, RawEpoch, SatelliteFinding, SatelliteVerdict
+from .measurements import NeighbourFinding, RawEpoch, SatelliteFinding, SatelliteVerdict
 
 MONITOR, GNSS = "satellites", "gnss"
 UNRESOLVED_NS = 60_000_000_000
@@ -21,7 +21,7 @@ WITHOUT_EPHEMERIS = ("no_ephemeris", "old_ephemeris")
 class Since:
     """The outcome of the statement before, when it was reached, and when no satellite was accused last."""
 
-    outcome: MonitorOutcome | None = None
+    outcome: Outcome | None = None
     since_ns: int | None = None
     passed_ns: int | None = None
 
@@ -29,8 +29,8 @@ class Since:
 def not_evaluated(reason: str, time_ns: int, since: Since) -> TrustMonitor:
     """Give the statement of a monitor that has nothing to test."""
     return TrustMonitor(
-        sampled_ns=time_ns, monitor=MONITOR, outcome=MonitorOutcome.NOT_EVALUATED, reason=reason[:400],
-        since_ns=_since_ns(MonitorOutcome.NOT_EVALUATED, time_ns, since),
+        sampled_ns=time_ns, monitor=MONITOR, outcome=Outcome.NOT_EVALUATED, reason=reason[:400],
+        since_ns=_since_ns(Outcome.NOT_EVALUATED, time_ns, since),
     )  # fmt: skip
 
 
@@ -40,11 +40,11 @@ def silent(reason: str, time_ns: int, epoch_ns: int | None, since: Since) -> Tru
     Where a satellite was excluded in the last epoch, the receiver's own position contains it and nothing replaces that:
     GNSS is accused as a whole, for a minute.
     """
-    excluded = since.outcome is MonitorOutcome.ACCUSES and since.passed_ns != epoch_ns
+    excluded = since.outcome is Outcome.ACCUSES and since.passed_ns != epoch_ns
     if not excluded or epoch_ns is None or time_ns - epoch_ns > UNRESOLVED_NS:
         return not_evaluated(reason, time_ns, since)
     return TrustMonitor(
-        sampled_ns=time_ns, monitor=MONITOR, outcome=MonitorOutcome.ACCUSES, accused=(GNSS,),
+        sampled_ns=time_ns, monitor=MONITOR, outcome=Outcome.ACCUSES, accused=(GNSS,),
         reason=f"{reason}, and a satellite was excluded before", since_ns=since.since_ns, suspect_since_ns=epoch_ns,
     )  # fmt: skip
 
@@ -88,7 +88,7 @@ def statement(
         return not_evaluated(why_not(verdict, epoch), time_ns, since)
     neighbours = cooperative.neighbours if cooperative else ()
     accused = (*_accused(verdict), *(finding.name for finding in neighbours if finding.excluded))[:MAX_ACCUSED]
-    outcome = MonitorOutcome.ACCUSES if accused else MonitorOutcome.PASS
+    outcome = Outcome.ACCUSES if accused else Outcome.PASS
     return TrustMonitor(
         sampled_ns=time_ns, monitor=MONITOR, outcome=outcome, reason=_reason(verdict, neighbours)[:400],
         accused=accused,
@@ -104,7 +104,7 @@ def statement(
 
 def after(published: TrustMonitor, since: Since) -> Since:
     """Remember what a statement says for the next one."""
-    satellites_agree = published.outcome is not MonitorOutcome.NOT_EVALUATED and all(
+    satellites_agree = published.outcome is not Outcome.NOT_EVALUATED and all(
         name.startswith(NEIGHBOUR) for name in published.accused
     )
     passed_ns = published.sampled_ns if satellites_agree else since.passed_ns
@@ -119,7 +119,7 @@ def _accused(verdict: SatelliteVerdict) -> tuple[str, ...]:
     return tuple(str(satellite) for satellite in verdict.excluded) if named else (GNSS,)
 
 
-def _since_ns(outcome: MonitorOutcome, time_ns: int, since: Since) -> int:
+def _since_ns(outcome: Outcome, time_ns: int, since: Since) -> int:
     return since.since_ns if since.outcome is outcome and since.since_ns is not None else time_ns
 
 
@@ -163,7 +163,7 @@ def _test(finding: SatelliteFinding, threshold: float, rate: float) -> MonitorTe
     use = "excluded" if finding.excluded else "used"
     return MonitorTest(
         name=str(finding.satellite),
-        outcome=MonitorOutcome.ACCUSES if finding.w > threshold else MonitorOutcome.PASS,
+        outcome=Outcome.ACCUSES if finding.w > threshold else Outcome.PASS,
         reason=f"{use}, residual {finding.residual_m:.1f} m{bias}",
         statistic=finding.w,
         threshold=threshold,
@@ -180,7 +180,7 @@ def _cooperative_tests(verdict: SatelliteVerdict | None) -> Iterator[MonitorTest
     if verdict.reason:
         with_help = verdict.reason if verdict.outcome is Outcome.NOT_EVALUATED else f"{verdict.reason}; {with_help}"
     yield MonitorTest(
-        name=COOPERATIVE, outcome=MonitorOutcome(verdict.outcome.value), reason=with_help[:400],
+        name=COOPERATIVE, outcome=verdict.outcome, reason=with_help[:400],
         statistic=verdict.statistic, threshold=verdict.threshold,
         false_alarm_rate=verdict.false_alarm_rate if verdict.statistic is not None else None,
     )  # fmt: skip
@@ -188,7 +188,7 @@ def _cooperative_tests(verdict: SatelliteVerdict | None) -> Iterator[MonitorTest
         use = "excluded" if finding.excluded else "used"
         yield MonitorTest(
             name=finding.name,
-            outcome=MonitorOutcome.ACCUSES if finding.t > finding.threshold else MonitorOutcome.PASS,
+            outcome=Outcome.ACCUSES if finding.t > finding.threshold else Outcome.PASS,
             reason=f"{use}, innovation of its range-rate {finding.innovation_m_s:.1f} m/s",
             statistic=finding.t, threshold=finding.threshold,
         )  # fmt: skip
@@ -205,6 +205,6 @@ def _level_test(
     enough = level <= alert_limit_m
     yield MonitorTest(
         name=LEVEL, unit="m", statistic=level, threshold=alert_limit_m,
-        outcome=MonitorOutcome.PASS if enough else MonitorOutcome.NOT_EVALUATED,
+        outcome=Outcome.PASS if enough else Outcome.NOT_EVALUATED,
         reason="faults that matter are excluded" if enough else "a fault that matters may not be excluded",
     )  # fmt: skip

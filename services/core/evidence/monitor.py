@@ -12,7 +12,7 @@ import numpy as np
 
 from shared.messages.gnss import GnssSatellites, GnssSignalQuality, InterferenceState, RadioPath, ReceiverClock
 from shared.messages.operation import HostClock
-from shared.messages.trust import MonitorOutcome, MonitorTest
+from shared.messages.trust import MonitorTest, Outcome
 
 from .baselines import NS, RECENT_S, ClockPrediction, SlowMean, TimeOffset
 from .settings import Settings
@@ -48,7 +48,7 @@ class EvidenceTest:
         self._newest: Finding | None = None
         self._above, self._until_ns = 0, -1
         self._clear_ns: int | None = None
-        self._outcome, self._since_ns = MonitorOutcome.NOT_EVALUATED, 0
+        self._outcome, self._since_ns = Outcome.NOT_EVALUATED, 0
 
     def evaluated(self, finding: Finding) -> None:
         """Use an evaluation; what accuses is kept until the accusation ends."""
@@ -70,14 +70,14 @@ class EvidenceTest:
 
     def result(self, time_ns: int, stale_after_s: float) -> MonitorTest:
         """Result at a time."""
-        found, outcome = self._newest, MonitorOutcome.PASS
+        found, outcome = self._newest, Outcome.PASS
         if self.accuses(time_ns):
-            outcome = MonitorOutcome.ACCUSES
+            outcome = Outcome.ACCUSES
         elif found is None or time_ns - found.time_ns > stale_after_s * NS:
-            outcome = MonitorOutcome.NOT_EVALUATED
+            outcome = Outcome.NOT_EVALUATED
         if outcome is not self._outcome or not self._since_ns:
             self._outcome, self._since_ns = outcome, time_ns
-        if found is None or outcome is MonitorOutcome.NOT_EVALUATED:
+        if found is None or outcome is Outcome.NOT_EVALUATED:
             age = "" if found is None else f" for {(time_ns - found.time_ns) / NS:.0f} s"
             return MonitorTest(name=self._name, outcome=outcome, reason=self._missing + age, since_ns=self._since_ns)
         return MonitorTest(

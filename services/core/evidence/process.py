@@ -7,7 +7,7 @@ from shared.chosen import ChosenSource, receiver_choice, receiver_of
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix, GnssSatellites, GnssSignalQuality
 from shared.messages.operation import HostClock, ModeState
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 
 from .monitor import EvidenceMonitor
 from .settings import Settings
@@ -67,7 +67,7 @@ class Process:
         newest_ns = self._monitor.newest_ns
         outcome = _outcome(tests)
         deciding = max((test for test in tests if test.outcome is outcome), key=_ratio, default=None)
-        accuses = outcome is MonitorOutcome.ACCUSES
+        accuses = outcome is Outcome.ACCUSES
         return TrustMonitor(
             sampled_ns=now_ns if newest_ns is None or accuses else min(newest_ns, now_ns), monitor="evidence",
             outcome=outcome, reason=_reason(tests, outcome, never=newest_ns is None),
@@ -78,20 +78,20 @@ class Process:
         )  # fmt: skip
 
 
-def _outcome(tests: list[MonitorTest]) -> MonitorOutcome:
+def _outcome(tests: list[MonitorTest]) -> Outcome:
     """Accuses if any test does; passes if any test of what the receiver says of itself does."""
-    if any(test.outcome is MonitorOutcome.ACCUSES for test in tests):
-        return MonitorOutcome.ACCUSES
-    passed = any(test.outcome is MonitorOutcome.PASS and test.name in OWN_TESTS for test in tests)
-    return MonitorOutcome.PASS if passed else MonitorOutcome.NOT_EVALUATED
+    if any(test.outcome is Outcome.ACCUSES for test in tests):
+        return Outcome.ACCUSES
+    passed = any(test.outcome is Outcome.PASS and test.name in OWN_TESTS for test in tests)
+    return Outcome.PASS if passed else Outcome.NOT_EVALUATED
 
 
-def _reason(tests: list[MonitorTest], outcome: MonitorOutcome, *, never: bool) -> str:
-    if outcome is MonitorOutcome.NOT_EVALUATED:
+def _reason(tests: list[MonitorTest], outcome: Outcome, *, never: bool) -> str:
+    if outcome is Outcome.NOT_EVALUATED:
         return NOTHING if never else "; ".join(test.reason for test in tests if test.name in OWN_TESTS)[:400]
-    if outcome is MonitorOutcome.ACCUSES:
+    if outcome is Outcome.ACCUSES:
         return "; ".join(test.reason for test in tests if test.outcome is outcome)[:400]
-    missing = [test.name for test in tests if test.outcome is MonitorOutcome.NOT_EVALUATED]
+    missing = [test.name for test in tests if test.outcome is Outcome.NOT_EVALUATED]
     count = f"{len(tests) - len(missing)} of {len(tests)} tests pass"
     return f"{count}; not evaluated: {', '.join(missing)}" if missing else count
 

@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 
 from .inertial_speed.monitor import ScaleVerdict
 from .inertial_speed.scale_change import FALSE_ALARM_RATE
@@ -32,7 +32,7 @@ def statements(verdicts: MotionVerdicts, time_ns: int) -> tuple[TrustMonitor, Tr
 
 def _test(name: str, verdict: Verdict) -> MonitorTest:
     return MonitorTest(
-        name=name, outcome=MonitorOutcome(verdict.state.value), reason=verdict.reason, statistic=verdict.statistic,
+        name=name, outcome=Outcome(verdict.state.value), reason=verdict.reason, statistic=verdict.statistic,
         threshold=verdict.threshold, unit=verdict.unit, false_alarm_rate=verdict.false_alarm_rate,
         window_s=verdict.window_s, since_ns=verdict.since_ns,
     )  # fmt: skip
@@ -40,7 +40,7 @@ def _test(name: str, verdict: Verdict) -> MonitorTest:
 
 def _statement(monitor: str, verdict: Verdict, time_ns: int, tests: tuple[MonitorTest, ...]) -> TrustMonitor:
     return TrustMonitor(
-        sampled_ns=time_ns, monitor=monitor, outcome=MonitorOutcome(verdict.state.value), reason=verdict.reason,
+        sampled_ns=time_ns, monitor=monitor, outcome=Outcome(verdict.state.value), reason=verdict.reason,
         accused=tuple(accused.value for accused in verdict.accused), suspect_since_ns=verdict.suspect_since_ns,
         since_ns=verdict.since_ns, statistic=verdict.statistic, threshold=verdict.threshold,
         false_alarm_rate=verdict.false_alarm_rate, window_s=verdict.window_s, tests=tests,
@@ -51,13 +51,13 @@ class ScaleStatement:
     """The statement `coherent_scale`, with the time since which its outcome lasts."""
 
     def __init__(self) -> None:
-        self._outcome: MonitorOutcome | None = None
+        self._outcome: Outcome | None = None
         self._since_ns = 0
 
     def of(self, verdict: ScaleVerdict, time_ns: int) -> TrustMonitor:
         """Give the statement of a verdict."""
-        outcome = MonitorOutcome.ACCUSES if verdict.accused else MonitorOutcome.PASS
-        outcome = outcome if verdict.evaluated else MonitorOutcome.NOT_EVALUATED
+        outcome = Outcome.ACCUSES if verdict.accused else Outcome.PASS
+        outcome = outcome if verdict.evaluated else Outcome.NOT_EVALUATED
         if outcome is not self._outcome:
             self._outcome, self._since_ns = outcome, time_ns
         return TrustMonitor(

@@ -12,7 +12,7 @@ from shared.inertial.increments import SECOND_NS, Decimator, Increment
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.navigation import FilterState, NavigationSolution
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 
 from .inertial.anchors import anchor_of, filter_anchor_of
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
@@ -195,7 +195,7 @@ class InertialMonitor:
         suspect = [
             verdict.suspect_since_ns
             for verdict in self._known.values()
-            if verdict.outcome is MonitorOutcome.ACCUSES and verdict.suspect_since_ns is not None
+            if verdict.outcome is Outcome.ACCUSES and verdict.suspect_since_ns is not None
         ]
         if suspect:
             self.long.accuse(min(suspect))
@@ -206,7 +206,7 @@ class InertialMonitor:
     def _acquitted(self) -> bool:
         """Whether a long window passes, or none is left to decide."""
         results = [self._known[f"long_{length}"].outcome for length in LENGTHS_S]
-        return MonitorOutcome.PASS in results or self.long.oldest_s == 0.0
+        return Outcome.PASS in results or self.long.oldest_s == 0.0
 
     def _propagate(self) -> None:
         """Propagate every free run over the new increments, and compare each fix as it is passed."""
@@ -371,7 +371,7 @@ class InertialMonitor:
 
     def _position(self, missing: str | None) -> Verdict:
         base = Verdict(
-            MonitorOutcome.NOT_EVALUATED, missing or "fixes without a position or a velocity of their own", UNIT,
+            Outcome.NOT_EVALUATED, missing or "fixes without a position or a velocity of their own", UNIT,
             false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
         )  # fmt: skip
         step = self._step
@@ -385,7 +385,7 @@ class InertialMonitor:
     def _metric(self, metric: Metric, missing: str | None) -> Verdict:
         profile, window, unit = self.settings.profile, self.window, UNITS[metric]
         base = Verdict(
-            MonitorOutcome.NOT_EVALUATED, missing or "", unit,
+            Outcome.NOT_EVALUATED, missing or "", unit,
             false_alarm_rate=profile.false_alarm_rate, window_s=WINDOW_S,
         )  # fmt: skip
         if missing is not None or window is None:
@@ -408,7 +408,7 @@ class InertialMonitor:
 
     def _long(self, time_ns: int, length: int) -> Verdict:
         missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
-        base = Verdict(MonitorOutcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
+        base = Verdict(Outcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
         if missing is not None:
             return base
         result = self.long.result(length)
@@ -434,7 +434,7 @@ class InertialMonitor:
 
     def _way(self, time_ns: int, length: int) -> Verdict:
         missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
-        base = Verdict(MonitorOutcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
+        base = Verdict(Outcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
         if missing is not None:
             return base
         way, key = self._ways.get(length), f"way_{length}"
@@ -455,9 +455,9 @@ class InertialMonitor:
 
 def _withheld(verdict: Verdict, why: str) -> Verdict:
     """Verdict of a test whose threshold is not known yet; one that needs none of the inertial sensors stands."""
-    if verdict.outcome is MonitorOutcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT:
+    if verdict.outcome is Outcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT:
         return verdict
-    return verdict._replace(outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,
+    return verdict._replace(outcome=Outcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,
         suspect_since_ns=None, doubtful=False,
     )  # fmt: skip
 
@@ -484,7 +484,7 @@ def _ends_second(increment: Increment) -> bool:
 def judged(base: Verdict, statistic: float, threshold: float, *, accuses: bool, suspect_since_ns: int) -> Verdict:
     """Complete a verdict that has been evaluated."""
     if accuses:
-        base = base._replace(outcome=MonitorOutcome.ACCUSES, suspect_since_ns=suspect_since_ns)
+        base = base._replace(outcome=Outcome.ACCUSES, suspect_since_ns=suspect_since_ns)
     else:
-        base = base._replace(outcome=MonitorOutcome.PASS)
+        base = base._replace(outcome=Outcome.PASS)
     return base._replace(statistic=statistic, threshold=threshold)

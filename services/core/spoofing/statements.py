@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 
 from .verdicts import Verdict
 from .windows.metrics import Metric
@@ -29,7 +29,7 @@ def paused_statements(time_ns: int, reason: str) -> Iterator[TrustMonitor]:
     """Give the statements of all monitors of this process while nothing is evaluated."""
     for monitor in MONITORS:
         yield TrustMonitor(
-            sampled_ns=time_ns, monitor=monitor, outcome=MonitorOutcome.NOT_EVALUATED, reason=reason, accused=()
+            sampled_ns=time_ns, monitor=monitor, outcome=Outcome.NOT_EVALUATED, reason=reason, accused=()
         )
 
 
@@ -48,17 +48,17 @@ def statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> Tr
 
 def _accused(verdicts: Mapping[str, Verdict]) -> tuple[str, ...]:
     """GNSS alone where one of the tests can tell it from the inertial sensors."""
-    accusing = [verdict.accused for verdict in verdicts.values() if verdict.outcome is MonitorOutcome.ACCUSES]
+    accusing = [verdict.accused for verdict in verdicts.values() if verdict.outcome is Outcome.ACCUSES]
     return min(accusing, key=len, default=())
 
 
-def _since(verdicts: Mapping[str, Verdict], outcome: MonitorOutcome) -> int | None:
+def _since(verdicts: Mapping[str, Verdict], outcome: Outcome) -> int | None:
     times = [v.since_ns for v in verdicts.values() if v.outcome is outcome and v.since_ns is not None]
     return min(times, default=None)
 
 
 def _weight(verdict: Verdict) -> tuple[int, float]:
-    order = (MonitorOutcome.NOT_EVALUATED, MonitorOutcome.PASS, MonitorOutcome.ACCUSES)
+    order = (Outcome.NOT_EVALUATED, Outcome.PASS, Outcome.ACCUSES)
     ratio = verdict.statistic / verdict.threshold if verdict.statistic is not None and verdict.threshold else 0.0
     return order.index(verdict.outcome), ratio
 

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 
 EITHER = ("gnss", "imu")  # one difference of the two says the same of both
 GNSS = ("gnss",)
@@ -11,7 +11,7 @@ GNSS = ("gnss",)
 class Verdict(NamedTuple):
     """Outcome of one test; it accuses when the statistic is strictly greater than the threshold."""
 
-    outcome: MonitorOutcome
+    outcome: Outcome
     reason: str
     unit: str = "-"
     statistic: float | None = None
@@ -29,6 +29,6 @@ def dated(new: Verdict, old: Verdict | None, time_ns: int) -> Verdict:
     if old is None or new.outcome is not old.outcome or old.since_ns is None:
         return new._replace(since_ns=time_ns)
     suspect = [t for t in (old.suspect_since_ns, new.suspect_since_ns) if t is not None]
-    if new.outcome is MonitorOutcome.ACCUSES and suspect:
+    if new.outcome is Outcome.ACCUSES and suspect:
         return new._replace(suspect_since_ns=min(suspect), since_ns=old.since_ns)
     return new._replace(since_ns=old.since_ns)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
-from shared.messages.trust import Hypothesis
+from shared.messages.trust import Hypothesis, Outcome
 
 from .codes import Code
 
@@ -36,14 +36,6 @@ AGAINST_GNSS = (*INERTIAL, Monitor.GYROSCOPE, Monitor.DRIFT, Monitor.SATELLITES)
 REQUIRED = (*MOTION, *INERTIAL, Monitor.SATELLITES, Monitor.EVIDENCE)
 GNSS, ODOMETER, IMU = "gnss", "odometer", "imu"  # accused by name; satellites and neighbours by their IDs
 NEIGHBOUR = "neighbour"  # begins the name of one
-
-
-class Outcome(StrEnum):
-    """Outcome of a monitor."""
-
-    PASS = "pass"
-    ACCUSES = "accuses"
-    NOT_EVALUATED = "not_evaluated"
 
 
 @dataclass(frozen=True)

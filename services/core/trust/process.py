@@ -15,7 +15,7 @@ from shared.messages.operation import ProcessLoad
 from shared.messages.trust import (
     Belief,
     Hypothesis,
-    MonitorOutcome,
+    Outcome,
     TrustEvent,
     TrustHypotheses,
     TrustLevel,
@@ -26,7 +26,7 @@ from shared.runtime.config import VehicleSettings
 from shared.words.words import REASON_LENGTH, reason
 
 from .codes import Code
-from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Outcome, Solution, Statement
+from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Solution, Statement
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
 from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
@@ -256,7 +256,7 @@ class Process:
         text = reason(used.why) if used.why else used.reason[:REASON_LENGTH]
         return TrustMonitor(
             sampled_ns=facts.time_ns if last is None else last.sampled_ns, monitor=monitor.value,
-            outcome=MonitorOutcome(used.outcome.value), reason=text, reason_code=used.why,
+            outcome=used.outcome, reason=text, reason_code=used.why,
             accused=used.accused, since_ns=used.since_ns, suspect_since_ns=used.suspect_since_ns,
             statistic=used.statistic, threshold=used.threshold, false_alarm_rate=used.false_alarm_rate,
             window_s=used.window_s, doubtful=used.doubtful,
@@ -351,8 +351,8 @@ def _solution(message: NavigationSolution) -> Solution:
 
 def _statement(monitor: Monitor, message: TrustMonitor) -> Statement:
     return Statement(
-        monitor, Outcome(message.outcome.value), message.sampled_ns, message.reason, message.accused,
+        monitor, message.outcome, message.sampled_ns, message.reason, message.accused,
         message.statistic, message.threshold, message.false_alarm_rate, message.window_s, message.since_ns,
         message.suspect_since_ns, message.doubtful,
-        tuple(test.name for test in message.tests if test.outcome is MonitorOutcome.ACCUSES),
+        tuple(test.name for test in message.tests if test.outcome is Outcome.ACCUSES),
     )  # fmt: skip

@@ -10,9 +10,9 @@ duration; each further fault within 10 minutes doubles it; it is at most 60 s.
 from collections import deque
 from dataclasses import dataclass
 
-from shared.messages.trust import Hypothesis
+from shared.messages.trust import Hypothesis, Outcome
 
-from .facts import GNSS, IMU, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
+from .facts import GNSS, IMU, INERTIAL, SECOND_NS, Facts, Monitor
 from .verdict import solution_lost
 
 HEALTHY_S = 2.0

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
-from shared.messages.trust import Hypothesis, TrustLevel
+from shared.messages.trust import Hypothesis, Outcome, TrustLevel
 
 from .codes import Code
 from .facts import (
@@ -34,7 +34,6 @@ from .facts import (
     SECOND_NS,
     Facts,
     Monitor,
-    Outcome,
     Posterior,
     Statement,
     reference,

@@ -11,7 +11,7 @@ from shared.messages.base import Message
 from shared.messages.navigation import NavigationSolution
 from shared.messages.operation import Origin, Outage
 from shared.messages.toll import TollTransaction
-from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustState
+from shared.messages.trust import Outcome, TrustEvent, TrustLevel, TrustState
 
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -131,7 +131,7 @@ def event_of(message: Message, topic: str, utc_ms: int, *, places: bool) -> Even
     match message:
         case TrustEvent():
             content = message.model_dump(mode="json", exclude_none=True, exclude={"monitors"})
-            accusing = [one for one in message.monitors if one.outcome is MonitorOutcome.ACCUSES]
+            accusing = [one for one in message.monitors if one.outcome is Outcome.ACCUSES]
             content["monitors"] = [
                 one.model_dump(mode="json", include={"monitor", "outcome", "reason", "accused"}) for one in accusing
             ]

@@ -72,8 +72,8 @@ from shared.messages.trust import (
     Belief,
     Hypothesis,
     HypothesisSolution,
-    MonitorOutcome,
     MonitorTest,
+    Outcome,
     TrustHypotheses,
     TrustMonitor,
     TrustState,
@@ -91,12 +91,12 @@ METRES_PER_DEG = 111_200.0
 LIFE = 1_795_000_000 * 10**9
 VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 SATELLITE_TESTS = (
-    MonitorTest(name="G05", outcome=MonitorOutcome.ACCUSES, reason="excluded, residual 31.2 m", statistic=9.1,
+    MonitorTest(name="G05", outcome=Outcome.ACCUSES, reason="excluded, residual 31.2 m", statistic=9.1,
                 threshold=4.2),
-    MonitorTest(name="E02", outcome=MonitorOutcome.PASS, reason="used, residual 0.4 m", statistic=0.3, threshold=4.2),
+    MonitorTest(name="E02", outcome=Outcome.PASS, reason="used, residual 0.4 m", statistic=0.3, threshold=4.2),
 )  # fmt: skip
 EVIDENCE_TESTS = tuple(
-    MonitorTest(name=name, outcome=MonitorOutcome.PASS, reason="nothing indicated", statistic=0.0, threshold=1.0)
+    MonitorTest(name=name, outcome=Outcome.PASS, reason="nothing indicated", statistic=0.0, threshold=1.0)
     for name in ("jamming", "spoofing", "cn0_uniformity", "cn0_level", "gain", "clock_step", "clock_drift", "count")
 )
 STATED_BY = {
@@ -675,7 +675,7 @@ class FakeUnit:
         self._judge(Tick(now_ns=now_ns))
 
     def _statements(self, now_ns: int) -> Iterator[TrustMonitor]:
-        passes, unknown = MonitorOutcome.PASS, MonitorOutcome.NOT_EVALUATED
+        passes, unknown = Outcome.PASS, Outcome.NOT_EVALUATED
         warming = "warming up: 12 of 30 samples with both speeds"
         tests = (
             MonitorTest(name="trimmed_mean", outcome=unknown, reason=warming, threshold=10.0, unit="km/h",
@@ -697,7 +697,7 @@ class FakeUnit:
             )
             shown = {"satellites": SATELLITE_TESTS, "evidence": EVIDENCE_TESTS}.get(name, ())
             yield TrustMonitor(
-                sampled_ns=now_ns, monitor=name, outcome=MonitorOutcome.ACCUSES if accuses else passes,
+                sampled_ns=now_ns, monitor=name, outcome=Outcome.ACCUSES if accuses else passes,
                 reason=reason, accused=("gnss",) if accuses else (),
                 suspect_since_ns=self.started_ns - 6 * 10**9 if accuses else None,
                 since_ns=self.started_ns, statistic=statistic + 0.3 * math.sin(now_ns * 1e-9), threshold=threshold,

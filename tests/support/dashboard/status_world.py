@@ -9,7 +9,7 @@ from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessHealth, ProcessState
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
 from shared.words.words import reason
 from tests.support.bus.envelopes import sent_bytes
@@ -147,7 +147,7 @@ def aiding(kind: AidingKind, test_ratio: float, *, used: bool = True) -> AidingU
 
 def monitor(now_ns: int, name: str = "inertial_short", **changes: object) -> TrustMonitor:
     base = TrustMonitor(
-        sampled_ns=now_ns, monitor=name, outcome=MonitorOutcome.PASS, reason="statistic below the threshold",
+        sampled_ns=now_ns, monitor=name, outcome=Outcome.PASS, reason="statistic below the threshold",
         since_ns=now_ns, statistic=4.0, threshold=8.0, false_alarm_rate=1e-5, window_s=5.0,
     )  # fmt: skip
     return base.model_copy(update=changes)

@@ -21,7 +21,7 @@ from services.sensors.simulator.drive import Drive
 from shared.messages.base import Message, Tick
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState
-from shared.messages.trust import MonitorOutcome, TrustMonitor, TrustState
+from shared.messages.trust import Outcome, TrustMonitor, TrustState
 from shared.topics import BY_MESSAGE
 from tests.support.drives.spoofing import SECOND_NS, drag_off, inputs
 
@@ -90,7 +90,7 @@ class Chain:
                 waiting.extend(process.handle(first))
             waiting.append(
                 TrustMonitor(
-                    sampled_ns=first.now_ns, monitor="satellites", outcome=MonitorOutcome.PASS, reason="not part of it"
+                    sampled_ns=first.now_ns, monitor="satellites", outcome=Outcome.PASS, reason="not part of it"
                 )
             )
         else:

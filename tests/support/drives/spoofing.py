@@ -19,7 +19,7 @@ from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationSolution
-from shared.messages.trust import LearnedGrade, MonitorOutcome, TrustMonitor
+from shared.messages.trust import LearnedGrade, Outcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 
 FloatArray = npt.NDArray[np.float64]
@@ -42,17 +42,17 @@ class Result:
 
     def first_s(self, monitor: str, after_s: float = 0.0) -> float | None:
         """Time [s] of the first accusation after a time."""
-        times = [s.sampled_ns / SECOND_NS for s in self.statements[monitor] if s.outcome is MonitorOutcome.ACCUSES]
+        times = [s.sampled_ns / SECOND_NS for s in self.statements[monitor] if s.outcome is Outcome.ACCUSES]
         return next((time_s for time_s in times if time_s > after_s), None)
 
-    def share(self, monitor: str, outcome: MonitorOutcome) -> float:
+    def share(self, monitor: str, outcome: Outcome) -> float:
         """Share of the statements with an outcome."""
         found = self.statements[monitor]
         return sum(statement.outcome is outcome for statement in found) / len(found)
 
     def episodes(self, monitor: str) -> int:
         """Number of uninterrupted accusations."""
-        accused = np.array([s.outcome is MonitorOutcome.ACCUSES for s in self.statements[monitor]], dtype=int)
+        accused = np.array([s.outcome is Outcome.ACCUSES for s in self.statements[monitor]], dtype=int)
         return int((np.diff(accused, prepend=0) == 1).sum())
 
 

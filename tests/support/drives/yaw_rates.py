@@ -15,7 +15,7 @@ from services.core.spoofing.verdicts import Verdict
 from shared.inertial.increments import Increment
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationPhase, NavigationSolution
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 from shared.messages.vehicle import WheelSpeeds
 
 NS = 1_000_000_000
@@ -36,7 +36,7 @@ class Run:
     def accusing(self, second: int) -> set[tuple[str, ...]]:
         """Names by the windows that accuse after a number of seconds."""
         found = self.verdicts[second - 1].values()
-        return {one.accused for one in found if one.outcome is MonitorOutcome.ACCUSES}
+        return {one.accused for one in found if one.outcome is Outcome.ACCUSES}
 
     def first(self, after: int = 0) -> int | None:
         """First second of an accusation after a time."""

@@ -37,7 +37,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, TruthState
 from shared.messages.neighbours import NeighbourStates
 from shared.messages.simulation import AttackName
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 
 NS = 1_000_000_000
@@ -395,7 +395,7 @@ def test_a_clean_drive_is_no_answer() -> None:
 
 
 def trust_state(at_s: int, accused: tuple[str, ...], *, gnss: bool = False, odometer: bool = False) -> TrustState:
-    outcomes = {True: MonitorOutcome.ACCUSES, False: MonitorOutcome.PASS}
+    outcomes = {True: Outcome.ACCUSES, False: Outcome.PASS}
     monitor = TrustMonitor(
         sampled_ns=at_s * NS, monitor="motion", outcome=outcomes[bool(accused)], reason="-", accused=accused
     )

@@ -6,6 +6,7 @@ from math import isfinite
 import numpy as np
 
 from shared.maths.quantiles import chi_square_limit
+from shared.messages.trust import Outcome
 
 from ..broadcast.store import EphemerisStore
 from ..detection import (
@@ -15,7 +16,7 @@ from ..detection import (
     minimal_identifiable_biases,
     noncentrality,
 )
-from ..measurements import FloatArray, Outcome, RawEpoch, SatelliteFinding, SatelliteId, SatelliteVerdict
+from ..measurements import FloatArray, RawEpoch, SatelliteFinding, SatelliteId, SatelliteVerdict
 from .model import ErrorModel, Sight, Sky, usable_sights
 from .solution import PositionFit, fit_velocity, masked, solution_of
 

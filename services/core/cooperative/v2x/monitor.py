@@ -9,13 +9,13 @@ import numpy as np
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
 from shared.maths.frequency_offset import CARRIER_FREQUENCY, MAX_OFFSET, range_rate_from_cfo
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
+from shared.messages.trust import Outcome
 
 from ..broadcast.store import EphemerisStore
 from ..measurements import (
     Constellation,
     FloatArray,
     NeighbourFinding,
-    Outcome,
     RawEpoch,
     SatelliteFinding,
     SatelliteId,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from shared.inertial.increments import SECOND_NS
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 
 from ..grade import Grade
 from ..settings import Settings
@@ -144,7 +144,7 @@ class DriftMonitor:
     def _verdict(
         self, name: str, length: int, result: Result | None, spread: Spread, sums: Sums | None, time_ns: int
     ) -> Verdict:
-        base = Verdict(MonitorOutcome.NOT_EVALUATED, "", "-", false_alarm_rate=self._rate, window_s=float(length))
+        base = Verdict(Outcome.NOT_EVALUATED, "", "-", false_alarm_rate=self._rate, window_s=float(length))
         if result is None:
             self._exceeded[name] = 0
             return base._replace(reason=missing(length, spread, sums))
@@ -156,20 +156,20 @@ class DriftMonitor:
             statistic=result.ratio, threshold=result.limit, reason=reason(name, length, result, spread)
         )
         if self._exceeded[name] < CONSECUTIVE:
-            return base._replace(outcome=MonitorOutcome.PASS)
+            return base._replace(outcome=Outcome.PASS)
         begin_ns = result.sums.begin_s * SECOND_NS
         quiet_ns = self._inconspicuous_ns.get(name)
         since_ns = begin_ns if quiet_ns is None else min(begin_ns, quiet_ns - length * SECOND_NS)
         used = self._odometer_ns is not None and time_ns - self._odometer_ns <= ODOMETER_NS
         self._along = self._along or (result.along and used)
         return base._replace(
-            outcome=MonitorOutcome.ACCUSES, suspect_since_ns=since_ns,
+            outcome=Outcome.ACCUSES, suspect_since_ns=since_ns,
             accused=(*EITHER, "odometer") if self._along else EITHER,
         )  # fmt: skip
 
     def _recover(self, recovered: bool) -> None:
         """Forget what is older than the shortest window when that has been inconspicuous for as long."""
-        accusing = [one for one in self._known.values() if one.outcome is MonitorOutcome.ACCUSES]
+        accusing = [one for one in self._known.values() if one.outcome is Outcome.ACCUSES]
         self._along = self._along and bool(accusing)
         self._seen_short = bool(accusing) and (
             self._seen_short or any(one.window_s == LENGTHS_S[0] for one in accusing)

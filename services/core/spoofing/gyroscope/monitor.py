@@ -10,7 +10,7 @@ from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 from shared.messages.vehicle import WheelSpeeds
 
 from ..settings import UNKNOWN_AXLE_M, Settings
@@ -273,7 +273,7 @@ class GyroscopeMonitor:
 
     def _verdict(self, time_ns: int, length: int, ballot: Vote | None) -> Verdict:
         base = Verdict(
-            MonitorOutcome.NOT_EVALUATED, self._missing(time_ns), "-", window_s=float(length),
+            Outcome.NOT_EVALUATED, self._missing(time_ns), "-", window_s=float(length),
             false_alarm_rate=self.settings.gyroscope.false_alarm_rate,
         )  # fmt: skip
         if ballot is None:
@@ -289,9 +289,9 @@ class GyroscopeMonitor:
             reason=self._reason(length, ballot, time_ns),
         )  # fmt: skip
         if self._exceeded[length] < CONSECUTIVE:
-            return base._replace(outcome=MonitorOutcome.PASS)
+            return base._replace(outcome=Outcome.PASS)
         since_ns = self._inconspicuous_ns.get(length, time_ns - length * SECOND_NS) - length * SECOND_NS
-        return base._replace(outcome=MonitorOutcome.ACCUSES, suspect_since_ns=since_ns)
+        return base._replace(outcome=Outcome.ACCUSES, suspect_since_ns=since_ns)
 
     def _missing(self, time_ns: int) -> str:
         """Why a window cannot be evaluated."""
@@ -324,11 +324,8 @@ def mean_second(seconds: Sequence[AxleSecond]) -> AxleSecond:
 
 def agreed(found: Mapping[str, Verdict]) -> dict[str, Verdict]:
     """Verdicts with the names of all where two windows accuse different sensors."""
-    accusing = [set(one.accused) for one in found.values() if one.outcome is MonitorOutcome.ACCUSES]
+    accusing = [set(one.accused) for one in found.values() if one.outcome is Outcome.ACCUSES]
     if not accusing or set.intersection(*accusing):
         return dict(found)
     names = tuple(sorted(set.union(*accusing)))
-    return {
-        name: one._replace(accused=names) if one.outcome is MonitorOutcome.ACCUSES else one
-        for name, one in found.items()
-    }
+    return {name: one._replace(accused=names) if one.outcome is Outcome.ACCUSES else one for name, one in found.items()}

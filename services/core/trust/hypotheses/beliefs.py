@@ -9,10 +9,10 @@ from collections.abc import Collection, Iterable
 from math import exp, log
 
 from shared.messages.explanation import Explanation, explain
-from shared.messages.trust import Belief, Hypothesis
+from shared.messages.trust import Belief, Hypothesis, Outcome
 
 from ..codes import Code
-from ..facts import SECOND_NS, Facts, Monitor, Outcome, Posterior
+from ..facts import SECOND_NS, Facts, Monitor, Posterior
 from .evidence import MOST, Evidence, explained_by
 from .priors import PRIOR, SUSPECTED
 

@@ -7,9 +7,9 @@ its window, so that one a window counts, and a change of what it says at once.
 from collections.abc import Collection, Mapping
 from math import log
 
-from shared.messages.trust import Hypothesis
+from shared.messages.trust import Hypothesis, Outcome
 
-from ..facts import GNSS, IMU, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Statement
+from ..facts import GNSS, IMU, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Statement
 
 # Probability that a monitor accuses although nothing that it names is wrong: its design says less, but its model of the
 # vehicle has tails that no design knows.

@@ -21,7 +21,7 @@ from shared.messages.navigation import (
     SetUpVerdict,
 )
 from shared.messages.operation import ProcessLoad
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 from shared.words.words import ENGLISH, LANGUAGES, Words, words
@@ -73,9 +73,9 @@ WORDS = {
 }
 KNOWN = frozenset(Trust(level.value) for level in TrustLevel) | {Trust.ABOVE_LIMIT}  # a verdict is there
 OUTCOMES = {
-    MonitorOutcome.PASS: Trust.SAFE,
-    MonitorOutcome.ACCUSES: Trust.UNSAFE,
-    MonitorOutcome.NOT_EVALUATED: Trust.OFF,
+    Outcome.PASS: Trust.SAFE,
+    Outcome.ACCUSES: Trust.UNSAFE,
+    Outcome.NOT_EVALUATED: Trust.OFF,
 }
 
 
@@ -323,7 +323,7 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
             text = f"suspects {who(statement.accused)}: {text}"
-        elif statement.outcome is MonitorOutcome.PASS and ratio is not None:
+        elif statement.outcome is Outcome.PASS and ratio is not None:
             text = f"{100.0 * ratio:.0f} % of threshold"
         checks.append(
             Check(
@@ -339,9 +339,9 @@ def _monitor_checks(e: Evidence) -> list[Check]:
     return checks
 
 
-def ratio_of(outcome: MonitorOutcome, statistic: float | None, threshold: float | None) -> float | None:
+def ratio_of(outcome: Outcome, statistic: float | None, threshold: float | None) -> float | None:
     """Statistic over threshold [-], above 1 the test accuses; None where nothing was evaluated or has no threshold."""
-    if outcome is MonitorOutcome.NOT_EVALUATED or statistic is None or threshold is None or threshold <= 0.0:
+    if outcome is Outcome.NOT_EVALUATED or statistic is None or threshold is None or threshold <= 0.0:
         return None
     return max(statistic / threshold, 0.0)
 

@@ -5,7 +5,7 @@ from math import degrees
 
 from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import Constellation, GnssSignal, Satellite, SignalQuality
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustState
+from shared.messages.trust import MonitorTest, Outcome, TrustState
 
 from ..history.gnss_history import ReceiverHistory
 from ..state import State
@@ -143,7 +143,7 @@ def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mas
             "residual_m": None if satellite.residual_m is None else round(satellite.residual_m, 1),
             "used": satellite.used,
             "excluded": excluded,
-            "suspect": test is not None and test.outcome is MonitorOutcome.ACCUSES and not excluded,
+            "suspect": test is not None and test.outcome is Outcome.ACCUSES and not excluded,
             "reason": why_not_used(satellite, mask_rad),
             "integrity": None if test is None else plain(test.reason.removeprefix("excluded, ").removeprefix("used, ")),
         })  # fmt: skip

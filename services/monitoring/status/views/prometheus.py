@@ -11,7 +11,7 @@ from prometheus_client.registry import Collector
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationSolution
 from shared.messages.operation import RecordingState
-from shared.messages.trust import MonitorOutcome, TrustState
+from shared.messages.trust import Outcome, TrustState
 
 from ..state import State
 from .banner import MONITORS_MAXIMUM, Trust, ratio_of
@@ -99,7 +99,7 @@ def _trust(state: State, now_ns: int) -> Iterator[Metric]:
     for m in newest.monitors[:MONITORS_MAXIMUM] if newest else ():
         if (ratio := ratio_of(m.outcome, m.statistic, m.threshold)) is not None:
             statistic.add_metric([m.monitor], ratio)
-        for outcome in MonitorOutcome:
+        for outcome in Outcome:
             outcomes.add_metric([m.monitor, outcome], 1.0 if m.outcome is outcome else 0.0)
     probability = GaugeMetricFamily(
         "obu_hypothesis_probability", "Probability that this is what is wrong.", labels=["hypothesis"]

@@ -4,13 +4,13 @@ import pytest
 
 from cli.demo.detection import seconds_in_states, summarise
 from shared.messages.simulation import AttackName, AttackRun
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustState
 from tests.support.dashboard.status_world import monitor, trust
 
 NS = 1_000_000_000
-ACCUSES = {"outcome": MonitorOutcome.ACCUSES, "accused": ("gnss",)}
+ACCUSES = {"outcome": Outcome.ACCUSES, "accused": ("gnss",)}
 
-NEIGHBOUR = {"outcome": MonitorOutcome.ACCUSES, "accused": ("neighbour 7",)}
+NEIGHBOUR = {"outcome": Outcome.ACCUSES, "accused": ("neighbour 7",)}
 
 
 def verdict(t_s: float, level: TrustLevel = TrustLevel.SAFE, **changes: object) -> TrustState:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from services.core.cooperative.broadcast.store import EphemerisStore
-from services.core.cooperative.measurements import Constellation, Outcome, RawEpoch, SatelliteSolution, SatelliteVerdict
+from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteSolution, SatelliteVerdict
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from services.core.cooperative.v2x.forward import Estimate, Neighbours, range_rates
 from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMonitor, CooperativeSettings
 from services.core.cooperative.v2x.neighbours import NeighbourReport, NeighbourTest
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
+from shared.messages.trust import Outcome
 from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
 
 STORE = filled_store()

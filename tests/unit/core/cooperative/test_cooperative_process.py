@@ -12,7 +12,7 @@ from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
 from shared.messages.base import Tick
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.runtime.config import Vehicle
 from tests.support.gnss.constellation import NOW_NS, raw_epoch
 from tests.unit.core.cooperative.satellites.test_satellite_process import HERE, NS, at, bits, informed, message, said
@@ -60,10 +60,10 @@ def run(process: Process, seconds: range, epoch: object = at, **changes: object)
 def test_neighbours_make_the_cooperative_test_from_the_second_epoch_on() -> None:
     process = informed()
     first, *others = run(process, range(1, 12))
-    assert by_name(first, "cooperative").outcome is MonitorOutcome.NOT_EVALUATED
+    assert by_name(first, "cooperative").outcome is Outcome.NOT_EVALUATED
     for statement in others:
         cooperative = by_name(statement, "cooperative")
-        assert statement.outcome is cooperative.outcome is MonitorOutcome.PASS
+        assert statement.outcome is cooperative.outcome is Outcome.PASS
         assert cooperative.reason == "with 3 neighbours"
         assert {test.name for test in statement.tests} >= {"neighbour 0", "neighbour 1", "neighbour 2"}
     assert not process.rejects
@@ -72,7 +72,7 @@ def test_neighbours_make_the_cooperative_test_from_the_second_epoch_on() -> None
 @pytest.mark.parametrize("method", ["bank", "paper", "plain"])
 def test_the_method_is_selectable(method: Literal["bank", "paper", "plain"]) -> None:
     *_, last = run(with_method(method), range(1, 6))
-    assert last.outcome is MonitorOutcome.PASS
+    assert last.outcome is Outcome.PASS
     assert [test.name for test in last.tests if test.name == "cooperative"] == ["cooperative"][: method != "plain"]
 
 
@@ -104,7 +104,7 @@ def test_four_satellites_are_evaluated_with_neighbours_and_a_step_is_attributed(
     process, victim = informed(), four(1).measurements[1].satellite
     run(process, range(1, 15))
     clean = run(process, range(15, 20), four)
-    assert {one.outcome for one in clean} == {MonitorOutcome.PASS}
+    assert {one.outcome for one in clean} == {Outcome.PASS}
     (accusing,) = run(process, range(20, 21), lambda k: four(k, (victim, 150.0)))
     assert accusing.accused == (str(victim),)
     assert accusing.reason.startswith(f"excluded {victim}; 3 satellites, horizontal protection level")
@@ -115,26 +115,24 @@ def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on
     run(process, range(1, 10))
     statements = run(process, range(10, 13), lie=-15.0)
     for one in statements:
-        assert (one.outcome, one.accused) == (MonitorOutcome.ACCUSES, ("neighbour 0",))
+        assert (one.outcome, one.accused) == (Outcome.ACCUSES, ("neighbour 0",))
         assert "neighbour 0 contradicted by the others" in one.reason
-        assert by_name(one, "cooperative").outcome is MonitorOutcome.PASS
-        assert by_name(one, "neighbour 0").outcome is MonitorOutcome.ACCUSES
+        assert by_name(one, "cooperative").outcome is Outcome.PASS
+        assert by_name(one, "neighbour 0").outcome is Outcome.ACCUSES
     (faulty,) = run(process, range(13, 14), lambda k: at(k, push=(at(1).measurements[3].satellite, 80.0)), lie=-15.0)
     assert set(faulty.accused) == {str(at(1).measurements[3].satellite), "neighbour 0"}
     assert faulty.suspect_since_ns == 12 * NS, "the neighbour's lie does not make the satellites suspect"
     later = run(process, range(14, 30))
-    assert later[-1].outcome is MonitorOutcome.PASS
+    assert later[-1].outcome is Outcome.PASS
 
 
-@pytest.mark.parametrize(("limit_m", "outcome"), [(1000.0, MonitorOutcome.PASS), (0.5, MonitorOutcome.NOT_EVALUATED)])
-def test_the_protection_level_is_compared_with_the_alert_limit_of_the_vehicle(
-    limit_m: float, outcome: MonitorOutcome
-) -> None:
+@pytest.mark.parametrize(("limit_m", "outcome"), [(1000.0, Outcome.PASS), (0.5, Outcome.NOT_EVALUATED)])
+def test_the_protection_level_is_compared_with_the_alert_limit_of_the_vehicle(limit_m: float, outcome: Outcome) -> None:
     process = informed(config=Config(vehicle=Vehicle(alert_limit_horizontal_m=limit_m)))
     (statement,) = run(process, range(1, 2))
     level = by_name(statement, "horizontal protection level")
     assert (level.threshold, level.outcome, level.unit) == (limit_m, outcome, "m")
-    assert statement.outcome is MonitorOutcome.PASS, "a large level is no accusation"
+    assert statement.outcome is Outcome.PASS, "a large level is no accusation"
 
 
 HUGE = (1e8, 0.0, 0.0, 1e8, 0.0, 1e8)
@@ -160,7 +158,7 @@ def test_a_bad_neighbour_is_refused_with_a_counted_reason_and_the_others_are_use
     process = informed()
     *_, last = run(process, range(1, 5), **change)
     assert process.rejects == {reason: 3}, "from the second epoch on"
-    assert by_name(last, "cooperative").reason == "with 2 neighbours" and last.outcome is MonitorOutcome.PASS
+    assert by_name(last, "cooperative").reason == "with 2 neighbours" and last.outcome is Outcome.PASS
 
 
 def test_lists_out_of_order_of_a_second_radio_or_without_end_are_counted() -> None:
@@ -189,7 +187,7 @@ def test_when_all_satellites_jump_together_gnss_is_accused_once_and_the_filters_
     )
     assert statements[0].accused[0] == "gnss"
     assert not any(one.startswith(("g", "G", "E")) for later in statements[1:] for one in later.accused)
-    assert by_name(statements[-1], "cooperative").outcome is not MonitorOutcome.ACCUSES
+    assert by_name(statements[-1], "cooperative").outcome is not Outcome.ACCUSES
 
 
 def test_another_radio_is_used_when_the_first_one_is_silent() -> None:
@@ -216,8 +214,8 @@ def test_when_neighbours_stop_plain_raim_goes_on_and_says_why_they_do_not_help()
     process = informed()
     run(process, range(1, 5))
     (statement,) = said(process, message(at(5), 5.0))
-    assert statement.outcome is MonitorOutcome.PASS
-    assert by_name(statement, "cooperative").outcome is MonitorOutcome.NOT_EVALUATED
+    assert statement.outcome is Outcome.PASS
+    assert by_name(statement, "cooperative").outcome is Outcome.NOT_EVALUATED
     assert by_name(statement, "cooperative").reason == "no usable neighbour and no road"
 
 
@@ -250,5 +248,5 @@ def test_while_ephemerides_are_collected_after_a_gap_nobody_is_accused(seed: int
         said(process, *bits(float(second), (name,)))
         statements += run(process, range(second, second + 1), epoch)
     assert not [one for one in statements if one.accused]
-    assert statements[7].outcome is MonitorOutcome.NOT_EVALUATED
+    assert statements[7].outcome is Outcome.NOT_EVALUATED
     assert by_name(statements[-1], "cooperative").reason == "with 3 neighbours"

@@ -30,7 +30,7 @@ from shared.messages.gnss import (
     SignalFlags,
 )
 from shared.messages.operation import HostClock
-from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
 from tests.support.data import recording
@@ -39,7 +39,7 @@ from tests.support.drives.golden import VEHICLE
 NS = 1_000_000_000
 UTC_NS = 1_800_000_000 * NS
 UNKNOWN, NONE, INDICATED, SEVERE = InterferenceState
-PASS, ACCUSES, NOT_EVALUATED = MonitorOutcome.PASS, MonitorOutcome.ACCUSES, MonitorOutcome.NOT_EVALUATED
+PASS, ACCUSES, NOT_EVALUATED = Outcome.PASS, Outcome.ACCUSES, Outcome.NOT_EVALUATED
 CN0 = (33.0, 36.0, 39.0, 42.0, 44.0, 46.0, 47.0, 40.0)
 Epoch = tuple[GnssSignalQuality, GnssSatellites, GnssFix]
 Change = Callable[[Epoch], Epoch]

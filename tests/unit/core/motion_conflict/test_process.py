@@ -9,7 +9,7 @@ from services.core.motion_conflict.process import Config, Process, forbids_learn
 from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.trust import LearnedScale, MonitorOutcome, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import LearnedScale, Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import VehicleFile
 from tests.support.drives.spoofing import inputs
@@ -53,12 +53,12 @@ def test_three_statements_are_published_with_each_tick_and_nothing_between() -> 
         "motion_fast",
         "coherent_scale",
     ]
-    assert all(one.outcome is MonitorOutcome.NOT_EVALUATED for one in statements if isinstance(one, TrustMonitor))
+    assert all(one.outcome is Outcome.NOT_EVALUATED for one in statements if isinstance(one, TrustMonitor))
 
 
 def test_equal_speeds_pass_once_the_window_of_thirty_samples_is_full() -> None:
     last = drive(Process(Config()), range(1, 331), 10.0, 10.0)
-    assert last["motion"].outcome is MonitorOutcome.PASS
+    assert last["motion"].outcome is Outcome.PASS
     tests = {test.name: test for test in last["motion"].tests}
     assert tests["trimmed_mean"].statistic is not None
     assert tests["trimmed_mean"].statistic < 1.0 * KM_H
@@ -66,13 +66,13 @@ def test_equal_speeds_pass_once_the_window_of_thirty_samples_is_full() -> None:
 
 def test_a_difference_above_ten_km_h_accuses_either_sensor() -> None:
     last = drive(Process(Config()), range(1, 331), 10.0, 14.0)
-    assert last["motion"].outcome is MonitorOutcome.ACCUSES
+    assert last["motion"].outcome is Outcome.ACCUSES
     assert set(last["motion"].accused) == {"gnss", "odometer"}
 
 
 def test_no_velocity_is_no_evaluation_and_never_standstill() -> None:
     last = drive(Process(Config()), range(1, 331), None, 14.0)
-    assert last["motion"].outcome is MonitorOutcome.NOT_EVALUATED
+    assert last["motion"].outcome is Outcome.NOT_EVALUATED
     assert "no GNSS speed" in last["motion"].reason
 
 
@@ -85,7 +85,7 @@ def trust(level: TrustLevel, *accusing: TrustMonitor, odometer_excluded: bool = 
 
 def accusation(monitor: str) -> TrustMonitor:
     return TrustMonitor(
-        sampled_ns=0, monitor=monitor, outcome=MonitorOutcome.ACCUSES, reason="test", accused=("gnss", "odometer")
+        sampled_ns=0, monitor=monitor, outcome=Outcome.ACCUSES, reason="test", accused=("gnss", "odometer")
     )
 
 
@@ -107,7 +107,7 @@ def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixT
         reported = fix(k * SECOND_NS, 0.0).model_copy(update={"fix_type": fix_type})
         for message in (reported, odometer(k * SECOND_NS, 14.0), Tick(now_ns=k * SECOND_NS)):
             last |= {one.monitor: one for one in process.handle(message) if isinstance(one, TrustMonitor)}
-    assert last["motion"].outcome is MonitorOutcome.NOT_EVALUATED
+    assert last["motion"].outcome is Outcome.NOT_EVALUATED
     assert "no GNSS speed" in last["motion"].reason
 
 
@@ -119,7 +119,7 @@ def test_the_delay_is_learned_unless_the_position_is_unsafe(level: TrustLevel, l
     for k in range(1, 400):
         speed = 12.0 + 6.0 * sin(2.0 * pi * k / 40.0)
         last = drive(process, range(k, k + 1), speed, speed) or last
-    assert (last["motion_fast"].outcome is not MonitorOutcome.NOT_EVALUATED) == learned
+    assert (last["motion_fast"].outcome is not Outcome.NOT_EVALUATED) == learned
 
 
 @pytest.fixture(scope="module")
@@ -147,9 +147,9 @@ def test_gnss_and_odometer_scaled_alike_are_accused_by_coherent_scale_alone(town
     last: dict[str, TrustMonitor] = {}
     for one in published(Process(Config()), scaled(town, 1.1, 400.0)):
         last |= {one.monitor: one} if isinstance(one, TrustMonitor) else {}
-    assert last["motion"].outcome is last["motion_fast"].outcome is MonitorOutcome.PASS
+    assert last["motion"].outcome is last["motion_fast"].outcome is Outcome.PASS
     found = last["coherent_scale"]
-    assert found.outcome is MonitorOutcome.ACCUSES and found.accused == ("gnss", "odometer")
+    assert found.outcome is Outcome.ACCUSES and found.accused == ("gnss", "odometer")
     assert found.suspect_since_ns is not None and found.suspect_since_ns < 400 * SECOND_NS < (found.since_ns or 0)
     assert found.statistic is not None and found.threshold is not None and found.statistic > found.threshold
 
@@ -165,7 +165,7 @@ def test_what_bends_have_taught_is_published_and_used_by_the_next_drive(town: Dr
         one.outcome for one in published(after, scaled(town, 1.06, 0.0))
         if isinstance(one, TrustMonitor) and one.monitor == "coherent_scale"
     ]  # fmt: skip
-    assert outcomes[-1] is MonitorOutcome.ACCUSES, "6 % from the first second on"
+    assert outcomes[-1] is Outcome.ACCUSES, "6 % from the first second on"
     other = Process(Config())
     list(other.handle(lessons[-1].model_copy(update={"imu": "another"})))
     assert not [one for one in published(other, town) if isinstance(one, TrustMonitor) and "odometer" in one.accused]

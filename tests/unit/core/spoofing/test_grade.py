@@ -13,7 +13,7 @@ from services.core.spoofing.profile import UNIT_IMU, Origin
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.short_window import Window
 from services.sensors.simulator.drive import Drive, simulate
-from shared.messages.trust import LearnedGrade, MonitorOutcome, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import LearnedGrade, Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import load_vehicle
 from tests.support.drives.spoofing import GRADED, SECOND_NS, Fused, fused, process_of, watched
 
@@ -40,7 +40,7 @@ def window(k: int) -> Window:
 
 
 def state(*passing: str, accusing: Sequence[str] = (), suspect_ns: int | None = None) -> TrustState:
-    outcomes = {**dict.fromkeys(passing, MonitorOutcome.PASS), **dict.fromkeys(accusing, MonitorOutcome.ACCUSES)}
+    outcomes = {**dict.fromkeys(passing, Outcome.PASS), **dict.fromkeys(accusing, Outcome.ACCUSES)}
     return TrustState(
         sampled_ns=0, state=TrustLevel.SAFE, since_ns=0, row=14, reasons=(), alert_limit_horizontal_m=10.0,
         alert_limit_vertical_m=20.0, suspect_since_ns=suspect_ns,
@@ -73,7 +73,7 @@ def test_without_grade_or_profile_nothing_is_evaluated_and_the_reason_says_what_
     result = watched(process_of(drive, Config(warm_up_s=0.0)), received)
     for monitor in ("inertial_short", "inertial_long"):
         last = result.statements[monitor][-1]
-        assert last.outcome is MonitorOutcome.NOT_EVALUATED and "learning the grade of this IMU" in last.reason
+        assert last.outcome is Outcome.NOT_EVALUATED and "learning the grade of this IMU" in last.reason
         assert "obu calibrate spoofing" in last.reason
 
 
@@ -82,11 +82,11 @@ def test_free_propagations_wait_for_a_minute_after_the_alignment_and_short_windo
 ) -> None:
     result = watched(process_of(drive, GRADED.model_copy(update={"warm_up_s": 60.0})), received)
     first = {
-        monitor: next(s.sampled_ns for s in result.statements[monitor] if s.outcome is MonitorOutcome.PASS) / SECOND_NS
+        monitor: next(s.sampled_ns for s in result.statements[monitor] if s.outcome is Outcome.PASS) / SECOND_NS
         for monitor in ("inertial_short", "inertial_long")
     }
     immediate = watched(process_of(drive), received).statements["inertial_long"]
-    begin_s = next(s.sampled_ns for s in immediate if s.outcome is MonitorOutcome.PASS) / SECOND_NS
+    begin_s = next(s.sampled_ns for s in immediate if s.outcome is Outcome.PASS) / SECOND_NS
     assert first["inertial_long"] > begin_s + 50.0
     assert first["inertial_short"] < first["inertial_long"] - 40.0
 

@@ -21,7 +21,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.operation import ProcessLoad, Work
-from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.trust import Outcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from tests.support.drives.spoofing import GRADED, Input, Result, drag_off, inputs, monitored, run
 
@@ -85,7 +85,7 @@ def test_a_clean_drive_passes_both_monitors_and_accuses_nobody(clean: Result) ->
     assert clean.episodes(SHORT) == clean.episodes(LONG) == 0
     for monitor in (SHORT, LONG):
         later = [s for s in clean.statements[monitor] if s.sampled_ns > 60e9]
-        assert {s.outcome for s in later} == {MonitorOutcome.PASS}
+        assert {s.outcome for s in later} == {Outcome.PASS}
         assert all(s.accused == () and s.suspect_since_ns is None for s in later)
     assert not clean.process.rejects
 
@@ -97,9 +97,7 @@ def test_there_is_one_statement_of_each_monitor_a_second_with_all_tests(clean: R
     assert [(test.name, test.window_s) for test in long.tests] == [
         ("long_30", 30.0), ("long_60", 60.0), ("way_60", 60.0), ("way_120", 120.0),
     ]  # fmt: skip
-    assert all(test.outcome is MonitorOutcome.PASS for test in long.tests if test.window_s != 120.0), (
-        "the drive is short"
-    )
+    assert all(test.outcome is Outcome.PASS for test in long.tests if test.window_s != 120.0), "the drive is short"
     assert short.window_s == 5.0
     for test in short.tests:
         expected = FALSE_ALARM_RATE if test.name == NAME else Config().profile.false_alarm_rate
@@ -133,7 +131,7 @@ def test_a_drag_off_of_0_1_m_s2_is_accused_by_the_long_window_from_before_it_beg
 def assert_accused_from_before(result: Result, within_s: float) -> None:
     first_s = result.first_s(LONG)
     assert first_s is not None and BEGIN_S < first_s <= BEGIN_S + within_s
-    accusing = [s for s in result.statements[LONG] if s.outcome is MonitorOutcome.ACCUSES]
+    accusing = [s for s in result.statements[LONG] if s.outcome is Outcome.ACCUSES]
     for statement in accusing:
         assert statement.accused in (("gnss",), ("gnss", "imu")) and statement.suspect_since_ns is not None
         assert BEGIN_S - 60.0 < statement.suspect_since_ns / 1e9 <= BEGIN_S, "earlier than the attack"
@@ -152,10 +150,10 @@ def test_a_velocity_that_steps_is_accused_by_the_short_window_within_seconds(dri
     first_s = result.first_s(SHORT)
     assert first_s is not None and first_s <= BEGIN_S + 4.0
     up = next(t for t in result.statements[SHORT][int(first_s) - 1].tests if t.name == "acceleration_up")
-    assert up.outcome is MonitorOutcome.ACCUSES
+    assert up.outcome is Outcome.ACCUSES
 
 
-def outcomes(statements: list[TrustMonitor], after_s: float) -> set[MonitorOutcome]:
+def outcomes(statements: list[TrustMonitor], after_s: float) -> set[Outcome]:
     return {s.outcome for s in statements if s.sampled_ns > after_s * 1e9}
 
 
@@ -182,21 +180,21 @@ def without(drive: Drive, kind: type, after_s: float, end_s: float) -> Result:
 def test_without_an_input_nothing_is_evaluated_and_the_reason_names_it(drive: Drive, kind: type, reason: str) -> None:
     result = without(drive, kind, 75.0, 95.0)
     for monitor in (SHORT, LONG):
-        assert outcomes(result.statements[monitor], 80.0) == {MonitorOutcome.NOT_EVALUATED}
+        assert outcomes(result.statements[monitor], 80.0) == {Outcome.NOT_EVALUATED}
         assert result.statements[monitor][-1].reason.startswith(reason)
         assert result.episodes(monitor) == 0
 
 
 def test_without_odometer_and_after_it_ends_both_monitors_go_on(drive: Drive) -> None:
     result = without(drive, VehicleSpeed, 70.0, 110.0)
-    assert outcomes(result.statements[SHORT], 75.0) == outcomes(result.statements[LONG], 75.0) == {MonitorOutcome.PASS}
+    assert outcomes(result.statements[SHORT], 75.0) == outcomes(result.statements[LONG], 75.0) == {Outcome.PASS}
 
 
 def test_without_a_heading_nothing_is_evaluated() -> None:
     process = Process(GRADED)
     found = [s for s in process.handle(Tick(now_ns=10**9)) if isinstance(s, TrustMonitor)]
     assert [s.monitor for s in found] == [SHORT, LONG, "gyroscope", "drift"]
-    assert {s.outcome for s in found} == {MonitorOutcome.NOT_EVALUATED}
+    assert {s.outcome for s in found} == {Outcome.NOT_EVALUATED}
     assert found[0].reason == "no inertial samples received yet" and found[0].statistic is None
     standing = simulate("urban", 1, 15.0)  # fusion gets its heading when the vehicle drives
     last = monitored(standing).statements
@@ -261,7 +259,7 @@ def test_the_monitors_start_again_with_a_time_line_that_starts_again() -> None:
     for _ in range(2):
         fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": short.lever_arm_b}))
         result = run(fusion, process, inputs(short))
-        assert result.statements[SHORT][-1].outcome is MonitorOutcome.PASS
+        assert result.statements[SHORT][-1].outcome is Outcome.PASS
     assert process.rejects == {"time line started again": 1}
 
 
@@ -289,11 +287,11 @@ def test_both_monitors_work_with_speed_and_course_alone_and_accuse_a_drag_off(dr
     process = Process(GRADED.with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
     result = run(fusion, process, horizontal())
     for monitor in (SHORT, LONG):
-        assert result.share(monitor, MonitorOutcome.PASS) > 0.2
+        assert result.share(monitor, Outcome.PASS) > 0.2
     first_s = [result.first_s(monitor) for monitor in (SHORT, LONG)]
     assert any(time_s is not None and BEGIN_S < time_s <= BEGIN_S + 30.0 for time_s in first_s)
     early = [s for m in (SHORT, LONG) for s in result.statements[m] if s.sampled_ns < BEGIN_S * 1e9]
-    assert all(statement.outcome is not MonitorOutcome.ACCUSES for statement in early)
+    assert all(statement.outcome is not Outcome.ACCUSES for statement in early)
 
 
 def test_a_position_that_steps_aside_with_the_velocity_of_the_vehicle_is_accused_within_three_seconds() -> None:
@@ -303,7 +301,7 @@ def test_a_position_that_steps_aside_with_the_velocity_of_the_vehicle_is_accused
     result = monitored(replace(drive, fix_position=moved))
     first_s = result.first_s(SHORT)
     assert first_s is not None and begin_s < first_s <= begin_s + 3.0
-    accusing = [s for s in result.statements[SHORT] if s.outcome is MonitorOutcome.ACCUSES]
+    accusing = [s for s in result.statements[SHORT] if s.outcome is Outcome.ACCUSES]
     assert all(test.name == NAME for s in accusing for test in s.tests if test.outcome is s.outcome)
     assert all(s.suspect_since_ns is not None and s.suspect_since_ns <= begin_s * 1e9 for s in accusing)
 
@@ -318,7 +316,7 @@ def test_a_paused_process_evaluates_nothing_says_so_and_begins_again(drive: Driv
     stated = [one for one in process.handle(Tick(now_ns=now_ns)) if isinstance(one, TrustMonitor)]
     assert {one.monitor for one in stated} == {SHORT, LONG, "gyroscope", "drift"}
     assert {(one.outcome, one.reason) for one in stated} == {
-        (MonitorOutcome.NOT_EVALUATED, "paused: this computer is too slow")
+        (Outcome.NOT_EVALUATED, "paused: this computer is too slow")
     }
     assert not process.monitor.taken and not process._newest_ns
     monitor = process.monitor

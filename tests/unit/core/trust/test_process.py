@@ -7,7 +7,7 @@ from services.core.trust.facts import Monitor
 from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
-from shared.messages.trust import Hypothesis, MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import Hypothesis, Outcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import Vehicle
 from shared.words.words import words
 
@@ -35,7 +35,7 @@ def navigation_state(time_ns: int, horizontal_m: float) -> NavigationState:
 
 
 def statement(
-    monitor: Monitor, time_ns: int, outcome: MonitorOutcome = MonitorOutcome.PASS, accused: tuple[str, ...] = ()
+    monitor: Monitor, time_ns: int, outcome: Outcome = Outcome.PASS, accused: tuple[str, ...] = ()
 ) -> TrustMonitor:
     return TrustMonitor(
         sampled_ns=time_ns, monitor=monitor.value, outcome=outcome, reason="test", accused=accused, statistic=1.0,
@@ -78,7 +78,7 @@ def test_all_monitors_passing_give_safe_and_one_event() -> None:
 def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None:
     process = Process(Config())
     second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
-    accusing = statement(Monitor.INERTIAL_SHORT, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
+    accusing = statement(Monitor.INERTIAL_SHORT, 2 * SECOND_NS, Outcome.ACCUSES, ("gnss",))
     published = list(process.handle(accusing))
     assert states(published) == [TrustLevel.UNSAFE]
     state = next(message for message in published if isinstance(message, TrustState))
@@ -99,7 +99,7 @@ def accused_for(process: Process, seconds: int, accused: tuple[str, ...], **know
         state = navigation_state(now_ns, 10.0).model_copy(update=known)
         others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and "inertial" not in one.monitor]
         accusing = [
-            statement(monitor, now_ns, MonitorOutcome.ACCUSES, accused)
+            statement(monitor, now_ns, Outcome.ACCUSES, accused)
             for monitor in (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
         ]
         found += [one for one in second(process, now_ns, [state, *others, *accusing]) if isinstance(one, TrustState)]
@@ -132,8 +132,8 @@ def test_an_inertial_unit_that_gyroscope_and_windows_accuse_is_excluded_and_gnss
     for k in range(2, 16):
         now_ns = k * SECOND_NS
         accusing = [
-            statement(Monitor.INERTIAL_SHORT, now_ns, MonitorOutcome.ACCUSES, ("gnss", "imu")),
-            statement(Monitor.GYROSCOPE, now_ns, MonitorOutcome.ACCUSES, ("imu",)),
+            statement(Monitor.INERTIAL_SHORT, now_ns, Outcome.ACCUSES, ("gnss", "imu")),
+            statement(Monitor.GYROSCOPE, now_ns, Outcome.ACCUSES, ("imu",)),
         ]
         names = {one.monitor for one in accusing}
         others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and one.monitor not in names]
@@ -155,8 +155,8 @@ def test_a_silent_monitor_gives_caution_within_its_deadline_and_is_listed_as_not
         seen[k] = next(message for message in published if isinstance(message, TrustState))
     assert next(k for k, state in seen.items() if state.state is TrustLevel.CAUTION) <= 3 + 5 + 1
     listed = {monitor.monitor: monitor.outcome for monitor in seen[11].monitors}
-    assert listed["satellites"] is MonitorOutcome.NOT_EVALUATED
-    assert listed["motion"] is MonitorOutcome.PASS
+    assert listed["satellites"] is Outcome.NOT_EVALUATED
+    assert listed["motion"] is Outcome.PASS
 
 
 def test_the_alert_limit_is_that_of_the_vehicle() -> None:
@@ -205,7 +205,7 @@ def test_fusion_confirms_by_a_solution_without_gnss_since_the_suspect_time() -> 
 
 def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> None:
     process = Process(Config())
-    accusing = statement(Monitor.SATELLITES, SECOND_NS, MonitorOutcome.ACCUSES, ("G05",))
+    accusing = statement(Monitor.SATELLITES, SECOND_NS, Outcome.ACCUSES, ("G05",))
     others = [one for one in passing(SECOND_NS) if isinstance(one, TrustMonitor) and one.monitor != "satellites"]
     before = second(process, SECOND_NS, [*others, accusing])
     left_out = navigation_state(SECOND_NS, 10.0).model_copy(update={"satellites_left_out": ("G05",)})
@@ -217,7 +217,7 @@ def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> Non
 
 def test_reasons_and_findings_are_the_english_details_of_their_codes_one_each() -> None:
     process = Process(Config())
-    accusing = statement(Monitor.SATELLITES, SECOND_NS, MonitorOutcome.ACCUSES, ("G05",))
+    accusing = statement(Monitor.SATELLITES, SECOND_NS, Outcome.ACCUSES, ("G05",))
     published = second(process, SECOND_NS, [statement(Monitor.MOTION, SECOND_NS), accusing])
     state = [one for one in published if isinstance(one, TrustState)][-1]
     for texts, codes in ((state.reasons, state.reason_codes), (state.findings, state.finding_codes)):
@@ -235,10 +235,10 @@ def test_a_window_that_reaches_back_into_a_conflict_says_so_as_the_reason_of_its
     second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
     process._ended_ns = 2 * SECOND_NS  # a conflict has ended
     now_ns = 3 * SECOND_NS
-    long = statement(Monitor.INERTIAL_LONG, now_ns, MonitorOutcome.ACCUSES, ("gnss",))
+    long = statement(Monitor.INERTIAL_LONG, now_ns, Outcome.ACCUSES, ("gnss",))
     published = second(process, now_ns, [*passing(now_ns), long.model_copy(update={"window_s": 60.0})])
     state = [one for one in published if isinstance(one, TrustState)][-1]
     assert state.state is TrustLevel.SAFE
     found = next(one for one in state.monitors if one.monitor == "inertial_long")
-    assert (found.outcome, found.accused) == (MonitorOutcome.NOT_EVALUATED, ())
+    assert (found.outcome, found.accused) == (Outcome.NOT_EVALUATED, ())
     assert found.reason == "its window reaches back into a conflict that has ended"

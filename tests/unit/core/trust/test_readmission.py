@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from services.core.trust.facts import SECOND_NS, Alternative, Facts, Monitor, Outcome, Posterior, Solution, Statement
+from services.core.trust.facts import SECOND_NS, Alternative, Facts, Monitor, Posterior, Solution, Statement
 from services.core.trust.readmission import (
     USUAL_S,
     Admission,
@@ -15,7 +15,7 @@ from services.core.trust.readmission import (
     judge_imu,
 )
 from shared.messages.explanation import explain
-from shared.messages.trust import Hypothesis
+from shared.messages.trust import Hypothesis, Outcome
 
 
 class Source:

@@ -12,14 +12,13 @@ from services.core.trust.facts import (
     Facts,
     Limits,
     Monitor,
-    Outcome,
     Posterior,
     Solution,
     Statement,
 )
 from services.core.trust.verdict import ROWS, Explanations, Verdict, verdict
 from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
-from shared.messages.trust import Hypothesis, TrustLevel
+from shared.messages.trust import Hypothesis, Outcome, TrustLevel
 from shared.words.words import words
 
 NOW_NS = 1000 * SECOND_NS

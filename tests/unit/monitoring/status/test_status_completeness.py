@@ -18,7 +18,7 @@ from shared.messages.gnss import CarrierSolution, Constellation, FixType, Interf
 from shared.messages.navigation import AidingKind, NavigationPhase, SetUpVerdict
 from shared.messages.operation import DeviceFound, Freshness, MessageUse, OriginKind, ProcessStatus
 from shared.messages.toll import GateMode, PassageState
-from shared.messages.trust import Hypothesis, MonitorOutcome, TrustLevel
+from shared.messages.trust import Hypothesis, Outcome, TrustLevel
 
 CHARTS, GNSS, TRUST = "charts/chart_words.js", "gnss/gnss_words.js", "trust/hypothesis_words.js"
 
@@ -29,7 +29,7 @@ TABLES: tuple[tuple[str, str, type[StrEnum], set[str]], ...] = (  # file, table,
     (GNSS, "flags", InterferenceState, set()),
     (GNSS, "found", DeviceFound, set()),
     ("gnss/gnss.js", "FLAG", InterferenceState, set()),
-    ("gnss/gnss.js", "OUTCOME", MonitorOutcome, set()),
+    ("gnss/gnss.js", "OUTCOME", Outcome, set()),
     ("gnss/gnss.js", "PORT_STATE", DeviceFound, set()),
     ("map/style.js", "ALTERNATIVE_DASHES", Hypothesis, set()),
     ("map/style.js", "VERDICTS", Trust, {"off"}),  # the state of a check, never of a position
@@ -38,13 +38,13 @@ TABLES: tuple[tuple[str, str, type[StrEnum], set[str]], ...] = (  # file, table,
     ("parts.js", "STATUS_STATE", ProcessStatus, set()),
     ("toll.js", "STATE_ICON", PassageState, set()),
     ("trust/hypotheses.js", "KEYS", Hypothesis, set()),
-    ("trust/trust.js", "OUTCOME_STATE", MonitorOutcome, set()),
+    ("trust/trust.js", "OUTCOME_STATE", Outcome, set()),
     ("words.js", "carrier", CarrierSolution, set()),
     ("words.js", "fixType", FixType, set()),
     ("words.js", "monitors", Monitor, set()),
     ("words.js", "modes", GateMode, set()),
     ("words.js", "origin", OriginKind, set()),
-    ("words.js", "outcome", MonitorOutcome, set()),
+    ("words.js", "outcome", Outcome, set()),
     ("words.js", "phases", NavigationPhase, set()),
     ("words.js", "states", PassageState, set()),
     ("words.js", "status", ProcessStatus, set()),

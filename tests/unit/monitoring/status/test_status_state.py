@@ -30,7 +30,7 @@ from shared.messages.operation import (
     ProcessStatus,
     TopicAge,
 )
-from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel
+from shared.messages.trust import Outcome, TrustEvent, TrustLevel
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.topics import BY_NAME
 from tests.support.bus.envelopes import sent
@@ -446,7 +446,7 @@ def test_an_exceeded_alert_limit_degrades_the_health_and_is_a_state_of_its_own(d
 
 
 def test_the_page_trust_has_the_verdict_every_monitor_and_its_tests(driving: World) -> None:
-    silent = monitor(driving.now_ns, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites")
+    silent = monitor(driving.now_ns, "satellites", outcome=Outcome.NOT_EVALUATED, reason="4 satellites")
     state = trust(driving.now_ns, TrustLevel.CAUTION, monitors=(monitor(driving.now_ns), silent))
     driving.hear(state, "core.trust")
     driving.pass_time(1.2)
@@ -461,7 +461,7 @@ def test_the_page_trust_has_the_verdict_every_monitor_and_its_tests(driving: Wor
 
 
 def test_trust_events_are_listed_newest_first_with_who_accused_and_are_bounded(driving: World) -> None:
-    accusing = monitor(driving.now_ns, outcome=MonitorOutcome.ACCUSES, accused=("gnss",), statistic=9.0)
+    accusing = monitor(driving.now_ns, outcome=Outcome.ACCUSES, accused=("gnss",), statistic=9.0)
     for k in range(60):
         driving.hear(
             TrustEvent(
@@ -594,7 +594,7 @@ def test_the_dashboard_has_the_same_keys_with_and_without_data(driving: World) -
 
 
 def test_a_restart_keeps_the_verdicts_their_changes_and_the_outages(driving: World, tmp_path: Path) -> None:
-    accusing = monitor(driving.now_ns, outcome=MonitorOutcome.ACCUSES, accused=("gnss",), statistic=9.0)
+    accusing = monitor(driving.now_ns, outcome=Outcome.ACCUSES, accused=("gnss",), statistic=9.0)
     change = TrustEvent(
         sampled_ns=driving.now_ns, before=TrustLevel.SAFE, after=TrustLevel.UNSAFE, reasons=("GNSS is accused",),
         monitors=(accusing,),

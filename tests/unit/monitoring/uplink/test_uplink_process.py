@@ -17,7 +17,7 @@ from shared.fleet.sealed import unsealed
 from shared.fleet.times import OLD_S, RESTING_S, RETRY_S
 from shared.fleet.topics import WATCHABLE
 from shared.messages.operation import HostClock, Outage
-from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor
+from shared.messages.trust import Outcome, TrustEvent, TrustLevel, TrustMonitor
 from shared.messages.uplink import UplinkState
 from shared.processes import BY_NAME
 from tests.support.bus.envelopes import sent
@@ -164,7 +164,7 @@ def test_events_are_reported_without_what_a_centre_does_not_need(unit: UplinkUni
     unit.drive(5)
     monitors = tuple(
         TrustMonitor(sampled_ns=unit.now_ns, monitor=name, outcome=outcome, reason="a reason")
-        for name, outcome in (("one", MonitorOutcome.ACCUSES), ("two", MonitorOutcome.PASS))
+        for name, outcome in (("one", Outcome.ACCUSES), ("two", Outcome.PASS))
     )
     change = TrustEvent(sampled_ns=unit.now_ns, before=TrustLevel.SAFE, after=TrustLevel.UNSAFE, reasons=("why",),
                         monitors=monitors)  # fmt: skip

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from services.core.cooperative.measurements import Constellation, Measurement, Outcome, RawEpoch, SatelliteId
+from services.core.cooperative.measurements import Constellation, Measurement, RawEpoch, SatelliteId
 from services.core.cooperative.satellites.monitor import RaimSettings, SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
+from shared.messages.trust import Outcome
 from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch, sight_of
 
 HERE = np.array(ecef_from_geodetic(Geodetic(0.83, 0.16, 300.0)))

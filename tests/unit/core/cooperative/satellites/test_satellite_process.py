@@ -12,7 +12,7 @@ from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.base import Tick
 from shared.messages.gnss import Constellation as System
 from shared.messages.gnss import FixType, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
-from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.trust import Outcome, TrustMonitor
 from tests.support.gnss.constellation import NOW_NS, constellation, inav_pages, lnav_subframes, pushed, raw_epoch
 
 NS = 1_000_000_000
@@ -70,7 +70,7 @@ def informed(satellites: tuple[str, ...] | None = None, config: Config | None = 
 def test_before_raw_measurements_arrive_the_satellites_are_not_evaluated() -> None:
     process = Process(Config())
     first, second = said(process, Tick(now_ns=NS), Tick(now_ns=2 * NS))
-    assert (first.monitor, first.outcome) == ("satellites", MonitorOutcome.NOT_EVALUATED)
+    assert (first.monitor, first.outcome) == ("satellites", Outcome.NOT_EVALUATED)
     assert "no raw measurements: the receiver has sent none" in first.reason
     assert (first.since_ns, second.since_ns, second.sampled_ns) == (NS, NS, 2 * NS)
     assert first.statistic is None and first.threshold is None and not first.tests
@@ -78,29 +78,29 @@ def test_before_raw_measurements_arrive_the_satellites_are_not_evaluated() -> No
 
 def test_satellites_that_agree_pass_with_one_test_each() -> None:
     (statement,) = said(informed(), message(at(1), 1.0))
-    assert statement.outcome is MonitorOutcome.PASS
+    assert statement.outcome is Outcome.PASS
     assert statement.statistic is not None and statement.threshold is not None
     assert statement.statistic < statement.threshold
     assert statement.false_alarm_rate == 1e-5
     *satellites, cooperative, level = statement.tests
     assert level.threshold == 10.0, "the alert limit of a vehicle that states none"
     assert 10 < len(satellites) <= MAX_TESTS
-    assert all(test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in satellites)
-    assert (cooperative.name, cooperative.outcome) == ("cooperative", MonitorOutcome.NOT_EVALUATED)
+    assert all(test.outcome is Outcome.PASS and "minimal detectable bias" in test.reason for test in satellites)
+    assert (cooperative.name, cooperative.outcome) == ("cooperative", Outcome.NOT_EVALUATED)
 
 
 def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_it_has_agreed() -> None:
     process, victim = informed(), at(1).measurements[3].satellite
     (before,) = said(process, message(at(1), 1.0))
     (accusing,) = said(process, message(at(2, push=(victim, 50.0)), 2.0))
-    assert before.outcome is MonitorOutcome.PASS
-    assert (accusing.outcome, accusing.accused) == (MonitorOutcome.ACCUSES, (str(victim),))
+    assert before.outcome is Outcome.PASS
+    assert (accusing.outcome, accusing.accused) == (Outcome.ACCUSES, (str(victim),))
     assert (accusing.since_ns, accusing.suspect_since_ns) == (2 * NS, NS)
     assert accusing.tests[0].name == str(victim) and accusing.tests[0].reason.startswith("excluded")
     later = said(process, *(message(at(k), float(k)) for k in range(3, 13)))
-    assert [one.outcome for one in later[:7]] == [MonitorOutcome.ACCUSES] * 7, "re-admission takes eight epochs"
+    assert [one.outcome for one in later[:7]] == [Outcome.ACCUSES] * 7, "re-admission takes eight epochs"
     assert {one.since_ns for one in later[:7]} == {2 * NS}
-    assert later[-1].outcome is MonitorOutcome.PASS and not later[-1].accused
+    assert later[-1].outcome is Outcome.PASS and not later[-1].accused
 
 
 def test_a_fault_that_cannot_be_attributed_accuses_gnss() -> None:
@@ -109,14 +109,14 @@ def test_a_fault_that_cannot_be_attributed_accuses_gnss() -> None:
     process = informed()
     five = RawEpoch(at(1).gps_time_ns, tuple(gps))
     (statement,) = said(process, message(pushed(five, gps[0].satellite, 500.0), 1.0))
-    assert (statement.outcome, statement.accused) == (MonitorOutcome.ACCUSES, ("gnss",))
+    assert (statement.outcome, statement.accused) == (Outcome.ACCUSES, ("gnss",))
     assert "no satellite can be singled out" in statement.reason
 
 
 def test_four_satellites_are_not_evaluated() -> None:
     gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
     (statement,) = said(informed(), message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
-    assert statement.outcome is MonitorOutcome.NOT_EVALUATED
+    assert statement.outcome is Outcome.NOT_EVALUATED
     assert statement.reason == "no redundancy: 4 satellites, 1 clocks"
 
 
@@ -124,7 +124,7 @@ def test_missing_ephemerides_are_the_reason() -> None:
     gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
     process = informed(tuple(str(one.satellite) for one in gps[:2]))
     (statement,) = said(process, message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
-    assert statement.outcome is MonitorOutcome.NOT_EVALUATED
+    assert statement.outcome is Outcome.NOT_EVALUATED
     assert statement.reason.startswith("ephemerides of 2 of 4 satellites")
     assert not process.rejects
 
@@ -133,7 +133,7 @@ def test_measurements_that_stop_are_not_evaluated_after_three_seconds() -> None:
     process = informed()
     assert not said(process, message(at(1), 1.0), Tick(now_ns=3 * NS))[1:]
     (statement,) = said(process, Tick(now_ns=5 * NS))
-    assert (statement.outcome, statement.reason) == (MonitorOutcome.NOT_EVALUATED, "no raw measurements for 4 s")
+    assert (statement.outcome, statement.reason) == (Outcome.NOT_EVALUATED, "no raw measurements for 4 s")
     assert statement.since_ns == 5 * NS
 
 
@@ -161,5 +161,5 @@ def test_an_implausible_pseudorange_is_refused_with_its_reason() -> None:
     process = informed()
     victim = at(1).measurements[0].satellite
     (statement,) = said(process, message(pushed(at(1), victim, 8e7), 1.0))
-    assert statement.outcome is MonitorOutcome.PASS
+    assert statement.outcome is Outcome.PASS
     assert process.rejects == {"implausible_pseudorange": 1}

@@ -15,7 +15,7 @@ from services.core.spoofing.process import Config
 from services.core.spoofing.settings import Settings
 from services.core.spoofing.verdicts import Verdict
 from shared.messages.navigation import AidingKind, AidingUpdate
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 from tests.support.drives.yaw_rates import NS, solution_of
 
 INDUSTRIAL: Settings = Config(grade=Grade.INDUSTRIAL)
@@ -61,7 +61,7 @@ def first(rows: Rows) -> int | None:
 
 
 def accusing(row: dict[str, Verdict]) -> list[Verdict]:
-    return [one for one in row.values() if one.outcome is MonitorOutcome.ACCUSES]
+    return [one for one in row.values() if one.outcome is Outcome.ACCUSES]
 
 
 @pytest.mark.parametrize("dimension", [1, 2])
@@ -92,7 +92,7 @@ def test_a_sum_exceeds_its_limit_as_often_as_stated_with_a_spread_that_was_learn
 def test_white_innovations_pass_for_ten_minutes(seed: int) -> None:
     rows = run(white(seed), 600)
     assert first(rows) is None
-    assert {one.outcome for one in rows[-1].values()} == {MonitorOutcome.PASS}
+    assert {one.outcome for one in rows[-1].values()} == {Outcome.PASS}
     assert set(rows[-1]) == {f"{kind}_{length}" for kind in KIND for length in (30, 100, 300)}
 
 
@@ -130,8 +130,8 @@ def test_a_low_cost_sensor_is_not_evaluated_before_its_spread_is_learned_and_pas
     rows = run(correlated(6, 10.0), 900, CONSUMER)
     assert first(rows) is None
     early, late = rows[200]["velocity_30"], rows[-1]["velocity_30"]
-    assert early.outcome is MonitorOutcome.NOT_EVALUATED and "learning" in early.reason
-    assert late.outcome is MonitorOutcome.PASS and late.statistic is not None
+    assert early.outcome is Outcome.NOT_EVALUATED and "learning" in early.reason
+    assert late.outcome is Outcome.PASS and late.statistic is not None
 
 
 def test_a_drift_teaches_nothing_and_a_slow_rise_of_the_spread_is_bounded() -> None:
@@ -164,7 +164,7 @@ def test_an_alignment_and_missing_seconds_end_the_windows() -> None:
     monitor = DriftMonitor(INDUSTRIAL, Counter())
     run(white(8), 100, monitor=monitor)
     rows = run(white(9), 20, monitor=monitor, start=200)
-    assert {one.outcome for one in rows[-1].values()} == {MonitorOutcome.NOT_EVALUATED}
+    assert {one.outcome for one in rows[-1].values()} == {Outcome.NOT_EVALUATED}
 
 
 def test_bad_input_is_counted() -> None:

@@ -9,7 +9,7 @@ import pytest
 from services.core.spoofing.gyroscope.monitor import GyroscopeMonitor
 from shared.inertial.increments import Decimator, Increment
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.trust import MonitorOutcome
+from shared.messages.trust import Outcome
 from shared.messages.vehicle import WheelSpeeds
 from tests.support.data import recording
 from tests.support.drives.yaw_rates import BIAS, INDUSTRIAL, NS, TRACK_M, Faults, Profile, driven, solution_of, town
@@ -29,7 +29,7 @@ def test_a_drive_without_a_fault_accuses_nobody_and_learns_the_wheels(seed: int)
     assert run.monitor.rear.track_m == pytest.approx(TRACK_M, rel=0.03)
     assert run.monitor.rear.ratio == pytest.approx(0.003, abs=2e-4)
     last = run.verdicts[-1]
-    assert {one.outcome for one in last.values()} == {MonitorOutcome.PASS}
+    assert {one.outcome for one in last.values()} == {Outcome.PASS}
     assert all(one.statistic is not None and one.threshold is not None for one in last.values())
     assert "wheels" in last["yaw_rate_30"].reason and "course" in last["yaw_rate_30"].reason
 
@@ -128,7 +128,7 @@ def test_a_gap_of_the_inertial_samples_begins_the_windows_anew() -> None:
     monitor = run.monitor
     monitor.solution(solution_of(70 * NS, BIAS, stationary=False))
     late = [Increment(70 * NS, 70 * NS + NS // 10, (0.0,) * 6 + (0.1,), 0.0, after_gap=True)]
-    assert {one.outcome for one in monitor.verdicts(71 * NS, late).values()} == {MonitorOutcome.NOT_EVALUATED}
+    assert {one.outcome for one in monitor.verdicts(71 * NS, late).values()} == {Outcome.NOT_EVALUATED}
 
 
 def commas(monitor: GyroscopeMonitor, added_deg_s: float, onset_s: float) -> list[set[tuple[str, ...]]]:
@@ -162,7 +162,7 @@ def commas(monitor: GyroscopeMonitor, added_deg_s: float, onset_s: float) -> lis
             fix = GnssFix(sampled_ns=stamp_ns, received_ns=stamp_ns, source="ublox", fix_type=FixType.THREE_D)
             monitor.fix(fix, velocity, None)
         verdicts = monitor.verdicts(round(end * NS), decimator.take())
-        named.append({one.accused for one in verdicts.values() if one.outcome is MonitorOutcome.ACCUSES})
+        named.append({one.accused for one in verdicts.values() if one.outcome is Outcome.ACCUSES})
     return named
 
 

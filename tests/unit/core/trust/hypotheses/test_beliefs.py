@@ -6,12 +6,12 @@ from math import exp
 import pytest
 
 from services.core.trust.codes import Code
-from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Posterior, Statement
+from services.core.trust.facts import SECOND_NS, Facts, Monitor, Posterior, Statement
 from services.core.trust.hypotheses.beliefs import CERTAIN, Beliefs
 from services.core.trust.hypotheses.evidence import FALSE_ALARM, MOST, Evidence, explained_by
 from services.core.trust.hypotheses.priors import PRIOR
 from shared.messages.explanation import explain
-from shared.messages.trust import Hypothesis
+from shared.messages.trust import Hypothesis, Outcome
 from shared.words.words import words
 
 H = Hypothesis

@@ -3,10 +3,9 @@
 import pytest
 
 from services.core.trust.codes import Code
-from services.core.trust.facts import Outcome
 from services.core.trust.hypotheses.comparison import LIMIT, compared
 from shared.messages.explanation import explain
-from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
+from shared.messages.trust import Hypothesis, HypothesisSolution, Outcome, TrustHypotheses
 from shared.words.words import words
 
 ALONE, WITHOUT_GNSS, WITHOUT_ODOMETER = Hypothesis.GNSS_AND_ODOMETER, Hypothesis.GNSS, Hypothesis.ODOMETER

@@ -25,7 +25,7 @@ from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.operation import ProcessLoad, Work
-from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
+from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.words.words import words
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 from tests.support.words import longest
@@ -246,7 +246,7 @@ def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_wha
 
 
 def test_without_a_position_no_monitor_is_green_for_there_is_nothing_to_judge() -> None:
-    monitors = (monitor(START_NS, "motion"), monitor(START_NS, "evidence", outcome=MonitorOutcome.ACCUSES))
+    monitors = (monitor(START_NS, "motion"), monitor(START_NS, "evidence", outcome=Outcome.ACCUSES))
     evidence = changed(trust=trust(START_NS, TrustLevel.NO_FIX, monitors=monitors, reasons=("solution is old",)))
     for name in ("motion", "evidence"):
         assert check(evidence, name) == (Trust.STALE, "there is no position to judge")
@@ -255,8 +255,8 @@ def test_without_a_position_no_monitor_is_green_for_there_is_nothing_to_judge() 
 def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
     monitors = (
         monitor(START_NS, "motion"),
-        monitor(START_NS, "inertial_short", outcome=MonitorOutcome.ACCUSES, accused=("gnss",), statistic=9.0),
-        monitor(START_NS, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites"),
+        monitor(START_NS, "inertial_short", outcome=Outcome.ACCUSES, accused=("gnss",), statistic=9.0),
+        monitor(START_NS, "satellites", outcome=Outcome.NOT_EVALUATED, reason="4 satellites"),
     )
     evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
     assert check(evidence, "motion") == (Trust.SAFE, "50 % of threshold")
@@ -269,16 +269,16 @@ def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("outcome", "statistic", "threshold", "ratio"),
     [
-        (MonitorOutcome.PASS, 2.0, 8.0, 0.25),
-        (MonitorOutcome.ACCUSES, 16.0, 8.0, 2.0),
-        (MonitorOutcome.NOT_EVALUATED, 2.0, 8.0, None),
-        (MonitorOutcome.PASS, None, 8.0, None),
-        (MonitorOutcome.PASS, 2.0, None, None),
-        (MonitorOutcome.PASS, 2.0, 0.0, None),
+        (Outcome.PASS, 2.0, 8.0, 0.25),
+        (Outcome.ACCUSES, 16.0, 8.0, 2.0),
+        (Outcome.NOT_EVALUATED, 2.0, 8.0, None),
+        (Outcome.PASS, None, 8.0, None),
+        (Outcome.PASS, 2.0, None, None),
+        (Outcome.PASS, 2.0, 0.0, None),
     ],
 )
 def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluated(
-    outcome: MonitorOutcome, statistic: float | None, threshold: float | None, ratio: float | None
+    outcome: Outcome, statistic: float | None, threshold: float | None, ratio: float | None
 ) -> None:
     assert ratio_of(outcome, statistic, threshold) == ratio
 
