@@ -44,4 +44,8 @@ class TooManyFaults(ObuError):
 
 
 class FilterDiverged(ObuError):
-    """An estimator whose numbers no longer mean anything."""
+    """An estimator whose numbers no longer mean anything; `cause` is a word of `names.divergence` of core.fusion."""
+
+    def __init__(self, text: str, cause: str = "covariance") -> None:
+        super().__init__(text)
+        self.cause = cause

@@ -115,7 +115,7 @@ class Start:
                 fast_s = now_s
             solution = made.solution()
             error = abs(self.yaw_error(i, solution)) if solution else inf
-            how = how or (made.reason if solution else "")
+            how = how or (str(made.why[0].values.get("method", made.why[0].code)) if solution else "")
             settled = inf if error > limit else min(settled, now_s)
             if solution and now_s >= fast_s + 5.0:
                 worst = max(worst, error)

@@ -11,6 +11,7 @@ CODE = r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$"
 QUOTED_LENGTH = 80
 VALUES_MAXIMUM = 12
 LIST_MAXIMUM = 32
+EXPLANATIONS_MAXIMUM = 64
 SIGNIFICANT = 6  # digits of a value
 
 
@@ -60,9 +61,15 @@ class Explanation(Message):
     subject: Reference | None = None
 
 
+Explanations = Annotated[tuple[Explanation, ...], Field(max_length=EXPLANATIONS_MAXIMUM)]
+
+
 def explain(code: str, subject: Reference | None = None, **values: object) -> Explanation:
-    """Make an explanation; enumerations become their words, floats are rounded, and values of None are left out."""
-    kept = {name: _plain(value) for name, value in values.items() if value is not None}
+    """Make an explanation; enumerations become their words, and floats are rounded to what the contract holds.
+
+    A value of None, and one that is not a number, is left out.
+    """
+    kept = {name: _plain(value) for name, value in values.items() if value is not None and value == value}  # noqa: PLR0124
     return Explanation(code=str(code), values=kept, subject=subject)  # type: ignore[arg-type]  # checked by the model
 
 
@@ -70,5 +77,5 @@ def _plain(value: object) -> object:
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, float):
-        return float(f"{value:.{SIGNIFICANT}g}")
+        return float(f"{min(max(value, -LARGEST_STATISTIC), LARGEST_STATISTIC):.{SIGNIFICANT}g}")
     return tuple(_plain(one) for one in value) if isinstance(value, list | tuple) else value

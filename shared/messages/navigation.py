@@ -26,6 +26,7 @@ from .base import (
     Velocity3,
     unit,
 )
+from .explanation import Explanation, Explanations
 
 Innovation = Annotated[Statistic, unit("of the kind: m, m/s, rad/s or rad")]
 Parameter = Annotated[Quantity, unit("of the parameter: 1, rad, s or m")]
@@ -83,6 +84,7 @@ class NavigationState(Message):
     phase: NavigationPhase
     since_ns: Nanoseconds
     reason: Reason
+    reason_codes: Explanations = ()  # of `reason`: why the phase began, then what explains it further
     fixes_used: Count
     fixes_rejected: Count
     samples_used: Count
@@ -118,10 +120,12 @@ class NavigationState(Message):
     )
     other_level_m: Deviation | None = None  # horizontal protection level of the solution that is not published
     without_gnss_level_m: Deviation | None = None  # horizontal protection level of the solution without GNSS
+    exclusion_declined_code: Explanation | None = None
     exclusion_declined: Reason | None = None  # why the solution without GNSS is not published, or was given up
     # difference of positions that no evidence has decided: part of the protection level until it ends
     held_horizontal_m: Deviation = 0.0
     held_vertical_m: Deviation = 0.0
+    held_code: Explanation | None = None
     held_reason: Reason | None = None  # what differed, and what would end it
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
@@ -141,6 +145,7 @@ class SetUpCheck(Message):
     verdict: SetUpVerdict
     since_ns: Nanoseconds  # of this verdict
     sentence: Reason = ""  # what was compared, and what came out
+    code: Explanation | None = None  # of `sentence`
     statistic: Annotated[Statistic, unit("of the check")] | None = None
     statistic_sd: Annotated[Statistic, unit("of the check")] | None = None
     expected: Annotated[Statistic, unit("of the check")] | None = None

@@ -23,10 +23,8 @@ from .base import (
     Velocity3,
     unit,
 )
-from .explanation import Explanation
+from .explanation import Explanation, Explanations
 
-EXPLANATIONS_MAXIMUM = 64
-Explanations = Annotated[tuple[Explanation, ...], Field(max_length=EXPLANATIONS_MAXIMUM)]
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
@@ -172,7 +170,8 @@ class TrustHypotheses(Message):
     sampled_ns: Nanoseconds
     source: Name  # process
     solutions: Annotated[tuple[HypothesisSolution, ...], Field(max_length=64)] = ()
-    # why a hypothesis has no solution now
+    # why a hypothesis has no solution now; `missing` has the texts, for people
+    missing_codes: Annotated[tuple[tuple[Hypothesis, Explanation], ...], Field(max_length=16)] = ()
     missing: Annotated[tuple[tuple[Hypothesis, Reason], ...], Field(max_length=16)] = ()
 
 

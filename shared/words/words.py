@@ -19,7 +19,11 @@ from ..messages.explanation import Explanation, Quoted, Reference, ReferenceKind
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent
 # Prefix of the codes: folder with `words.toml`.
-OWNERS = {"trust": "services/core/trust", "banner": "services/monitoring/status/views"}
+OWNERS = {
+    "trust": "services/core/trust",
+    "fusion": "services/core/fusion",
+    "banner": "services/monitoring/status/views",
+}
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")
 REASON_LENGTH = 400  # of a message
@@ -58,7 +62,11 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "distance": (("_m",), lambda value: f"{value:.1f} m"),
     "speed": (("_m_s",), lambda value: f"{value:.1f} m/s"),
     "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
+    "acceleration": (("_m_s2",), lambda value: f"{value:.2f} m/s²"),
+    "rate": (("_deg_s",), lambda value: f"{value:.2f} °/s"),
     "duration": (("_s",), _seconds),
+    "delay": (("_s",), lambda value: f"{value:.2f} s"),
+    "factor": (("ratio",), lambda value: f"{value:.3g}"),
     "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
     "number": (("statistic", "threshold", "count"), _plain_number),
 }
@@ -153,9 +161,9 @@ class Words:
         return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
-def reason(explanation: Explanation) -> str:
-    """Render the English detail of a code of one's own, as it stands in messages."""
-    return (words().detail(explanation) or explanation.code)[:REASON_LENGTH]
+def reason(*explanations: Explanation) -> str:
+    """Render the English details of codes of one's own, as they stand in messages."""
+    return "; ".join(words().detail(one) or one.code for one in explanations)[:REASON_LENGTH]
 
 
 @cache

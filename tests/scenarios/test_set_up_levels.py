@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from services.core.fusion.codes import Code
 from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.navigation import SetUpVerdict
 from tests.support.drives.set_up import matrix_of
@@ -80,7 +81,8 @@ def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> Non
     """700 m above the ellipsoid: the height is wrong by 1.4 km, and nothing tells the right one."""
     solved = run(simulate("urban", 3, 180.0), height_sign=-1.0)
     found = solved.checks["gnss_height"]
-    assert found.verdict is SetUpVerdict.CONTRADICTS and "heights of GNSS are not used" in found.sentence
+    assert found.verdict is SetUpVerdict.CONTRADICTS
+    assert found.code is not None and found.code.code == Code.HEIGHT_SIGN_WRONG
     after = solved.time_s > found.since_ns * 1e-9 + 0.5
     assert after.sum() > 300 and (solved.vertical < solved.level_v)[after].all(), "all of them before"
     assert np.sqrt((solved.horizontal[after] ** 2).mean()) < 0.1 and solved.states[-1].resets == 0

@@ -13,6 +13,7 @@ from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, roll_pitch_yaw_of_quaternion
 from shared.messages.base import Vector3
+from shared.messages.explanation import Explanation, explain
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
@@ -25,8 +26,10 @@ from shared.messages.navigation import (
     SetUpState,
 )
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses, TrustState
+from shared.words.words import reason
 
 from .aids.base import Outcome
+from .codes import Code
 from .hypotheses.bank import SEPARATION_LIMIT, Alternative
 from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
@@ -40,7 +43,6 @@ from .without_imu import Missing
 FloatArray = npt.NDArray[np.float64]
 
 HELD_NUMBERS = 7  # of a disagreement in a saved state
-REASON_LENGTH = 400  # of a message
 ALIGNING = (NavigationPhase.LEVELLING, NavigationPhase.WAITING_FOR_GNSS, NavigationPhase.WAITING_FOR_HEADING)
 
 
@@ -68,7 +70,7 @@ def use_trust_state(navigator: Navigator, state: TrustState) -> None:
 def hypotheses_message(navigator: Navigator) -> TrustHypotheses:
     """Solutions of the bank at the horizon."""
     solutions: list[HypothesisSolution] = []
-    missing: list[tuple[Hypothesis, str]] = []
+    missing: list[tuple[Hypothesis, Explanation]] = []
     for found in navigator.bank.alternatives():
         if not isinstance(found, Alternative):
             missing.append(found)
@@ -93,7 +95,11 @@ def hypotheses_message(navigator: Navigator) -> TrustHypotheses:
             )
         )
     return TrustHypotheses(
-        sampled_ns=navigator.engine.time_ns, source="core.fusion", solutions=tuple(solutions), missing=tuple(missing)
+        sampled_ns=navigator.engine.time_ns,
+        source="core.fusion",
+        solutions=tuple(solutions),
+        missing_codes=tuple(missing),
+        missing=tuple((hypothesis, reason(why)) for hypothesis, why in missing),
     )
 
 
@@ -110,7 +116,8 @@ def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
             name=check.name,
             verdict=check.verdict,
             since_ns=since_ns,
-            sentence=check.sentence,
+            code=check.why,
+            sentence="" if check.why is None else reason(check.why),
             statistic=check.statistic,
             statistic_sd=check.sd,
             expected=check.expected,
@@ -259,19 +266,21 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
 def waiting_for_imu(state: NavigationState, since_ns: int) -> NavigationState:
     """State while inertial samples are missing since a time, and nothing is published in their place."""
     phase = NavigationPhase.WAITING_FOR_IMU
-    return state.model_copy(update={"phase": phase, "since_ns": since_ns, "reason": "no inertial samples"})
+    return _in_phase(state, phase, since_ns, explain(Code.NO_SAMPLES))
 
 
 def without_imu(state: NavigationState, missing: Missing, *, excluded: bool) -> NavigationState:
     """State while fixes alone are published, and what the alignment of the filter waits for."""
     if excluded:
-        return waiting_for_imu(state, missing.since_ns).model_copy(
-            update={"reason": f"{missing.reason}, and GNSS is excluded: no position"}
-        )
-    waiting = f"; {state.reason}" if state.phase in ALIGNING else ""
-    reason = f"{missing.reason}: position and velocity of GNSS alone{waiting}"[:REASON_LENGTH]
+        phase = NavigationPhase.WAITING_FOR_IMU
+        return _in_phase(state, phase, missing.since_ns, missing.why, explain(Code.NOTHING_LEFT))
+    waiting = state.reason_codes if state.phase in ALIGNING else ()
     phase = NavigationPhase.GNSS_ONLY
-    return state.model_copy(update={"phase": phase, "since_ns": missing.since_ns, "reason": reason})
+    return _in_phase(state, phase, missing.since_ns, missing.why, explain(Code.GNSS_ALONE), *waiting)
+
+
+def _in_phase(state: NavigationState, phase: NavigationPhase, since_ns: int, *why: Explanation) -> NavigationState:
+    return state.model_copy(update={"phase": phase, "since_ns": since_ns, "reason": reason(*why), "reason_codes": why})
 
 
 def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -> NavigationState:
@@ -282,12 +291,13 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
     counts, exclusions, verdicts = navigator.counts, navigator.engine.exclusions, navigator.verdicts
     conflict, difference, held = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor.held
     position_s, velocity_s = navigator.found_delays
-    declined = verdicts.unresolved or (conflict.declined if conflict else "")
+    declined, held_code = verdicts.unresolved or (conflict.declined if conflict else None), held.why
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=navigator.phase,
         since_ns=navigator.since_ns,
-        reason=navigator.reason,
+        reason=reason(*navigator.why),
+        reason_codes=navigator.why,
         fixes_used=counts.fixes_used,
         fixes_rejected=counts.fixes_rejected,
         samples_used=navigator.samples_used,
@@ -311,9 +321,11 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         other_distance_m=None if difference is None else hypot(*difference[0][:2]),
         other_level_m=None if difference is None else difference[1][0],
         without_gnss_level_m=None if verdicts.without_gnss_m is None else verdicts.without_gnss_m[0],
-        exclusion_declined=declined[:REASON_LENGTH] or None,
+        exclusion_declined_code=declined,
+        exclusion_declined=None if declined is None else reason(declined),
         held_horizontal_m=held.bound[0],
         held_vertical_m=held.bound[1],
-        held_reason=held.reason or None,
+        held_code=held_code,
+        held_reason=None if held_code is None else reason(held_code),
         satellites_left_out=exclusions.satellites,
     )

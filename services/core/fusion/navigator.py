@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
 
@@ -23,6 +24,7 @@ from .aids.base import Counts, Measurement, Outcome
 from .aids.devices import Devices
 from .aids.gnss.fix import Reading, Stamp, gnss_measurements
 from .aids.odometer import WheelSpeed
+from .codes import Code
 from .hypotheses.bank import Bank
 from .hypotheses.motion_model import State
 from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
@@ -273,9 +275,9 @@ class Navigator:
         return self._timeline.now.since_ns
 
     @property
-    def reason(self) -> str:
-        """Why the phase began."""
-        return self._timeline.now.reason
+    def why(self) -> tuple[Explanation, ...]:
+        """Why the phase began, and why the solution before it ended."""
+        return self._timeline.now.why
 
     @property
     def counts(self) -> Counts:
@@ -379,7 +381,7 @@ class Navigator:
             return "sample from the future"
         self._clock = clock
         if clock.goes_back(sample.time_ns, known=self._timeline.is_known(sample)):
-            self._timeline.restart("the inertial clock went back")
+            self._timeline.restart(explain(Code.CLOCK_BACK))
             self._clock, self._repeats, self._found = None, None, (0.0, 0.0)
         return "sample doubled or out of order"
 

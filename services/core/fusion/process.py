@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from shared.chosen import ChosenSource, gnss_choice, imu_choice, receiver_choice, receiver_of, speed_choice
 from shared.messages.base import Message, Tick
+from shared.messages.explanation import Explanation
 from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
@@ -61,7 +62,7 @@ class Process:
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample
         self._published_ns = 0  # stamp of the newest solution
-        self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
+        self._last_state: tuple[NavigationPhase, tuple[Explanation, ...], Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
         self._speed = ChosenSource(speed_choice)
         self._receiver, self._fixes = ChosenSource(receiver_choice), ChosenSource(gnss_choice)
@@ -183,7 +184,7 @@ class Process:
         if not without.is_silent(received_ns) and without.missing is None:
             return
         phase = NavigationPhase.WAITING_FOR_IMU if without.missing is None else NavigationPhase.GNSS_ONLY
-        current = (phase, "", NO_EXCLUSION, received_ns // STATE_PERIOD_NS)
+        current = (phase, (), NO_EXCLUSION, received_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
             yield self._state_message(received_ns, silent=True)
@@ -194,7 +195,7 @@ class Process:
             return
         navigator, exclusions = self._navigator, self._navigator.engine.exclusions
         exclusion = exclusions.gnss_since_ns, exclusions.odometer, exclusions.satellites
-        current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
+        current = (navigator.phase, navigator.why, exclusion, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
             yield self._state_message(sampled_ns)

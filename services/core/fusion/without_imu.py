@@ -3,7 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from shared.messages.explanation import Explanation, explain
+
 from .aids.base import Measurement
+from .codes import Code
 from .hypotheses.gnss_only import GnssOnly
 from .inertial.filter import ErrorStateFilter
 from .settings import Settings
@@ -23,7 +26,7 @@ class Missing(NamedTuple):
     """Since when fixes alone are published, and why."""
 
     since_ns: int
-    reason: str
+    why: Explanation
 
 
 class WithoutImu:
@@ -110,9 +113,9 @@ class WithoutImu:
         if self._model is None:
             self._model = GnssOnly(self._settings, running)
         if self.heard_ns is not None:
-            self.missing = Missing(self.heard_ns, "no inertial samples")
+            self.missing = Missing(self.heard_ns, explain(Code.NO_SAMPLES))
         elif self._first_fix_ns is not None and received_ns - self._first_fix_ns >= NEVER_HEARD_NS:
-            self.missing = Missing(received_ns, "no inertial unit has been received")
+            self.missing = Missing(received_ns, explain(Code.NO_INERTIAL_UNIT))
 
     def end(self) -> None:
         """End it, because the filter has a solution."""

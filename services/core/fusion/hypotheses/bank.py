@@ -12,15 +12,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shared.load import PAUSED
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import Vector
 from shared.messages.base import Symmetric3
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import AidingKind
 from shared.messages.trust import Hypothesis
 
 from ..aids.base import Outcome
+from ..codes import Code
 from ..inertial import error_model as em
 from ..integrity.disagreement import Pair
 from ..integrity.protection_levels import horizontal_level, vertical_level
@@ -124,19 +125,19 @@ class Member:
                 before = self._innovations.get(one.kind, value)
                 self._innovations[one.kind] = before + (value - before) / MEAN_OF
 
-    def alternative(self, published: Geodetic, covariance: FloatArray, limits_m: Pair) -> Alternative | str:
+    def alternative(self, published: Geodetic, covariance: FloatArray, limits_m: Pair) -> Alternative | Explanation:
         """Its solution against the published position, or why there is none."""
         engine = self.cursor.engine
         if self.is_behind:
-            return "it is computed from before the suspect time"
+            return explain(Code.COMPUTING)
         if engine.filter is None:
-            return "this solution was lost"
+            return explain(Code.SOLUTION_LOST)
         position = engine.filter.published_position
         apart = ned_from_geodetic_difference(published, position)
         found = self._uncertainty.of(engine.filter, engine.aids.error_monitor)
         levels = found.levels.horizontal, found.levels.vertical
         if not levels[0] <= USEFUL_LIMITS * limits_m[0]:
-            return f"its protection level is {levels[0]:.0f} m"
+            return explain(Code.LEVEL_TOO_LARGE, level_m=levels[0])
         P = engine.filter.P[em.POSITION, em.POSITION]
         return Alternative(
             self.kept.hypothesis, self.kept.left_out, self.anchor_ns, position, engine.filter.velocity,
@@ -254,13 +255,13 @@ class Bank:
         mine = [one for one in self._members if one.kept.hypothesis is hypothesis]
         return min(mine, key=lambda one: one.anchor_ns, default=None)
 
-    def alternatives(self) -> Iterator[Alternative | tuple[Hypothesis, str]]:
+    def alternatives(self) -> Iterator[Alternative | tuple[Hypothesis, Explanation]]:
         """The solution of each hypothesis at the horizon, or why there is none."""
         engine = self._timeline.engine
         if engine.filter is None:
             return
         if self._paused:
-            yield from ((hypothesis, PAUSED) for hypothesis in SOLVED)
+            yield from ((hypothesis, explain(Code.PAUSED)) for hypothesis in SOLVED)
             return
         limits_m = self._settings.vehicle.alert_limits_m
         published, cov = engine.filter.published_position, engine.filter.P[em.POSITION, em.POSITION]
@@ -269,11 +270,11 @@ class Bank:
         for kept in KEPT[1:]:
             yield self._of(kept.hypothesis, published, cov, limits_m)
         yield self._free_time(without_gnss, cov)
-        yield self.without_imu(engine) or (Hypothesis.IMU, "no motion, or no GNSS position for some seconds")
+        yield self.without_imu(engine) or (Hypothesis.IMU, explain(Code.NO_MOTION))
 
     def _free_time(
-        self, without_gnss: Alternative | tuple[Hypothesis, str], covariance: FloatArray
-    ) -> Alternative | tuple[Hypothesis, str]:
+        self, without_gnss: Alternative | tuple[Hypothesis, Explanation], covariance: FloatArray
+    ) -> Alternative | tuple[Hypothesis, Explanation]:
         """The solution if the time of the receiver is not known: the published one across the way, without GNSS along.
 
         With u the direction of motion, d the published position minus that without GNSS, and P their covariances::
@@ -318,10 +319,10 @@ class Bank:
 
     def _of(
         self, hypothesis: Hypothesis, published: Geodetic, covariance: FloatArray, limits_m: Pair
-    ) -> Alternative | tuple[Hypothesis, str]:
+    ) -> Alternative | tuple[Hypothesis, Explanation]:
         member = self.oldest(hypothesis)
         if member is None:
-            return hypothesis, f"the filter has not run for {CONVERGED_S:.0f} s, or there is nothing to leave out"
+            return hypothesis, explain(Code.NOTHING_TO_LEAVE_OUT, needed_s=CONVERGED_S)
         found = member.alternative(published, covariance, limits_m)
         return found if isinstance(found, Alternative) else (hypothesis, found)
 

@@ -387,7 +387,8 @@ class ErrorStateFilter:
         if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
             raise FilterDiverged("the covariance is not positive")
         if (violation := implausible(self.state)) is not None:
-            raise FilterDiverged(violation)
+            cause, text = violation
+            raise FilterDiverged(text, cause)
 
 
 def minus(old: Vector, errors: list[float]) -> Vector:

@@ -235,10 +235,11 @@ def propagate(  # noqa: PLR0915  # one loop
 propagate_arrays = compiled(propagate)  # for arrays
 
 
-def implausible(state: State) -> str | None:
-    """Reason why a state violates the plausibility limits, or None."""
+def implausible(state: State) -> tuple[str, str] | None:
+    """Cause and text why a state violates the plausibility limits, or None."""
     if not isfinite(sum(state.quaternion) + sum(state.velocity) + sum(state.position)):
-        return "the state is not finite"
+        return "not_finite", "the state is not finite"
     if norm(state.velocity) >= FASTEST_M_S:
-        return "the velocity is implausible"
-    return "the position is too near a pole" if abs(state.position[0]) >= HIGHEST_LATITUDE else None
+        return "velocity", "the velocity is implausible"
+    near_pole = abs(state.position[0]) >= HIGHEST_LATITUDE
+    return ("latitude", "the position is too near a pole") if near_pole else None

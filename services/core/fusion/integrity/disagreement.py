@@ -11,7 +11,12 @@ end it:
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import hypot
+
+from shared.messages.explanation import Explanation, explain
+
+from ..codes import Code
 
 Pair = tuple[float, float]  # horizontal, vertical
 Vector = tuple[float, float, float]
@@ -49,20 +54,15 @@ class Disagreement:
         return hypot(north, east) + self.slack[0], abs(down) + self.slack[1]
 
     @property
-    def reason(self) -> str:
-        """What it is, and what would end it; empty without one."""
+    def why(self) -> Explanation | None:
+        """What it is, and what would end it; None without one."""
         if not self.is_open:
-            return ""
-        horizontal, vertical = self.bound
-        size = f"{horizontal:.1f} m horizontal and {vertical:.1f} m vertical"
+            return None
+        horizontal_m, vertical_m = self.bound
+        size = partial(explain, horizontal_m=horizontal_m, vertical_m=vertical_m)
         if self.at_start:
-            return (
-                f"the first fix was {size} from the saved position of the parked vehicle; ends after {DRIVEN_M:.0f} m "
-                f"driven in agreement ({self.driven_m:.0f} m so far), or by a step back"
-            )
-        if self.grew:
-            return f"positions differed by {size} and were taken over; ends after {CONFIRMED_S:.0f} s of agreement"
-        return f"positions differ by {size} and nothing decides which is right; ends by a step back by the same vector"
+            return size(Code.HELD_AT_START, needed_m=DRIVEN_M, driven_m=self.driven_m)
+        return size(Code.HELD_GREW, needed_s=CONFIRMED_S) if self.grew else size(Code.HELD_STEP)
 
     def after(
         self, vector_n: Vector, spread: Pair, time_ns: int, *, grew: bool, at_start: bool = False, slack: Pair = NONE

@@ -10,23 +10,26 @@ axes swapped or mirrored M is near another signed permutation, with a skewed mou
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 from math import atan2, degrees, hypot, radians
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import STANDARD_GRAVITY
+from shared.messages.explanation import explain
 from shared.runtime.config import Matrix3
 from shared.runtime.old_keys import MOUNTING
 
+from ..codes import Code, Direction
 from .findings import Check, Verdict, matrix_text
 from .motion import Intervals, Motion
 from .regression import Fit, least_squares, nearest_permutation
 
 FloatArray = npt.NDArray[np.float64]
 
-AXES = ("forward", "right", "down")
-OPPOSITE = ("backward", "left", "up")
+AXES = (Direction.FORWARD, Direction.RIGHT, Direction.DOWN)
+OPPOSITE = (Direction.BACKWARD, Direction.LEFT, Direction.UP)
 FEWEST = 20  # intervals
 LEVELLED_S = 20.0  # of samples that tell the direction of gravity
 COLUMN_SD = 0.2  # of a column of M that is known
@@ -102,11 +105,10 @@ def check_accelerometer_scale(fit: AxesFit | None) -> Check:
     if fit is None:
         return Check(name)
     ratio = fit.gravity / STANDARD_GRAVITY
-    text = f"the mean specific force is {fit.gravity:.2f} m/s², {ratio:.3f} of gravity"
-    if abs(ratio - 1.0) <= FORCE_LIMIT:
-        return Check(name, Verdict.AGREES, text, ratio, None, 1.0, FORCE_LIMIT)
-    advice = "its unit may be g, or an axis is missing: check the columns and the unit of the accelerometer"
-    return Check(name, Verdict.CONTRADICTS, f"{text}: {advice}", ratio, None, 1.0, FORCE_LIMIT)
+    agrees = abs(ratio - 1.0) <= FORCE_LIMIT
+    code = Code.FORCE_IS_GRAVITY if agrees else Code.FORCE_IS_NOT_GRAVITY
+    why = explain(code, force_m_s2=fit.gravity, ratio=ratio)
+    return Check(name, Verdict.AGREES if agrees else Verdict.CONTRADICTS, why, ratio, None, 1.0, FORCE_LIMIT)
 
 
 def check_upright(fit: AxesFit | None) -> Check:
@@ -115,12 +117,10 @@ def check_upright(fit: AxesFit | None) -> Check:
     if fit is None:
         return Check(name)
     tilt = degrees(float(np.arccos(np.clip(fit.down[2], -1.0, 1.0))))
-    axis = axis_name(fit.down)
     if tilt <= 45.0:
-        return Check(name, Verdict.AGREES, f"gravity is {tilt:.1f}° from the axis down", tilt, None, 0.0, 45.0, "deg")
-    what = "the IMU is upside down" if tilt > 135.0 else "the IMU lies on its side"
-    text = f"{what}: gravity acts along its axis {axis}, {tilt:.0f}° from down"
-    return Check(name, Verdict.CONTRADICTS, text, tilt, None, 0.0, 45.0, "deg", _axes_setting(fit))
+        return Check(name, Verdict.AGREES, explain(Code.UPRIGHT, tilt_deg=tilt), tilt, None, 0.0, 45.0, "deg")
+    why = explain(Code.UPSIDE_DOWN if tilt > 135.0 else Code.ON_ITS_SIDE, axis=axis_name(fit.down), tilt_deg=tilt)
+    return Check(name, Verdict.CONTRADICTS, why, tilt, None, 0.0, 45.0, "deg", _axes_setting(fit))
 
 
 def check_axes(fit: AxesFit | None) -> Check:
@@ -130,16 +130,15 @@ def check_axes(fit: AxesFit | None) -> Check:
         return Check(name)
     best, gap = nearest_permutation(fit.columns)
     if np.array_equal(best, np.eye(3)):
-        text = f"accelerations of GNSS appear along their own axes, to within {fit.sd:.2f} (1 σ)"
-        return Check(name, Verdict.AGREES, text, gap, fit.sd, 0.0, MARGIN)
+        return Check(name, Verdict.AGREES, explain(Code.AXES_AGREE, sd_ratio=fit.sd), gap, fit.sd, 0.0, MARGIN)
     if gap < max(MARGIN, SDS * fit.sd):
         return Check(name)
-    seen = [f"{AXES[place]} appears {axis_name(best[:, place])}" for place in range(3) if best[place, place] != 1.0]
-    mirrored = "" if np.linalg.det(best) > 0.0 else "; the axes are mirrored, which no mount does"
-    text = f"axes are swapped: {', '.join(seen)}{mirrored}"
+    code = Code.AXES_SWAPPED if np.linalg.det(best) > 0.0 else Code.AXES_MIRRORED
+    forward, right, down = (axis_name(best[:, place]) for place in range(3))
+    why = explain(code, forward=forward, right=right, down=down)
     turned = best[2, 2] == 1.0 and np.linalg.det(best) > 0.0
     turn = _turn(fit) if turned else None
-    return Check(name, Verdict.CONTRADICTS, text, gap, fit.sd, 0.0, MARGIN, "-", _axes_setting(fit), turn)
+    return Check(name, Verdict.CONTRADICTS, why, gap, fit.sd, 0.0, MARGIN, "-", _axes_setting(fit), turn)
 
 
 def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
@@ -156,17 +155,18 @@ def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
     roll = atan2(R[2, 1], R[2, 2])
     tilt = max(abs(roll), abs(pitch))
     seen = [(tilt, TILT_SD)]
-    text = f"the IMU is askew by {degrees(-roll):.1f}° in roll and {degrees(-pitch):.1f}° in pitch"
+    askew = partial(explain, roll_deg=degrees(-roll), pitch_deg=degrees(-pitch))
+    why = askew(Code.TILTED)
     if known:
         seen.append((abs(yaw), fit.sd))
-        text += f", and by {degrees(-yaw):.1f}° in yaw (1 σ {degrees(fit.sd):.1f}°)"
+        why = askew(Code.MOUNTED_ASKEW, yaw_deg=degrees(-yaw), sd_deg=degrees(fit.sd))
     size, sd = max(seen)
     values = degrees(size), degrees(sd), 0.0, degrees(limit), "deg"
     if any(one >= limit + 3.0 * its_sd for one, its_sd in seen):
         correction = matrix_text(R.T @ fit.present)
         turn = _turn(fit) if known and abs(yaw) >= limit + 3.0 * fit.sd else None
-        return Check(name, Verdict.CONTRADICTS, text, *values, f"{MOUNTING} = {correction}", turn)
-    return Check(name, Verdict.AGREES if known and size < limit else Verdict.UNKNOWN, text, *values)
+        return Check(name, Verdict.CONTRADICTS, why, *values, f"{MOUNTING} = {correction}", turn)
+    return Check(name, Verdict.AGREES if known and size < limit else Verdict.UNKNOWN, why, *values)
 
 
 def check_gyroscope(fit: AxesFit | None) -> Check:
@@ -178,16 +178,13 @@ def check_gyroscope(fit: AxesFit | None) -> Check:
     gain, sd = float(fit.down @ fit.turn), fit.turn_sd
     values = gain, sd, 1.0, RATE_LIMIT
     if gain < 0.5 * size:
-        sense = "against the sense" if gain < -0.7 * size else f"about its axis {axis_name(fit.turn / size)} instead"
-        text = (
-            f"the gyroscopes show turns of the course {sense} of the vertical of the accelerometers (factor {gain:.2f})"
-        )
-        return Check(name, Verdict.CONTRADICTS, f"{text}: check sign and order of their axes", *values)
+        why = explain(Code.TURNS_ABOUT_ANOTHER_AXIS, ratio=gain, axis=axis_name(fit.turn / size))
+        why = explain(Code.TURNS_REVERSED, ratio=gain) if gain < -0.7 * size else why
+        return Check(name, Verdict.CONTRADICTS, why, *values)
     if abs(size - 1.0) > RATE_LIMIT + SDS * sd:
-        text = f"the gyroscopes show {size:.2f} of the turns of the course"
-        unit = "; their unit may be deg/s" if 40.0 < size < 80.0 else ""
-        return Check(name, Verdict.CONTRADICTS, f"{text}: check their unit{unit}", *values)
-    return Check(name, Verdict.AGREES, f"turns of the course appear with a factor of {gain:.2f} ± {sd:.2f}", *values)
+        code = Code.TURNS_IN_DEGREES if 40.0 < size < 80.0 else Code.TURNS_OF_ANOTHER_SIZE
+        return Check(name, Verdict.CONTRADICTS, explain(code, ratio=size), *values)
+    return Check(name, Verdict.AGREES, explain(Code.TURNS_AGREE, ratio=gain, sd_ratio=sd), *values)
 
 
 def check_gyroscope_bias(fit: AxesFit | None, assumed_sd: float) -> Check:
@@ -197,12 +194,12 @@ def check_gyroscope_bias(fit: AxesFit | None, assumed_sd: float) -> Check:
         return Check(name)
     size = float(np.abs(fit.bias).max())
     x, y, z = np.degrees(fit.bias).tolist()
-    text = f"gyroscope biases by the course over ground: {x:.2f}, {y:.2f}, {z:.2f} °/s"
+    why = explain(Code.GYROSCOPE_BIASES, x_deg_s=x, y_deg_s=y, z_deg_s=z)
     values = degrees(size), degrees(fit.bias_sd), 0.0, degrees(BIAS_SDS * assumed_sd), "deg/s"
     if size < BIAS_SDS * assumed_sd + 3.0 * fit.bias_sd:
-        return Check(name, Verdict.AGREES, text, *values)
+        return Check(name, Verdict.AGREES, why, *values)
     setting = f"core.fusion.imu.gyroscope_bias_sd_rad_s = {size:.2g}"
-    return Check(name, Verdict.CONTRADICTS, text, *values, setting)
+    return Check(name, Verdict.CONTRADICTS, why, *values, setting)
 
 
 def forward_of(fit: AxesFit | None) -> FloatArray | None:
@@ -231,8 +228,8 @@ def tilt_of(down: FloatArray) -> FloatArray:
     return np.column_stack([ahead, np.cross(down, ahead), down])
 
 
-def axis_name(direction: FloatArray) -> str:
-    """Nearest axis to a direction in words."""
+def axis_name(direction: FloatArray) -> Direction:
+    """Nearest axis to a direction."""
     place = int(np.argmax(np.abs(direction)))
     return AXES[place] if direction[place] > 0.0 else OPPOSITE[place]
 

@@ -7,6 +7,9 @@ on mean rate; mounting and biases are in the coefficients.
 import numpy as np
 import numpy.typing as npt
 
+from shared.messages.explanation import explain
+
+from ..codes import Code
 from .findings import Check, Verdict
 from .motion import Changes, Motion, Velocities
 
@@ -33,7 +36,7 @@ def check_delay(name: str, what: str, found: tuple[float, float, float] | None, 
     Parameters
     ----------
     name, what : str
-        Of the check, and of what is late, in words.
+        Of the check, and "position" or "velocity": what is late.
     found : tuple of float or None
         By `lag_of` or `lag_of_positions`.
     setting : tuple of str and float
@@ -44,15 +47,14 @@ def check_delay(name: str, what: str, found: tuple[float, float, float] | None, 
     lag_s, sd_s, gain = found
     values = lag_s, sd_s, 0.0, LATE_S, "s"
     if abs(lag_s) < LATE_S:
-        text = f"{what} agrees with the inertial sensors at a lag of {lag_s:.2f} ± {sd_s:.2f} s"
-        return Check(name, Verdict.AGREES, text, *values)
+        why = explain(Code.DELAY_AGREES, what=what, lag_s=lag_s, sd_s=sd_s)
+        return Check(name, Verdict.AGREES, why, *values)
     if abs(lag_s) < LATE_S + 2.0 * sd_s or gain < CLEAR:
         return Check(name)
     key, present_s = setting
-    sense = "older" if lag_s > 0.0 else "newer"
-    text = f"{what} is {abs(lag_s):.2f} ± {sd_s:.2f} s {sense} than its stamps and the settings say"
-    text += "; until that is set, the filter allows for it"
-    return Check(name, Verdict.CONTRADICTS, text, *values, f"{key} = {present_s + lag_s:.2f}")
+    code = Code.OLDER_THAN_STATED if lag_s > 0.0 else Code.NEWER_THAN_STATED
+    why = explain(code, what=what, lag_s=abs(lag_s), sd_s=sd_s)
+    return Check(name, Verdict.CONTRADICTS, why, *values, f"{key} = {present_s + lag_s:.2f}")
 
 
 def lag_of(motion: Motion, velocities: Velocities) -> tuple[float, float, float] | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from shared.messages.explanation import Explanation
 from shared.messages.navigation import SetUpVerdict as Verdict
 
 __all__ = ["Check", "Verdict", "matrix_text"]
@@ -16,7 +17,7 @@ class Check:
 
     name: str
     verdict: Verdict = Verdict.UNKNOWN
-    sentence: str = ""
+    why: Explanation | None = None
     statistic: float | None = None  # in `unit`
     sd: float | None = None
     expected: float | None = None

@@ -6,8 +6,10 @@ from math import hypot
 from typing import NamedTuple
 
 from shared.maths.rotation import Vector
+from shared.messages.explanation import explain
 
 from ..aids.base import Measurement
+from ..codes import Code, Direction
 from ..integrity.set_up_spread import Measured, SetUpSpread
 from ..settings import Settings
 from . import axes, receiver
@@ -190,7 +192,7 @@ def _delays(
     position = None
     if enough:  # velocities of a receiver tell the delay better than positions twice as far apart
         lag = lag_of(motion, by_positions) if by_receiver is not None else lag_of_positions(motion)
-        position = check_delay("gnss_delay", "the position of GNSS", lag, key)
+        position = check_delay("gnss_delay", "position", lag, key)
     yield position or Check("gnss_delay")
     late_s = position.statistic if position is not None and position.verdict is Verdict.CONTRADICTS else None
     if by_receiver is None:
@@ -198,7 +200,7 @@ def _delays(
         return
     if position is not None and position.verdict is not Verdict.UNKNOWN:
         key = "core.fusion.gnss.velocity_delay_s", gnss.velocity_delay_s - (late_s or 0.0)
-    yield check_delay("gnss_velocity_delay", "the velocity of GNSS", lag_of(motion, by_receiver), key)
+    yield check_delay("gnss_velocity_delay", "velocity", lag_of(motion, by_receiver), key)
 
 
 def check_arm(settings: Settings, arm: ArmError) -> Check:
@@ -206,15 +208,15 @@ def check_arm(settings: Settings, arm: ArmError) -> Check:
     forward, right = arm.error
     x, y, z = settings.vehicle.gnss.lever_arm_body_m
     size = (forward**2 + right**2) ** 0.5
-    along, across = "ahead of" if forward > 0.0 else "behind", "right" if right > 0.0 else "left"
-    text = (
-        f"in turns the antenna is {abs(forward):.1f} m {along} and {abs(right):.1f} m {across} of where the settings "
-        "have it"
-    )
     values = size, size / max(arm.sds, 1e-9), 0.0, 0.5, "m"
     if arm.wrong:
         setting = f"vehicle.gnss.lever_arm_body_m = [{x + forward:.2f}, {y + right:.2f}, {z:.2f}]"
-        return Check("lever_arm", Verdict.CONTRADICTS, text, *values, setting)
+        why = explain(
+            Code.LEVER_ARM_WRONG, along_m=abs(forward), across_m=abs(right),
+            along=Direction.FORWARD if forward > 0.0 else Direction.BACKWARD,
+            across=Direction.RIGHT if right > 0.0 else Direction.LEFT,
+        )  # fmt: skip
+        return Check("lever_arm", Verdict.CONTRADICTS, why, *values, setting)
     if arm.sds > 0.0 and size / arm.sds < 0.2 and size < 0.5:
-        return Check("lever_arm", Verdict.AGREES, "in turns the antenna is where the settings have it", *values)
+        return Check("lever_arm", Verdict.AGREES, explain(Code.LEVER_ARM_AGREES), *values)
     return Check("lever_arm")

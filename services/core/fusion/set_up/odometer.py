@@ -2,6 +2,9 @@
 
 import numpy as np
 
+from shared.messages.explanation import explain
+
+from ..codes import Code
 from .findings import Check, Verdict
 from .motion import Motion, Velocities
 from .regression import least_squares
@@ -31,9 +34,9 @@ def check_odometer_scale(motion: Motion, velocities: Velocities, present: float)
         return Check(name)
     ratio, sd = float(fit.coefficients[0, 0]), float(fit.sd[0, 0])
     values = ratio, sd, 1.0, SCALE_LIMIT
-    text = f"the odometer indicates {ratio:.3f} ± {sd:.3f} of the speed of GNSS"
+    why = explain(Code.ODOMETER_SCALE, ratio=ratio, sd_ratio=sd)
     if abs(ratio - 1.0) < SCALE_LIMIT:
-        return Check(name, Verdict.AGREES, text, *values)
+        return Check(name, Verdict.AGREES, why, *values)
     if abs(ratio - 1.0) < SCALE_LIMIT + 2.0 * sd:
         return Check(name)
     setting = (
@@ -41,4 +44,4 @@ def check_odometer_scale(motion: Motion, velocities: Velocities, present: float)
         if ratio > 0.05
         else "core.fusion.odometer.enabled = false"
     )
-    return Check(name, Verdict.CONTRADICTS, text, *values, "-", setting)
+    return Check(name, Verdict.CONTRADICTS, why, *values, "-", setting)

@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import STANDARD_GRAVITY
+from shared.messages.explanation import explain
 
+from ..codes import Code, Direction
 from .findings import Check, Verdict
 from .motion import Intervals, Motion, Velocities
 from .regression import Fit, least_squares, nearest_permutation
@@ -26,8 +28,9 @@ GAIN_SD = 0.25
 AXES_SD = 0.15
 SDS = 5.0
 WRONG_GAIN = 0.5  # below it a sign is wrong
-MAPPING = "axes and signs of `velocity` in the mapping of the import"
-HEIGHTS = "sign and kind of `height` in the mapping of the import"
+COMPASS = {(1, 0): Direction.NORTH, (0, 1): Direction.EAST, (-1, 0): Direction.SOUTH, (0, -1): Direction.WEST}
+OF_HEIGHT = Code.HEIGHT_AGREES, Code.HEIGHT_SIGN_WRONG
+OF_VELOCITY = Code.VERTICAL_VELOCITY_AGREES, Code.VERTICAL_VELOCITY_SIGN_WRONG
 
 
 def check_velocity_axes(motion: Motion) -> Check:
@@ -45,17 +48,11 @@ def check_velocity_axes(motion: Motion) -> Check:
     sd = float(fit.sd.max())
     values = gap, sd, 0.0, 0.8
     if np.array_equal(best, np.eye(2)):
-        return Check(name, Verdict.AGREES, "the receiver's velocity is that of its positions", *values)
+        return Check(name, Verdict.AGREES, explain(Code.VELOCITY_AXES_AGREE), *values)
     if gap < max(0.8, SDS * sd):
         return Check(name)
-    words = {(1, 0): "north", (0, 1): "east", (-1, 0): "south", (0, -1): "west"}
-    shown = [
-        f"{name} appears {words[(round(best[0, place]), round(best[1, place]))]}"
-        for place, name in enumerate(("north", "east"))
-        if best[place, place] != 1.0
-    ]
-    text = f"the receiver's velocity contradicts its positions: {', '.join(shown)}"
-    return Check(name, Verdict.CONTRADICTS, f"{text}: check {MAPPING}", *values)
+    north, east = (COMPASS[(round(best[0, place]), round(best[1, place]))] for place in (0, 1))
+    return Check(name, Verdict.CONTRADICTS, explain(Code.VELOCITY_AXES_WRONG, north=north, east=east), *values)
 
 
 def check_vertical(motion: Motion, intervals: Intervals | None, ahead: FloatArray | None) -> tuple[Check, Check]:
@@ -78,28 +75,25 @@ def check_vertical(motion: Motion, intervals: Intervals | None, ahead: FloatArra
             by_velocity = _gain(motion, intervals, ahead, climbed[:, 0], climbed[:, 1])
     each_other = _heights_against_velocity(motion)
     if by_velocity is not None:
-        velocity = _verdict(
-            "gnss_vertical_velocity", "vertical velocity", by_velocity, "the pitch of the road", MAPPING
-        )
+        velocity = _verdict("gnss_vertical_velocity", by_velocity, "pitch", OF_VELOCITY)
     if by_height is not None:
-        height = _verdict("gnss_height", "height", by_height, "the pitch of the road", HEIGHTS)
+        height = _verdict("gnss_height", by_height, "pitch", OF_HEIGHT)
     elif each_other is not None and velocity.verdict is Verdict.AGREES:
-        height = _verdict("gnss_height", "height", each_other, "the vertical velocity", HEIGHTS)
+        height = _verdict("gnss_height", each_other, "vertical_velocity", OF_HEIGHT)
     if by_velocity is None and each_other is not None and height.verdict is Verdict.AGREES:
-        velocity = _verdict("gnss_vertical_velocity", "vertical velocity", each_other, "the height", MAPPING)
+        velocity = _verdict("gnss_vertical_velocity", each_other, "height", OF_VELOCITY)
     return height, velocity
 
 
-def _verdict(name: str, what: str, fit: tuple[float, float], than: str, where: str) -> Check:
+def _verdict(name: str, fit: tuple[float, float], against: str, codes: tuple[Code, Code]) -> Check:
     gain, sd = fit
-    text = f"the {what} of GNSS changes by {gain:.2f} ± {sd:.2f} of the change by {than}"
+    agrees, wrong = (explain(code, ratio=gain, sd_ratio=sd, against=against) for code in codes)
     values = gain, sd, 1.0, 1.5
     if gain > WRONG_GAIN:
-        return Check(name, Verdict.AGREES, text, *values)
+        return Check(name, Verdict.AGREES, agrees, *values)
     if gain > -WRONG_GAIN or 1.0 - gain < SDS * sd:
         return Check(name)
-    used = "; until then heights of GNSS are not used" if where is HEIGHTS else ""
-    return Check(name, Verdict.CONTRADICTS, f"{text}: its sign is wrong; check {where}{used}", *values)
+    return Check(name, Verdict.CONTRADICTS, wrong, *values)
 
 
 def _gain(

@@ -11,6 +11,7 @@ from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Quaternion, quaternion_product
 
 from ..aids.base import Measurement
+from ..codes import HeadingMethod
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..settings import Settings
@@ -20,7 +21,6 @@ from .heading import Heading
 LONGEST_S = 25.0  # of a gap over which attitude and biases are kept: a restart of a device, and a margin
 RECENT_S = 0.3  # age of a fix at the end of a gap from which the filter starts: an unmeasured turn errs by 5 degrees
 TILT_SD = 0.05  # [rad] by which the grade of a road changes meanwhile
-METHOD = "heading kept over a gap"
 
 
 class Kept(NamedTuple):
@@ -72,4 +72,4 @@ def kept_over_gap(settings: Settings, lost: ErrorStateFilter, end_ns: int, measu
     P[em.ATTITUDE, em.ATTITUDE] += np.diag([TILT_SD**2, TILT_SD**2, 0.0])
     P[em.ATTITUDE.stop - 1, em.ATTITUDE.stop - 1] = course.variance
     tilt = max(float(P[em.ATTITUDE, em.ATTITUDE][k, k]) for k in (0, 1))
-    return Kept(kept, Heading(0.0, course.variance**0.5, METHOD), tilt)
+    return Kept(kept, Heading(0.0, course.variance**0.5, HeadingMethod.KEPT_OVER_GAP), tilt)

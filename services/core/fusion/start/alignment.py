@@ -10,12 +10,14 @@ from shared.copies import shallow
 from shared.inertial.strapdown import InertialState, rotate
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import NavigationPhase
 
 from ..aids.dual_antenna import BaselineHeading
 from ..aids.gnss.comparison import STANDSTILL_OFFSET_SD, Comparison
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
 from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
+from ..codes import Code, HeadingMethod
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.propagation import ImuErrors
@@ -75,7 +77,7 @@ class Alignment:
         tilt_variance: float = 1.0,
         first: bool = True,
     ) -> None:
-        self.method = ""  # of the heading that started the filter
+        self.method: HeadingMethod | None = None  # of the heading that started the filter
         self.first_fix: GnssPosition | None = None
         self._settings = settings
         self._lost = None if kept and kept.turn else lost
@@ -125,15 +127,15 @@ class Alignment:
         return NavigationPhase.WAITING_FOR_GNSS if self.first_fix is None else NavigationPhase.WAITING_FOR_HEADING
 
     @property
-    def reason(self) -> str:
-        """Reason of the phase."""
+    def why(self) -> Explanation:
+        """Why it is in its phase."""
         match self.phase:
             case NavigationPhase.LEVELLING:
-                return f"levelling, up to {self._settings.alignment.levelling_s:g} s at rest"
+                return explain(Code.LEVELLING, levelling_s=self._settings.alignment.levelling_s)
             case NavigationPhase.WAITING_FOR_GNSS:
-                return "level, no position yet"
+                return explain(Code.NO_POSITION_YET)
             case _:
-                return f"no heading yet: drive at more than {self._settings.alignment.course_speed_m_s:g} m/s"
+                return explain(Code.NO_HEADING_YET, speed_m_s=self._settings.alignment.course_speed_m_s)
 
     def use_velocity(self, measurement: GnssVelocity) -> None:
         """Use a velocity for the heading and the initial velocity."""
@@ -148,7 +150,7 @@ class Alignment:
     def use_heading(self, measurement: BaselineHeading, sd: float) -> None:
         """Use the heading of two antennas with its standard deviation [rad]."""
         turn = measurement.turn_from(self.levelling.quaternion)
-        self._baseline = measurement.time_ns, Heading(turn, sd, "two antennas")
+        self._baseline = measurement.time_ns, Heading(turn, sd, HeadingMethod.TWO_ANTENNAS)
 
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
         """Use a position; returns the filter if attitude and velocity are known, otherwise None."""

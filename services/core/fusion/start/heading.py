@@ -9,6 +9,7 @@ from shared.maths.rotation import Vector
 
 from ..aids.gnss.comparison import MEMORY_S, Comparison
 from ..aids.gnss.fix import GnssPosition
+from ..codes import HeadingMethod
 from ..inertial.standstill import STANDSTILL_RATE_SD
 from ..settings import Settings
 from .levelling import Levelling
@@ -22,7 +23,6 @@ FASTEST_M_S = 60.0
 ACCELERATIONS_SD = radians(2.0)  # smallest standard deviation of matched accelerations: tilt changes on the move
 ACCELERATIONS_LIMIT = radians(10.0)  # largest standard deviation with which they start a filter
 SENSE_LIMIT = radians(25.0)  # largest standard deviation with which they tell forward from backward motion
-COURSE = "course over ground"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def parked_heading(saved: Prior, levelling: Levelling) -> "Heading | None":
     if saved.yaw_sd > SAVED_YAW_SD_LIMIT:
         return None
     sd = max(saved.yaw_sd, SAVED_YAW_SD_FLOOR) + drift_sd(levelling)
-    return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, "saved position and heading")
+    return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, HeadingMethod.SAVED_POSITION)
 
 
 class Heading(NamedTuple):
@@ -51,7 +51,7 @@ class Heading(NamedTuple):
 
     turn: float
     sd: float
-    method: str
+    method: HeadingMethod
 
 
 class Motion(NamedTuple):
@@ -77,7 +77,7 @@ def saved_heading(saved: Prior, levelling: Levelling, fix: GnssPosition) -> Head
     if distance > MOVED_M + 3.0 * sqrt(variance) + FASTEST_M_S * levelling.moving_s:
         return None
     sd = max(saved.yaw_sd, SAVED_YAW_SD_FLOOR) + drift_sd(levelling)
-    return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, "saved heading")
+    return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, HeadingMethod.SAVED)
 
 
 def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) -> Heading | None:
@@ -96,11 +96,11 @@ def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) 
     fresh = levelling.standstill_quaternion is not None and levelling.moving_s < MATCH_S
     if fresh and hypot(gained_x, gained_y) > 0.5 * speed:
         sd = hypot(noise, MATCH_ACCELERATION_SD * levelling.moving_s / speed)
-        return Heading(wrap_angle(course - atan2(gained_y, gained_x)), sd, "matched velocity")
+        return Heading(wrap_angle(course - atan2(gained_y, gained_x)), sd, HeadingMethod.VELOCITY)
     yaw = levelling.yaw
     sideways = arm_y * cos(yaw) - arm_x * sin(yaw)
     turn = wrap_angle(course - atan2(sideways, speed) - yaw)
-    return Heading(turn, hypot(noise, settings.alignment.course_yaw_sd_rad), COURSE)
+    return Heading(turn, hypot(noise, settings.alignment.course_yaw_sd_rad), HeadingMethod.COURSE)
 
 
 def heading_of_accelerations(comparison: Comparison, levelling: Levelling) -> Heading | None:
@@ -112,12 +112,16 @@ def heading_of_accelerations(comparison: Comparison, levelling: Levelling) -> He
     if sd >= ACCELERATIONS_LIMIT:
         return None
     sd = hypot(max(sd, ACCELERATIONS_SD), 0.5 * levelling.yaw_drift_sd(MEMORY_S))
-    return Heading(turn, sd, "matched accelerations")
+    return Heading(turn, sd, HeadingMethod.ACCELERATIONS)
 
 
 def forwards_or_backwards(course: Heading, comparison: Comparison) -> Heading:
     """Turn a course by 180 degrees if matched accelerations show that the vehicle reverses."""
     turn, sd = comparison.result()
-    if course.method != COURSE or sd > SENSE_LIMIT or abs(wrap_angle(turn - course.turn)) < pi - 3.0 * SENSE_LIMIT:
+    if (
+        course.method is not HeadingMethod.COURSE
+        or sd > SENSE_LIMIT
+        or abs(wrap_angle(turn - course.turn)) < pi - 3.0 * SENSE_LIMIT
+    ):
         return course
-    return Heading(wrap_angle(course.turn + pi), course.sd, f"{COURSE}, backwards")
+    return Heading(wrap_angle(course.turn + pi), course.sd, HeadingMethod.COURSE_BACKWARDS)

@@ -17,9 +17,10 @@ from shared.maths.earth import ned_from_geodetic_difference
 
 from ..aids.gnss.comparison import GAIN, LARGEST_JITTER_M
 from ..aids.gnss.fix import GnssPosition
+from ..codes import HeadingMethod
 from ..inertial.propagation import FASTEST_M_S, ZERO
 from ..settings import Settings
-from .heading import COURSE, MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
+from .heading import MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
 
 SHORTEST_M = 2.0  # shortest track that gives a heading
@@ -96,7 +97,7 @@ def _by_displacement(
     turn, drift = phase(fit.w), MATCH_ACCELERATION_SD * levelling.moving_s
     turn_sd = hypot(fit.turn_sd, drift / abs(gained))
     velocity, sd = gained * rect(1.0, turn), hypot(drift, turn_sd * abs(gained))
-    return _motion(points, velocity, sd), Heading(turn, turn_sd, "matched positions")
+    return _motion(points, velocity, sd), Heading(turn, turn_sd, HeadingMethod.POSITIONS)
 
 
 def _by_course(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
@@ -108,7 +109,7 @@ def _by_course(points: Sequence[Point], levelling: Levelling, settings: Settings
     sd = sqrt(2.0) * fit.position_sd / span_s + 0.5 * span_s  # of an acceleration of 1 m/s²
     velocity = rect(abs(rough.w), levelling.yaw + turn)
     return _motion(points, velocity, sd), Heading(
-        turn, hypot(fit.turn_sd, settings.alignment.course_yaw_sd_rad), COURSE
+        turn, hypot(fit.turn_sd, settings.alignment.course_yaw_sd_rad), HeadingMethod.COURSE
     )
 
 

@@ -9,8 +9,10 @@ GNSS is published only if core.trust excludes GNSS and if that solution is good:
 from math import hypot
 
 from shared.maths.earth import ned_from_geodetic_difference
+from shared.messages.explanation import Explanation, explain
 
 from ..aids.base import Outcome
+from ..codes import Code
 from ..integrity.disagreement import CLOSURE_SDS, Disagreement, Pair, Vector
 from ..settings import Settings
 from ..solution import UncertaintyCache
@@ -74,7 +76,7 @@ class Conflict:
         self.resets: int = earlier.resets if earlier else main.engine.counts.resets
         self.held: Disagreement = earlier.held if earlier else main.engine.aids.error_monitor.held
         self.published: bool = earlier is not None and earlier.published  # whether the solution without GNSS is
-        self.declined = ""  # why it is not, although core.trust excludes GNSS
+        self.declined: Explanation | None = None  # why it is not, although core.trust excludes GNSS
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
@@ -112,7 +114,7 @@ class Verdicts:
         # Suspect time, whether GNSS is excluded, and whether the odometer is: as core.trust published.
         self.wanted: tuple[int | None, bool, bool] | None = None
         self._odometer_excluded: bool | None = None  # as applied
-        self.unresolved = ""  # why the present conflict goes on without a second solution
+        self.unresolved: Explanation | None = None  # why the present conflict goes on without a second solution
         self._decided_ns = 0  # second of the last decision
 
     @property
@@ -260,7 +262,7 @@ class Verdicts:
             return
         without = conflict.cursor.engine
         if without.filter is None:
-            self._leave("the solution without GNSS is lost")
+            self._leave(explain(Code.WITHOUT_GNSS_LOST))
             return
         conflict.levels_m = horizontal_m, vertical_m = self._levels(without)
         apart = distance_n(self.main.engine, without)
@@ -276,22 +278,16 @@ class Verdicts:
                 (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
             )
         if share > LAST_LIMITS:
-            self._leave(f"without GNSS the protection level is {horizontal_m:.0f} m: that solution is of no use")
+            self._leave(explain(Code.WITHOUT_GNSS_OF_NO_USE, level_m=horizontal_m))
         elif share > MOST_LIMITS:
-            conflict.declined = (
-                f"without GNSS the protection levels are {horizontal_m:.0f} m horizontal and {vertical_m:.0f} m "
-                "vertical, so that this solution decides nothing any more"
-            )
+            conflict.declined = explain(Code.WITHOUT_GNSS_UNDECIDED, horizontal_m=horizontal_m, vertical_m=vertical_m)
         elif conflict.converged_s < CONVERGED_S:
-            conflict.declined = (
-                f"the filter had run for {conflict.converged_s:.0f} s before the suspect time, {CONVERGED_S:.0f} s are "
-                "needed"
-            )
+            conflict.declined = explain(Code.NOT_CONVERGED, converged_s=conflict.converged_s, needed_s=CONVERGED_S)
         else:
-            conflict.declined = ""
+            conflict.declined = None
         conflict.published = self.wanted[1] and not conflict.declined
 
-    def _leave(self, why: str) -> None:
+    def _leave(self, why: Explanation) -> None:
         """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
 
         Later differences are its own drift. What the solution with GNSS did since then shows when it comes back.
@@ -309,7 +305,7 @@ class Verdicts:
 
         The solution with GNSS goes on, but for one that has been reset in the conflict or was not published.
         """
-        conflict, self.conflict, self.unresolved = self.conflict, None, ""
+        conflict, self.conflict, self.unresolved = self.conflict, None, None
         main = self.main
         if main.engine.exclusions.gnss_since_ns is not None:  # of a saved state
             self._log.insert(GnssReadmitted(now_ns + 1))

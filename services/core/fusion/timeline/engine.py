@@ -11,6 +11,7 @@ import numpy as np
 from shared.copies import shallow
 from shared.errors import FilterDiverged
 from shared.maths.earth import ned_from_geodetic_difference
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import AidingKind, NavigationPhase
 
 from ..aids import non_holonomic, zero_velocity
@@ -20,6 +21,7 @@ from ..aids.gnss.comparison import Comparison
 from ..aids.gnss.fix import GnssPosition
 from ..aids.non_holonomic import NonHolonomic
 from ..aids.zero_velocity import Standstill
+from ..codes import Code, HeadingMethod
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, mean
 from ..inertial.imu_gaps import (
@@ -40,7 +42,7 @@ from ..start.warm_start import SavedState, restored
 from .events import Event
 from .exclusion import Exclusions
 
-KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
+KEPT_HEADING = Heading(0.0, radians(20.0), HeadingMethod.KEPT)
 BEFORE_ALL_NS = -(2**62)
 PARKED_M_S, PARKED_S = 0.5, 3.0  # a vehicle that moves within this time of its first fix may have left its place
 
@@ -56,11 +58,11 @@ class Engine:
         All settings of the process.
     counts : Counts, optional
         Counts to continue from.
-    lost_reason : str
-        Why the solution before this engine ended; empty if there was none.
+    lost : Explanation, optional
+        Why the solution before this engine ended; None if there was none.
     """
 
-    def __init__(self, settings: Settings, counts: Counts | None = None, lost_reason: str = "") -> None:
+    def __init__(self, settings: Settings, counts: Counts | None = None, lost: Explanation | None = None) -> None:
         self._settings = settings
         self.coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
         self._intervals = Intervals(
@@ -69,7 +71,7 @@ class Engine:
             non_holonomic.PERIOD_S if settings.non_holonomic.enabled else inf,
         )
         self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
-        self.reason = "no inertial sample yet"
+        self.why: tuple[Explanation, ...] = (explain(Code.NO_SAMPLE_YET),)  # it is in its phase
         self.counts = counts or Counts()
         self.last: Sample | None = None  # newest sample, up to which the state is propagated
         self.filter: ErrorStateFilter | None = None
@@ -78,13 +80,13 @@ class Engine:
         self.started_ns: int | None = None  # of the filter
         self._prior: Prior | None = None  # until the first position has been compared with it
         self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
-        self._alignment: Alignment | None = Alignment(settings, first=not lost_reason)
+        self._alignment: Alignment | None = Alignment(settings, first=lost is None)
         self._saved: SavedState | None = None  # to be restored with the first sample
         self.aids = Aids(settings)
         self.exclusions = Exclusions()
         self._suspect_s = 0.0  # time of suspect samples since the last inflation
         self._rejections = 0  # number of consecutive rejected positions
-        self._lost_reason = lost_reason
+        self._lost = lost
         self._begun_ns = 0  # stamp of the first sample
 
     def copy(self) -> "Engine":
@@ -151,8 +153,7 @@ class Engine:
         if self.last is None and len(samples.times_ns):
             self.last, begin = _sample(samples, 0), 1
             self._begun_ns = self.last.time_ns
-            reason = self._with_loss("levelling") if self._lost_reason else "measuring tilt and gyroscope bias at rest"
-            self._enter(NavigationPhase.LEVELLING, self.last.time_ns, reason)
+            self._enter(NavigationPhase.LEVELLING, self.last.time_ns, explain(Code.MEASURING_AT_REST))
             if self._saved is not None:
                 self._start_warm(self._saved, self.last)
         return self._process(samples, begin, measurements, intervals or self._intervals)
@@ -249,8 +250,7 @@ class Engine:
         started = self._alignment.start_parked(self.time_ns)
         if started is not None:
             self._start(started, self.time_ns, Comparison())
-            reason = f"no GNSS position for {waited_s:.0f} s: started at the saved position"
-            self._enter(NavigationPhase.COASTING, self.time_ns, reason)
+            self._enter(NavigationPhase.COASTING, self.time_ns, explain(Code.STARTED_PARKED, waited_s=waited_s))
 
     def _bridge(self, sample: Sample, measurements: Sequence[Measurement], intervals: Intervals) -> list[Outcome]:
         """Propagate over a gap before a sample with the mean of its two ends, or end the solution."""
@@ -274,18 +274,18 @@ class Engine:
 
         Attitude and biases are kept over all but the longest gaps.
         """
-        reason = f"no inertial sample for {gap_s:.1f} s"
+        why = explain(Code.GAP, gap_s=gap_s)
         self.attempt(ErrorStateFilter.propagate_covariance)
         lost = self._alignment.carried(self.time_ns) if self._alignment is not None else self.filter
         if lost is None or gap_s > after_gap.LONGEST_S:
             self.last = sample
-            self._end_solution(reason, None, lost)
+            self._end_solution(why, None, lost)
             return []
         kept = after_gap.kept_over_gap(self._settings, lost, sample.time_ns, measurements)
         recent = [one for one in measurements if (sample.time_ns - one.time_ns) * 1e-9 <= after_gap.RECENT_S]
         begin_ns = recent[0].time_ns if recent else sample.time_ns
         self.last = sample._replace(time_ns=begin_ns)
-        self._end_solution(reason, kept.heading, kept.filter, kept.tilt_variance)
+        self._end_solution(why, kept.heading, kept.filter, kept.tilt_variance)
         row = samples_of([sample.time_ns], [[*sample.force, *sample.rate]], {0: sample.fault} if sample.fault else {})
         outcomes = self._process(row, 0, recent, intervals._replace(gap_s=inf)) if recent else []
         self.attempt(partial(inflate_for_gap, span_s=(sample.time_ns - begin_ns) * 1e-9))
@@ -307,7 +307,7 @@ class Engine:
             if self.filter is not None:
                 act(self.filter)
         except FilterDiverged as error:
-            self._reset(str(error), kept=None)
+            self._reset(explain(Code.DIVERGED, cause=error.cause), kept=None)
 
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
@@ -331,9 +331,9 @@ class Engine:
                 if measurement.is_fix:
                     self._count_position(outcome, measurement.left_out)
         except FilterDiverged as error:
-            self._reset(str(error), kept=None)
+            self._reset(explain(Code.DIVERGED, cause=error.cause), kept=None)
         if self._is_reset_due(measurement.time_ns):
-            self._reset(f"{self._rejections} positions in a row rejected", KEPT_HEADING)
+            self._reset(explain(Code.POSITIONS_REJECTED, count=self._rejections), KEPT_HEADING)
             self._align(measurement)
         return outcomes
 
@@ -348,7 +348,7 @@ class Engine:
             if self.filter is not None:
                 outcomes = list(self.aids.test_only(self.filter, measurement, reason))
         except FilterDiverged as error:
-            self._reset(str(error), kept=None)
+            self._reset(explain(Code.DIVERGED, cause=error.cause), kept=None)
         if measurement.is_fix:
             ratio = outcomes[0].test_ratio if outcomes else None
             self.exclusions = replace(self.exclusions, fixes=self.exclusions.fixes + 1, test_ratio=ratio)
@@ -359,19 +359,17 @@ class Engine:
         error = self.aids.heading_error(measurement, navigation)
         if error is None:
             return False
-        kept = Heading(*error, "matched accelerations")
-        self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
+        kept = Heading(*error, HeadingMethod.ACCELERATIONS)
+        self._reset(explain(Code.HEADING_WRONG, angle_deg=abs(degrees(kept.turn))), kept)
         return True
 
     def _count_position(self, outcome: Outcome, left_out: tuple[str, ...]) -> None:
         self.counts = self.counts.with_position(outcome.used)
         self.accepted_ns = outcome.time_ns if outcome.used else self.accepted_ns
         if outcome.used and self.exclusions.readmitted_after_s is not None:
-            reason = f"GNSS is used again after {self.exclusions.readmitted_after_s:.0f} s"
             distance_m = hypot(*outcome.innovation[:2])
-            self._enter(
-                NavigationPhase.NAVIGATING, outcome.time_ns, f"{reason}, {distance_m:.1f} m from dead reckoning"
-            )
+            why = explain(Code.READMITTED, excluded_s=self.exclusions.readmitted_after_s, distance_m=distance_m)
+            self._enter(NavigationPhase.NAVIGATING, outcome.time_ns, why)
             self.exclusions = replace(self.exclusions, readmitted_after_s=None)
         if outcome.used and left_out != self.exclusions.satellites:
             if left_out and not self.exclusions.satellites:
@@ -399,11 +397,11 @@ class Engine:
         started = measurement.align(self._alignment)
         if started is None:
             return
-        reason = self._with_loss(self._alignment.method)
+        why = self._with_loss(explain(Code.STARTED, method=self._alignment.method))
         self._start(started, measurement.time_ns, self._alignment.comparison)
         self.counts = self.counts.with_position(used=True)
         self.accepted_ns = measurement.time_ns
-        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, reason)
+        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, *why)
         self.exclusions = replace(self.exclusions, readmitted_after_s=None)
 
     def _aside(self, first: GnssPosition, prior: Prior, started: ErrorStateFilter) -> Disagreement:
@@ -433,7 +431,7 @@ class Engine:
             if aside.is_open:
                 self.hold(aside)
         self._prior = None
-        self.filter, self._alignment, self._lost_reason, self._rejections = started, None, "", 0
+        self.filter, self._alignment, self._lost, self._rejections = started, None, None, 0
         if self.recorder is not None:
             self.recorder.start(started)
 
@@ -451,43 +449,50 @@ class Engine:
         coasting = time_ns - (saved.accepted_ns or 0) > self.coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
         phase = NavigationPhase.COASTING if coasting else NavigationPhase.NAVIGATING
-        self._enter(phase, time_ns, f"warm start from a state of {gap_s:.1f} s before")
+        self._enter(phase, time_ns, explain(Code.WARM_START, gap_s=gap_s))
 
     def _update_phase(self) -> None:
         """Enter the phase of the present state, if it is another one."""
         if self.filter is None:
             assert self._alignment is not None
-            phase, reason = self._alignment.phase, self._alignment.reason
+            phase = self._alignment.phase
         elif self.time_ns - (self.accepted_ns or 0) > self.coasting_ns:
-            excluded = self.exclusions.gnss_since_ns is not None
-            reason = "GNSS is excluded by core.trust" if excluded else "no position used lately"
             phase = NavigationPhase.COASTING
         else:
-            phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
+            phase = NavigationPhase.NAVIGATING
         if phase is not self.phase:
-            self._enter(phase, self.time_ns, self._with_loss(reason))
+            self._enter(phase, self.time_ns, self._why(phase))
 
-    def _with_loss(self, reason: str) -> str:
-        """Append to a reason why the last solution ended."""
-        return f"{reason}, after {self._lost_reason}" if self._lost_reason else reason
+    def _why(self, phase: NavigationPhase) -> Explanation:
+        """Why a phase begins that another one does not explain."""
+        if self._alignment is not None and self.filter is None:
+            return self._alignment.why
+        if phase is NavigationPhase.NAVIGATING:
+            return explain(Code.POSITIONS_AGAIN)
+        return explain(Code.NO_POSITION_LATELY if self.exclusions.gnss_since_ns is None else Code.GNSS_EXCLUDED)
 
-    def _enter(self, phase: NavigationPhase, time_ns: int, reason: str) -> None:
-        self.phase, self.since_ns, self.reason = phase, time_ns, reason
+    def _with_loss(self, why: Explanation) -> tuple[Explanation, ...]:
+        """Add why the last solution ended."""
+        return (why,) if self._lost is None else (why, self._lost)
 
-    def _reset(self, reason: str, kept: Heading | None) -> None:
+    def _enter(self, phase: NavigationPhase, time_ns: int, *why: Explanation) -> None:
+        self.phase, self.since_ns = phase, time_ns
+        self.why = why if len(why) > 1 else self._with_loss(*why)
+
+    def _reset(self, why: Explanation, kept: Heading | None) -> None:
         """End the solution and count a reset; `kept` is the heading correction if the attitude is kept."""
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
-        self._end_solution(reason, kept, self.filter if kept else None)
+        self._end_solution(why, kept, self.filter if kept else None)
         if kept and self._alignment is not None:  # not after a gap, in which the level frame may have turned
             self._alignment.comparison = self.aids.gate.comparison.interrupted()
 
     def _end_solution(
-        self, reason: str, kept: Heading | None, lost: ErrorStateFilter | None, tilt_variance: float = 1.0
+        self, why: Explanation, kept: Heading | None, lost: ErrorStateFilter | None, tilt_variance: float = 1.0
     ) -> None:
         """Begin another alignment, with the attitude and the biases of the lost filter where they are kept."""
         self._alignment = Alignment(self._settings, lost, kept, tilt_variance=tilt_variance, first=False)
-        self.filter, self._lost_reason, self._rejections = None, reason, 0
-        self._enter(self._alignment.phase, self.time_ns, self._with_loss(self._alignment.reason))
+        self.filter, self._lost, self._rejections = None, why, 0
+        self._enter(self._alignment.phase, self.time_ns, self._alignment.why)
 
 
 def _sample(samples: Samples, k: int) -> Sample:

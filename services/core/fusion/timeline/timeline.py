@@ -8,6 +8,8 @@ the lag of the horizon larger. So the result depends on stamps and arrival stamp
 from bisect import insort
 from collections import Counter
 
+from shared.messages.explanation import Explanation
+
 from ..aids.base import Measurement, Outcome
 from ..inertial.imu_clock import FUTURE_LIMIT_NS
 from ..inertial.imu_faults import Sample
@@ -86,7 +88,7 @@ class Timeline:
         """Whether a sample of the past was used before, or falls into a bridged gap."""
         return self.log.is_known(sample, self._oldest_ns)
 
-    def restart(self, why: str) -> None:
+    def restart(self, why: Explanation) -> None:
         """Begin again from nothing, because the clock went back.
 
         Counts, history, what the level holds, what core.trust wants and what the checks of the set-up say of heights

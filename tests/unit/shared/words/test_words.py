@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from services.core.fusion.codes import Code as FusionCode
+from services.core.fusion.codes import Direction, HeadingMethod
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
 from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain
@@ -33,7 +35,7 @@ from shared.words.words import (
 from tests.support.words import FIELDS, FILE, lines, texts
 
 ENGLISH = words()
-CODES = {"trust": set(Code)}
+CODES = {"trust": set(Code), "fusion": set(FusionCode)}
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
 ROWS = [(language, code) for language in LANGUAGES for code in ENGLISH.rows]
 
@@ -101,8 +103,9 @@ def test_all_rendered_sentences_are_those_that_were_reviewed() -> None:
 @pytest.mark.parametrize(
     ("table", "words_of"),
     [("monitor", Monitor), ("source", [one for one in Hypothesis if one is not Hypothesis.NOTHING]),
-     ("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING]), ("phase", NavigationPhase)],
-    ids=["monitor", "source", "hypothesis", "phase"],
+     ("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING]), ("phase", NavigationPhase),
+     ("direction", Direction), ("heading_method", HeadingMethod)],
+    ids=["monitor", "source", "hypothesis", "phase", "direction", "heading_method"],
 )  # fmt: skip
 def test_every_word_of_an_enumeration_has_a_name(table: str, words_of: list[str]) -> None:
     assert set(ENGLISH.names[table]) == {str(word) for word in words_of}

@@ -12,6 +12,7 @@ from services.core.fusion.aids.base import Height, Outcome
 from services.core.fusion.aids.gate import FaultStatus, Gate
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN
+from services.core.fusion.codes import Code
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.integrity.error_monitor import ErrorMonitor, block
@@ -182,7 +183,7 @@ def test_robust_weights_have_smaller_errors_in_bursts_than_a_hard_gate_or_full_w
 def test_a_permanent_jump_resets_the_filter_and_states_the_reason() -> None:
     found = run(Fault(60.0, 500.0))
     assert found.navigator.counts.resets == 1
-    assert "positions in a row rejected" in found.navigator.reason
+    assert found.navigator.why[-1].code == Code.POSITIONS_REJECTED
     assert found.errors[max(found.errors)][0] == pytest.approx(500.0, abs=2.0)
 
 
@@ -355,4 +356,4 @@ def test_a_reset_after_rejected_positions_keeps_the_gyroscope_biases() -> None:
     solution, truth = found.navigator.solution(), (drive().rate_b - drive().ideal_rate_b)[:1000].mean(axis=0)
     assert solution is not None and found.navigator.counts.resets == 1
     assert solution.gyroscope_bias == pytest.approx(truth, abs=2e-4)
-    assert "heading kept" in found.navigator.reason or "matched" in found.navigator.reason
+    assert found.navigator.why[0].code == Code.STARTED

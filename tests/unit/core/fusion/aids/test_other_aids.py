@@ -15,6 +15,7 @@ from services.core.fusion.aids.barometer import BarometricHeight, pressure_heigh
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna import BaselineHeading
 from services.core.fusion.aids.magnetometer import SECTORS, WORST, CompassCheck, MagneticHeading
+from services.core.fusion.codes import Code, HeadingMethod
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.navigator import Navigator
@@ -30,6 +31,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
+from shared.messages.explanation import explain
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.runtime.config import GnssAntenna, Vehicle
 
@@ -193,7 +195,7 @@ def test_two_antennas_give_the_heading_at_standstill() -> None:
         made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
         if started_ns is None and made.phase is NavigationPhase.NAVIGATING:
             started_ns = time_ns
-            assert made.reason == "two antennas"
+            assert made.why == (explain(Code.STARTED, method=HeadingMethod.TWO_ANTENNAS),)
     solution = made.solution()
     assert solution is not None and np.hypot(*d.velocity_n[1599, :2]) == 0.0, "at standstill"
     assert solution.yaw == pytest.approx(float(d.attitude[1599, 2]), abs=3.0 * sd)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.gnss.fix import GnssPosition
+from services.core.fusion.codes import HeadingMethod
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Heading, Motion, Prior, heading_of_motion, saved_heading
 from services.core.fusion.start.levelling import Levelling
@@ -39,20 +40,20 @@ def heading(levelling: Levelling, velocity: Vector, swing: Vector = STILL) -> He
 
 def test_an_acceleration_forwards_to_the_east_gives_a_heading_of_east() -> None:
     found = heading(levelled(1.0), (0.0, 3.0, 0.0))
-    assert found.method == "matched velocity"
+    assert found.method is HeadingMethod.VELOCITY
     assert found.turn == pytest.approx(pi / 2, abs=0.01)
     assert found.sd < radians(5.0)
 
 
 def test_an_acceleration_backwards_to_the_east_gives_a_heading_of_west() -> None:
     found = heading(levelled(-1.0), (0.0, 3.0, 0.0))
-    assert found.method == "matched velocity"
+    assert found.method is HeadingMethod.VELOCITY
     assert abs(found.turn) == pytest.approx(pi / 2, abs=0.01) and found.turn < 0.0
 
 
 def test_without_a_standstill_the_heading_is_the_course_over_ground() -> None:
     found = heading(levelled(0.0, rest_s=0.0), (3.0, 0.0, 0.0))
-    assert found.method == "course over ground"
+    assert found.method is HeadingMethod.COURSE
     assert found.turn == pytest.approx(0.0, abs=1e-9)
     assert found.sd >= Settings().alignment.course_yaw_sd_rad
 

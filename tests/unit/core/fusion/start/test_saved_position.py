@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.given import fixes_of
 from services.core.fusion.batch import solve
+from services.core.fusion.codes import Code
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
@@ -38,7 +39,7 @@ def test_a_first_fix_50_m_aside_is_held_by_the_level_and_both_are_stated(drive: 
     navigator = started(drive, 50.0)
     held, solution = navigator.engine.aids.error_monitor.held, navigator.solution()
     assert held.at_start and held.bound[0] == pytest.approx(50.0, abs=6.0)
-    assert "saved position of the parked vehicle" in held.reason and "2000 m driven" in held.reason
+    assert held.why is not None and held.why.code == Code.HELD_AT_START and held.why.values["needed_m"] == 2000.0
     assert solution is not None and solution.protection_level_horizontal > 44.0
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.gnss.fix import GnssPosition
+from services.core.fusion.codes import HeadingMethod
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Heading, Motion
 from services.core.fusion.start.levelling import Levelling
@@ -61,7 +62,7 @@ def test_without_a_standstill_positions_give_the_course_over_ground(rate: float)
     result, _, velocity, turn = found(speed=8.0, rate=rate)
     assert result is not None
     motion, heading = result
-    assert heading.method == "course over ground"
+    assert heading.method is HeadingMethod.COURSE
     # Levelling in motion attributes a part of the centripetal acceleration to tilt.
     assert wrap_angle(heading.turn - turn) == pytest.approx(0.0, abs=radians(0.01 if rate == 0.0 else 2.0))
     assert abs(complex(*motion.velocity[:2]) - velocity) < (1e-3 if rate == 0.0 else 0.3)
@@ -75,7 +76,7 @@ def test_after_a_standstill_positions_are_matched_with_the_integrated_track_forw
     result, _, velocity, turn = found(rest_s=4.0, acceleration=acceleration, rate=rate)
     assert result is not None
     motion, heading = result
-    assert heading.method == "matched positions"
+    assert heading.method is HeadingMethod.POSITIONS
     assert wrap_angle(heading.turn - turn) == pytest.approx(0.0, abs=2e-3)
     assert abs(complex(*motion.velocity[:2]) - velocity) < 0.02
 

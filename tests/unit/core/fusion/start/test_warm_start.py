@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from benchmarks.given import fixes_of, speeds_of
+from services.core.fusion.codes import Code
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.imu_faults import Sample
@@ -29,6 +30,7 @@ from services.core.fusion.start.warm_start import (
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
+from shared.messages.explanation import explain
 from shared.messages.navigation import NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
@@ -156,7 +158,7 @@ def test_the_first_sample_after_a_warm_start_has_a_solution_and_a_reason() -> No
     made.imu(*sample(3150)[:3])
     solution = made.solution()
     assert solution is not None and solution.time_ns == drive().t_ns[3150]
-    assert made.phase is NavigationPhase.NAVIGATING and made.reason == "warm start from a state of 1.5 s before"
+    assert made.phase is NavigationPhase.NAVIGATING and made.why == (explain(Code.WARM_START, gap_s=1.5),)
     assert solution.protection_level_horizontal > np.hypot(*errors(made.now.filter, 3150)[6:8])  # type: ignore[arg-type]
     assert solution.position_cov[0, 0] > 2.0 * covariance_of(states()[3000])[6, 6]
 

@@ -9,6 +9,7 @@ import pytest
 
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna import BaselineHeading
+from services.core.fusion.codes import Code
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.imu_faults import Sample
 from services.core.fusion.navigator import Navigator
@@ -20,6 +21,7 @@ from services.core.fusion.timeline.engine import Engine
 from services.core.fusion.timeline.events import GnssExcluded, GnssReadmitted, OdometerExclusion
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.messages.explanation import explain
 from shared.messages.navigation import AidingKind, NavigationPhase
 
 SECOND_NS = 1_000_000_000
@@ -162,7 +164,7 @@ def test_the_solution_and_the_state_confirm_the_exclusion_and_count_the_fixes() 
     solution = nav.solution()
     assert solution is not None and solution.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
     assert solution.gnss_age_s == pytest.approx(END_S - SUSPECT_S, abs=1.01)
-    assert nav.phase is NavigationPhase.COASTING and "excluded" in nav.reason
+    assert nav.phase is NavigationPhase.COASTING and nav.why[0].code == Code.GNSS_EXCLUDED
     assert nav.engine.exclusions.fixes == END_S - SUSPECT_S - 1, "the newest one waits to be merged"
     gnss = [o for o in outcomes if o.kind in (AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY)]
     assert len(gnss) >= 2 * (END_S - VERDICT_S - 1)
@@ -263,7 +265,7 @@ def test_a_readmitted_receiver_is_used_at_once_and_the_reason_states_it() -> Non
     outcomes = run(nav, 85.0, 88.0)
     positions = [o for o in outcomes if o.kind is AidingKind.GNSS_POSITION and o.time_ns > 85.1 * SECOND_NS]
     assert positions and all(o.used for o in positions)
-    assert nav.phase is NavigationPhase.NAVIGATING and "GNSS is used again after" in nav.reason
+    assert nav.phase is NavigationPhase.NAVIGATING and nav.why[0].code == Code.READMITTED
     assert nav.engine.exclusions.gnss_since_ns is None and nav.counts.resets == 0
     assert error_m(nav) < 3.0
 
@@ -301,7 +303,7 @@ def test_a_filter_that_had_not_converged_before_the_suspect_time_declines_to_exc
     monkeypatch.setattr(conflicts, "CONVERGED_S", 60.0)
     nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
     conflict, solution = nav.verdicts.conflict, nav.solution()
-    assert conflict is not None and "60 s are needed" in conflict.declined
+    assert conflict is not None and conflict.declined is not None and conflict.declined.code == Code.NOT_CONVERGED
     assert solution is not None and solution.gnss_excluded_since_ns is None
 
 
@@ -319,7 +321,8 @@ def test_a_solution_without_gnss_that_outgrows_its_bound_is_not_published_and_th
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 92.0)
     conflict, difference, solution = nav.verdicts.conflict, nav.verdicts.difference(), nav.solution()
-    assert conflict is not None and "decides nothing" in conflict.declined and difference is not None
+    assert conflict is not None and conflict.declined is not None and difference is not None
+    assert conflict.declined.code == Code.WITHOUT_GNSS_UNDECIDED
     assert solution is not None and solution.gnss_excluded_since_ns is None
     assert solution.protection_level_horizontal >= hypot(*difference[0][:2]) + difference[1][0] - 1e-9 > 15.0
 
@@ -329,7 +332,8 @@ def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_their
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 110.0)
-    assert nav.verdicts.conflict is None and "of no use" in nav.verdicts.unresolved
+    assert nav.verdicts.conflict is None and nav.verdicts.unresolved is not None
+    assert nav.verdicts.unresolved.code == Code.WITHOUT_GNSS_OF_NO_USE
     held_m = nav.engine.aids.error_monitor.held.bound[0]
     solution = nav.solution()
     good = conflicts.MOST_LIMITS * nav.settings.vehicle.alert_limit_horizontal_m
@@ -355,7 +359,7 @@ def test_a_gap_of_the_imu_in_a_conflict_keeps_the_last_difference() -> None:
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
     run(nav, VERDICT_S, 80.0, moved_m=8.0)
     run(nav, 82.0, 100.0, moved_m=8.0)
-    assert "lost" in nav.verdicts.unresolved
+    assert nav.verdicts.unresolved == explain(Code.WITHOUT_GNSS_LOST)
     assert nav.engine.aids.error_monitor.held.bound[0] > 8.0 and error_m(nav) > 5.0
 
 

@@ -104,7 +104,7 @@ def results(seed: int, polling: Polling, **changes: object) -> Iterator[Any]:
     assert solution is not None
     yield from (solution.time_ns, solution.position, solution.velocity, solution.roll, solution.pitch, solution.yaw)
     yield from (cov.tolist() for cov in (solution.position_cov, solution.velocity_cov, solution.attitude_cov))
-    yield from (solution.gnss_age_s, navigator.phase, navigator.since_ns, navigator.reason, navigator.counts)
+    yield from (solution.gnss_age_s, navigator.phase, navigator.since_ns, navigator.why, navigator.counts)
     yield from (navigator.samples_used, navigator.samples_rejected, navigator.measurements_late, navigator.rejects)
     yield navigator.lever_arm_error
     # An outcome that was published before a late fix was received is not published again; one that was not published

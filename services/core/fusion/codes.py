@@ -1,0 +1,106 @@
+"""Codes of the state of the filter, of missing solutions, and of the checks of the set-up."""
+
+from enum import StrEnum
+
+
+class Code(StrEnum):
+    """Why the filter is in its phase, what it holds, and what a check of the set-up has found."""
+
+    # why a phase began
+    NO_SAMPLE_YET = "fusion.no_sample_yet"
+    MEASURING_AT_REST = "fusion.measuring_at_rest"
+    LEVELLING = "fusion.levelling"
+    NO_POSITION_YET = "fusion.no_position_yet"
+    NO_HEADING_YET = "fusion.no_heading_yet"
+    STARTED = "fusion.started"
+    STARTED_PARKED = "fusion.started_parked"
+    WARM_START = "fusion.warm_start"
+    READMITTED = "fusion.readmitted"
+    POSITIONS_AGAIN = "fusion.positions_again"
+    NO_POSITION_LATELY = "fusion.no_position_lately"
+    GNSS_EXCLUDED = "fusion.gnss_excluded"
+    NO_SAMPLES = "fusion.no_samples"
+    NO_INERTIAL_UNIT = "fusion.no_inertial_unit"
+    GNSS_ALONE = "fusion.gnss_alone"
+    NOTHING_LEFT = "fusion.nothing_left"
+    # why the solution before it ended
+    GAP = "fusion.gap"
+    CLOCK_BACK = "fusion.clock_back"
+    DIVERGED = "fusion.diverged"
+    POSITIONS_REJECTED = "fusion.positions_rejected"
+    HEADING_WRONG = "fusion.heading_wrong"
+    # why the solution without GNSS is not published, or was given up
+    WITHOUT_GNSS_LOST = "fusion.without_gnss_lost"
+    WITHOUT_GNSS_OF_NO_USE = "fusion.without_gnss_of_no_use"
+    WITHOUT_GNSS_UNDECIDED = "fusion.without_gnss_undecided"
+    NOT_CONVERGED = "fusion.not_converged"
+    # what the level holds
+    HELD_AT_START = "fusion.held_at_start"
+    HELD_GREW = "fusion.held_grew"
+    HELD_STEP = "fusion.held_step"
+    # why a hypothesis has no solution
+    COMPUTING = "fusion.computing"
+    SOLUTION_LOST = "fusion.solution_lost"
+    LEVEL_TOO_LARGE = "fusion.level_too_large"
+    NOTHING_TO_LEAVE_OUT = "fusion.nothing_to_leave_out"
+    NO_MOTION = "fusion.no_motion"
+    PAUSED = "fusion.paused"
+    # checks of the set-up
+    FORCE_IS_GRAVITY = "fusion.force_is_gravity"
+    FORCE_IS_NOT_GRAVITY = "fusion.force_is_not_gravity"
+    UPRIGHT = "fusion.upright"
+    UPSIDE_DOWN = "fusion.upside_down"
+    ON_ITS_SIDE = "fusion.on_its_side"
+    AXES_AGREE = "fusion.axes_agree"
+    AXES_SWAPPED = "fusion.axes_swapped"
+    AXES_MIRRORED = "fusion.axes_mirrored"
+    MOUNTED_ASKEW = "fusion.mounted_askew"
+    TILTED = "fusion.tilted"
+    TURNS_AGREE = "fusion.turns_agree"
+    TURNS_REVERSED = "fusion.turns_reversed"
+    TURNS_ABOUT_ANOTHER_AXIS = "fusion.turns_about_another_axis"
+    TURNS_OF_ANOTHER_SIZE = "fusion.turns_of_another_size"
+    TURNS_IN_DEGREES = "fusion.turns_in_degrees"
+    GYROSCOPE_BIASES = "fusion.gyroscope_biases"
+    VELOCITY_AXES_AGREE = "fusion.velocity_axes_agree"
+    VELOCITY_AXES_WRONG = "fusion.velocity_axes_wrong"
+    HEIGHT_AGREES = "fusion.height_agrees"
+    HEIGHT_SIGN_WRONG = "fusion.height_sign_wrong"
+    VERTICAL_VELOCITY_AGREES = "fusion.vertical_velocity_agrees"
+    VERTICAL_VELOCITY_SIGN_WRONG = "fusion.vertical_velocity_sign_wrong"
+    DELAY_AGREES = "fusion.delay_agrees"
+    OLDER_THAN_STATED = "fusion.older_than_stated"
+    NEWER_THAN_STATED = "fusion.newer_than_stated"
+    ODOMETER_SCALE = "fusion.odometer_scale"
+    LEVER_ARM_AGREES = "fusion.lever_arm_agrees"
+    LEVER_ARM_WRONG = "fusion.lever_arm_wrong"
+
+
+class HeadingMethod(StrEnum):
+    """How a heading was found."""
+
+    COURSE = "course"
+    COURSE_BACKWARDS = "course_backwards"
+    VELOCITY = "velocity"
+    ACCELERATIONS = "accelerations"
+    POSITIONS = "positions"
+    TWO_ANTENNAS = "two_antennas"
+    SAVED = "saved"
+    SAVED_POSITION = "saved_position"
+    KEPT = "kept"
+    KEPT_OVER_GAP = "kept_over_gap"
+
+
+class Direction(StrEnum):
+    """Direction of an axis."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+    RIGHT = "right"
+    LEFT = "left"
+    UP = "up"
+    DOWN = "down"
+    NORTH = "north"
+    SOUTH = "south"
+    EAST = "east"
+    WEST = "west"
