@@ -6,7 +6,7 @@ the owners. Every other language is one file beside this module; what it lacks i
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, tzinfo
 from functools import cache
@@ -107,6 +107,10 @@ class Words:
         """Name of a word of an enumeration; an unknown one as it is, with spaces."""
         found = self.names.get(table, {}).get(word)
         return found or (self.otherwise.name(table, word) if self.otherwise else word.replace("_", " "))
+
+    def references(self, named: Sequence[Reference]) -> str:
+        """Names of references: "GNSS or the odometer"."""
+        return self._joined([self._reference(one) for one in named], self.format["or"])
 
     def _render(
         self, template: str, explanation: Explanation, zone: tzinfo = UTC, texts: Mapping[str, str] | None = None

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
+from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, Outcome
 
 from .codes import Code
@@ -34,8 +34,6 @@ INERTIAL = (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
 AGAINST_GNSS = (*INERTIAL, Monitor.GYROSCOPE, Monitor.DRIFT, Monitor.SATELLITES)
 # Without a statement of these the verdict is at best CAUTION; the others are tests that not every vehicle has.
 REQUIRED = (*MOTION, *INERTIAL, Monitor.SATELLITES, Monitor.EVIDENCE)
-GNSS, ODOMETER, IMU = "gnss", "odometer", "imu"  # accused by name; satellites and neighbours by their IDs
-NEIGHBOUR = "neighbour"  # begins the name of one
 
 
 @dataclass(frozen=True)
@@ -218,12 +216,3 @@ class Facts:
             for statement in found
             if statement.outcome is Outcome.ACCUSES and (accused is None or accused in statement.accused)
         ]
-
-
-def reference(accused: str) -> Reference:
-    """Typed reference of a name that a monitor accuses."""
-    if accused in (GNSS, ODOMETER, IMU):
-        return Reference(kind=ReferenceKind.SOURCE, name=accused)
-    if accused.startswith(NEIGHBOUR):
-        return Reference(kind=ReferenceKind.NEIGHBOUR, name=accused.removeprefix(NEIGHBOUR).strip())
-    return Reference(kind=ReferenceKind.SATELLITE, name=accused)

@@ -277,7 +277,7 @@ class Process:
             other_level_m=None if state is None else state.other_level_m,
             without_gnss_level_m=None if state is None else state.without_gnss_level_m,
             exclusion_declined=state is not None and state.exclusion_declined is not None,
-            held_m=None if state is None or state.held_reason is None else _held_m(state),
+            held_m=None if state is None or not any(_held_m(state)) else _held_m(state),
             odometer_in_use=state is not None
             and state.odometer_age_s is not None
             and state.odometer_age_s <= ODOMETER_SILENT_S,

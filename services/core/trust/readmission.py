@@ -11,8 +11,9 @@ from collections import deque
 from dataclasses import dataclass
 
 from shared.messages.trust import Hypothesis, Outcome
+from shared.trust.accused import GNSS, IMU
 
-from .facts import GNSS, IMU, INERTIAL, SECOND_NS, Facts, Monitor
+from .facts import INERTIAL, SECOND_NS, Facts, Monitor
 from .verdict import solution_lost
 
 HEALTHY_S = 2.0

@@ -22,22 +22,10 @@ from dataclasses import dataclass
 
 from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
 from shared.messages.trust import Hypothesis, Outcome, TrustLevel
+from shared.trust.accused import GNSS, IMU, ODOMETER, reference
 
 from .codes import Code
-from .facts import (
-    AGAINST_GNSS,
-    GNSS,
-    IMU,
-    INERTIAL,
-    NEIGHBOUR,
-    ODOMETER,
-    SECOND_NS,
-    Facts,
-    Monitor,
-    Posterior,
-    Statement,
-    reference,
-)
+from .facts import AGAINST_GNSS, INERTIAL, SECOND_NS, Facts, Monitor, Posterior, Statement
 
 NAMED_MAXIMUM = 2  # hypotheses in one sentence
 REASONS_MAXIMUM = 32
@@ -168,7 +156,7 @@ def _satellite_fault(facts: Facts) -> Explanations:
         accused
         for statement in accusing
         for accused in statement.accused
-        if accused not in facts.satellites_left_out and not accused.startswith(NEIGHBOUR)
+        if accused not in facts.satellites_left_out and reference(accused).kind is not ReferenceKind.NEIGHBOUR
     ]
     if not inside:
         return ()

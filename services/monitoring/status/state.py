@@ -453,6 +453,7 @@ class State:
             solution=solution,
             solution_age_s=self.age_s("navigation/solution", now_ns),
             filter_says=navigation.reason if navigation else None,
+            filter_codes=navigation.reason_codes if navigation else (),
             phase=navigation.phase if navigation else None,
             fix=self.newest(GnssFix, "gnss/fix", now_ns),
             fix_age_s=self.age_s("gnss/fix", now_ns),

@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, HypothesisSolution, Outcome, TrustHypotheses
+from shared.trust.accused import GNSS, IMU, ODOMETER
 
 from ..codes import Code
-from ..facts import GNSS, IMU, ODOMETER, Monitor, Statement
+from ..facts import Monitor, Statement
 
 FALSE_ALARM_RATE = 1e-3  # it decides where another monitor, with its own rate, has found a contradiction
 LIMIT = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM_RATE) ** 2  # chi-square with one degree of freedom

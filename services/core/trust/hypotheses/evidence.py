@@ -7,9 +7,11 @@ its window, so that one a window counts, and a change of what it says at once.
 from collections.abc import Collection, Mapping
 from math import log
 
+from shared.messages.explanation import ReferenceKind
 from shared.messages.trust import Hypothesis, Outcome
+from shared.trust.accused import GNSS, IMU, ODOMETER, reference
 
-from ..facts import GNSS, IMU, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Statement
+from ..facts import INERTIAL, MOTION, SECOND_NS, Facts, Monitor, Statement
 
 # Probability that a monitor accuses although nothing that it names is wrong: its design says less, but its model of the
 # vehicle has tails that no design knows.
@@ -94,7 +96,7 @@ def _with_gnss(monitor: Monitor, named: set[str], *, odometer_in_use: bool) -> d
 
 
 def _is_satellite(name: str) -> bool:
-    return name not in (GNSS, IMU, ODOMETER) and not name.startswith("neighbour")
+    return reference(name).kind is ReferenceKind.SATELLITE
 
 
 class Evidence:

@@ -24,19 +24,19 @@ from shared.messages.operation import ProcessLoad
 from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
-from shared.words.words import ENGLISH, LANGUAGES, Words, words
+from shared.trust.accused import reference
+from shared.words.words import ENGLISH, LANGUAGES, Words, reason, words
 
 from .geometry import vertical_sd
 from .hypotheses import figures
-from .plain_words import label_of, said, who
+from .plain_words import label_of, said
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
-FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
-NOTHING_TO_JUDGE = "there is no position to judge"
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 RATIO_MAXIMUM = 9.99
 MONITORS_MAXIMUM = 16  # shown
+ACCUSED_MAXIMUM = 16
 
 
 class Trust(StrEnum):
@@ -99,7 +99,8 @@ class Evidence:
     trust_cause: str | None = None  # root cause of a missing or old verdict
     solution: NavigationSolution | None = None
     solution_age_s: float | None = None
-    filter_says: str | None = None  # the filter's own reason for its phase
+    filter_codes: tuple[Explanation, ...] = ()  # why the filter is in its phase
+    filter_says: str | None = None  # the same as its own text
     phase: NavigationPhase | None = None
     fix: GnssFix | None = None
     fix_age_s: float | None = None
@@ -146,6 +147,30 @@ class Code(StrEnum):
     NO_VERDICT_CAUSE = "banner.no_verdict_cause"
     OLD_VERDICT = "banner.old_verdict"
     OLD_VERDICT_CAUSE = "banner.old_verdict_cause"
+    # of the checks
+    CHECK_UNKNOWN = "banner.check_unknown"
+    CHECK_NO_VERDICT = "banner.check_no_verdict"
+    CHECK_OLD_VERDICT = "banner.check_old_verdict"
+    CHECK_RESTARTED = "banner.check_restarted"
+    CHECK_NO_POSITION = "banner.check_no_position"
+    CHECK_SUSPECTS = "banner.check_suspects"
+    CHECK_SHARE = "banner.check_share"
+    CHECK_NONE_RECEIVED = "banner.check_none_received"
+    CHECK_OLD = "banner.check_old"
+    CHECK_IN_TIME = "banner.check_in_time"
+    FIX_WITHOUT_POSITION = "banner.fix_without_position"
+    FIX = "banner.fix"
+    SATELLITES = "banner.satellites"
+    NO_STATE = "banner.no_state"
+    PHASE = "banner.phase"
+    HEADING = "banner.heading"
+    LEVEL_NOT_PUBLISHED = "banner.level_not_published"
+    LEVEL = "banner.level"
+    LEVEL_LIMITED = "banner.level_limited"
+    NO_ALERT_LIMIT = "banner.no_alert_limit"
+    RESIDUAL = "banner.residual"
+    RESIDUAL_DISCARDED = "banner.residual_discarded"
+    NO_RESIDUAL = "banner.no_residual"
 
 
 OF_STATE = {level: Code(f"banner.{level.value}") for level in TrustLevel}
@@ -187,7 +212,8 @@ def show(evidence: Evidence) -> Verdict:
     """Make the banner of the newest `trust/state`, or say why there is no verdict."""
     e, checks = evidence, tuple(_checks(evidence))
     if not e.broker:
-        stale = tuple(replace(check, state=Trust.STALE, text="not known", ratio=None) for check in checks)
+        unknown = reason(explain(Code.CHECK_UNKNOWN))
+        stale = tuple(replace(check, state=Trust.STALE, text=unknown, ratio=None) for check in checks)
         lines = _lines(explain(Code.BROKER_LOST), cause=e.cause or "the broker is not reachable")
         return _spoken(Trust.BROKER_LOST, lines, stale, since_ns=e.received_ns)
     if e.awaited:
@@ -233,11 +259,11 @@ def _without_verdict(e: Evidence) -> dict[str, Line]:
     return _lines(why, cause=e.trust_cause or "")
 
 
-def no_verdict(age_s: float | None) -> str | None:
-    """Time without a verdict, as text; None while the newest is within its deadline."""
+def no_verdict(age_s: float | None) -> Explanation | None:
+    """Time without a verdict; None while the newest is within its deadline."""
     if age_s is not None and age_s < _stale_after_s("trust/state"):
         return None
-    return "no verdict" if age_s is None else f"no verdict for {age_s:.0f} s"
+    return explain(Code.CHECK_NO_VERDICT) if age_s is None else explain(Code.CHECK_OLD_VERDICT, age_s=round(age_s))
 
 
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
@@ -301,12 +327,12 @@ def _checks(e: Evidence) -> list[Check]:
         *_monitor_checks(e),
         _protection_check(e),
         _fix_check(e),
-        _age_check("imu", "Inertial unit", e.imu_age_s, "imu/sample", "samples"),
+        _age_check("imu", e.imu_age_s, "imu/sample"),
         _phase_check(e),
         _heading_check(e),
         *_set_up_checks(e),
         *_gate_checks(e),
-        _age_check("odometer", "Vehicle speed", e.odometer_age_s, "vehicle/wheel_speed", "speed"),
+        _age_check("odometer", e.odometer_age_s, "vehicle/wheel_speed"),
     ]
 
 
@@ -316,21 +342,22 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         return []
     checks = []
     for statement in e.trust.monitors[:MONITORS_MAXIMUM]:
-        earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
-        nothing = NOTHING_TO_JUDGE if e.trust.state is TrustLevel.NO_FIX else None
+        earlier = explain(Code.CHECK_RESTARTED) if statement.monitor in e.earlier_monitors else None
+        nothing = explain(Code.CHECK_NO_POSITION) if e.trust.state is TrustLevel.NO_FIX else None
         missing = no_verdict(e.trust_age_s) or earlier or nothing
         text = said(statement.reason, statement.reason_code)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
-            text = f"suspects {who(statement.accused)}: {text}"
+            accused = tuple(reference(name) for name in statement.accused[:ACCUSED_MAXIMUM])
+            text = f"{reason(explain(Code.CHECK_SUSPECTS, accused=accused))}; {text}"
         elif statement.outcome is Outcome.PASS and ratio is not None:
-            text = f"{100.0 * ratio:.0f} % of threshold"
+            text = reason(explain(Code.CHECK_SHARE, share=round(ratio, 2)))
         checks.append(
             Check(
                 statement.monitor,
                 label_of(statement.monitor),
                 Trust.STALE if missing else OUTCOMES[statement.outcome],
-                missing or text,
+                reason(missing) if missing else text,
                 None if missing or ratio is None else min(ratio, RATIO_MAXIMUM),
                 f"trust?monitor={statement.monitor}",
                 Kind.MONITOR,
@@ -347,62 +374,60 @@ def ratio_of(outcome: Outcome, statistic: float | None, threshold: float | None)
 
 
 def _fix_check(e: Evidence) -> Check:
-    label, link = "GNSS fix", "system?topic=gnss/fix"
+    link, limit_s = "system?topic=gnss/fix", _stale_after_s("gnss/fix")
     if e.fix is None or e.fix_age_s is None:
-        return Check("fix", label, Trust.STALE, "none received", link=link)
-    satellites = "" if e.fix.satellites_used is None else f", {e.fix.satellites_used} satellites"
-    limit_s = _stale_after_s("gnss/fix")
+        return _check("fix", Trust.STALE, link, explain(Code.CHECK_NONE_RECEIVED))
     if e.fix_age_s >= limit_s:
-        return Check("fix", label, Trust.STALE, f"older than {limit_s:g} s", link=link)
+        return _check("fix", Trust.STALE, link, explain(Code.CHECK_OLD, limit_s=limit_s))
+    count = e.fix.satellites_used
+    satellites = () if count is None else (explain(Code.SATELLITES, satellites_count=count),)
     if e.fix.fix_type in (FixType.NONE, FixType.TIME_ONLY, FixType.DEAD_RECKONING):
-        return Check("fix", label, Trust.CAUTION, f"the receiver has no position{satellites}", link=link)
-    kind = e.fix.fix_type.replace("two_d", "2-D").replace("three_d", "3-D").replace("_", " ")
-    return Check("fix", label, Trust.SAFE, f"{kind}{satellites}", link=link)
+        return _check("fix", Trust.CAUTION, link, explain(Code.FIX_WITHOUT_POSITION), *satellites)
+    return _check("fix", Trust.SAFE, link, explain(Code.FIX, fix_type=e.fix.fix_type), *satellites)
 
 
-def _age_check(name: str, label: str, age_s: float | None, topic: str, what: str) -> Check:
-    limit_s = _stale_after_s(topic)
+def _check(name: str, state: Trust, link: str, *why: Explanation, ratio: float | None = None) -> Check:
+    """Make a check whose label is that of its name."""
+    shown = None if ratio is None else min(ratio, RATIO_MAXIMUM)
+    return Check(name, words().name("check", name.replace(" ", "_")), state, reason(*why), shown, link)
+
+
+def _age_check(name: str, age_s: float | None, topic: str) -> Check:
+    limit_s, link = _stale_after_s(topic), f"system?topic={topic}"
     if age_s is None:
-        state = Trust.OFF if name == "odometer" else Trust.STALE
-        return Check(name, label, state, f"no {what} received", link=f"system?topic={topic}")
+        return _check(name, Trust.OFF if name == "odometer" else Trust.STALE, link, explain(Code.CHECK_NONE_RECEIVED))
     if age_s >= limit_s:
-        return Check(name, label, Trust.STALE, f"no {what} for more than {limit_s:g} s", link=f"system?topic={topic}")
-    return Check(name, label, Trust.SAFE, f"{what} in time", link=f"system?topic={topic}")
+        return _check(name, Trust.STALE, link, explain(Code.CHECK_OLD, limit_s=limit_s))
+    return _check(name, Trust.SAFE, link, explain(Code.CHECK_IN_TIME))
 
 
 def _phase_check(e: Evidence) -> Check:
     link = "system?topic=navigation/state"
     if e.phase is None:
-        return Check("phase", "Filter", Trust.STALE, "does not publish its state", link=link)
-    text = e.phase.replace("_", " ").replace("imu", "IMU").replace("gnss", "GNSS")
-    text = text.replace("GNSS only", "GNSS only: no inertial unit")
+        return _check("phase", Trust.STALE, link, explain(Code.NO_STATE))
+    here = explain(Code.PHASE, phase=e.phase)
     if e.phase is NavigationPhase.NAVIGATING:
-        return Check("phase", "Filter", Trust.SAFE, text, link=link)
-    return Check("phase", "Filter", Trust.CAUTION, f"{text}: {e.filter_says}" if e.filter_says else text, link=link)
+        return _check("phase", Trust.SAFE, link, here)
+    made = _check("phase", Trust.CAUTION, link, here, *e.filter_codes)
+    # A recording of an earlier release has the filter's own text alone.
+    return made if e.filter_codes or not e.filter_says else replace(made, text=f"{made.text}; {e.filter_says}")
 
 
 def _heading_check(e: Evidence) -> Check:
+    link = "system?topic=navigation/solution"
     if e.solution is None or _is_old(e):
-        return Check("heading", "Heading", Trust.STALE, "unknown", link="system?topic=navigation/solution")
+        return _check("heading", Trust.STALE, link, explain(Code.CHECK_UNKNOWN))
     sd_deg = _heading_sd_deg(e.solution)
-    state = Trust.SAFE if sd_deg <= HEADING_SD_LIMIT_DEG else Trust.CAUTION
-    text = f"± {sd_deg:.1f}° (1 σ), limit {HEADING_SD_LIMIT_DEG:g}°"
-    return Check(
-        "heading",
-        "Heading",
-        state,
-        text,
-        min(sd_deg / HEADING_SD_LIMIT_DEG, RATIO_MAXIMUM),
-        "system?topic=navigation/solution",
-    )
+    why = explain(Code.HEADING, sd_deg=sd_deg, limit_deg=HEADING_SD_LIMIT_DEG)
+    good = sd_deg <= HEADING_SD_LIMIT_DEG
+    return _check("heading", Trust.SAFE if good else Trust.CAUTION, link, why, ratio=sd_deg / HEADING_SD_LIMIT_DEG)
 
 
 def _set_up_checks(e: Evidence) -> list[Check]:
     """Show what driving has found wrong with the set-up; the page System has all checks and the settings to paste."""
+    label, link = words().name("check", "set_up"), "system?topic=navigation/set_up"
     return [
-        Check(
-            f"set-up {check.name}", "Installation", Trust.CAUTION, check.sentence, link="system?topic=navigation/set_up"
-        )
+        Check(f"set-up {check.name}", label, Trust.CAUTION, said(check.sentence, check.code), link=link)
         for check in (e.set_up.checks if e.set_up else ())
         if check.verdict is SetUpVerdict.CONTRADICTS
     ]
@@ -410,58 +435,36 @@ def _set_up_checks(e: Evidence) -> list[Check]:
 
 def _protection_check(e: Evidence) -> Check:
     """Compare the protection levels with the alert limits of the vehicle's configuration; the worse axis counts."""
-    name, label, link = "protection", "Protection level", "system?topic=navigation/solution"
+    link = "system?topic=navigation/solution"
     if e.solution is None or _is_old(e):
-        return Check(name, label, Trust.STALE, "unknown", link=link)
+        return _check("protection", Trust.STALE, link, explain(Code.CHECK_UNKNOWN))
     axes = [
         ("horizontal", e.solution.protection_level_horizontal_m, e.alert_limit_horizontal_m),
         ("vertical", e.solution.protection_level_vertical_m, e.alert_limit_vertical_m),
     ]
     levels = [(axis, level_m, limit_m) for axis, level_m, limit_m in axes if level_m is not None]
     if not levels:
-        return Check(name, label, Trust.OFF, "not published by the filter", link=link)
-    text = ", ".join(
-        f"{level_m:.1f} m {axis}" + ("" if limit_m is None else f" (limit {limit_m:g} m)")
+        return _check("protection", Trust.OFF, link, explain(Code.LEVEL_NOT_PUBLISHED))
+    why = [
+        explain(Code.LEVEL if limit_m is None else Code.LEVEL_LIMITED, axis=axis, level_m=level_m, limit_m=limit_m)
         for axis, level_m, limit_m in levels
-    )
+    ]
     ratios = [level_m / limit_m for _, level_m, limit_m in levels if limit_m is not None]
     if not ratios:
-        return Check(name, label, Trust.STALE, f"{text}; alert limits not received", link=link)
+        return _check("protection", Trust.STALE, link, *why, explain(Code.NO_ALERT_LIMIT))
     state = Trust.SAFE if max(ratios) <= 1.0 else Trust.ABOVE_LIMIT
-    return Check(name, label, state, text, min(max(ratios), RATIO_MAXIMUM), link)
+    return _check("protection", state, link, *why, ratio=max(ratios))
 
 
 def _gate_checks(e: Evidence) -> list[Check]:
     """Show the newest innovation of each kind against its gate."""
-    checks = []
+    link, checks = "system?topic=navigation/aiding", []
     for kind, update, _ in _recent(e):
-        good = update.used and update.test_ratio <= GATE_LIMIT
-        text = f"{100.0 * update.test_ratio:.0f} % of limit" + ("" if update.used else ", discarded")
-        label = f"{FITS.get(kind) or _capital(kind.replace('_', ' ').replace('gnss', 'GNSS'))} residual"
-        state = Trust.SAFE if good else Trust.CAUTION
-        checks.append(
-            Check(
-                f"gate {kind}",
-                label,
-                state,
-                text,
-                min(update.test_ratio, RATIO_MAXIMUM),
-                "system?topic=navigation/aiding",
-            )
-        )
-    return checks or [
-        Check(
-            "gate",
-            "Residuals",
-            Trust.STALE,
-            f"none in {AIDING_RECENT_S:g} s",
-            link="system?topic=navigation/aiding",
-        )
-    ]
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+        code = Code.RESIDUAL if update.used else Code.RESIDUAL_DISCARDED
+        why = explain(code, share=round(min(update.test_ratio, 1e6), 2))
+        state = Trust.SAFE if update.used and update.test_ratio <= GATE_LIMIT else Trust.CAUTION
+        checks.append(_check(f"gate {kind}", state, link, why, ratio=update.test_ratio))
+    return checks or [_check("gate", Trust.STALE, link, explain(Code.NO_RESIDUAL, limit_s=AIDING_RECENT_S))]
 
 
 def _is_old(e: Evidence) -> bool:

@@ -9,7 +9,7 @@ from shared.messages.trust import MonitorTest, Outcome, TrustState
 
 from ..history.gnss_history import ReceiverHistory
 from ..state import State
-from .plain_words import plain
+from .plain_words import said
 
 Json = dict[str, object]
 PARSER = "parsers.gnss"
@@ -145,7 +145,7 @@ def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mas
             "excluded": excluded,
             "suspect": test is not None and test.outcome is Outcome.ACCUSES and not excluded,
             "reason": why_not_used(satellite, mask_rad),
-            "integrity": None if test is None else plain(test.reason.removeprefix("excluded, ").removeprefix("used, ")),
+            "integrity": None if test is None else said(test.reason, test.reason_code),
         })  # fmt: skip
     return rows
 

@@ -4,9 +4,10 @@ from collections.abc import Iterable, Sequence
 from math import hypot
 
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses
+from shared.words.words import words
 
 from ..history.alternatives import Line, separation_ratio, worst
-from .plain_words import HYPOTHESES, plain, said, who
+from .plain_words import said, who
 
 Json = dict[str, object]
 Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live
@@ -24,8 +25,9 @@ def suspected(beliefs: Iterable[Belief]) -> list[Belief]:
 def figures(beliefs: Iterable[Belief]) -> list[str]:
     """Give probability and reason of each hypothesis that is suspected, for those who ask why."""
     return [
-        f"{HYPOTHESES[one.hypothesis].label}: {100.0 * one.probability:.3g} %; {said(one.reason, one.reason_code)}"
+        f"{label}: {100.0 * one.probability:.3g} %; {said(one.reason, one.reason_code)}"
         for one in suspected(beliefs)
+        for label in (words().name("belief", one.hypothesis),)
     ]
 
 
@@ -51,13 +53,13 @@ def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]
     found = [(producer, one) for producer, message in stated for one in message.solutions]
     mine = [(producer, one) for producer, one in found if one.hypothesis is hypothesis]
     solution = worst([one for _, one in mine])
-    missing = [why for _, message in stated for name, why in message.missing if name is hypothesis]
+    missing = [why for _, message in stated for why in _missing(hypothesis, message)]
     distance_m, level_m = (belief.distance_m, belief.level_m) if belief else (None, None)
     if solution is not None and hypothesis is not Hypothesis.SATELLITES:
         distance_m = _distance_m(solution) if distance_m is None else distance_m
         level_m = solution.protection_level_horizontal_m if level_m is None else level_m
     return {
-        "label": HYPOTHESES[hypothesis].label,
+        "label": words().name("belief", hypothesis),
         "probability": None if belief is None else float(f"{belief.probability:.4g}"),
         "prior": None if belief is None else belief.prior,
         "survives": None if belief is None else belief.survives,
@@ -70,9 +72,15 @@ def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]
         "solutions": len(mine),
         "left_out": who(solution.left_out) if solution and solution.left_out else None,
         "ratio": None if solution is None else _ratio(solution),
-        "missing": None if mine or not missing else plain("; ".join(missing)),
+        "missing": None if mine or not missing else "; ".join(missing),
         "source": ", ".join(dict.fromkeys(producer for producer, _ in mine)) or None,
     }
+
+
+def _missing(hypothesis: Hypothesis, message: TrustHypotheses) -> list[str]:
+    """Why a process has no solution of a hypothesis: by codes, else by the texts of an earlier release."""
+    codes = {name: words().detail(why) for name, why in message.missing_codes}
+    return [codes.get(name) or text for name, text in message.missing if name is hypothesis]
 
 
 def satellites(stated: Sequence[Stated]) -> list[Json]:
@@ -99,7 +107,7 @@ def tracks(lines: Iterable[Line]) -> list[Json]:
     return [
         {
             "hypothesis": line.hypothesis.value,
-            "label": HYPOTHESES[line.hypothesis].condition,
+            "label": words().name("condition", line.hypothesis),
             "source": line.producer,
             "left_out": list(line.points[-1].left_out),
             "until_ns": line.points[-1].time_ns,

@@ -4,6 +4,7 @@ The tables of the pages are JavaScript; their keys are read from the text, each 
 """
 
 import re
+from collections.abc import Mapping
 from enum import StrEnum
 
 import pytest
@@ -13,12 +14,13 @@ from services.monitoring.status.process import DASHBOARD
 from services.monitoring.status.series.fields import parse, unit_of
 from services.monitoring.status.views.banner import OF_STATE, WORDS, Trust
 from services.monitoring.status.views.gnss import LETTERS
-from services.monitoring.status.views.plain_words import HYPOTHESES, LABELS
+from services.monitoring.status.views.plain_words import LABELS
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, InterferenceState
 from shared.messages.navigation import AidingKind, NavigationPhase, SetUpVerdict
 from shared.messages.operation import DeviceFound, Freshness, MessageUse, OriginKind, ProcessStatus
 from shared.messages.toll import GateMode, PassageState
 from shared.messages.trust import Hypothesis, Outcome, TrustLevel
+from shared.words.words import words
 
 CHARTS, GNSS, TRUST = "charts/chart_words.js", "gnss/gnss_words.js", "trust/hypothesis_words.js"
 
@@ -109,14 +111,18 @@ def test_an_aid_without_a_unit_is_plotted_without_one(monkeypatch: pytest.Monkey
     ("table", "values"),
     [
         (LABELS, Monitor),
-        (HYPOTHESES, Hypothesis),
+        (words().names["belief"], Hypothesis),
+        (words().names["condition"], Hypothesis),
+        (words().names["fix_type"], FixType),
+        (words().names["filter_phase"], NavigationPhase),
+        ({name.removeprefix("gate_"): label for name, label in words().names["check"].items()}, AidingKind),
         (WORDS, Trust),
         (OF_STATE, TrustLevel),
         (LETTERS, Constellation),
     ],
-    ids=["LABELS", "HYPOTHESES", "WORDS", "OF_STATE", "LETTERS"],
+    ids=["LABELS", "belief", "condition", "fix_type", "filter_phase", "check", "WORDS", "OF_STATE", "LETTERS"],
 )
-def test_every_value_is_in_the_tables_of_the_server(table: dict[str, object], values: type[StrEnum]) -> None:
+def test_every_value_is_in_the_tables_of_the_server(table: Mapping[str, object], values: type[StrEnum]) -> None:
     missing = [value.value for value in values if value not in table]
     assert not missing, f"add {missing} of {values.__name__} to that table of services/monitoring/status/views"
 

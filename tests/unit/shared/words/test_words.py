@@ -1,6 +1,7 @@
 """The words of codes: complete in every language, short enough, data alone, and what is shown where they do not fit."""
 
 from datetime import timedelta, timezone
+from enum import StrEnum
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from services.core.fusion.codes import Code as FusionCode
 from services.core.fusion.codes import Direction, HeadingMethod
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
+from services.monitoring.status.views.banner import Code as BannerCode
 from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
@@ -35,7 +37,7 @@ from shared.words.words import (
 from tests.support.words import FIELDS, FILE, lines, texts
 
 ENGLISH = words()
-CODES = {"trust": set(Code), "fusion": set(FusionCode)}
+CODES: dict[str, type[StrEnum]] = {"trust": Code, "fusion": FusionCode, "banner": BannerCode}
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
 ROWS = [(language, code) for language in LANGUAGES for code in ENGLISH.rows]
 

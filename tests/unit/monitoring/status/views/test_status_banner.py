@@ -19,7 +19,6 @@ from services.monitoring.status.views.banner import (
     ratio_of,
     show,
 )
-from services.monitoring.status.views.plain_words import plain
 from shared.bus import codec
 from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType
@@ -260,7 +259,7 @@ def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
     )
     evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
     assert check(evidence, "motion") == (Trust.SAFE, "50 % of threshold")
-    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "suspects GNSS: statistic below the threshold")
+    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "suspects GNSS; statistic below the threshold")
     assert check(evidence, "satellites") == (Trust.OFF, "4 satellites")
     ratios = {c.name: c.ratio for c in show(evidence).checks if c.kind is Kind.MONITOR}
     assert ratios == {"motion": 0.5, "inertial_short": 1.125, "satellites": None}
@@ -283,21 +282,6 @@ def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluate
     assert ratio_of(outcome, statistic, threshold) == ratio
 
 
-@pytest.mark.parametrize(
-    ("reason", "words"),
-    [
-        ("monitor motion: has not published yet; monitor satellites: has not published yet",
-         "Motion conflict and Satellites: have not published yet"),
-        ("monitor evidence: no message for 6.0 s, not evaluated since 1795000000.5 s",
-         "Receiver evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
-        ("navigation solution is lost: fusion's phase is waiting_for_gnss",
-         "navigation solution is lost: fusion's phase is waiting for GNSS"),
-    ],
-)  # fmt: skip
-def test_reasons_are_put_into_the_words_of_the_page(reason: str, words: str) -> None:
-    assert plain(reason) == words
-
-
 def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs() -> None:
     kind = AidingKind.GNSS_VELOCITY
     evidence = changed(
@@ -306,15 +290,17 @@ def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs(
         filter_says="17 fixes without a position",
     )
     assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "470 % of limit, discarded")
-    assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
+    assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS; 17 fixes without a position")
+    coded = dataclasses.replace(evidence, filter_codes=(explain("fusion.no_position_yet"),))
+    assert check(coded, "phase") == (Trust.CAUTION, "waiting for GNSS; level, no position yet")
     assert show(evidence).state is Trust.SAFE, "inputs do not make the verdict"
 
 
 def test_a_badly_known_heading_is_shown() -> None:
     covariance = (1e-4, 0.0, 0.0, 1e-4, 0.0, 0.04)  # 0.2 rad = 11.5 degrees
     evidence = changed(solution=solution(START_NS, attitude_cov_ned_rad2=covariance))
-    assert check(evidence, "heading") == (Trust.CAUTION, "± 11.5° (1 σ), limit 3°")
-    assert check(changed(solution_age_s=9.0), "heading") == (Trust.STALE, "unknown")
+    assert check(evidence, "heading") == (Trust.CAUTION, "± 11.5° (1 σ), limit 3.0°")
+    assert check(changed(solution_age_s=9.0), "heading") == (Trust.STALE, "not known")
 
 
 @pytest.mark.parametrize(
@@ -341,22 +327,15 @@ def test_sensors_that_never_spoke_are_not_green() -> None:
 
 
 def test_protection_levels_are_compared_with_the_configured_alert_limits() -> None:
-    assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m horizontal (limit 10 m), 4.2 m vertical (limit 20 m)")
+    assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m horizontal (limit 10.0 m); 4.2 m vertical (limit 20.0 m)")
     assert check(changed(alert_limit_horizontal_m=3.0), "protection")[0] is Trust.ABOVE_LIMIT
     assert check(changed(alert_limit_vertical_m=4.0), "protection")[0] is Trust.ABOVE_LIMIT
     unknown = changed(alert_limit_horizontal_m=None, alert_limit_vertical_m=None)
     assert check(unknown, "protection") == (
-        Trust.STALE, "3.1 m horizontal, 4.2 m vertical; alert limits not received",
+        Trust.STALE, "3.1 m horizontal; 4.2 m vertical; alert limits not received",
     )  # fmt: skip
     assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "not published by the filter")
-    assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
-
-
-def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None:
-    shown = plain("neither inertial nor motion monitors evaluated: inertial_short: no samples; motion: warming up")
-    assert shown == (
-        "neither inertial nor motion monitors evaluated: Short inertial window: no samples; Motion conflict: warming up"
-    )
+    assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "not known")
 
 
 def test_a_verdict_of_release_0_1_0_decodes_and_is_shown_by_its_own_reasons() -> None:
