@@ -56,11 +56,14 @@ class Explanation(Message):
     """Why something is as it is: a code, its values by name, and what it is about."""
 
     code: Code
-    values: Annotated[dict[ValueName, Value], Field(default_factory=dict, max_length=VALUES_MAXIMUM)]
+    values: Annotated[
+        dict[ValueName, Value],
+        Field(default_factory=dict, max_length=VALUES_MAXIMUM, exclude_if=lambda value: not value),
+    ]
     subject: Reference | None = None
 
 
-def explain(code: str, subject: Reference | None = None, **values: object) -> Explanation:
+def explain(code: str, subject: Reference | None = None, /, **values: object) -> Explanation:
     """Make an explanation; enumerations become their words, floats are rounded, and values of None are left out."""
     kept = {name: _plain(value) for name, value in values.items() if value is not None}
     return Explanation(code=str(code), values=kept, subject=subject)  # type: ignore[arg-type]  # checked by the model

@@ -24,11 +24,11 @@ from shared.messages.operation import ProcessLoad
 from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
-from shared.words.words import ENGLISH, LANGUAGES, Words, words
+from shared.words.words import ENGLISH, LANGUAGES, Words, said, words
 
 from .geometry import vertical_sd
 from .hypotheses import figures
-from .plain_words import label_of, said, who
+from .plain_words import label_of, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}

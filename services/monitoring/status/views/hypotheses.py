@@ -4,9 +4,10 @@ from collections.abc import Iterable, Sequence
 from math import hypot
 
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses
+from shared.words.words import said
 
 from ..history.alternatives import Line, separation_ratio, worst
-from .plain_words import HYPOTHESES, plain, said, who
+from .plain_words import HYPOTHESES, who
 
 Json = dict[str, object]
 Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live
@@ -70,7 +71,7 @@ def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]
         "solutions": len(mine),
         "left_out": who(solution.left_out) if solution and solution.left_out else None,
         "ratio": None if solution is None else _ratio(solution),
-        "missing": None if mine or not missing else plain("; ".join(missing)),
+        "missing": None if mine or not missing else "; ".join(missing),
         "source": ", ".join(dict.fromkeys(producer for producer, _ in mine)) or None,
     }
 
