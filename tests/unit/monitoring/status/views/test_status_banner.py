@@ -19,7 +19,6 @@ from services.monitoring.status.views.banner import (
     ratio_of,
     show,
 )
-from services.monitoring.status.views.plain_words import plain
 from shared.bus import codec
 from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType
@@ -283,21 +282,6 @@ def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluate
     assert ratio_of(outcome, statistic, threshold) == ratio
 
 
-@pytest.mark.parametrize(
-    ("reason", "words"),
-    [
-        ("monitor motion: has not published yet; monitor satellites: has not published yet",
-         "Motion conflict and Satellites: have not published yet"),
-        ("monitor evidence: no message for 6.0 s, not evaluated since 1795000000.5 s",
-         "Receiver evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
-        ("navigation solution is lost: fusion's phase is waiting_for_gnss",
-         "navigation solution is lost: fusion's phase is waiting for GNSS"),
-    ],
-)  # fmt: skip
-def test_reasons_are_put_into_the_words_of_the_page(reason: str, words: str) -> None:
-    assert plain(reason) == words
-
-
 def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs() -> None:
     kind = AidingKind.GNSS_VELOCITY
     evidence = changed(
@@ -350,13 +334,6 @@ def test_protection_levels_are_compared_with_the_configured_alert_limits() -> No
     )  # fmt: skip
     assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "not published by the filter")
     assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
-
-
-def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None:
-    shown = plain("neither inertial nor motion monitors evaluated: inertial_short: no samples; motion: warming up")
-    assert shown == (
-        "neither inertial nor motion monitors evaluated: Short inertial window: no samples; Motion conflict: warming up"
-    )
 
 
 def test_a_verdict_of_release_0_1_0_decodes_and_is_shown_by_its_own_reasons() -> None:
