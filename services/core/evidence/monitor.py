@@ -43,9 +43,10 @@ class Part(StrEnum):
 class EvidenceTest:
     """Latest evaluation of one test, and whether it accuses."""
 
-    def __init__(self, missing: Code, *, count: int, latency_s: float, hold_s: float) -> None:
+    def __init__(self, name: str, missing: Code, *, count: int, latency_s: float, hold_s: float) -> None:
         self._suspect_since_ns: int | None = None  # last evaluation before the accusation that was below the threshold
-        self._missing, self._count, self._hold_ns = explain(missing), count, round(hold_s * NS)
+        self._name, self._missing = name, explain(missing)
+        self._count, self._hold_ns = count, round(hold_s * NS)
         self._latency_ns = round(latency_s * NS)
         self._newest: tuple[int, Test] | None = None
         self._above, self._until_ns = 0, -1
@@ -82,7 +83,8 @@ class EvidenceTest:
         if self.accuses(time_ns):
             return replace(found, outcome=Outcome.ACCUSES, suspect_since_ns=self._suspect_since_ns)
         if time_ns - found_ns > stale_after_s * NS:
-            return Test(Outcome.NOT_EVALUATED, explain(Code.SILENT, age_s=round((time_ns - found_ns) / NS)))
+            why = explain(Code.SILENT, test=self._name, age_s=round((time_ns - found_ns) / NS))
+            return Test(Outcome.NOT_EVALUATED, why)
         return replace(found, outcome=Outcome.PASS)
 
 
@@ -102,7 +104,7 @@ class EvidenceMonitor:
         self._clock, self._offset = ClockPrediction(), TimeOffset()
         self._host: HostClock | None = None
         self.tests = {
-            name: EvidenceTest(missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
+            name: EvidenceTest(name, missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
             for name, missing, count, latency_s in (
                 ("spoofing_flag", Code.NO_SPOOFING_STATE, 1, 0.0),
                 ("jamming_flag", Code.NO_JAMMING_STATE, 1, 0.0),

@@ -16,7 +16,7 @@ from services.parsers.gnss.process import Process as Parser
 from services.sensors.simulator.world import DEFAULT_START_NS, messages
 from shared.attacks import schedule
 from shared.messages.base import Tick
-from shared.messages.explanation import explain
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import (
     Constellation,
     FixType,
@@ -219,17 +219,19 @@ def test_messages_that_are_a_second_late_do_not_contradict_the_clock_of_the_host
 
 
 @pytest.mark.parametrize(
-    "read_clock",
+    ("read_clock", "why"),
     [
-        lambda second: None,
-        lambda second: host_clock(second, synchronised=False, maximum_error_s=None),
-        lambda second: host_clock(second) if second == 1 else None,
+        (lambda second: None, explain(Code.NO_HOST_TIME)),
+        (lambda second: host_clock(second, synchronised=False, maximum_error_s=None), explain(Code.NO_HOST_TIME)),
+        (lambda second: host_clock(second) if second == 1 else None, explain(Code.SILENT, test="host_time", age_s=10)),
     ],
     ids=["never", "nothing holds it", "61 s old"],
 )
-def test_without_a_clock_that_is_held_the_time_is_not_compared(read_clock: Callable[[int], HostClock | None]) -> None:
+def test_without_a_clock_that_is_held_the_time_is_not_compared(
+    read_clock: Callable[[int], HostClock | None], why: Explanation
+) -> None:
     last = host_time(statements(70, pushed(3600.0), 1, Process(Config(hold_s=0.0)), read_clock))[-1]
-    assert last.outcome is NOT_EVALUATED and last.reason_code == explain(Code.NO_HOST_TIME)
+    assert last.outcome is NOT_EVALUATED and last.reason_code == why
 
 
 def test_the_error_that_the_host_states_widens_the_limit() -> None:
@@ -276,7 +278,7 @@ def test_evidence_that_stops_keeps_its_last_stamp_so_that_it_becomes_stale() -> 
         assert statement.sampled_ns == 30 * NS
     assert statement.outcome is NOT_EVALUATED and statement.reason_code is not None
     assert statement.reason_code.code == Code.NOTHING_EVALUATED
-    assert by_name(statement)["spoofing_flag"].reason_code == explain(Code.SILENT, age_s=29)
+    assert by_name(statement)["spoofing_flag"].reason_code == explain(Code.SILENT, test="spoofing_flag", age_s=29)
 
 
 def test_a_second_receiver_is_rejected_and_counted() -> None:
@@ -365,5 +367,5 @@ def test_a_recorded_receiver_is_not_accused(folder: str, name: str, least: int) 
                 case GnssSatellites():
                     seconds += 1
                     monitor.satellites(message.model_copy(update={"sampled_ns": seconds * NS}))
-                    accused += any(test.outcome is ACCUSES for test in monitor.results(seconds * NS))
+                    accused += any(test.outcome is ACCUSES for test in monitor.results(seconds * NS).values())
     assert seconds >= least and accused == 0

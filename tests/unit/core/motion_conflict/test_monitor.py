@@ -164,7 +164,7 @@ def test_no_fix_makes_a_verdict_not_evaluated_and_never_a_conflict() -> None:
     assert world.accusing(249.0) == set()
     verdicts = world.after(1.0)
     assert verdicts.trimmed_mean.outcome is Outcome.NOT_EVALUATED
-    assert verdicts.trimmed_mean.why.code == Code.INPUT_SILENT and verdicts.trimmed_mean.why.values["age_s"] == 25
+    assert verdicts.trimmed_mean.why.code == Code.INPUT_SILENT and verdicts.trimmed_mean.why.values["age_s"] == 250
     assert verdicts.fast.outcome is Outcome.NOT_EVALUATED
     assert verdicts.trimmed_mean.since_ns == pytest.approx(365 * SECOND_NS, abs=2 * SECOND_NS)
 

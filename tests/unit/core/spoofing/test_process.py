@@ -114,7 +114,7 @@ def test_at_standstill_accelerations_are_compared_and_the_heading_rate_is_not(cl
     assert len(still) > 5
     for window in still:
         assert Metric.ACCELERATION_EAST in window.difference and Metric.ALTITUDE_RATE in window.difference
-        assert window.missing[Metric.HEADING_RATE] == "speed is not above 1 m/s in the whole window"
+        assert window.missing[Metric.HEADING_RATE] == explain(Code.TOO_SLOW, limit_m_s=1.0)
 
 
 @pytest.fixture(scope="module")
