@@ -190,9 +190,10 @@ def test_a_time_that_is_wrong_from_the_start_on_is_accused_by_the_clock_of_the_h
     accusing = [s for s in found if s.outcome is ACCUSES]
     assert accusing[0].sampled_ns / NS == 6.5, "two evaluations of at least five arrivals"
     assert {test.name for s in accusing for test in s.tests if test.outcome is ACCUSES} == {"host_time"}
-    expected = {"ahead_s": pytest.approx(ahead_s - 0.08, abs=5e-4 + 1e-6 * abs(ahead_s)), "limit_s": pytest.approx(2.1)}
     why = accusing[-1].reason_code
-    assert why is not None and (why.code, why.values) == (Code.HOST_TIME, expected)
+    assert why is not None and why.code == Code.HOST_TIME
+    assert why.values["ahead_s"] == pytest.approx(ahead_s - 0.08, rel=1e-6, abs=5e-4)
+    assert why.values["limit_s"] == pytest.approx(2.1)
 
 
 def test_a_time_that_is_pushed_slowly_is_accused_by_the_clock_of_the_host_alone() -> None:

@@ -1,7 +1,7 @@
 """The words of codes: complete in every language, short enough, data alone, and what is shown where they do not fit."""
 
 import ast
-from collections.abc import Collection, Iterator
+from collections.abc import Iterable, Iterator
 from datetime import timedelta, timezone
 from enum import StrEnum
 from pathlib import Path
@@ -131,7 +131,7 @@ def test_all_rendered_sentences_are_those_that_were_reviewed() -> None:
     assert FILE.read_text(encoding="utf-8").splitlines() == list(lines()), "`make golden`, and review the difference"
 
 
-ENUMERATIONS: dict[str, Collection[str]] = {
+ENUMERATIONS: dict[str, Iterable[str]] = {
     "monitor": Monitor,
     "source": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
     "hypothesis": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
