@@ -2,23 +2,16 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from types import MappingProxyType
 from typing import ClassVar
 
 from ..messages.explanation import Explanation
 from ..messages.trust import MonitorTest, Outcome, TrustMonitor
-from ..words.words import reason
+from ..words.words import reason, said
 
 GNSS, IMU, ODOMETER = "gnss", "imu", "odometer"  # accused by name; satellites and neighbours by theirs
+SATELLITE_LEFT_OUT = "cooperative.left_out"  # code of the test of one that the others are evaluated without
 ORDER = (Outcome.NOT_EVALUATED, Outcome.PASS, Outcome.ACCUSES)
-
-
-class Use(StrEnum):
-    """Value `use` of a test of one satellite or neighbour: whether the others are evaluated with it."""
-
-    USED = "used"
-    EXCLUDED = "excluded"
 
 
 @dataclass(frozen=True)
@@ -100,6 +93,19 @@ def deciding(tests: Collection[Test]) -> Test:
     )  # fmt: skip
 
 
+def complete(why: Explanation, of: Test | MonitorTest | TrustMonitor) -> Explanation:
+    """Add the statistic, the threshold and the window of a test, which are not repeated in its explanation."""
+    figures = {"statistic": of.statistic, "threshold": of.threshold, "window_s": of.window_s}
+    known = {name: value for name, value in figures.items() if value is not None}
+    return why.model_copy(update={"values": {**known, **why.values}})
+
+
+def told(message: MonitorTest | TrustMonitor) -> str:
+    """Say why a test or a monitor has its outcome: by its code, and by its own text where it has none."""
+    code = message.reason_code
+    return said(message.reason, None if code is None else complete(code, message))
+
+
 def published(name: str, test: Test) -> MonitorTest:
     """Message of one of the tests of a monitor; its code says it without a text."""
     return MonitorTest(
@@ -111,7 +117,7 @@ def published(name: str, test: Test) -> MonitorTest:
 def statement(monitor: str, decides: Test, time_ns: int, tests: Mapping[str, Test] = NOTHING) -> TrustMonitor:
     """Message of a monitor: its deciding test, and all of them by name."""
     return TrustMonitor(
-        sampled_ns=time_ns, monitor=monitor, outcome=decides.outcome, reason=reason(decides.why),
+        sampled_ns=time_ns, monitor=monitor, outcome=decides.outcome, reason=reason(complete(decides.why, decides)),
         reason_code=decides.why, accused=decides.accused if decides.accuses else (), doubtful=decides.doubtful,
         suspect_since_ns=decides.suspect_since_ns if decides.accuses else None, since_ns=decides.since_ns,
         statistic=decides.statistic, threshold=decides.threshold, false_alarm_rate=decides.false_alarm_rate,

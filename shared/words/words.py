@@ -42,7 +42,8 @@ class Row:
 
     A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several of them
     (joined by "or", as `{name:table:and}` by "and"), `{name}` or `{name:and}` for references, `{name}` for quotations,
-    `{subject}` for the subject, and `{name:text}` for a text of another message that has no code.
+    `{subject}` for the subject, and `{name:text}` for a text of another message that has no code. `statistic`,
+    `threshold` and `window_s` may be those of the test that an explanation belongs to (`shared/trust`).
     """
 
     sentence: str = ""  # one line for a driver, without figures
@@ -52,7 +53,7 @@ class Row:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.0f} s" if isinstance(value, int) or abs(value) >= 60.0 else f"{value:.1f} s"
+    return f"{value:.0f} s" if value == round(value) or abs(value) >= 60.0 else f"{value:.1f} s"
 
 
 def _plain_number(value: float) -> str:

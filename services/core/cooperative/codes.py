@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from shared.trust.result import SATELLITE_LEFT_OUT
+
 
 class Code(StrEnum):
     """Why an epoch, a satellite or a neighbour has the result that it has, or none."""
@@ -33,8 +35,10 @@ class Code(StrEnum):
     AGREE_WITH_NEIGHBOURS = "cooperative.agree_with_neighbours"
     EXCLUDED_WITH_NEIGHBOURS = "cooperative.excluded_with_neighbours"
     # one satellite, one neighbour, and the level
-    SATELLITE = "cooperative.satellite"
-    SATELLITE_AND_BIAS = "cooperative.satellite_and_bias"
-    NEIGHBOUR = "cooperative.neighbour"
+    USED = "cooperative.used"
+    USED_WITHOUT_BIAS = "cooperative.used_without_bias"
+    LEFT_OUT = SATELLITE_LEFT_OUT
+    NEIGHBOUR_USED = "cooperative.neighbour_used"
+    NEIGHBOUR_LEFT_OUT = "cooperative.neighbour_left_out"
     LEVEL = "cooperative.level"
     LEVEL_TOO_LARGE = "cooperative.level_too_large"

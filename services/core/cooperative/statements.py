@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome, TrustMonitor
-from shared.trust.result import GNSS, NOTHING, Test, Use, judged, lasting, statement
+from shared.trust.result import GNSS, NOTHING, Test, judged, lasting, statement
 
 from .codes import Code
 from .detection import local_threshold
@@ -144,12 +144,13 @@ def _satellite_tests(verdict: SatelliteVerdict) -> dict[str, Test]:
 
 def _satellite_test(finding: SatelliteFinding, threshold: float, rate: float) -> Test:
     """One satellite: |residual| over its standard deviation; an excluded one is tested against the others."""
-    use = Use.EXCLUDED if finding.excluded else Use.USED
-    code = Code.SATELLITE if finding.mdb_m is None else Code.SATELLITE_AND_BIAS
-    bias_m = None if finding.mdb_m is None else round(finding.mdb_m, 1)
-    why = explain(
-        code, finding.satellite.reference, use=use, residual_m=round(finding.residual_m, 1), minimal_bias_m=bias_m
-    )  # fmt: skip
+    subject, residual_m = finding.satellite.reference, round(finding.residual_m, 1)
+    if finding.excluded:
+        why = explain(Code.LEFT_OUT, subject, residual_m=residual_m)
+    elif finding.mdb_m is None:
+        why = explain(Code.USED_WITHOUT_BIAS, subject, residual_m=residual_m)
+    else:
+        why = explain(Code.USED, subject, residual_m=residual_m, bias_m=round(finding.mdb_m, 1))
     return judged(Test(Outcome.NOT_EVALUATED, why, false_alarm_rate=rate), finding.w, threshold)
 
 
@@ -161,8 +162,8 @@ def _cooperative_tests(verdict: SatelliteVerdict | None) -> Iterator[tuple[str, 
         verdict, false_alarm_rate=verdict.false_alarm_rate if verdict.statistic is not None else None
     )  # fmt: skip
     for finding in verdict.neighbours:
-        use = Use.EXCLUDED if finding.excluded else Use.USED
-        why = explain(Code.NEIGHBOUR, finding.reference, use=use, innovation_m_s=round(finding.innovation_m_s, 2))
+        code = Code.NEIGHBOUR_LEFT_OUT if finding.excluded else Code.NEIGHBOUR_USED
+        why = explain(code, finding.reference, innovation_m_s=round(finding.innovation_m_s, 2))
         yield _name(finding), judged(Test(Outcome.NOT_EVALUATED, why), finding.t, finding.threshold)
 
 

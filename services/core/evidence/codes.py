@@ -22,8 +22,9 @@ class Code(StrEnum):
     NO_HOST_TIME = "evidence.no_host_time"
     SILENT = "evidence.silent"
     # a test with one
-    STATE = "evidence.state"
-    STATE_OF_PATH = "evidence.state_of_path"
+    SPOOFING = "evidence.spoofing"
+    JAMMING = "evidence.jamming"
+    JAMMING_OF_PATH = "evidence.jamming_of_path"
     GAIN = "evidence.gain"
     LEVEL = "evidence.level"
     LEVEL_AND_MEAN = "evidence.level_and_mean"

@@ -26,15 +26,8 @@ FLAG_LIMIT = 0.5
 PERSISTENT = 2  # successive evaluations above the threshold, of what varies from epoch to epoch
 
 
-class Threat(StrEnum):
-    """What a receiver detects by itself."""
-
-    SPOOFING = "spoofing"
-    JAMMING = "jamming"
-
-
 class Part(StrEnum):
-    """Part of a receiver that states it, beside the radio paths."""
+    """Part of a receiver that detects jamming or spoofing, beside the radio paths."""
 
     NAVIGATION_STATUS = "navigation_status"
     SIGNAL_SECURITY = "signal_security"
@@ -124,9 +117,9 @@ class EvidenceMonitor:
             self.newest_ns = max(self.newest_ns or time_ns, time_ns)
         stated = (Part.NAVIGATION_STATUS, message.status), (Part.SIGNAL_SECURITY, message.security)
         flags = [(name, part) for name, part in stated if part]
-        self._flag(time_ns, Threat.SPOOFING, [(name, part.spoofing) for name, part in flags])
+        self._flag(time_ns, "spoofing_flag", [(name, part.spoofing) for name, part in flags])
         paths = [(path.number, path.jamming) for path in message.radio_paths]
-        self._flag(time_ns, Threat.JAMMING, [*((name, part.jamming) for name, part in flags), *paths])
+        self._flag(time_ns, "jamming_flag", [*((name, part.jamming) for name, part in flags), *paths])
         self._use_gains(time_ns, message.radio_paths)
         if message.clock is not None:
             self._use_clock(time_ns, message.clock)
@@ -144,8 +137,7 @@ class EvidenceMonitor:
         level, mean = float(np.median(cn0)), self._level.value
         limit = s.level_limit_db_hz if mean is None else min(s.level_limit_db_hz, mean + s.level_rise_db)
         why = explain(
-            Code.LEVEL if mean is None else Code.LEVEL_AND_MEAN, satellites_count=len(cn0), level_db_hz=level,
-            mean_db_hz=mean, limit_db_hz=limit,
+            Code.LEVEL if mean is None else Code.LEVEL_AND_MEAN, satellites_count=len(cn0), mean_db_hz=mean
         )  # fmt: skip
         self.tests["cn0_level"].evaluated(time_ns, evaluation(level, limit, "dB-Hz", why))
         if not self.tests["cn0_level"].accuses(time_ns):
@@ -172,18 +164,16 @@ class EvidenceMonitor:
         """All tests at a time, by name."""
         return {name: test.result(time_ns, self.settings.stale_after_s) for name, test in self.tests.items()}
 
-    def _flag(
-        self, time_ns: int, threat: Threat, states: Sequence[tuple[Part | int, InterferenceState | None]]
-    ) -> None:
+    def _flag(self, time_ns: int, name: str, states: Sequence[tuple[Part | int, InterferenceState | None]]) -> None:
         """Use the most severe state; a detector that is off or cannot tell says nothing."""
         known = [(SEVERITY[state], who, state) for who, state in states if state in SEVERITY]
         if known:
             severity, who, state = max(known, key=lambda one: one[0])
             if isinstance(who, Part):
-                why = explain(Code.STATE, part=who, threat=threat, state=state)
+                why = explain(Code.SPOOFING if name == "spoofing_flag" else Code.JAMMING, part=who, state=state)
             else:
-                why = explain(Code.STATE_OF_PATH, path_number=who, threat=threat, state=state)
-            self.tests[f"{threat}_flag"].evaluated(time_ns, evaluation(severity, FLAG_LIMIT, "-", why))
+                why = explain(Code.JAMMING_OF_PATH, path_number=who, state=state)
+            self.tests[name].evaluated(time_ns, evaluation(severity, FLAG_LIMIT, "-", why))
 
     def _use_gains(self, time_ns: int, paths: Sequence[RadioPath]) -> None:
         """Compare each path's gain with its mean, which learns while no test of interference accuses."""
@@ -198,7 +188,7 @@ class EvidenceMonitor:
         found = None
         if worst is not None:
             drop, number = worst
-            why = explain(Code.GAIN, path_number=number, drop_share=drop, limit_share=s.gain_drop_ratio)
+            why = explain(Code.GAIN, path_number=number)
             found = evaluation(drop, s.gain_drop_ratio, "-", why)
             self.tests["gain"].evaluated(time_ns, found)
         if found is None or not found.accuses:
@@ -228,10 +218,10 @@ class EvidenceMonitor:
             return
         ahead_s = -(offset_ns + host.utc_ns - host.sampled_ns) / NS
         limit_s = s.host_time_s + host.maximum_error_s
-        why = explain(Code.HOST_TIME, ahead_s=ahead_s, limit_s=limit_s)
+        why = explain(Code.HOST_TIME, ahead_s=ahead_s)
         self.tests["host_time"].evaluated(time_ns, evaluation(abs(ahead_s), limit_s, "s", why))
 
     def _use_time(self, time_ns: int, step_s: float) -> None:
         limit_s = self.settings.time_step_s
-        why = explain(Code.GNSS_TIME, step_s=step_s, limit_s=limit_s)
+        why = explain(Code.GNSS_TIME, step_s=step_s)
         self.tests["gnss_time"].evaluated(time_ns, evaluation(abs(step_s), limit_s, "s", why))

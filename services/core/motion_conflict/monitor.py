@@ -73,7 +73,7 @@ class MotionMonitor(SpeedComparison):
     ) -> Test:
         missing = missing or _warming(window)
         value = 0.0 if missing is not None else mean()
-        why = missing or explain(code, difference_m_s=value, limit_m_s=THRESHOLD_M_S, **values)
+        why = missing or explain(code, **values)
         base = _test(why, "m/s", WINDOW_S, suspect_since_ns=window.suspect_since_ns)
         return base if missing is not None else judged(base, value, THRESHOLD_M_S)
 
@@ -81,7 +81,7 @@ class MotionMonitor(SpeedComparison):
         window = self.raw
         missing = missing or _warming(window)
         why = missing or explain(
-            Code.EVENT, speed_limit_m_s=THRESHOLD_M_S, exceeded_s=round(window.exceeded_s), limit_s=round(EVENT_S)
+            Code.EVENT, speed_limit_m_s=THRESHOLD_M_S
         )  # fmt: skip
         base = _test(why, "s", WINDOW_S, suspect_since_ns=window.suspect_since_ns)
         return base if missing is not None else judged(base, window.exceeded_s, EVENT_S)
@@ -90,12 +90,13 @@ class MotionMonitor(SpeedComparison):
         if self.distance.compared is None:
             return _test(explain(Code.NO_DISTANCE), "m", DISTANCE_PERIOD_S)
         distance_m, limit_m, start_ns, _ = self.distance.compared
-        why = explain(Code.DISTANCE, distance_m=distance_m, limit_m=limit_m)
-        return judged(_test(why, "m", DISTANCE_PERIOD_S, suspect_since_ns=start_ns), distance_m, limit_m)
+        return judged(
+            _test(explain(Code.DISTANCE), "m", DISTANCE_PERIOD_S, suspect_since_ns=start_ns), distance_m, limit_m
+        )
 
     def _motion_sensor(self, time_ns: int, missing: Explanation | None) -> Test:
         total_s, limit_s = self.motion_sensor.contradiction_s(time_ns), self.settings.motion_sensor_s
-        why = missing or explain(Code.ODOMETER_STANDS, contradicted_s=round(total_s), limit_s=round(limit_s))
+        why = missing or explain(Code.ODOMETER_STANDS)
         since_ns = self.motion_sensor.suspect_since_ns
         base = _test(why, "s", MOTION_SENSOR_WINDOW_S, accused=(ODOMETER,), suspect_since_ns=since_ns)
         return base if missing is not None else judged(base, total_s, limit_s)
@@ -120,8 +121,7 @@ class MotionMonitor(SpeedComparison):
             return _test(missing or explain(Code.SCALE_NOT_LEARNED), "-", STEP_WINDOW_S, rate)
         step, limit = abs(recent.scale / recent.reference - 1.0), self._scale_limit(STEP_LIMIT, recent)
         why = explain(
-            Code.SCALE_STEP, scale_ratio=recent.scale, reference_ratio=recent.reference, step_share=step,
-            limit_share=limit,
+            Code.SCALE_STEP, scale_ratio=recent.scale, reference_ratio=recent.reference
         )  # fmt: skip
         return judged(_test(why, "-", STEP_WINDOW_S, rate, suspect_since_ns=recent.oldest_ns), step, limit)
 
@@ -130,23 +130,21 @@ class MotionMonitor(SpeedComparison):
         if missing is not None or recent is None:
             return _test(missing or explain(Code.SCALE_NOT_LEARNED), "-", STEP_WINDOW_S, rate)
         deviation, limit = abs(recent.scale - 1.0), self._scale_limit(SCALE_LIMIT, recent)
-        why = explain(Code.SCALE_RANGE, scale_ratio=recent.scale, deviation_share=deviation, limit_share=limit)
+        why = explain(Code.SCALE_RANGE, scale_ratio=recent.scale)
         return judged(_test(why, "-", STEP_WINDOW_S, rate, suspect_since_ns=recent.oldest_ns), deviation, limit)
 
     def _held_speed(self, time_ns: int) -> Test:
         if self.gnss_ns is None or time_ns - self.gnss_ns > self.settings.stale_after_s * SECOND_NS:
             return _test(explain(Code.NO_EPOCH), "s", USUAL_HOLD_S)
         duration_s = self.held.held_s if self.held.since_ns is not None else 0.0
-        why = explain(Code.HELD_SPEED, held_s=round(duration_s), limit_s=round(USUAL_HOLD_S))
-        base = _test(why, "s", USUAL_HOLD_S, accused=(GNSS,), suspect_since_ns=self.held.since_ns)
+        base = _test(explain(Code.HELD_SPEED), "s", USUAL_HOLD_S, accused=(GNSS,), suspect_since_ns=self.held.since_ns)
         return judged(base, duration_s, USUAL_HOLD_S)
 
     def _fast(self, time_ns: int) -> Test:
         statistic, rate = self._fast_statistic(time_ns), self.settings.fast_false_alarm_rate
         if isinstance(statistic, Explanation):
             return _test(statistic, "-", fast.WINDOW_S, rate)
-        why = explain(Code.FAST, statistic=statistic, threshold=self._fast_limit)
-        base = _test(why, "-", fast.WINDOW_S, rate, suspect_since_ns=self.inconspicuous_ns)
+        base = _test(explain(Code.FAST), "-", fast.WINDOW_S, rate, suspect_since_ns=self.inconspicuous_ns)
         return judged(base, statistic, self._fast_limit)
 
     def _fast_statistic(self, time_ns: int) -> float | Explanation:
@@ -158,7 +156,7 @@ class MotionMonitor(SpeedComparison):
         if known.delay_sd_s > LEARNED_DELAY_SD_S:
             return explain(Code.DELAY_UNKNOWN, sd_s=known.delay_sd_s)
         if self.fast_statistic is None or time_ns - self.fast_statistic[0] > limit_s * SECOND_NS:
-            return explain(Code.FEW_PAIRS, least_count=fast.LEAST_SAMPLES, window_s=round(fast.WINDOW_S))
+            return explain(Code.FEW_PAIRS, least_count=fast.LEAST_SAMPLES)
         return self.fast_statistic[1]
 
 

@@ -72,7 +72,7 @@ class InertialMonitor:
         self._resolution = 0.0
         self.long = LongWindow(s)
         self.window: Window | None = None  # newest one of 5 s
-        self._window_missing = explain(Code.FEW_VELOCITIES, window_s=round(WINDOW_S))
+        self._window_missing = explain(Code.FEW_VELOCITIES)
         self._step: PositionStep | None = None  # over the same 5 s
         self._decided = False  # the odometer agrees with the inertial sensors, and not with GNSS
         self._fix_ns: int | None = None  # newest stamp, before the delay
@@ -378,8 +378,7 @@ class InertialMonitor:
         )  # fmt: skip
         if missing is not None or step is None:
             return base
-        why = explain(Code.POSITION_STEP, step_m=step.size, limit_m=step.limit)
-        base = replace(base, why=why, accused=BY_GNSS, suspect_since_ns=step.suspect_ns)
+        base = replace(base, why=explain(Code.POSITION_STEP), accused=BY_GNSS, suspect_since_ns=step.suspect_ns)
         return judged(base, step.size, step.limit, accuses=self._exceeded[NAME] >= CONSECUTIVE)
 
     def _metric(self, metric: Metric, missing: Explanation | None) -> Test:
@@ -406,7 +405,7 @@ class InertialMonitor:
         missing, key = self._missing(time_ns), f"long_{length}"
         result = self.long.result(length)
         base = Test(
-            Outcome.NOT_EVALUATED, missing or self._young(length),
+            Outcome.NOT_EVALUATED, missing or self._young(),
             false_alarm_rate=self.settings.long.false_alarm_rate, window_s=float(length),
         )  # fmt: skip
         if missing is not None or result is None:
@@ -414,8 +413,8 @@ class InertialMonitor:
         north, east, down = result.difference_n.tolist()
         why = explain(
             Code.VELOCITY_WITHOUT_ODOMETER if self.long.odometer_rejected else Code.VELOCITY,
-            length_s=length, north_m_s=north, east_m_s=east, down_m_s=down, statistic=result.statistic,
-            threshold=self.long.threshold, drag_m_s2=_least_drag(result, self.long.threshold, length),
+            north_m_s=north, east_m_s=east, down_m_s=down,
+            drag_m_s2=_least_drag(result, self.long.threshold, length),
         )  # fmt: skip
         base = replace(
             base, why=why, accused=BY_GNSS if result.decided else BY_EITHER,
@@ -426,15 +425,14 @@ class InertialMonitor:
     def _way(self, time_ns: int, length: int) -> Test:
         missing, way, key = self._missing(time_ns), self._ways.get(length), f"way_{length}"
         base = Test(
-            Outcome.NOT_EVALUATED, missing or self._young(length),
+            Outcome.NOT_EVALUATED, missing or self._young(),
             false_alarm_rate=self.settings.long.false_alarm_rate, window_s=float(length), accused=BY_EITHER,
         )  # fmt: skip
         if missing is not None or way is None:
             return base
         north, east = way.difference_n.tolist()
         why = explain(
-            Code.WAY, length_s=length, north_m=north, east_m=east, statistic=way.statistic,
-            threshold=self.long.way_threshold, doubt_statistic=self.long.way_doubt,
+            Code.WAY, north_m=north, east_m=east, doubt_statistic=self.long.way_doubt
         )  # fmt: skip
         base = replace(
             base, why=why, doubtful=self._doubts[length] >= CONSECUTIVE,
@@ -442,9 +440,9 @@ class InertialMonitor:
         )  # fmt: skip
         return judged(base, way.statistic, self.long.way_threshold, accuses=self._accusing.get(key, False))
 
-    def _young(self, length: int) -> Explanation:
-        """Say that no propagation is old enough for a window of a length [s]."""
-        return explain(Code.PROPAGATION_YOUNG, age_s=round(self.long.oldest_s), needed_s=length)
+    def _young(self) -> Explanation:
+        """Say that no propagation is old enough for a window."""
+        return explain(Code.PROPAGATION_YOUNG, age_s=round(self.long.oldest_s))
 
 
 def _compared(metric: Metric, difference: float, limit: float) -> Explanation:
@@ -455,9 +453,9 @@ def _compared(metric: Metric, difference: float, limit: float) -> Explanation:
                 Code.HEADING_RATE, difference_deg_s=degrees(difference), limit_deg_s=degrees(limit)
             )  # fmt: skip
         case Metric.ALTITUDE_RATE:
-            return explain(Code.ALTITUDE_RATE, difference_m_s=difference, limit_m_s=limit)
+            return explain(Code.ALTITUDE_RATE, difference_m_s=difference)
         case _:
-            return explain(Code.ACCELERATION, difference_m_s2=difference, limit_m_s2=limit)
+            return explain(Code.ACCELERATION, difference_m_s2=difference)
 
 
 def _withheld(test: Test, why: Explanation) -> Test:

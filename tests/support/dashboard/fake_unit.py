@@ -81,7 +81,7 @@ from shared.messages.trust import (
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
 from shared.topics import TOPICS, topic_of
-from shared.trust.result import Use
+from shared.trust.result import SATELLITE_LEFT_OUT
 from shared.words.words import reason
 from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
@@ -95,11 +95,12 @@ SATELLITE_TESTS = tuple(
     MonitorTest(
         name=name, outcome=outcome, statistic=statistic, threshold=4.2,
         reason_code=explain(
-            "cooperative.satellite", Reference(kind=ReferenceKind.SATELLITE, name=name), use=use, residual_m=residual_m
+            code, Reference(kind=ReferenceKind.SATELLITE, name=name), residual_m=residual_m
         ),
     )
-    for name, outcome, statistic, use, residual_m in (
-        ("G05", Outcome.ACCUSES, 9.1, Use.EXCLUDED, 31.2), ("E02", Outcome.PASS, 0.3, Use.USED, 0.4),
+    for name, outcome, statistic, code, residual_m in (
+        ("G05", Outcome.ACCUSES, 9.1, SATELLITE_LEFT_OUT, 31.2),
+        ("E02", Outcome.PASS, 0.3, "cooperative.used_without_bias", 0.4),
     )
 )  # fmt: skip
 EVIDENCE_TESTS = tuple(

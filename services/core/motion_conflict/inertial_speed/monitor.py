@@ -128,7 +128,7 @@ class InertialSpeed:
         accusing, limit = self.change.accusing, LIMIT * change.sd
         why = explain(
             _found(change, accusing=accusing), difference_share=change.difference, sd_share=change.sd,
-            bends_count=change.bends, limit_share=limit,
+            bends_count=change.bends,
         )  # fmt: skip
         window = list(self.change.window)[-change.bends :]
         return Test(

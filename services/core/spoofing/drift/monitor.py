@@ -162,7 +162,7 @@ class DriftMonitor:
     ) -> Test:
         spread = self._spreads[kind, length]
         base = Test(
-            Outcome.NOT_EVALUATED, missing(length, spread, sums), false_alarm_rate=self._rate, window_s=float(length)
+            Outcome.NOT_EVALUATED, missing(spread, sums), false_alarm_rate=self._rate, window_s=float(length)
         )  # fmt: skip
         if result is None:
             self._exceeded[name] = 0
@@ -171,9 +171,7 @@ class DriftMonitor:
         self._exceeded[name] = self._exceeded[name] + 1 if above else 0
         if result.ratio < f_limit(len(PARTS[result.part]), spread.blocks, 0.5):
             self._inconspicuous_ns[name] = time_ns
-        base = replace(
-            base, statistic=result.ratio, threshold=result.limit, why=summed_up(kind, length, result, spread)
-        )
+        base = replace(base, statistic=result.ratio, threshold=result.limit, why=summed_up(kind, result, spread))
         if self._exceeded[name] < CONSECUTIVE:
             return replace(base, outcome=Outcome.PASS)
         begin_ns = result.sums.begin_s * SECOND_NS
@@ -227,22 +225,22 @@ def sums_of(seconds: Sequence[Second]) -> tuple[float, ...]:
     return tuple(map(sum, zip(*(one.mean for one in seconds), strict=True)))
 
 
-def missing(length: int, spread: Spread, sums: Sums | None) -> Explanation:
+def missing(spread: Spread, sums: Sums | None) -> Explanation:
     """Why a window is not evaluated."""
     if sums is None:
-        return explain(Code.FEW_INNOVATIONS, window_s=length)
+        return explain(Code.FEW_INNOVATIONS)
     return explain(
-        Code.LEARNING_SPREAD, window_s=length, blocks_count=spread.blocks, needed_count=LEAST_BLOCKS
+        Code.LEARNING_SPREAD, blocks_count=spread.blocks, needed_count=LEAST_BLOCKS
     )  # fmt: skip
 
 
-def summed_up(kind: AidingKind, length: int, result: Result, spread: Spread) -> Explanation:
+def summed_up(kind: AidingKind, result: Result, spread: Spread) -> Explanation:
     """What was compared: the sums over their standard deviations."""
     sums = result.sums
     sds = [sums.sums[axis] / sqrt(sums.seconds * spread.variance(axis)) for axis in PARTS[result.part]]
     if result.part is Part.DOWN:
-        return explain(Code.INNOVATIONS_DOWN, what=NAMES[kind], window_s=length, statistic=sds[0])
+        return explain(Code.INNOVATIONS_DOWN, what=NAMES[kind], sum_statistic=sds[0])
     return explain(
-        Code.INNOVATIONS, what=NAMES[kind], window_s=length, part=result.part, first_statistic=sds[0],
+        Code.INNOVATIONS, what=NAMES[kind], part=result.part, first_statistic=sds[0],
         second_statistic=sds[1],
     )  # fmt: skip

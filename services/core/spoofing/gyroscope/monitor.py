@@ -289,7 +289,7 @@ class GyroscopeMonitor:
         left = tuple(name for name in ballot.suspects if name not in self._acquitted)
         base = replace(
             base, statistic=ballot.statistic, threshold=ballot.threshold, accused=left or ballot.suspects,
-            why=self._why(length, ballot, time_ns),
+            why=self._why(ballot, time_ns),
         )  # fmt: skip
         if self._exceeded[length] < CONSECUTIVE:
             return replace(base, outcome=Outcome.PASS)
@@ -311,7 +311,7 @@ class GyroscopeMonitor:
         newest_ns = self.wheels.newest_ns
         return newest_ns is not None and time_ns - newest_ns <= 3 * SECOND_NS
 
-    def _why(self, length: int, ballot: Vote, time_ns: int) -> Explanation:
+    def _why(self, ballot: Vote, time_ns: int) -> Explanation:
         """What was compared: the sources, and the one that differs by the most standard deviations."""
         worst = max(
             ballot.differences, key=lambda source: ballot.differences[source].rate ** 2
@@ -319,7 +319,7 @@ class GyroscopeMonitor:
         )  # fmt: skip
         difference = ballot.differences[worst]
         compared = {
-            "sources": tuple(ballot.differences), "window_s": length, "worst": worst,
+            "sources": tuple(ballot.differences), "worst": worst,
             "difference_deg_s": degrees(difference.rate), "sd_deg_s": degrees(sqrt(difference.variance)),
         }  # fmt: skip
         if Source.WHEELS in ballot.differences:

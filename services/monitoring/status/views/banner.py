@@ -24,6 +24,7 @@ from shared.messages.operation import ProcessLoad
 from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
+from shared.trust.result import told
 from shared.words.words import ENGLISH, LANGUAGES, Words, said, words
 
 from .geometry import vertical_sd
@@ -319,7 +320,7 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
         nothing = NOTHING_TO_JUDGE if e.trust.state is TrustLevel.NO_FIX else None
         missing = no_verdict(e.trust_age_s) or earlier or nothing
-        text = said(statement.reason, statement.reason_code)
+        text = told(statement)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
             text = f"suspects {who(statement.accused)}: {text}"

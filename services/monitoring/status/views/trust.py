@@ -1,7 +1,7 @@
 """The verdict, the monitors and the events of `core.trust` as JSON for the page Trust."""
 
 from shared.messages.trust import MonitorTest, TrustEvent, TrustMonitor, TrustState
-from shared.words.words import said
+from shared.trust.result import told
 
 from .banner import MONITORS_MAXIMUM, details, ratio_of
 from .plain_words import label_of, who
@@ -61,6 +61,6 @@ def _common(shown: TrustMonitor | MonitorTest, name: str) -> Json:
     label = label_of(name) if isinstance(shown, TrustMonitor) else name.replace("_", " ")
     return {
         "label": label,
-        "reason": said(shown.reason, shown.reason_code),
+        "reason": told(shown),
         "ratio": None if ratio is None else round(ratio, 4),
     }

@@ -16,7 +16,6 @@ from shared.messages.explanation import Reference, ReferenceKind, Value, explain
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.runtime.config import Vehicle
-from shared.trust.result import Use
 from tests.support.gnss.constellation import NOW_NS, raw_epoch
 from tests.unit.core.cooperative.satellites.test_satellite_process import HERE, NS, at, bits, informed, message, said
 
@@ -133,7 +132,7 @@ def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on
         assert (one.outcome, one.accused) == (Outcome.ACCUSES, ("neighbour 0",))
         assert one.reason_code == explain(Code.NEIGHBOURS_CONTRADICTED, neighbours=(LIAR,))
         code = by_name(one, "neighbour 0").reason_code
-        assert code is not None and (code.subject, code.values["use"]) == (LIAR, Use.EXCLUDED)
+        assert code is not None and (code.subject, code.code) == (LIAR, Code.NEIGHBOUR_LEFT_OUT)
         assert by_name(one, "cooperative").outcome is Outcome.PASS
         assert by_name(one, "neighbour 0").outcome is Outcome.ACCUSES
     (faulty,) = run(process, range(13, 14), lambda k: at(k, push=(at(1).measurements[3].satellite, 80.0)), lie=-15.0)

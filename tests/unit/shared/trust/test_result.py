@@ -9,10 +9,13 @@ from shared.bus.codec import encode
 from shared.messages.explanation import explain
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.trust.inputs import SECOND_NS, Input, absent
-from shared.trust.result import GNSS, IMU, Test, dated, deciding, judged, lasting, published, statement
+from shared.trust.result import GNSS, IMU, Test, dated, deciding, judged, lasting, published, statement, told
 
-WHY = explain("motion.fast", statistic=1.0, threshold=2.0)
-BASE = Test(Outcome.NOT_EVALUATED, WHY, accused=(GNSS, IMU), suspect_since_ns=5)
+WHY = explain("motion.fast")
+BASE = Test(
+    Outcome.NOT_EVALUATED, WHY, window_s=5.0, statistic=1.0, threshold=2.0, accused=(GNSS, IMU), suspect_since_ns=5
+)
+SAID = "mean speed difference over 5 s: chi-square 1, limit 2"
 PASS, ACCUSES = replace(BASE, outcome=Outcome.PASS), replace(BASE, outcome=Outcome.ACCUSES)
 
 
@@ -65,8 +68,9 @@ def test_accused_and_suspect_time_are_published_of_an_accusation_alone(test: Tes
     message = statement("motion", test, 20, {"fast": test})
     assert message.accused == ((GNSS, IMU) if test.accuses else ())
     assert message.suspect_since_ns == (5 if test.accuses else None)
-    assert (message.reason_code, message.reason) == (WHY, "mean speed difference over 5 s: chi-square 1, limit 2")
+    assert (message.reason_code, message.reason) == (WHY, SAID)
     assert message.tests == (published("fast", test),) and message.tests[0].reason == ""
+    assert told(message) == told(message.tests[0]) == SAID
 
 
 def test_what_is_at_its_default_is_not_encoded_and_decodes_to_the_same() -> None:
@@ -80,7 +84,7 @@ def test_what_is_at_its_default_is_not_encoded_and_decodes_to_the_same() -> None
 
 def test_a_test_of_release_0_1_0_is_its_text() -> None:
     old = MonitorTest.model_validate_json(b'{"name":"G05","outcome":"pass","reason":"used, residual 0.4 m","unit":"-"}')
-    assert (old.reason, old.reason_code) == ("used, residual 0.4 m", None)
+    assert old.reason_code is None and told(old) == "used, residual 0.4 m"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from shared.messages.explanation import Reference, ReferenceKind, explain
 from shared.messages.gnss import Constellation as System
 from shared.messages.gnss import FixType, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.trust import Outcome, TrustMonitor
-from shared.trust.result import Use
+from shared.trust.result import SATELLITE_LEFT_OUT
 from tests.support.gnss.constellation import NOW_NS, constellation, inav_pages, lnav_subframes, pushed, raw_epoch
 
 NS = 1_000_000_000
@@ -91,7 +91,7 @@ def test_satellites_that_agree_pass_with_one_test_each() -> None:
     for test in satellites:
         assert test.outcome is Outcome.PASS and test.reason_code is not None and not test.reason
         assert test.reason_code.subject == Reference(kind=ReferenceKind.SATELLITE, name=test.name)
-        assert test.reason_code.values["use"] == Use.USED and "minimal_bias_m" in test.reason_code.values
+        assert test.reason_code.code == Code.USED and test.reason_code.values.keys() == {"residual_m", "bias_m"}
     assert (cooperative.name, cooperative.outcome) == ("cooperative", Outcome.NOT_EVALUATED)
 
 
@@ -105,7 +105,7 @@ def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_
     assert accusing.reason_code is not None and accusing.reason_code.values["satellites"] == (victim.reference,)
     first = accusing.tests[0]
     assert first.name == str(victim) and first.reason_code is not None
-    assert (first.reason_code.subject, first.reason_code.values["use"]) == (victim.reference, Use.EXCLUDED)
+    assert (first.reason_code.subject, first.reason_code.code) == (victim.reference, SATELLITE_LEFT_OUT)
     later = said(process, *(message(at(k), float(k)) for k in range(3, 13)))
     assert [one.outcome for one in later[:7]] == [Outcome.ACCUSES] * 7, "re-admission takes eight epochs"
     assert {one.since_ns for one in later[:7]} == {2 * NS}

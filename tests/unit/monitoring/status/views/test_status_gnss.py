@@ -33,6 +33,7 @@ from shared.messages.gnss import (
     SignalQuality,
 )
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
+from shared.trust.result import SATELLITE_LEFT_OUT
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.status_world import trust
 
@@ -190,16 +191,16 @@ def test_the_source_of_corrections_is_shown_while_its_statement_is_fresh() -> No
 @pytest.mark.parametrize(
     ("test", "shown"),
     [
-        ({"outcome": Outcome.ACCUSES, "reason_code": explain("cooperative.satellite", use="excluded", residual_m=31.2)},
+        ({"outcome": Outcome.ACCUSES, "reason_code": explain(SATELLITE_LEFT_OUT, residual_m=31.2)},
          (True, False, "excluded by core.cooperative, residual 31.2 m")),
-        ({"outcome": Outcome.PASS, "reason_code": explain("cooperative.satellite", use="used", residual_m=0.4)},
+        ({"outcome": Outcome.PASS, "reason_code": explain("cooperative.used_without_bias", residual_m=0.4)},
          (False, False, "used, residual 0.4 m")),
         ({"outcome": Outcome.ACCUSES, "reason": "excluded, residual 31.2 m"},
          (False, True, "excluded, residual 31.2 m")),
     ],
     ids=["excluded", "used", "of release 0.1.0, whose text decides nothing"],
 )  # fmt: skip
-def test_whether_a_satellite_is_excluded_is_a_value_of_its_test(
+def test_whether_a_satellite_is_excluded_is_the_code_of_its_test(
     test: dict[str, object], shown: tuple[bool, bool, str]
 ) -> None:
     state = State("bench", (), 0, 900.0)
