@@ -22,6 +22,7 @@ class ReferenceKind(StrEnum):
     NEIGHBOUR = "neighbour"
     PROCESS = "process"
     LANE = "lane"
+    TOPIC = "topic"
 
 
 class Reference(Message):
@@ -29,6 +30,16 @@ class Reference(Message):
 
     kind: ReferenceKind
     name: Name
+
+
+def process(name: str) -> Reference:
+    """Refer to a process."""
+    return Reference(kind=ReferenceKind.PROCESS, name=name)
+
+
+def topic(name: str) -> Reference:
+    """Refer to a topic."""
+    return Reference(kind=ReferenceKind.TOPIC, name=name)
 
 
 class Quoted(Message):

@@ -19,14 +19,28 @@ from ..messages.explanation import Explanation, Quoted, Reference, ReferenceKind
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent
 # Prefix of the codes: folder with `words.toml`.
-OWNERS = {"trust": "services/core/trust", "banner": "services/monitoring/status/views"}
+OWNERS = {
+    "trust": "services/core/trust",
+    "banner": "services/monitoring/status/views",
+    "broker": "shared/bus",
+    "health": "services/monitoring/health",
+    "recorder": "services/monitoring/recorder",
+}
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")
 REASON_LENGTH = 400  # of a message
-PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w+))?(?::(and|or))?\}")
-SUBJECT, TEXT = "subject", "text"
+PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w*))?(?::(and|or))?\}")
+SUBJECT, CLAUSE = "subject", "clause"
 Tables = dict[str, dict[str, str]]
 Names = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True)
+class Told:
+    """A code, and the text of its message, which is shown where the code has no words, or where there is no code."""
+
+    text: str
+    code: Explanation | None = None
 
 
 @dataclass(frozen=True)
@@ -34,12 +48,12 @@ class Row:
     """Words of one code.
 
     A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several of them
-    (joined by "or", as `{name:table:and}` by "and"),
-    `{name}` for references and quotations, `{subject}` for the subject, and `{name:text}` for a text of another
-    message that has no code.
+    (joined by "or", as `{name:table:and}` by "and"), `{name}` for references and quotations (`{name::and}`),
+    `{subject}` for the subject, and `{name:clause}` for the clause of another explanation.
     """
 
     sentence: str = ""  # one line for a driver, without figures
+    clause: str = ""  # a few words without capital and full stop, for the sentence of another code
     action: str = ""  # what to do
     detail: str = ""  # with figures: the `reason` of a message, and what stands behind "Why?"
     level: str = ""  # state that is shown while this code decides, where that is not the state of the message
@@ -53,12 +67,17 @@ def _plain_number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
+def _size(value: float) -> str:
+    return f"{value * 1e-6:.0f} MB" if value >= 1e6 else f"{value * 1e-3:.0f} kB"
+
+
 # A number's quantity: end of the names of its values, and how it is written. Angles are in radians or degrees.
 QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "distance": (("_m",), lambda value: f"{value:.1f} m"),
     "speed": (("_m_s",), lambda value: f"{value:.1f} m/s"),
     "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
     "duration": (("_s",), _seconds),
+    "size": (("_bytes",), _size),
     "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
     "number": (("statistic", "threshold", "count"), _plain_number),
 }
@@ -80,10 +99,20 @@ class Words:
         """Row of a code, empty where there is none."""
         return self.rows.get(code, Row())
 
-    def sentence(self, explanation: Explanation, **texts: str) -> str | None:
-        """One line for a driver; None without a row that fits. `texts` are those of messages without codes."""
-        found = self._render(self.row(explanation.code).sentence, explanation, texts=texts)
-        return found or (self.otherwise.sentence(explanation, **texts) if self.otherwise else None)
+    def sentence(self, explanation: Explanation, **causes: Told) -> str | None:
+        """One line for a driver; None without a row that fits. `causes` are those that its placeholders name."""
+        clauses = {name: self.clause(cause) for name, cause in causes.items()}
+        found = self._render(self.row(explanation.code).sentence, explanation, clauses=clauses)
+        return found or (self.otherwise.sentence(explanation, **causes) if self.otherwise else None)
+
+    def clause(self, told: Told) -> str:
+        """A few words for the sentence of another code; without a row that fits, the text of the message."""
+        found = None if told.code is None else self._render(self.row(told.code.code).clause, told.code)
+        return found or (self.otherwise.clause(told) if self.otherwise else told.text)
+
+    def told(self, told: Told, zone: tzinfo = UTC) -> str:
+        """One line with figures; without a row that fits, the text of the message."""
+        return (None if told.code is None else self.detail(told.code, zone)) or told.text
 
     def action(self, explanation: Explanation) -> str | None:
         """What to do; None where the state says it."""
@@ -101,21 +130,21 @@ class Words:
         return found or (self.otherwise.name(table, word) if self.otherwise else word.replace("_", " "))
 
     def _render(
-        self, template: str, explanation: Explanation, zone: tzinfo = UTC, texts: Mapping[str, str] | None = None
+        self, template: str, explanation: Explanation, zone: tzinfo = UTC, clauses: Mapping[str, str] | None = None
     ) -> str | None:
         """Fill the placeholders; None where a value is missing or does not fit, as in a message of another release."""
         try:
-            filled = PLACEHOLDER.sub(lambda found: self._filled(found, explanation, zone, texts or {}), template)
+            filled = PLACEHOLDER.sub(lambda found: self._filled(found, explanation, zone, clauses or {}), template)
         except (KeyError, TypeError, ValueError, OverflowError, OSError):
             return None
         return filled or None
 
     def _filled(
-        self, found: re.Match[str], explanation: Explanation, zone: tzinfo, texts: Mapping[str, str]
+        self, found: re.Match[str], explanation: Explanation, zone: tzinfo, clauses: Mapping[str, str]
     ) -> str:  # fmt: skip
         name, kind = found[1], found[2]
-        if kind == TEXT:
-            return texts[name]
+        if kind == CLAUSE:
+            return clauses[name]
         if name == SUBJECT:
             return self._reference(explanation.subject)
         value = explanation.values[name]
@@ -134,7 +163,7 @@ class Words:
             return self._reference(value)
         if isinstance(value, Quoted):
             return f"“{value.quoted}”"
-        if table is None or not isinstance(value, str):
+        if not table or not isinstance(value, str):
             raise TypeError(f"{value!r} is written by the name of a table")
         return self.name(table, value)
 
@@ -156,6 +185,11 @@ class Words:
 def reason(explanation: Explanation) -> str:
     """Render the English detail of a code of one's own, as it stands in messages."""
     return (words().detail(explanation) or explanation.code)[:REASON_LENGTH]
+
+
+def stated(explanation: Explanation) -> Told:
+    """A code of one's own with its English detail."""
+    return Told(reason(explanation), explanation)
 
 
 @cache

@@ -1,6 +1,7 @@
 """The words of codes: complete in every language, short enough, data alone, and what is shown where they do not fit."""
 
 from datetime import timedelta, timezone
+from enum import StrEnum
 from pathlib import Path
 
 import pytest
@@ -10,11 +11,16 @@ from pydantic import ValidationError
 
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
-from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain
+from services.monitoring.health import codes as health
+from services.monitoring.recorder import codes as recorder
+from services.monitoring.status.views import codes as banner
+from shared.bus import codes as broker
+from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain, process
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
 from shared.words import words as words_module
 from shared.words.words import (
+    CLAUSE,
     INSTANT,
     INSTANT_ENDING,
     LANGUAGES,
@@ -24,23 +30,35 @@ from shared.words.words import (
     REASON_LENGTH,
     REPOSITORY,
     SUBJECT,
-    TEXT,
     Row,
+    Told,
     Words,
     reason,
+    stated,
     words,
 )
 from tests.support.words import FIELDS, FILE, lines, texts
 
 ENGLISH = words()
-CODES = {"trust": set(Code)}
+CODES: dict[str, set[StrEnum]] = {
+    "trust": set(Code),
+    "banner": set(banner.Code),
+    "broker": set(broker.Code),
+    "health": set(health.Code),
+    "recorder": set(recorder.Code),
+}
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
 ROWS = [(language, code) for language in LANGUAGES for code in ENGLISH.rows]
 
 
 def test_every_file_of_words_has_a_registered_owner() -> None:
-    found = {path.parent.relative_to(REPOSITORY).as_posix() for path in (REPOSITORY / "services").rglob("words.toml")}
+    found = {
+        path.parent.relative_to(REPOSITORY).as_posix()
+        for part in ("services", "shared", "cli", "fleet")
+        for path in (REPOSITORY / part).rglob("words.toml")
+    }
     assert found == set(OWNERS.values()), "add the folder to OWNERS of shared/words/words.py"
+    assert CODES.keys() == OWNERS.keys(), "add the codes to CODES of this file"
 
 
 @pytest.mark.parametrize("owner", CODES)
@@ -50,17 +68,17 @@ def test_every_code_has_a_row_and_every_row_is_of_a_code(owner: str) -> None:
 
 
 @pytest.mark.parametrize("language", [one for one in LANGUAGES if one != "en"])
-def test_a_language_has_every_sentence_and_action_that_a_driver_reads_and_nothing_else(language: str) -> None:
+def test_a_language_has_what_a_driver_reads_and_the_causes_that_an_installer_reads(language: str) -> None:
     here = words(language)
     for code, row in ENGLISH.rows.items():
-        for field in ("sentence", "action"):
+        for field in ("sentence", "clause", "action", *(["detail"] if row.clause else [])):
             said, there = bool(getattr(here.row(code), field)), bool(getattr(row, field))
             assert said == there, f"{language}.toml and {code}: {field}"
     assert set(here.rows) <= set(ENGLISH.rows)
     assert here.format.keys() == ENGLISH.format.keys()
     tables = {
         match[2] for row in here.rows.values() for match in PLACEHOLDER.finditer(row.sentence)
-        if match[2] not in (*QUANTITIES, TEXT, INSTANT)
+        if match[2] not in ("", *QUANTITIES, CLAUSE, INSTANT)
     }  # fmt: skip
     for table in tables:
         assert here.names[table].keys() == ENGLISH.names[table].keys(), f"names.{table} of {language}.toml"
@@ -87,7 +105,7 @@ def test_a_placeholder_names_a_quantity_that_fits_its_value_or_a_table_that_exis
                 assert name.endswith(QUANTITIES[kind][0]), f"{code}: {name} is not {kind}"
             elif kind == INSTANT:
                 assert name.endswith(INSTANT_ENDING)
-            elif kind and kind != TEXT:
+            elif kind and kind != CLAUSE:
                 assert kind in ENGLISH.names, f"{code}: there is no quantity and no table {kind}"
             assert field != "sentence" or kind not in ("distance", "speed", "number", "share"), (
                 "no figures for a driver"
@@ -132,6 +150,9 @@ def row(**changes: str) -> Words:
         ("{a}", {"a": Reference(kind=ReferenceKind.LANE, name="n1")}, "lane n1"),
         ("{a}", {"a": Reference(kind=ReferenceKind.PROCESS, name="core.trust")}, "core.trust"),
         ("{a}", {"a": ()}, "no source by name"),
+        ("{a::and}", {"a": (Reference(kind=ReferenceKind.TOPIC, name="gnss/raw"),) * 2}, "gnss/raw and gnss/raw"),
+        ("{a_bytes:size}", {"a_bytes": 512_000}, "512 kB"),
+        ("{a_bytes:size}", {"a_bytes": 300_000_000}, "300 MB"),
         ("{a}", {"a": Quoted(quoted="{b}")}, "“{b}”"),
     ],
 )
@@ -149,6 +170,17 @@ def test_the_viewer_decides_language_and_time_zone() -> None:
     assert words("de").detail(silent) == ENGLISH.detail(silent), "what a language lacks is said in English as a whole"
     with pytest.raises(ValueError, match="there are en, de, fr"):
         words("xx")
+
+
+def test_a_sentence_names_a_cause_by_its_clause_and_one_without_a_code_by_its_text() -> None:
+    lost = explain(health.Code.LOST, process("core.fusion"))
+    no_fix = explain(banner.Code.NO_FIX_CAUSE)
+    assert words("de").sentence(no_fix, cause=stated(lost)) == "Keine Position: core.fusion ist ausgefallen."
+    assert ENGLISH.sentence(no_fix, cause=stated(lost)) == "No position: core.fusion was lost."
+    for told in (Told("of 0.1.0"), Told("of 0.1.0", explain("future.code"))):
+        assert words("de").sentence(no_fix, cause=told) == "Keine Position: of 0.1.0."
+        assert words("de").told(told) == "of 0.1.0"
+    assert ENGLISH.sentence(no_fix) is None, "no cause is given"
 
 
 @pytest.mark.parametrize(
@@ -201,7 +233,7 @@ def test_whatever_the_values_are_rendering_ends_in_text_or_in_none(code: str, da
     made = Explanation(code=code, values=values)
     assert Explanation.model_validate_json(made.model_dump_json()) == made
     for language in LANGUAGES:
-        for said in (words(language).sentence(made, cause="c"), words(language).detail(made)):
+        for said in (words(language).sentence(made, cause=Told("c")), words(language).detail(made)):
             assert said is None or "{" not in PLACEHOLDER.sub("", said) or "“" in said
 
 
