@@ -11,6 +11,7 @@ CODE = r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$"
 QUOTED_LENGTH = 80
 VALUES_MAXIMUM = 12
 LIST_MAXIMUM = 32
+PASSAGE_DIGITS = 8
 SIGNIFICANT = 6  # digits of a value
 
 
@@ -23,6 +24,7 @@ class ReferenceKind(StrEnum):
     PROCESS = "process"
     LANE = "lane"
     TOPIC = "topic"
+    PASSAGE = "passage"  # by the first digits of its ID
 
 
 class Reference(Message):
@@ -40,6 +42,11 @@ def process(name: str) -> Reference:
 def topic(name: str) -> Reference:
     """Refer to a topic."""
     return Reference(kind=ReferenceKind.TOPIC, name=name)
+
+
+def passage(passage_id: str) -> Reference:
+    """Refer to a passage, by the digits that people name it by."""
+    return Reference(kind=ReferenceKind.PASSAGE, name=passage_id[:PASSAGE_DIGITS])
 
 
 class Quoted(Message):

@@ -24,6 +24,8 @@ OWNERS = {
     "banner": "services/monitoring/status/views",
     "broker": "shared/bus",
     "health": "services/monitoring/health",
+    "toll": "services/core/toll",
+    "ledger": "services/monitoring/ledger",
     "recorder": "services/monitoring/recorder",
 }
 ENGLISH = "en"

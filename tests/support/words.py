@@ -13,7 +13,7 @@ NUMBER, ANGLE, SHARE, STAMP_NS = 12345.6, 3.14, 0.123, 1_795_000_000 * 10**9
 # Values that are lists, and how many of them a sentence names, or a detail can.
 LISTS = {"suspects": 2, "monitors": 10, "supporting": 5, "contradicting": 5, "accused": 16, "satellites": 16}
 LISTS |= {"topics": 16, "senders": 3}
-QUOTED = ("clients", "error", "folder")  # texts of devices and of the operating system
+QUOTED = ("clients", "error", "folder", "operator", "answer", "tariff_class")  # texts of others
 PROCESS = process("core.motion_conflict")
 
 

@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from services.core.toll import codes as toll
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
 from services.monitoring.health import codes as health
+from services.monitoring.ledger import codes as ledger
 from services.monitoring.recorder import codes as recorder
 from services.monitoring.status.views import codes as banner
 from shared.bus import codes as broker
@@ -45,6 +47,8 @@ CODES: dict[str, set[StrEnum]] = {
     "banner": set(banner.Code),
     "broker": set(broker.Code),
     "health": set(health.Code),
+    "toll": set(toll.Code),
+    "ledger": set(ledger.Code),
     "recorder": set(recorder.Code),
 }
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
