@@ -11,6 +11,8 @@ from services.core.toll.lanes import LaneGeometry, lane_likelihood
 from services.core.toll.location import Agreement, Fixes, Location, locate
 from services.core.toll.trackers.filters import imm
 from services.core.toll.trackers.observation import Observation
+from shared.messages.explanation import Explanation
+from shared.words.words import reason
 
 from .trajectory import TUNED_SD, quantised
 

@@ -10,6 +10,7 @@ from cli.papers.toll.lane_decisions import ROWS, gauss_markov, simulate
 from services.core.toll.codes import Code
 from services.core.toll.delta import Delta, DeltaEstimator, ErrorModel
 from services.core.toll.lanes import LaneGeometry, lane_likelihood
+from shared.messages.explanation import explain
 
 SECOND_NS = 10**9
 
