@@ -26,13 +26,14 @@ OWNERS = {
     "health": "services/monitoring/health",
     "toll": "services/core/toll",
     "ledger": "services/monitoring/ledger",
+    "fleet": "fleet/alarms",
     "recorder": "services/monitoring/recorder",
 }
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")
 REASON_LENGTH = 400  # of a message
 PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w*))?(?::(and|or))?\}")
-SUBJECT, CLAUSE = "subject", "clause"
+SUBJECT, CLAUSE, REJECT = "subject", "clause", "reject"
 Tables = dict[str, dict[str, str]]
 Names = Mapping[str, Mapping[str, str]]
 
@@ -59,6 +60,13 @@ class Row:
     action: str = ""  # what to do
     detail: str = ""  # with figures: the `reason` of a message, and what stands behind "Why?"
     level: str = ""  # state that is shown while this code decides, where that is not the state of the message
+
+
+def _reject(kind: str) -> str | None:
+    from ..rejects import reason_of  # with all protocols, which most processes do without
+
+    found = reason_of(kind)
+    return found.meaning if found else None
 
 
 def _seconds(value: float) -> str:
@@ -127,8 +135,11 @@ class Words:
         return found or (self.otherwise.detail(explanation, zone) if self.otherwise else None)
 
     def name(self, table: str, word: str) -> str:
-        """Name of a word of an enumeration; an unknown one as it is, with spaces."""
-        found = self.names.get(table, {}).get(word)
+        """Name of a word of an enumeration; an unknown one as it is, with spaces.
+
+        The table `reject` is that of the registry, in English: what each reason of a reject means.
+        """
+        found = self.names.get(table, {}).get(word) or (_reject(word) if table == REJECT else None)
         return found or (self.otherwise.name(table, word) if self.otherwise else word.replace("_", " "))
 
     def _render(

@@ -188,7 +188,7 @@ export const checksNow = (banner) => (isLive() ? banner.checks
   : banner.checks.map((c) => ({ ...c, state: "stale", text: words.status.unknown, ratio: null })));
 
 // The browser's first language in which the server says something.
-const languageOf = (row) => navigator.languages?.map((one) => one.slice(0, 2)).find((one) => one === "en" || row.languages?.[one]);
+export const languageOf = (row) => navigator.languages?.map((one) => one.slice(0, 2)).find((one) => one === "en" || row.languages?.[one]);
 
 // A row's text in the browser's language, else in English.
 export const told = (row, english) => row.languages?.[languageOf(row)] ?? english;

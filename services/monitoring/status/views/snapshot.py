@@ -194,6 +194,7 @@ def processes(state: State, now_ns: int) -> Json:
             "memory_bytes": flow.memory_bytes,
             "dropped": health.dropped if health else 0,
             "rejects": dict(health.rejects) if health else {},
+            "reject_names": {kind: words().name("reject", kind) for kind in health.rejects} if health else {},
             "kinds": [kind.model_dump(mode="json") for kind in flow.kinds],
             "reconnections": health.reconnections if health else 0,
             "last_error": flow.last_error,

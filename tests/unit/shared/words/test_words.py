@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from fleet.alarms import codes as fleet
 from services.core.toll import codes as toll
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
@@ -20,6 +21,7 @@ from shared.bus import codes as broker
 from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain, process
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
+from shared.rejects import PARTS, reason_of
 from shared.words import words as words_module
 from shared.words.words import (
     CLAUSE,
@@ -49,6 +51,7 @@ CODES: dict[str, set[StrEnum]] = {
     "health": set(health.Code),
     "toll": set(toll.Code),
     "ledger": set(ledger.Code),
+    "fleet": set(fleet.Code),
     "recorder": set(recorder.Code),
 }
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
@@ -162,6 +165,16 @@ def row(**changes: str) -> Words:
 )
 def test_values_are_written_by_their_quantity(template: str, values: dict[str, Value], said: str) -> None:
     assert row(detail=template).detail(Explanation(code="trust.x", values=values)) == said
+
+
+def test_the_meaning_of_a_reject_is_that_of_the_registry() -> None:
+    for reasons in PARTS.values():
+        for kind in reasons:
+            if "*" not in kind:
+                assert reason_of(kind) is not None and words("de").name("reject", kind)
+                assert ENGLISH.name("reject", kind) in {one[kind].meaning for one in PARTS.values() if kind in one}
+    assert ENGLISH.name("reject", "receipt of nothing") == "a receipt without its batch, or one that cannot be read"
+    assert ENGLISH.name("reject", "of_a_newer_release") == "of a newer release"
 
 
 def test_the_viewer_decides_language_and_time_zone() -> None:

@@ -148,7 +148,7 @@ function NodeDrawer({ name, onClose }) {
   const topics = Object.entries(contract.value.topics);
   const published = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
   const subscribed = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
-  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind}`).join(", ");
+  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind} (${p.reject_names?.[kind] ?? kind})`).join("; ");
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
     <p class="lead-text">${row.purpose}.</p>
