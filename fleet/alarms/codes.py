@@ -35,7 +35,7 @@ def code_of(kind: str, detail: Mapping[str, object]) -> Explanation | None:
     for of, code, fields in OF_KIND:
         if of == kind and detail.keys() >= set(fields.values()):
             try:
-                return explain(code, **{name: detail[field] for name, field in fields.items()})
+                return explain(code, None, **{name: detail[field] for name, field in fields.items()})
             except ValidationError:
                 return None
     return None

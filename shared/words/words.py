@@ -27,6 +27,8 @@ OWNERS = {
     "toll": "services/core/toll",
     "ledger": "services/monitoring/ledger",
     "fleet": "fleet/alarms",
+    "solve": "cli/solve",
+    "import": "cli/import_drive",
     "recorder": "services/monitoring/recorder",
 }
 ENGLISH = "en"
@@ -87,6 +89,8 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "speed": (("_m_s",), lambda value: f"{value:.1f} m/s"),
     "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
     "duration": (("_s",), _seconds),
+    "delay": (("_s",), lambda value: f"{value:.3f} s"),
+    "accuracy": (("_m",), lambda value: f"{value:.3g} m"),
     "size": (("_bytes",), _size),
     "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
     "number": (("statistic", "threshold", "count"), _plain_number),

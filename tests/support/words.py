@@ -12,8 +12,8 @@ FIELDS = ("sentence", "clause", "action", "detail")
 NUMBER, ANGLE, SHARE, STAMP_NS = 12345.6, 3.14, 0.123, 1_795_000_000 * 10**9
 # Values that are lists, and how many of them a sentence names, or a detail can.
 LISTS = {"suspects": 2, "monitors": 10, "supporting": 5, "contradicting": 5, "accused": 16, "satellites": 16}
-LISTS |= {"topics": 16, "senders": 3}
-QUOTED = ("clients", "error", "folder", "operator", "answer", "tariff_class")  # texts of others
+LISTS |= {"topics": 16, "senders": 3, "axes": 2}
+QUOTED = ("clients", "error", "folder", "operator", "answer", "tariff_class", "file")  # texts of others
 PROCESS = process("core.motion_conflict")
 
 

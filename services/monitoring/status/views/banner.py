@@ -60,19 +60,7 @@ class Trust(StrEnum):
     OFF = "off"
 
 
-WORDS = {
-    Trust.SAFE: "SAFE",
-    Trust.CAUTION: "CAUTION",
-    Trust.UNSAFE: "UNSAFE",
-    Trust.ABOVE_LIMIT: "ABOVE LIMIT",
-    Trust.DEAD_RECKONING: "DEAD RECKONING",
-    Trust.NO_FIX: "NO POSITION",
-    Trust.INITIALISING: "INITIALISING",
-    Trust.STARTING: "STARTING",
-    Trust.STALE: "NO DATA",
-    Trust.BROKER_LOST: "BROKER LOST",
-    Trust.OFF: "NOT EVALUATED",
-}
+WORDS = {state: words().name("state", state) for state in Trust}
 KNOWN = frozenset(Trust(level.value) for level in TrustLevel) | {Trust.ABOVE_LIMIT}  # a verdict is there
 OUTCOMES = {
     Outcome.PASS: Trust.SAFE,

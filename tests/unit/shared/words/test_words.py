@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from cli.import_drive import codes as importing
+from cli.solve import codes as solve
 from fleet.alarms import codes as fleet
 from services.core.toll import codes as toll
 from services.core.trust.codes import Code
@@ -17,6 +19,7 @@ from services.monitoring.health import codes as health
 from services.monitoring.ledger import codes as ledger
 from services.monitoring.recorder import codes as recorder
 from services.monitoring.status.views import codes as banner
+from services.monitoring.status.views.banner import Trust
 from shared.bus import codes as broker
 from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain, process
 from shared.messages.navigation import NavigationPhase
@@ -52,6 +55,8 @@ CODES: dict[str, set[StrEnum]] = {
     "toll": set(toll.Code),
     "ledger": set(ledger.Code),
     "fleet": set(fleet.Code),
+    "import": set(importing.Code),
+    "solve": set(solve.Code),
     "recorder": set(recorder.Code),
 }
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
@@ -126,8 +131,9 @@ def test_all_rendered_sentences_are_those_that_were_reviewed() -> None:
 @pytest.mark.parametrize(
     ("table", "words_of"),
     [("monitor", Monitor), ("source", [one for one in Hypothesis if one is not Hypothesis.NOTHING]),
-     ("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING]), ("phase", NavigationPhase)],
-    ids=["monitor", "source", "hypothesis", "phase"],
+     ("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING]), ("phase", NavigationPhase),
+     ("state", Trust)],
+    ids=["monitor", "source", "hypothesis", "phase", "state"],
 )  # fmt: skip
 def test_every_word_of_an_enumeration_has_a_name(table: str, words_of: list[str]) -> None:
     assert set(ENGLISH.names[table]) == {str(word) for word in words_of}
