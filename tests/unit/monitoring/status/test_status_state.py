@@ -258,6 +258,11 @@ def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
     assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
     [outage] = rows(reports.outages(driving.state)["open"])
     assert outage["what"] == "broker"
+    [problem] = snapshot.problems(driving.state)
+    for row in (outage, problem):
+        told = row["languages"]
+        assert isinstance(told, dict) and told["de"].startswith("der Broker ") and told["fr"].startswith("le broker ")
+    assert driving.state.verdict.lines["de"].sentence.startswith("Nichts ist bekannt: der Broker ")
     assert outage["cause_code"] == broker_down(connected=connected).model_dump(mode="json")
 
 
