@@ -6,10 +6,12 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import NoReturn
 
 from shared import ROOT
 from shared.errors import BadRecording, ConfigError, UserError
 from shared.processes import BY_NAME
+from shared.runtime import reports
 
 GARBAGE = 50_000
 
@@ -17,6 +19,7 @@ GARBAGE = 50_000
 def main() -> None:
     """Run the command line; an error of the user's making is one sentence on standard error."""
     keep_to_this_code()
+    reports.begin()
     try:
         if sys.argv[1:2] == ["run"] and len(sys.argv) == 3 and sys.argv[2] in BY_NAME:
             run(sys.argv[2])  # the processes of a vehicle start without the weight of the command line
@@ -26,16 +29,24 @@ def main() -> None:
             command = imported(sys.argv[1:])
             command(prog_name="obu")
     except ConfigError as error:
-        print(f"obu: {error}", file=sys.stderr)  # this is the command line
-        sys.exit(os.EX_CONFIG)
+        _fail(error, os.EX_CONFIG)
     except (UserError, BadRecording) as error:
-        print(f"obu: {error}", file=sys.stderr)  # this is the command line
-        sys.exit(2)
+        _fail(error, 2)
+    except SystemExit as end:  # raised by typer, within what it says of wrong options
+        if (message := getattr(end.__context__, "format_message", None)) is not None:
+            reports.tell(error=message())
+        raise
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
+
+
+def _fail(error: Exception, code: int) -> NoReturn:
+    reports.tell(error=str(error))
+    print(f"obu: {error}", file=sys.stderr)  # this is the command line
+    sys.exit(code)
 
 
 def keep_to_this_code() -> None:

@@ -20,7 +20,14 @@ class UserError(ObuError):
 
 
 class ConfigError(UserError):
-    """A vehicle's file that must be changed: starting again is no use."""
+    """A vehicle's file that must be changed: starting again is no use.
+
+    `cause` is what is wrong, without the name of the file and without a list of what would be right.
+    """
+
+    def __init__(self, text: str, cause: str = "") -> None:
+        super().__init__(text)
+        self.cause = cause or text
 
 
 class BadPayload(ObuError):

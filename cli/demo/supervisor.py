@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from shared.errors import UserError
+from shared.runtime.reports import VARIABLE, read_report
 
 from .signs_of_life import SignsOfLife
 
@@ -37,6 +38,7 @@ class Child:
     log_file: Path | None
     throughout: bool = False
     start_limit_s: float | None = None  # None: a child that need not give signs of life
+    report: Path | None = None  # file of what it tells beside its exit code
     signs: SignsOfLife = field(default_factory=SignsOfLife)
     seen: float | None = None  # when the last sign of this run came
     process: subprocess.Popen[bytes] | None = None
@@ -71,7 +73,8 @@ class Supervisor:
         connected to the broker, but not for long.
         """
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
-        self.children[name] = Child(name, command, log_file, throughout, start_limit_s)
+        report = self._log_folder / f"{name}.report.json" if self._log_folder else None
+        self.children[name] = Child(name, command, log_file, throughout, start_limit_s, report)
 
     def add_process(self, name: str, *, throughout: bool = False) -> None:
         """Add a process of the unit."""
@@ -110,13 +113,11 @@ class Supervisor:
             child.signs.close()
 
     def raise_rejected(self) -> None:
-        """Raise `UserError` with the last line of the log of a child that exited with `EX_CONFIG`."""
+        """Raise `UserError` with the report of a child that exited with `EX_CONFIG`."""
         for child in self.children.values():
-            if child.misconfigured and child.log_file:
-                lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
-                raise UserError(
-                    f"{child.name} does not start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
-                )
+            if child.misconfigured and child.report is not None:
+                error = read_report(child.report).error
+                raise UserError(f"{child.name} does not start: {error or f'its log is {child.log_file}'}")
 
     def alive(self) -> int:
         """Number of running children."""
@@ -132,10 +133,12 @@ class Supervisor:
 
     def _start(self, child: Child) -> None:
         output = child.log_file.open("ab") if child.log_file else None
+        if child.report is not None:
+            child.report.unlink(missing_ok=True)
         try:
             child.process = subprocess.Popen(
                 [*_end_with_parent(), *child.command],
-                env={**self._environment, "NOTIFY_SOCKET": child.signs.address},
+                env={**self._environment, "NOTIFY_SOCKET": child.signs.address, VARIABLE: str(child.report or "")},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT if output else None,

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping
 
+from shared.words.words import words
+
 Shown = Callable[[object], str]
 
 
@@ -34,13 +36,8 @@ def _shares(value: object) -> str:
 def _verdicts(value: object) -> str:
     """Seconds in each state; those that did not occur are left out."""
     assert isinstance(value, Mapping)
-    said = [f"{_word(str(state))} {seconds:g} s" for state, seconds in value.items() if seconds]
+    said = [f"{words().name('state', state)} {seconds:g} s" for state, seconds in value.items() if seconds]
     return ", ".join(said) or "none was published"
-
-
-def _word(state: str) -> str:
-    """The word of the banner for a state: without a position the receiver may well have a fix."""
-    return "NO POSITION" if state == "no_fix" else state.upper().replace("_", " ")
 
 
 def _yes(value: object) -> str:

@@ -7,6 +7,7 @@ of its own.
 
 import hashlib
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -24,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from shared.errors import UserError
+from shared.runtime.reports import VARIABLE, read_report
 
 from ..campaign import ROOT, Job, code_of
 from ..campaign import run as run_campaign
@@ -34,10 +36,9 @@ if TYPE_CHECKING:
 BLOCK = 1 << 20
 SHOWN = 20  # rows of the table that is printed; summary.json has all
 SHOWN_LETTERS = 160  # of a result in it
-FRAME = " ╭╮╰╯│─"  # around what typer says of wrong options
+TOLD = "told.json"  # in the folder of a recording: what the command tells
 LONGEST_S = 6 * 3600.0  # of one recording
 CONNECT_S = 10
-DIFFERENT = 1  # exit code of `verify`: processes that are repeated publish something else
 FAILED = 2  # exit code of a command whose input cannot be used
 
 
@@ -125,21 +126,22 @@ def work_on(recording: str, sha256: str, command: str, words: tuple[str, ...], o
         Command.VERIFY: ["verify", recording],
         Command.ATTACK_LAB: ["attack-lab", "--recording", recording, "--seeds", "0", "--jobs", "1", "--out", out],
     }[Command(command)]
-    begin = time.monotonic()
+    begin, told = time.monotonic(), (folder / TOLD).resolve()
+    told.unlink(missing_ok=True)
     try:
         done = subprocess.run(
             [sys.executable, "-m", "cli", *given, *words], cwd=ROOT, capture_output=True, text=True, errors="replace",
-            timeout=LONGEST_S, check=False, stdin=subprocess.DEVNULL,
+            timeout=LONGEST_S, check=False, stdin=subprocess.DEVNULL, env={**os.environ, VARIABLE: str(told)},
         )  # fmt: skip
     except subprocess.TimeoutExpired as error:
         raise UserError(f"it took more than {LONGEST_S / 3600:.0f} hours") from error
     (folder / "output.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
     failed = done.returncode if command != Command.VERIFY else done.returncode == FAILED or done.returncode < 0
     if failed:
-        said = _last_words(done.stderr.splitlines())
-        raise UserError(f"{said or 'it failed without a word'} (code {done.returncode}; {folder / 'output.txt'})")
+        said = read_report(told).error or "it failed without a reason"
+        raise UserError(f"{said} (code {done.returncode}; {folder / 'output.txt'})")
     seconds = round(time.monotonic() - begin, 2)
-    said = _finding(Command(command), folder, done.stdout.splitlines(), done.returncode)
+    said = _attacks_detected(folder) if command == Command.ATTACK_LAB else read_report(told).finding
     return Done(recording, sha256, command, done.returncode, seconds, out, said)
 
 
@@ -153,34 +155,13 @@ def _check_folder(out: Path) -> None:
         raise UserError(f"cannot write to {out}: {error.strerror}; name another folder with --out") from error
 
 
-def _finding(command: Command, folder: Path, lines: Sequence[str], code: int) -> str:
-    """What a command has found: its last line names files, or the last of the processes that were repeated."""
-    if command is Command.VERIFY:
-        return (_signatures_or_difference(lines, code) if code else "") or _last_words(lines)
-    made = json.loads((folder / MAKES[command]).read_text(encoding="utf-8"))
-    if command is Command.SOLVE:
-        return str(made["verdict"])
+def _attacks_detected(folder: Path) -> str:
+    """What the attack lab has found, by the file that it makes."""
+    made = json.loads((folder / MAKES[Command.ATTACK_LAB]).read_text(encoding="utf-8"))
     runs, detected = (sum(row[name] for row in made["answers"]) for name in ("runs", "detected"))
     share = made["safe_share_clean"]
     clean = "" if share is None else f"; without attack SAFE for {100.0 * share:.1f} % of the time"
     return f"{detected} of {runs} attacks detected{clean}"
-
-
-def _signatures_or_difference(lines: Sequence[str], code: int) -> str:
-    """The line of `verify` that says why its code is not 0; empty if there is none."""
-    if code != DIFFERENT:  # of the signatures: the first line, behind the name of the file
-        return next((line.partition(": ")[2][:400] for line in lines if ": " in line), "")
-    from ..recordings.repetition import Verdict
-
-    others = [verdict for verdict in Verdict if verdict is not Verdict.IDENTICAL]
-    found = (f"{line.split()[0]}: {verdict}" for line in lines for verdict in others if line.rstrip().endswith(verdict))
-    return ", ".join(found)[:400]
-
-
-def _last_words(lines: Sequence[str]) -> str:
-    """The last line that says something; a wrong option is told within a frame of lines."""
-    words = (line.strip(FRAME) for line in reversed(lines))
-    return next((text[:400] for text in words if text), "")
 
 
 def _job(command: Command, path: Path, sha256: str, words: tuple[str, ...], out: Path) -> Job[Done]:

@@ -19,6 +19,7 @@ from rich.progress import Progress
 from shared.bounded import TOML_BYTES, TooMuch, read_bytes, read_text
 from shared.bounded import lines as lines_of
 from shared.errors import UserError
+from shared.messages.explanation import QUOTED_LENGTH, Quoted, explain
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
@@ -28,6 +29,7 @@ from shared.topics import BY_MESSAGE
 from shared.unpacked import compression_of
 
 from ..progress import progress_on
+from .codes import Code
 from .conversion.convert import Accelerometer, Converted, convert, wanted_columns
 from .devices.device_files import import_devices, insist_on_decoded, kind_of, shifts_of
 from .estimates.agreement import Motion, motion_of, told
@@ -145,7 +147,8 @@ def _import_tables(mapping: Path, text: str, folder: Path, output: Path, vehicle
         write(output, parts, file, _provenance(spec, text, parts), progress)
     print_summary(output, parts)
     notes = [note for part in parts for note in part.converted.notes]
-    for sentence in (*notes, *(part.correction for part in parts if part.correction), *_clocks(parts), *spec.made()):
+    corrections = [part.correction.text for part in parts if part.correction]
+    for sentence in (*notes, *corrections, *_clocks(parts), *spec.made()):
         print(sentence)
     return 0
 
@@ -211,7 +214,7 @@ def _corrected(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleF
                 merged = heapq.merge(*(part.converted.messages for part in parts), key=arrival_ns)
                 inputs = [message for message in merged if not isinstance(message, TruthState)]
                 shown = progress.track(inputs, description=f"estimating the delay of {table.file}")
-                delay, against = delay_of_fixes(shown, vehicle), "IMU"
+                delay, against = delay_of_fixes(shown, vehicle), "imu"
             else:
                 delay, against = delay_of_reference(_all(TruthState, parts), _all(GnssFix, parts)), "fixes"
             parts[place] = _without_delay(parts[place], delay, against)
@@ -225,13 +228,17 @@ def _all(kind: type[T], parts: Sequence[Part]) -> list[T]:
     return [message for part in parts for message in part.converted.messages if isinstance(message, kind)]
 
 
+def _quoted(name: str) -> Quoted:
+    return Quoted(quoted=name[-QUOTED_LENGTH:])
+
+
 def _in_body_axes(part: Part, fixes: Sequence[GnssFix]) -> Part:
     imu = _all(ImuSamples, [part])
     found = mounting_of(imu, fixes)
     return part.corrected(
         rotated(imu, found.body_from_sensor),
-        f"The axes of {part.name} were estimated (correlation with the changes of speed {found.correlation:.2f}). "
-        f"To fix them: body_from_sensor = {found.body_from_sensor.round(3).tolist()}.",
+        explain(Code.AXES_ESTIMATED, file=_quoted(part.name), correlation_statistic=float(found.correlation)),
+        f"body_from_sensor = {found.body_from_sensor.round(3).tolist()}",
     )
 
 
@@ -239,8 +246,14 @@ def _without_delay(part: Part, delay: Delay, against: str) -> Part:
     step_ns = round(delay.seconds * 1e9)
     return part.corrected(
         [m.model_copy(update={"sampled_ns": stamps_of(m)[0] - step_ns}) for m in part.converted.messages],
-        f"The stamps of {part.name} are late by {delay.seconds:.3f} s relative to the {against} (estimated, standard "
-        f"deviation {delay.sd_s:.3f} s) and were corrected. To fix the value: stamps_late_s = {delay.seconds:.3f}.",
+        explain(
+            Code.DELAY_ESTIMATED,
+            file=_quoted(part.name),
+            reference=against,
+            late_s=delay.seconds,
+            late_sd_s=float(delay.sd_s),
+        ),
+        f"stamps_late_s = {delay.seconds:.3f}",
     )
 
 
@@ -249,8 +262,9 @@ def _on_clock_of_fixes(part: Part, fixes: Sequence[GnssFix]) -> Part:
     offset = offset_of(speeds, fixes)
     return part.corrected(
         shifted(speeds, offset.seconds),
-        f"The clock of {part.name} was shifted by {offset.seconds:+.3f} s, estimated from the speeds of both files: "
-        f"they agree to {offset.rms_m_s:.3f} m/s (RMS).",
+        explain(
+            Code.CLOCK_SHIFTED, file=_quoted(part.name), shift_s=offset.seconds, difference_m_s=float(offset.rms_m_s)
+        ),
     )
 
 

@@ -13,13 +13,28 @@ from shared.bus.bus import Envelope
 from shared.bus.codec import encode, signed, topic_name
 from shared.errors import UserError
 from shared.messages.base import Message, RawBytes, Sender
+from shared.messages.explanation import Explanation
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
 from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile
 from shared.topics import BY_MESSAGE
+from shared.words.words import reason
 
 from .conversion.convert import Converted, Imported
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What was estimated of a file, and the setting of the mapping that fixes the value."""
+
+    why: Explanation
+    setting: str = ""
+
+    @property
+    def text(self) -> str:
+        """In a sentence or two."""
+        return reason(self.why) + (f" To fix the value: {self.setting}." if self.setting else "")
 
 
 @dataclass(frozen=True)
@@ -29,11 +44,11 @@ class Part:
     name: str
     sha256: str
     converted: Converted
-    correction: str = ""  # what was estimated of its clock or axes
+    correction: Correction | None = None  # what was estimated of its clock or axes
 
-    def corrected(self, messages: Sequence[Imported], correction: str) -> "Part":
+    def corrected(self, messages: Sequence[Imported], why: Explanation, setting: str = "") -> "Part":
         """Replace the messages, and state how they were corrected."""
-        return replace(self, converted=replace(self.converted, messages=messages), correction=correction)
+        return replace(self, converted=replace(self.converted, messages=messages), correction=Correction(why, setting))
 
 
 def arrival_ns(message: Imported) -> int:

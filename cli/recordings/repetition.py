@@ -16,6 +16,8 @@ from shared.messages.operation import Consumed
 from shared.runtime.live import Reactor, handled
 from shared.topics import topic_of
 
+from .release import Release
+
 PATIENCE_NS = 5_000_000_000  # QoS 1 may overtake QoS 0 on the way to the recorder by less than this
 LATEST_JOURNAL_NS = 55_000_000_000  # after a message, while inputs that a journal may name are still kept
 
@@ -28,8 +30,22 @@ class Verdict(StrEnum):
 
     IDENTICAL = "identical"
     DIFFERENT = "different"
+    OTHER_RELEASE = "other release"  # made by another one, whose messages this one does not repeat
     INCOMPLETE = "incomplete"  # the recording lacks what it consumed, or a part of its journal
     NO_JOURNAL = "no journal"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the repetition of one incarnation has given."""
+
+    process: str
+    incarnation: int
+    consumed: int
+    compared: int
+    unrecorded: int
+    verdict: Verdict
+    reason: str | None
 
 
 @dataclass(frozen=True)
@@ -75,6 +91,12 @@ class Repetition:
         if self.reason:
             return Verdict.INCOMPLETE
         return Verdict.IDENTICAL if self._journal_ns else Verdict.NO_JOURNAL
+
+    def finding(self, release: Release) -> Finding:
+        """The result, of a recording of a release: messages of another one differ for that reason."""
+        is_other = self.verdict is Verdict.DIFFERENT and not release.is_this
+        verdict = Verdict.OTHER_RELEASE if is_other else self.verdict
+        return Finding(self.name, self.incarnation, self.consumed, self.compared, self.unrecorded, verdict, self.reason)
 
     def add_journal(self, consumed: Consumed, received_ns: int) -> None:
         """Append the next part of the order of consumption."""

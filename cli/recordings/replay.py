@@ -20,6 +20,7 @@ from shared.messages.replay import FASTEST, SLOWEST
 from shared.processes import Role
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import ADDRESS_FILE, BrokerAddress, Table, VehicleFile, load_vehicle, state_dir
+from shared.runtime.reports import tell
 from shared.topics import BY_MESSAGE
 
 from ..demo.local import as_toml, free_port, how_to_listen, local_broker, port_or_free
@@ -106,6 +107,7 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     logging.getLogger("cli.demo.supervisor").setLevel(logging.ERROR)
     try:
         _wait_for_page(supervisor, folder)
+        tell(port=http_port)
         console.print(
             f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)", soft_wrap=True
         )

@@ -1,11 +1,11 @@
 """The part of `obu verify` that checks signatures: of each recording, and from one to the next."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from shared.errors import BadRecording, UserError
 from shared.evidence import KeyRing, Outcome
-from shared.evidence.outcome import gravest
 from shared.evidence.statement import printable
 from shared.recording.proof import Proof, clock, prove
 
@@ -13,20 +13,33 @@ from ..evidence_key import accepted_keys
 from .common import open_recording
 
 
-def check_signatures(files: Sequence[Path], keys: Sequence[Path] | None) -> Outcome:
-    """Check recordings in the order of time, print a line each, and return the gravest outcome."""
+@dataclass(frozen=True)
+class Checked:
+    """What the signatures of one file prove."""
+
+    file: str
+    outcome: Outcome
+    text: str
+    facts: str | None = None  # whose recording it is, as far as that is signed
+    gap: str | None = None  # what is missing between it and the file before
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """Of the file, and of its place after the one before."""
+        return [self.outcome, *([Outcome.EDITED] if self.gap else [])]
+
+
+def check_signatures(files: Sequence[Path], keys: Sequence[Path] | None) -> list[Checked]:
+    """Check recordings in the order of time."""
     ring = accepted_keys(keys)
     proofs = [_prove(path, ring) for path in files]
-    outcomes = [proof.outcome for proof in proofs]
-    for number, (path, proof) in enumerate(zip(files, proofs, strict=True)):
-        print(f"{path.name}: {proof.text}")
-        if (facts := _facts(proof)) is not None:
-            print(f"  {facts}")
-        text = _succession(proofs[number - 1], proof) if number else None
-        if text is not None:
-            print(f"  {text}")
-            outcomes.append(Outcome.EDITED)
-    return gravest(outcomes)
+    return [
+        Checked(
+            path.name, proof.outcome, proof.text, _facts(proof),
+            _succession(proofs[number - 1], proof) if number else None,
+        )
+        for number, (path, proof) in enumerate(zip(files, proofs, strict=True))
+    ]  # fmt: skip
 
 
 def _prove(path: Path, ring: KeyRing) -> Proof:

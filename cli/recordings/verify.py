@@ -1,7 +1,9 @@
 """`obu verify`: repeats every process of layers 2 to 4 from a recording, and compares its messages byte for byte."""
 
+import json
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -12,22 +14,26 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
+from shared import VERSION
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload, UserError
 from shared.evidence import Outcome
+from shared.evidence.outcome import DIFFERENT, OTHER_RELEASE, gravest
 from shared.messages.base import Message
 from shared.messages.operation import Consumed
 from shared.processes import BY_NAME
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile
 from shared.runtime.live import Reactor, load_process
+from shared.runtime.reports import tell
 from shared.topics import topic_of
 
 from ..evidence_key import KeyOption
 from ..progress import progress_on
 from .common import open_recording, print_problems, vehicle_of
-from .repetition import Key, Repetition, Verdict
-from .signatures import check_signatures
+from .release import Release, release_of
+from .repetition import Finding, Key, Repetition, Verdict
+from .signatures import Checked, check_signatures
 
 KEPT_NS = 60_000_000_000  # from the arrival of a message to the last journal that may name it
 STEP = 2000  # messages between two updates of the progress
@@ -51,11 +57,13 @@ def verify(
     signatures: Annotated[
         bool, typer.Option("--signatures", help="Check the signatures alone, and repeat no process.")
     ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")] = False,
 ) -> int:
     """Check the signatures of recordings, then feed each process what it consumed and compare its messages bytewise.
 
     Ends with 0 if both agree, 1 if a process gives other messages, 3 unsigned, 4 cut, 5 edited, 6 signed by an unknown
-    key, 7 rewritten by another tool. The graver one counts: 5, 6, 7, 4, 1, 3.
+    key, 7 rewritten by another tool, 8 made by another release, which alone can repeat it. The graver one counts: 5, 6,
+    7, 4, 1, 8, 3.
 
     Examples:
     [bold]obu verify .obu/recordings/20260921T141320Z_car.mcap[/]
@@ -65,19 +73,51 @@ def verify(
     wanted = {row.name for row in BY_NAME.values() if 2 <= row.layer <= 4}
     if process is not None and process not in wanted:
         raise UserError(f"{process!r} cannot be repeated; name one of {', '.join(sorted(wanted))}")
-    outcome = check_signatures(files, key)
-    if signatures:
-        return outcome
-    repeated = _repeat(files, {process} if process else wanted, vehicle)
-    return repeated if repeated and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
+    checked = check_signatures(files, key)
+    outcome = gravest([one for file in checked for one in file.outcomes])
+    if not as_json:
+        _print_signatures(checked)
+    repeated = None if signatures else _repeat(files, {process} if process else wanted, vehicle, Console(stderr=True))
+    code = int(outcome)
+    if repeated is not None and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED):
+        code = repeated.code or code
+    tell(finding=_finding(checked, repeated, code))
+    if as_json:
+        print(json.dumps(_document(checked, repeated, code)))
+    elif repeated is not None:
+        _print(repeated, Console(stderr=True))
+    return code
 
 
-def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None) -> int:
-    """Repeat processes of recordings; 1 if any message differs, or nothing was compared."""
-    console = Console(stderr=True)
+@dataclass(frozen=True)
+class Repeated:
+    """What the repetition of all processes has given."""
+
+    release: Release  # of the recordings
+    findings: tuple[Finding, ...] = ()  # in the order of the data flow
+    can: bool = True  # whether this release can repeat them at all
+
+    @property
+    def code(self) -> int:
+        """Exit code: 0 if all is identical and something was compared."""
+        verdicts = {one.verdict for one in self.findings}
+        if not self.can or verdicts - {Verdict.IDENTICAL} == {Verdict.OTHER_RELEASE}:
+            return OTHER_RELEASE
+        return 0 if verdicts == {Verdict.IDENTICAL} and any(one.compared for one in self.findings) else DIFFERENT
+
+    @property
+    def remedy(self) -> str:
+        """What to do with recordings of another release."""
+        return f"made by {self.release.name}: repeat it with that release; this one is version {VERSION}"
+
+
+def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None, console: Console) -> Repeated:
+    """Repeat processes of recordings."""
     with open_recording(files[0]) as first:
-        file = vehicle_of(first, vehicle)
+        file, release = vehicle_of(first, vehicle), release_of(first)
         if file.facts.imu.body_from_sensor != file.samples_mounting:
+            if not release.is_this:
+                return Repeated(release, can=False)
             raise UserError(
                 f"the inertial samples of {files[0]} were made with another mounting of the IMU than the vehicle's "
                 "file states, so nothing can be repeated byte for byte; `obu solve` processes it anew"
@@ -92,9 +132,35 @@ def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None) -> int:
     repetitions = audit.finish()
     if not repetitions:
         raise UserError("the recording holds no message of a process of layers 2 to 4; record a running unit")
-    _print(repetitions, console)
-    identical = all(one.verdict is Verdict.IDENTICAL for one in repetitions)
-    return 0 if identical and any(one.compared for one in repetitions) else 1
+    return Repeated(release, tuple(one.finding(release) for one in repetitions))
+
+
+def _document(checked: Sequence[Checked], repeated: Repeated | None, code: int) -> dict[str, object]:
+    """The result for programs."""
+    files = [{**asdict(one), "outcome": one.outcome.name.lower()} for one in checked]
+    found = {} if repeated is None else {
+        "release": {"version": repeated.release.version or None, "is_this": repeated.release.is_this},
+        "processes": [{**asdict(one), "verdict": one.verdict.name.lower()} for one in repeated.findings],
+    }  # fmt: skip
+    return {"code": code, "files": files, **found}
+
+
+def _finding(checked: Sequence[Checked], repeated: Repeated | None, code: int) -> str:
+    """The result in a sentence: what the exit code stands for."""
+    if repeated is not None and code == OTHER_RELEASE:
+        return repeated.remedy
+    if repeated is not None and code in (0, DIFFERENT):
+        others = [one for one in repeated.findings if one.verdict is not Verdict.IDENTICAL]
+        return ", ".join(f"{one.process}: {one.verdict}" for one in others) or "every process repeats its messages"
+    return next(file.text for file in checked if code in file.outcomes)
+
+
+def _print_signatures(checked: Sequence[Checked]) -> None:
+    for one in checked:
+        print(f"{one.file}: {one.text}")
+        for more in (one.facts, one.gap):
+            if more is not None:
+                print(f"  {more}")
 
 
 class Audit:
@@ -179,18 +245,22 @@ def _decoded(envelope: Envelope) -> Message | None:
         return None
 
 
-def _print(repetitions: Sequence[Repetition], console: Console) -> None:
+def _print(repeated: Repeated, console: Console) -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("process", "started (UTC)", "consumed", "compared", "unrecorded", "verdict"):
         right = title in ("consumed", "compared", "unrecorded")
         table.add_column(title, justify="right" if right else "left", no_wrap=True)
-    for one in repetitions:
+    for one in repeated.findings:
         started = datetime.fromtimestamp(one.incarnation // 1_000_000_000, UTC)
         numbers = (str(number) for number in (one.consumed, one.compared, one.unrecorded))
-        table.add_row(one.name, f"{started:%m-%d %H:%M:%S}", *numbers, one.verdict.value)
-    Console().print(table)
-    for one in repetitions:
+        table.add_row(one.process, f"{started:%m-%d %H:%M:%S}", *numbers, one.verdict.value)
+    if repeated.findings:
+        Console().print(table)
+    for one in repeated.findings:
         if one.reason:
-            console.print(f"{one.name}: {one.reason}", markup=False, highlight=False)
-    if any(one.verdict is Verdict.INCOMPLETE for one in repetitions):
+            console.print(f"{one.process}: {one.reason}", markup=False, highlight=False)
+    verdicts = {one.verdict for one in repeated.findings}
+    if Verdict.INCOMPLETE in verdicts:
         console.print(INCOMPLETE)
+    if Verdict.OTHER_RELEASE in verdicts or not repeated.can:
+        console.print(repeated.remedy, markup=False, highlight=False, soft_wrap=True)

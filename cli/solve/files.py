@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from shared.errors import UserError
+from shared.runtime.reports import tell
 from shared.track_files import TrackPoint, cut_at_antimeridian, kml_lines
 
 from .metrics.drift import drift_lines
 from .metrics.metrics import Run, Value
 from .reference_track import Reference
-from .report.report import Heading, document, page
+from .report.report import Heading, document, page, verdict
 from .track import NAMES, Track
 
 HEADER = ("sampled_ns", "time_s", "phase", *NAMES, "verdict")
@@ -55,6 +56,7 @@ def write(
                 file.writelines(drift_lines(run.drifts(), run.first_ns))
         (folder / "metrics.json").write_text(json.dumps(document(heading, metrics), indent=2) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(report, encoding="utf-8")
+        tell(finding=verdict(metrics, heading.clocks))
     except OSError as error:
         raise UserError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error
 
@@ -66,10 +68,10 @@ def csv_lines(track: Track, verdicts: Sequence[str] = ()) -> Iterator[str]:
     line = "%d,%.6f,%s," + ",".join(formats) + ",%s"
     first = int(track.stamps_ns[0]) if len(track) else 0
     said = verdicts or [""] * len(track)
-    for stamp, phase, row, verdict in zip(
+    for stamp, phase, row, level in zip(
         track.stamps_ns.tolist(), track.phases, track.values.tolist(), said, strict=True
     ):
-        text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row, verdict)
+        text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row, level)
         yield text.replace("nan", "") + "\n"
 
 

@@ -244,8 +244,8 @@ def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
     try:
         OfflineUnit(changed.vehicle)
     except ConfigError as error:
-        reason, given = str(error).partition(": ")[2].partition("; known keys: ")[0], " --set ".join(changes)
-        raise UserError(f"--set {given}: {reason}; docs/reference/configuration.md lists all keys") from error
+        given = " --set ".join(changes)
+        raise UserError(f"--set {given}: {error.cause}; docs/reference/configuration.md lists all keys") from error
     return changed
 
 

@@ -15,6 +15,7 @@ from .database import Database
 from .live import Live
 from .requests import Body, read
 from .tiles import now_ms
+from .told import alarm_with_languages
 
 LISTED = 200
 COLUMNS = """
@@ -65,7 +66,7 @@ class AlarmsApi:
             rows = await (await cursor.execute(LIST, {"show": show, "kind": kind})).fetchall()
             unacknowledged = await (await cursor.execute(OPEN)).fetchone()
         return json_response({
-            "now_ms": now_ms(), "alarms": rows, "more": len(rows) == LISTED,
+            "now_ms": now_ms(), "alarms": [alarm_with_languages(row) for row in rows], "more": len(rows) == LISTED,
             "unacknowledged": unacknowledged["alarms"] if unacknowledged else 0,
         })  # fmt: skip
 
@@ -79,7 +80,7 @@ class AlarmsApi:
             detail = {"alarm": alarm, "kind": row["kind"]}
             await note(cursor, visitor.tenant_id, visitor.name, "acknowledged an alarm", row["vehicle"], detail)
         self._live.add_alarm(visitor.tenant_id, row)
-        return json_response(row)
+        return json_response(alarm_with_languages(row))
 
     async def web_hook(self, request: Request) -> Response:
         """The address that is told of alarms, and the secret that its server compares signatures with."""

@@ -6,6 +6,7 @@ from services.monitoring.status.web.body import json_response
 
 from .access.guard import visitor_of
 from .database import CONTENT, Database
+from .told import with_languages
 
 NEWEST = f"""
 SELECT utc_ms, vehicle, name, {CONTENT} FROM event WHERE name = 'toll/transaction' ORDER BY utc_ms DESC LIMIT 200
@@ -26,4 +27,4 @@ class PassagesApi:
         """The newest passages."""
         async with self._database.tenant(visitor_of(request).tenant_id) as cursor:
             rows = await (await cursor.execute(NEWEST)).fetchall()
-        return json_response({"passages": rows, "more": len(rows) == 200})
+        return json_response({"passages": [with_languages(row) for row in rows], "more": len(rows) == 200})

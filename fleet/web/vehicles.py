@@ -12,10 +12,12 @@ from shared.fleet.batch import BadBatch, Kind
 from shared.fleet.sealed import unsealed
 from shared.fleet.times import OLD_S
 from shared.fleet.topics import VEHICLE
+from shared.words.words import words
 
 from .access.guard import visitor_of
 from .database import CONTENT, Cursor, Database, Row
 from .tiles import CHOSEN, Filter, filter_of, now_ms
+from .told import with_languages
 
 Name = Annotated[str, Path(pattern=f"^{VEHICLE.pattern}$")]
 Values = Sequence[Any] | Mapping[str, Any] | None
@@ -124,6 +126,8 @@ class VehiclesApi:
                     ("gaps", GAPS), ("keys", KEYS), ("epochs", EPOCHS), ("set_aside", ASIDE),
                 )
             }  # fmt: skip
+        parts["events"] = [with_languages(row) for row in parts["events"]]
+        parts["set_aside"] = [{**row, "told": words().name("refusal", row["reason"])} for row in parts["set_aside"]]
         return json_response({"now_ms": now_ms(), "vehicle": found[0], **parts})
 
     async def trail(

@@ -12,6 +12,7 @@ QUOTED_LENGTH = 80
 VALUES_MAXIMUM = 12
 LIST_MAXIMUM = 32
 EXPLANATIONS_MAXIMUM = 64
+PASSAGE_DIGITS = 8
 SIGNIFICANT = 6  # digits of a value
 
 
@@ -23,6 +24,8 @@ class ReferenceKind(StrEnum):
     NEIGHBOUR = "neighbour"
     PROCESS = "process"
     LANE = "lane"
+    TOPIC = "topic"
+    PASSAGE = "passage"  # by the first digits of its ID
 
 
 class Reference(Message):
@@ -30,6 +33,21 @@ class Reference(Message):
 
     kind: ReferenceKind
     name: Name
+
+
+def process(name: str) -> Reference:
+    """Refer to a process."""
+    return Reference(kind=ReferenceKind.PROCESS, name=name)
+
+
+def topic(name: str) -> Reference:
+    """Refer to a topic."""
+    return Reference(kind=ReferenceKind.TOPIC, name=name)
+
+
+def passage(passage_id: str) -> Reference:
+    """Refer to a passage, by the digits that people name it by."""
+    return Reference(kind=ReferenceKind.PASSAGE, name=passage_id[:PASSAGE_DIGITS])
 
 
 class Quoted(Message):

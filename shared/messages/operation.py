@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from .base import Bytes, Count, DeviceName, Integer, Message, Name, Nanoseconds, Quantity, Ratio, Reason, Seconds, unit
+from .explanation import Explanation
 
 MAX_KINDS = 64  # of messages of the devices of one process
 Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a process on the OBU time line
@@ -241,6 +242,7 @@ class TopicAge(Message):
     latency_p50_s: Seconds | None = None  # from `received_ns` or `sampled_ns` to the observer
     latency_p99_s: Seconds | None = None
     cause: Reason | None = None  # root cause of its silence
+    cause_code: Explanation | None = None  # which `cause` says; as that of all codes, absent from earlier releases
 
 
 class ProcessAge(Message):
@@ -262,6 +264,7 @@ class Outage(Message):
     since_ns: Nanoseconds
     until_ns: Nanoseconds | None = None
     cause: Reason
+    cause_code: Explanation | None = None  # which `cause` says
     affected: tuple[Name, ...] = ()  # topics that it silenced
 
 
@@ -270,6 +273,7 @@ class Problem(Message):
 
     what: Name  # as in `Outage`
     text: Reason
+    text_code: Explanation | None = None  # which `text` says
     since_ns: Nanoseconds | None = None
     affected: tuple[Name, ...] = ()
     outage: Outage | None = None  # None if nothing is silent because of it
@@ -295,8 +299,10 @@ class RecordingState(Message):
     dropped: Count
     free_bytes: Bytes
     reason: Reason | None = None
+    reason_code: Explanation | None = None  # which `reason` says
     left_out: Count = 0  # messages of topics or processes that sent more than is recorded
     flood: Reason | None = None  # which ones do so at present
+    flood_code: Explanation | None = None  # which `flood` says
 
 
 class OriginKind(StrEnum):

@@ -22,6 +22,7 @@ from .base import (
     Speed,
     unit,
 )
+from .explanation import Explanation
 
 StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudonym that a CAM carries
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
@@ -112,6 +113,7 @@ class TollDelta(Message):
     plaza: Name
     valid: bool
     reason: Reason
+    reason_code: Explanation | None = None  # which `reason` says; as that of all codes, absent from earlier releases
     north_m: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     east_m: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     sd_m: Deviation | None = None  # of each axis
@@ -217,6 +219,7 @@ class TollPassage(Message):
     plaza_digest: Digest
     state: PassageState
     reason: Reason = ""
+    reason_code: Explanation | None = None  # which `reason` says
     checkpoint: bool = False  # the state is that of an earlier statement
     station_ids: Annotated[tuple[StationId, ...], Field(max_length=STATION_IDS)]  # used on this passage, in their order
     opened_ns: Nanoseconds
@@ -253,6 +256,7 @@ class GateCommand(Message):
     crossing_sd_s: Deviation | None = None
     valid_until_ns: Nanoseconds
     reason: Reason = ""
+    reason_code: Explanation | None = None  # which `reason` says
 
 
 class TransactionKind(StrEnum):
@@ -294,7 +298,7 @@ class TollTransaction(Message):
     confirmed: bool = False  # True: by a pulse of the lane's detector; False: not confirmed by a detector
     evidence_digest: Digest
     attempt: Count = 1  # how often it was sent
-    reason: Reason = ""
+    reason: Reason = ""  # signed with the rest, and without a code
     seal: LedgerSeal | None = None  # None: as stored, or sent without a key
 
 
@@ -317,6 +321,7 @@ class TollReview(Message):
     passage_id: Digest
     plaza: Name
     reason: Reason
+    reason_code: Explanation | None = None  # which `reason` says
     lane: Name | None = None
     crossing_ns: Nanoseconds | None = None
     overlaps: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()  # passages reviewed together with it
@@ -427,6 +432,7 @@ class PassageSummary(Message):
     reversed: bool = False  # a reversal is booked
     evidence_digest: Digest | None = None
     reason: Reason = ""
+    reason_code: Explanation | None = None  # which `reason` says
 
 
 class LedgerState(Message):

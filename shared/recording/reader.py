@@ -13,7 +13,7 @@ from typing import cast
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from .. import VERSION, is_newer
 from ..bus.envelope import Envelope
@@ -176,6 +176,21 @@ class Recording:
         """Topics that the summary names; none of a recording that was not closed."""
         names = (channel.topic for channel in self._summary_channels().values())
         return frozenset(name for name in names if not name.startswith(PREFIX))
+
+    def schemas(self) -> dict[str, bytes]:
+        """JSON schemas by topic, as the summary has them; none of a recording that was not closed."""
+        summary = self.summary()
+        channels: dict[int, Channel] = {}
+        list(_messages(summary, channels))
+        known: dict[int, bytes] = {}
+        for opcode, content in records(summary):
+            if opcode == Opcode.SCHEMA:
+                try:
+                    schema = cast(Schema, Schema.read(ReadDataStream(BytesIO(content))))
+                except MALFORMED:
+                    continue
+                known[schema.id] = schema.data
+        return {one.topic: known[one.schema_id] for one in channels.values() if one.schema_id in known}
 
     def summary(self) -> bytes:
         """Give the summary section; empty for a recording that was not closed, or whose summary is damaged."""

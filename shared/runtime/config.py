@@ -228,7 +228,8 @@ class VehicleFile:
         try:
             return kind.model_validate(table, context={"vehicle": self})
         except ValidationError as error:
-            raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
+            cause, hint = _explain(name, kind, error)
+            raise ConfigError(f"{self.path}: {cause}{hint}", cause) from error
 
 
 def vehicle_in(context: object) -> VehicleFile | None:
@@ -269,23 +270,24 @@ def own_fields(kind: type[Section]) -> dict[str, FieldInfo]:
     return {name: info for name, info in kind.model_fields.items() if info.annotation is not Vehicle}
 
 
-def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
-    """Describe the first invalid key in one sentence, with the most similar valid key."""
+def _explain(section: str, kind: type[Section], error: ValidationError) -> tuple[str, str]:
+    """Describe the first invalid key with the most similar valid one; where none is, all of them are a hint."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     keys = list(dotted_keys(kind))
     if key not in keys and (clause := successor(f"{section}.{key}")):
-        return f"[{section}] has no setting {key!r}; {clause}"
+        return f"[{section}] has no setting {key!r}; {clause}", ""
     if first["type"] != "extra_forbidden":
-        return f"[{section}] {key} = {first['input']!r}: {first['msg']}"
+        return f"[{section}] {key} = {first['input']!r}: {first['msg']}", ""
     facts = dotted_keys(Vehicle) if issubclass(kind, VehicleSettings) else ()
     names = {
         **{fact.rpartition(".")[2]: in_section(f"vehicle.{fact}") for fact in facts},
         **{name: repr(known) for known in keys for name in (known.rpartition(".")[2], known)},
     }
     near = difflib.get_close_matches(key, names, n=1) or difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
-    hint = f"did you mean {names[near[0]]}?" if near else f"known keys: {', '.join(sorted(keys)) or 'none'}"
-    return f"[{section}] has no setting {key!r}; {hint}"
+    if near:
+        return f"[{section}] has no setting {key!r}; did you mean {names[near[0]]}?", ""
+    return f"[{section}] has no setting {key!r}", f"; known keys: {', '.join(sorted(keys)) or 'none'}"
 
 
 def read_toml(text: str, path: str) -> dict[str, object]:

@@ -27,14 +27,30 @@ OWNERS = {
     "evidence": "services/core/evidence",
     "cooperative": "services/core/cooperative",
     "banner": "services/monitoring/status/views",
+    "broker": "shared/bus",
+    "health": "services/monitoring/health",
+    "toll": "services/core/toll",
+    "ledger": "services/monitoring/ledger",
+    "fleet": "fleet/alarms",
+    "solve": "cli/solve",
+    "import": "cli/import_drive",
+    "recorder": "services/monitoring/recorder",
 }
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")
 REASON_LENGTH = 400  # of a message
 PLACEHOLDER = re.compile(r"\{(\w+)(?::(?!(?:and|or)\})(\w+))?(?::(and|or))?\}")
-SUBJECT, TEXT = "subject", "text"
+SUBJECT, CLAUSE, REJECT = "subject", "clause", "reject"
 Tables = dict[str, dict[str, str]]
 Names = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True)
+class Told:
+    """A code, and the text of its message, which is shown where the code has no words, or where there is no code."""
+
+    text: str
+    code: Explanation | None = None
 
 
 @dataclass(frozen=True)
@@ -43,14 +59,22 @@ class Row:
 
     A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several of them
     (joined by "or", as `{name:table:and}` by "and"), `{name}` or `{name:and}` for references, `{name}` for quotations,
-    `{subject}` for the subject, and `{name:text}` for a text of another message that has no code. `statistic`,
-    `threshold` and `window_s` may be those of the test that an explanation belongs to (`shared/trust`).
+    `{subject}` for the subject, and `{name:clause}` for the clause of another explanation. `statistic`, `threshold` and
+    `window_s` may be those of the test that an explanation belongs to (`shared/trust`).
     """
 
     sentence: str = ""  # one line for a driver, without figures
+    clause: str = ""  # a few words without capital and full stop, for the sentence of another code
     action: str = ""  # what to do
     detail: str = ""  # with figures: the `reason` of a message, and what stands behind "Why?"
     level: str = ""  # state that is shown while this code decides, where that is not the state of the message
+
+
+def _reject(kind: str) -> str | None:
+    from ..rejects import reason_of  # with all protocols, which most processes do without
+
+    found = reason_of(kind)
+    return found.meaning if found else None
 
 
 def _seconds(value: float) -> str:
@@ -63,6 +87,10 @@ def _plain_number(value: float) -> str:
 
 def _speed(value: float) -> str:
     return f"{value:z.1f} m/s" if abs(value) >= 1.0 else f"{value:z.2f} m/s"
+
+
+def _size(value: float) -> str:
+    return f"{value * 1e-6:.0f} MB" if value >= 1e6 else f"{value * 1e-3:.0f} kB"
 
 
 # A number's quantity: end of the names of its values, and how it is written. Angles are in radians or degrees.
@@ -80,8 +108,10 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "ratio": (("_ratio",), lambda value: f"{value:.3f}"),
     "carrier_to_noise": (("_db_hz",), lambda value: f"{value:.1f} dB-Hz"),
     "level_difference": (("_db",), lambda value: f"{value:.1f} dB"),
-    "delay": (("_s",), lambda value: f"{value:z.2f} s"),
     "factor": (("ratio",), lambda value: f"{value:.3g}"),
+    "delay": (("_s",), lambda value: f"{value:.3f} s"),
+    "accuracy": (("_m",), lambda value: f"{value:.3g} m"),
+    "size": (("_bytes",), _size),
     "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
     "number": (("statistic", "threshold", "count", "number"), _plain_number),
 }
@@ -103,10 +133,20 @@ class Words:
         """Row of a code, empty where there is none."""
         return self.rows.get(code, Row())
 
-    def sentence(self, explanation: Explanation, **texts: str) -> str | None:
-        """One line for a driver; None without a row that fits. `texts` are those of messages without codes."""
-        found = self._render(self.row(explanation.code).sentence, explanation, texts=texts)
-        return found or (self.otherwise.sentence(explanation, **texts) if self.otherwise else None)
+    def sentence(self, explanation: Explanation, **causes: Told) -> str | None:
+        """One line for a driver; None without a row that fits. `causes` are those that its placeholders name."""
+        clauses = {name: self.clause(cause) for name, cause in causes.items()}
+        found = self._render(self.row(explanation.code).sentence, explanation, clauses=clauses)
+        return found or (self.otherwise.sentence(explanation, **causes) if self.otherwise else None)
+
+    def clause(self, told: Told) -> str:
+        """A few words for the sentence of another code; without a row that fits, the text of the message."""
+        found = None if told.code is None else self._render(self.row(told.code.code).clause, told.code)
+        return found or (self.otherwise.clause(told) if self.otherwise else told.text)
+
+    def told(self, told: Told, zone: tzinfo = UTC) -> str:
+        """One line with figures; without a row that fits, the text of the message."""
+        return (None if told.code is None else self.detail(told.code, zone)) or told.text
 
     def action(self, explanation: Explanation) -> str | None:
         """What to do; None where the state says it."""
@@ -119,8 +159,11 @@ class Words:
         return found or (self.otherwise.detail(explanation, zone) if self.otherwise else None)
 
     def name(self, table: str, word: str) -> str:
-        """Name of a word of an enumeration; an unknown one as it is, with spaces."""
-        found = self.names.get(table, {}).get(word)
+        """Name of a word of an enumeration; an unknown one as it is, with spaces.
+
+        The table `reject` is that of the registry, in English: what each reason of a reject means.
+        """
+        found = self.names.get(table, {}).get(word) or (_reject(word) if table == REJECT else None)
         return found or (self.otherwise.name(table, word) if self.otherwise else word.replace("_", " "))
 
     def references(self, named: Sequence[Reference]) -> str:
@@ -128,21 +171,21 @@ class Words:
         return self._joined([self._reference(one) for one in named], self.format["or"])
 
     def _render(
-        self, template: str, explanation: Explanation, zone: tzinfo = UTC, texts: Mapping[str, str] | None = None
+        self, template: str, explanation: Explanation, zone: tzinfo = UTC, clauses: Mapping[str, str] | None = None
     ) -> str | None:
         """Fill the placeholders; None where a value is missing or does not fit, as in a message of another release."""
         try:
-            filled = PLACEHOLDER.sub(lambda found: self._filled(found, explanation, zone, texts or {}), template)
+            filled = PLACEHOLDER.sub(lambda found: self._filled(found, explanation, zone, clauses or {}), template)
         except (KeyError, TypeError, ValueError, OverflowError, OSError):
             return None
         return filled or None
 
     def _filled(
-        self, found: re.Match[str], explanation: Explanation, zone: tzinfo, texts: Mapping[str, str]
+        self, found: re.Match[str], explanation: Explanation, zone: tzinfo, clauses: Mapping[str, str]
     ) -> str:  # fmt: skip
         name, kind = found[1], found[2]
-        if kind == TEXT:
-            return texts[name]
+        if kind == CLAUSE:
+            return clauses[name]
         if name == SUBJECT:
             return self._reference(explanation.subject)
         value = explanation.values[name]
@@ -161,7 +204,7 @@ class Words:
             return self._reference(value)
         if isinstance(value, Quoted):
             return f"“{value.quoted}”"
-        if table is None or not isinstance(value, str):
+        if not table or not isinstance(value, str):
             raise TypeError(f"{value!r} is written by the name of a table")
         return self.name(table, value)
 
@@ -188,6 +231,11 @@ def said(text: str, code: Explanation | None, zone: tzinfo = UTC) -> str:
 def reason(*explanations: Explanation) -> str:
     """Render the English details of codes of one's own, as they stand in messages."""
     return "; ".join(words().detail(one) or one.code for one in explanations)[:REASON_LENGTH]
+
+
+def stated(explanation: Explanation) -> Told:
+    """A code of one's own with its English detail."""
+    return Told(reason(explanation), explanation)
 
 
 @cache

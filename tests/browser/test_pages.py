@@ -25,11 +25,11 @@ WORDS: dict[str, str | re.Pattern[str]] = {
 }  # the latter after two minutes
 SENTENCES: dict[str, str | re.Pattern[str]] = {
     "normal": "The position can be used.",
-    "stale": "No position: core.fusion is stale: connected, but without heartbeat",
+    "stale": "No position: core.fusion does not answer.",
     "alarm": "The position must not be used: GNSS",
     "empty": re.compile(
         "Nothing is known yet: waiting for the first verdict of core.trust"
-        "|Trust is not evaluated: no verdict of core.trust"
+        "|Trust is not evaluated: (no verdict of core.trust|core.trust is missing)"
     ),
 }
 COLOUR_RULES = ("color-contrast", "link-in-text-block")

@@ -215,10 +215,6 @@ def test_a_killed_filter_publishes_again_within_two_seconds_and_is_the_cause_unt
     unit.assert_one_outage("core.fusion", lost, "navigation/solution", "navigation/state")
     again = {text for text in unit.problems if text.startswith("core.fusion was restarted and is starting again")}
     assert unit.problems <= {lost, *again}, "a warm start may be over before the second text is polled"
-    explained = [
-        sentence for sentence in unit.sentences if sentence.startswith("No position: ") and "(core." in sentence
-    ]
-    assert all("core.fusion was" in sentence for sentence in explained), explained
 
 
 def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Path) -> bool:
@@ -308,7 +304,7 @@ def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(unit: Unit
     cause = "sensors.simulator is stale: connected, but without heartbeat; it hangs or is overloaded"
     with unit.suspend("run sensors.simulator"):
         unit.until(
-            lambda _: any(one.startswith("No position: ") and cause in one for one in unit.sentences),
+            lambda _: "No position: sensors.simulator does not answer." in unit.sentences,
             "the banner names the cause",
         )
     unit.until_well()
@@ -354,7 +350,9 @@ def test_a_hung_broker_is_one_outage(unit: Unit) -> None:
     unit.until_settled("broker")
     with unit.suspend(BROKER_PROCESS[unit.kind]):
         stopped = time.monotonic()
-        unit.until(lambda _: f"Nothing is known: {hangs}." in unit.sentences, "the banner names the broker")
+        unit.until(
+            lambda _: "Nothing is known: the broker delivers nothing." in unit.sentences, "the banner names the broker"
+        )
         health = unit.poll()
         assert (health["state"], health["topics"]) == ("failed", {})
         assert unit.states["broker_lost"] >= 1.9, "two seconds without the own heartbeat"

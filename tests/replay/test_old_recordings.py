@@ -1,5 +1,6 @@
 """Recordings of earlier releases stay solvable; the vehicle's file inside them is translated when it is read."""
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config as Fusion
 from services.core.trust.process import Config as Trust
 from shared.errors import UserError
+from shared.evidence.outcome import OTHER_RELEASE
 from shared.messages.base import Message
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution
@@ -60,9 +62,11 @@ def test_another_mounting_in_the_file_that_is_given_turns_the_samples(tmp_path: 
     assert np.degrees(np.arctan2(correction[1, 0], correction[0, 0])) == pytest.approx(90.0, abs=0.1)
 
 
-def test_what_another_mounting_has_made_cannot_be_verified_and_that_is_said() -> None:
-    with pytest.raises(UserError, match="another mounting of the IMU"):
-        verify([TURNED])
+def test_what_another_release_has_made_is_not_called_different(capsys: pytest.CaptureFixture[str]) -> None:
+    assert verify([TURNED], as_json=True) == OTHER_RELEASE
+    told = json.loads(capsys.readouterr().out)
+    assert told["code"] == OTHER_RELEASE and told["release"] == {"version": None, "is_this": False}
+    assert told["files"][0]["outcome"] == "unsigned"
 
 
 def test_a_given_file_replaces_a_recorded_one_that_cannot_be_read(tmp_path: Path) -> None:

@@ -1,19 +1,23 @@
 """Every row of the words with its longest values: what `tests/golden/sentences.txt` holds for review."""
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 
-from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
-from shared.words.words import INSTANT, LANGUAGES, PLACEHOLDER, QUANTITIES, SUBJECT, TEXT, Words, words
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, Reference, ReferenceKind, explain, process
+from shared.words.words import CLAUSE, INSTANT, LANGUAGES, PLACEHOLDER, QUANTITIES, SUBJECT, Told, Words, words
 from tests.support.data import REPOSITORY
 
 FILE = REPOSITORY / "tests" / "golden" / "sentences.txt"
-FIELDS = ("sentence", "action", "detail")
+FIELDS = ("sentence", "clause", "action", "detail")
 NUMBER, ANGLE, SHARE, STAMP_NS = 12345.6, 3.14, 0.123, 1_795_000_000 * 10**9
 # Values that are lists, and how many of them a sentence names, or a detail can.
 LISTS = {
     "suspects": 2, "monitors": 10, "supporting": 5, "contradicting": 5, "accused": 16, "satellites": 16,
     "suspected_satellites": 16, "neighbours": 16, "sources": 4, "differences": 5, "missing": 8,
 }  # fmt: skip
+LISTS |= {"topics": 16, "senders": 3, "axes": 2}
+QUOTED = ("clients", "error", "folder", "operator", "answer", "tariff_class", "file")  # texts of others
+PROCESS = process("core.motion_conflict")
 
 
 def longest(code: str, spoken: Words) -> Explanation:
@@ -21,23 +25,41 @@ def longest(code: str, spoken: Words) -> Explanation:
     row, english = spoken.row(code), words().row(code)
     texts = [getattr(one, field) for one in (row, english) for field in FIELDS]
     found = {match[1]: match[2] for text in texts for match in PLACEHOLDER.finditer(text)}
-    values = {name: _value(name, kind, spoken) for name, kind in found.items() if kind != TEXT and name != SUBJECT}
-    return explain(code, Reference(kind=ReferenceKind.SOURCE, name="imu") if SUBJECT in found else None, **values)
+    values = {name: _value(name, kind, spoken) for name, kind in found.items() if kind != CLAUSE and name != SUBJECT}
+    subject = Reference(kind=ReferenceKind.SOURCE, name="imu") if code.startswith("trust.") else PROCESS
+    return explain(code, subject if SUBJECT in found else None, **values)
 
 
 def texts(code: str, spoken: Words) -> Mapping[str, str | None]:
-    """Render sentence, action and detail of a code with its longest values; a text of others is left empty."""
+    """Render what a code says with its longest values, a sentence that names a cause with the longest of these."""
     explanation = longest(code, spoken)
     return {
-        "sentence": spoken.sentence(explanation, cause=""),
+        "sentence": spoken.sentence(explanation, cause=longest_cause(spoken)),
+        "clause": spoken.clause(Told("", explanation)) or None,
         "action": spoken.action(explanation),
         "detail": spoken.detail(explanation),
     }
 
 
+@cache
+def _longest_cause(language: str) -> Told:
+    spoken = words(language)
+    every = [Told("", longest(code, spoken)) for code, row in words().rows.items() if row.clause]
+    return max(every, key=lambda told: len(spoken.clause(told)))
+
+
+def longest_cause(spoken: Words) -> Told:
+    """The longest clause of a language."""
+    return _longest_cause(spoken.language)
+
+
 def _value(name: str, kind: str | None, spoken: Words) -> object:
-    if kind is None:
+    if not kind and name in QUOTED:
+        return Quoted(quoted="x" * QUOTED_LENGTH)
+    if not kind and name in LISTS:
         return (Reference(kind=ReferenceKind.SATELLITE, name="G05"),) * LISTS[name]
+    if not kind:
+        return PROCESS
     if kind in QUANTITIES:
         return {"angle": ANGLE, "share": SHARE}.get(kind, NUMBER)
     if kind == INSTANT:

@@ -11,6 +11,8 @@ from services.core.toll.lanes import LaneGeometry, lane_likelihood
 from services.core.toll.location import Agreement, Fixes, Location, locate
 from services.core.toll.trackers.filters import imm
 from services.core.toll.trackers.observation import Observation
+from shared.messages.explanation import Explanation
+from shared.words.words import reason
 
 from .trajectory import TUNED_SD, quantised
 
@@ -170,6 +172,6 @@ def _delta(errors: Errors, unit: FloatArray) -> tuple[float, float, float]:
     for second in range(int(last_s) + 1):
         estimator.add(second * 10**9, *unit[round(second / STEP_S)].tolist())
     delta = estimator.delta(round(last_s * 1e9))
-    if isinstance(delta, str):
-        raise ValueError(delta)
+    if isinstance(delta, Explanation):
+        raise ValueError(reason(delta))
     return delta.east, delta.north, float(np.sqrt(delta.sd**2 + errors.model.change_variance(LATENCY_S)))

@@ -7,6 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.messages.base import Vector3
 from shared.messages.trust import TrustLevel
+from shared.words.words import words
 
 from ..attitude import rotations
 from ..reference_track import Reference
@@ -15,7 +16,7 @@ from ..verdicts import Verdicts
 from .errors import Stamps, errors_against
 
 SETTLED_NS = 60_000_000_000  # from the first input on
-WORDS = {level: level.value.replace("_", " ").upper() for level in TrustLevel}
+WORDS = {level: words().name("state", level) for level in TrustLevel}
 # A name with a dot is a key of an object in metrics.json.
 TRUST: dict[str, str] = {
     **{f"trust_seconds.{level}": f"seconds with the verdict {word} of core.trust" for level, word in WORDS.items()},

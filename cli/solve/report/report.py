@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from html import escape
 from math import degrees
 
+from shared.messages.explanation import Explanation, explain
+from shared.words.words import reason, words
+
+from ..codes import Code
 from ..metrics.gnss_alone import WORSE
 from ..metrics.metrics import METRICS, Value, as_objects
 from ..metrics.trust import WORDS
@@ -127,20 +131,29 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
 """
 
 
-def document(heading: Heading, metrics: dict[str, Value]) -> dict[str, Value | str | dict[str, Value]]:
-    """What metrics.json holds: the verdict, then every metric."""
-    return {"verdict": verdict(metrics, heading.clocks), **as_objects(metrics)}
+def document(heading: Heading, metrics: dict[str, Value]) -> dict[str, object]:
+    """What metrics.json holds: the verdict in a sentence and as codes, then every metric."""
+    codes = [one.model_dump(mode="json", exclude_none=True) for one in judgement(metrics)]
+    return {"verdict": verdict(metrics, heading.clocks), "verdict_codes": codes, **as_objects(metrics)}
 
 
 def verdict(metrics: dict[str, Value], clocks: Sequence[str] = ()) -> str:
-    """Judge the drive in one sentence, and say in a second one if parts of it have no solution.
+    """Judge the drive in sentences: those of the codes, and what the comparison of the clocks says."""
+    codes = judgement(metrics)
+    if clocks and codes[0].code == Code.UNSOUND:
+        return " ".join([reason(codes[0]), *clocks, *(reason(one) for one in codes[2:])])
+    return " ".join(reason(one) for one in codes)
+
+
+def judgement(metrics: dict[str, Value]) -> list[Explanation]:
+    """Judge the drive, and say if parts of it have no solution.
 
     Where the filter used few of the fixes, or was reset often, no other number says anything of the drive: then the
-    first sentence is that, and the second one what to try.
+    first code is that, and the second one what to try.
     """
-    missing = metrics.get("without_solution_s")
-    judged = hardly_used(metrics, clocks) or _judged(metrics)
-    return judged + (f" There is no solution for {_seconds(missing)} s." if missing else "")
+    missing_s = metrics.get("without_solution_s")
+    judged = _unsound(metrics) if is_hardly_used(metrics) else _judged(metrics)
+    return [*judged, *([explain(Code.MISSING, missing_s=missing_s)] if missing_s else [])]
 
 
 def is_hardly_used(metrics: dict[str, Value]) -> bool:
@@ -150,20 +163,13 @@ def is_hardly_used(metrics: dict[str, Value]) -> bool:
     return often or (share is not None and share < LEAST_USED)
 
 
-def hardly_used(metrics: dict[str, Value], clocks: Sequence[str] = ()) -> str:
-    """Say what share of the fixes was used, how often the filter was reset, and what to try; empty for a sound run."""
-    if not is_hardly_used(metrics):
-        return ""
-    if clocks:
-        advice = " ".join(clocks)
-    elif metrics.get("gnss_excluded_s"):
-        advice = "core.trust excluded GNSS; --without trust shows the run without it."
-    else:
-        advice = (
-            "Check that the stamps of the files are of one clock (`obu import` compares them), then the axes of the "
-            "IMU and the lever arm."
-        )
-    return f"This is no sound solution: {_use(metrics)}. {advice}"
+def _unsound(metrics: dict[str, Value]) -> list[Explanation]:
+    excluded = bool(metrics.get("gnss_excluded_s"))
+    found = explain(
+        Code.UNSOUND, used_count=metrics["fixes_used"], offered_count=metrics.get("fixes_offered") or 0,
+        reset_count=metrics.get("filter_resets") or 0,
+    )  # fmt: skip
+    return [found, explain(Code.UNSOUND_EXCLUDED if excluded else Code.UNSOUND_UNEXPLAINED)]
 
 
 def _use(metrics: dict[str, Value]) -> str:
@@ -174,25 +180,20 @@ def _use(metrics: dict[str, Value]) -> str:
     return f"{used}{percent}, and the filter was reset {times}"
 
 
-def _judged(metrics: dict[str, Value]) -> str:
+def _judged(metrics: dict[str, Value]) -> list[Explanation]:
     ours, gnss = metrics["at_fixes_horizontal_rmse_m"], metrics["gnss_alone_horizontal_rmse_m"]
     if ours is not None and gnss is not None and _same_input(metrics):
         axes = worse_axes(metrics)
-        equal = "better than" if ours < gnss / WORSE else "as good as"
-        compared = f"worse than the receiver {' and '.join(axes)}" if axes else f"{equal} the receiver"
-        height = metrics["at_fixes_vertical_rmse_m"], metrics["gnss_alone_vertical_rmse_m"]
-        vertical = f", vertically {_metres(height[0])} instead of {_metres(height[1])}" if None not in height else ""
-        return f"Position {compared}: horizontally {_metres(ours)} RMS instead of {_metres(gnss)}{vertical}."
+        code = Code.WORSE if axes else Code.BETTER if ours < gnss / WORSE else Code.AS_GOOD
+        up, gnss_up = metrics["at_fixes_vertical_rmse_m"], metrics["gnss_alone_vertical_rmse_m"]
+        vertical = [explain(Code.VERTICAL, position_m=up, receiver_m=gnss_up)] if None not in (up, gnss_up) else []
+        return [explain(code, axes=axes or None, position_m=ours, receiver_m=gnss), *vertical]
     if metrics["horizontal_rmse_m"] is not None:
-        return (
-            f"The position is {_metres(metrics['horizontal_rmse_m'])} from the truth horizontally and "
-            f"{_metres(metrics['vertical_rmse_m'])} vertically (RMS)."
-        )
+        horizontal_m, vertical_m = metrics["horizontal_rmse_m"], metrics["vertical_rmse_m"]
+        return [explain(Code.TRUTH, horizontal_m=horizontal_m, vertical_m=vertical_m)]
     if metrics["innovation_horizontal_rms_m"] is not None:
-        return (
-            f"There is no truth; the next fix is predicted to {_metres(metrics['innovation_horizontal_rms_m'])} (RMS)."
-        )
-    return "There is neither a truth nor a used fix to judge the position by."
+        return [explain(Code.INNOVATION, innovation_m=metrics["innovation_horizontal_rms_m"])]
+    return [explain(Code.NOTHING)]
 
 
 def numbers(metrics: dict[str, Value]) -> list[tuple[str, str]]:
@@ -228,7 +229,7 @@ def _missing(metrics: dict[str, Value]) -> list[str]:
 def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     """Summarise the results in a few sentences, the first of which says if they are of no use."""
     driven = f"{_number(metrics['duration_s'])} s of driving, {_number(metrics['distance_m'])} m."
-    found = [hardly_used(metrics, heading.clocks), driven] if is_hardly_used(metrics) else [driven, f"{_use(metrics)}."]
+    found = [verdict(metrics, heading.clocks), driven] if is_hardly_used(metrics) else [driven, f"{_use(metrics)}."]
     if metrics["horizontal_rmse_m"] is not None:
         found.append(
             f"Position error: {_metres(metrics['horizontal_rmse_m'])} horizontal RMS (95th percentile "
@@ -280,8 +281,9 @@ def against_gnss(metrics: dict[str, Value]) -> list[str]:
         return []
     found = [f"Receiver only, at the same {metrics['gnss_alone_count']} fixes: {shown}."]
     if axes := worse_axes(metrics):
+        said = " and ".join(words().name("adverb", axis) for axis in axes)
         found.append(
-            f"Fusion is worse than the receiver {' and '.join(axes)}: check lever arm, axes and delays, or the "
+            f"Fusion is worse than the receiver {said}: check lever arm, axes and delays, or the "
             "settings of the GNSS error model."
         )
     return found
@@ -298,7 +300,7 @@ def worse_axes(metrics: dict[str, Value]) -> list[str]:
     gnss, fused = _errors("gnss_alone", metrics), _errors("at_fixes", metrics)
     return [
         axis
-        for axis, a, b in zip(("horizontally", "vertically"), gnss, fused, strict=True)
+        for axis, a, b in zip(("horizontal", "vertical"), gnss, fused, strict=True)
         if a is not None and b is not None and b > WORSE * a
     ]
 

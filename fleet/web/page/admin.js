@@ -155,5 +155,5 @@ export function PassagesPage() {
   const { answer, error } = useAsked("api/passages", 10000);
   return html`<div class="page admin-page"><${Card} title=${w.title} id="passages"><${Problem} text=${error} />
     ${answer && (answer.passages.length === 0 ? html`<${Empty} title=${w.none} why=${w.noneWhy} />` : html`<${Table} label=${w.title} columns=${w.columns}>
-      ${answer.passages.map((p, i) => html`<tr key=${i}><td>${utc(p.utc_ms)}</td><th scope="row">${p.vehicle}</th><td>${nameOf(p.name)}</td><td class="content-cell">${sentenceOf(p.name, p.content)}</td></tr>`)}</${Table}>`)}</${Card}></div>`;
+      ${answer.passages.map((p, i) => html`<tr key=${i}><td>${utc(p.utc_ms)}</td><th scope="row">${p.vehicle}</th><td>${nameOf(p.name)}</td><td class="content-cell">${sentenceOf(p.name, p)}</td></tr>`)}</${Table}>`)}</${Card}></div>`;
 }

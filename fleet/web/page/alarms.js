@@ -36,9 +36,8 @@ function Hook() {
 function Alarm({ row, onAcknowledge }) {
   const kind = w.kinds[row.kind];
   const { last_ms: last, ...detail } = row.detail;
-  if (last != null) detail.last = utc(last);
   return html`<tr><th scope="row"><a href=${`#/vehicles/${encodeURIComponent(row.vehicle)}`}>${row.vehicle}</a></th>
-    <td>${kind}${row.late && html` <span class="old-mark" title=${w.lateTitle}>${w.late}</span>`}${Object.keys(detail).length > 0 && html`<span class="note block">${alarmSentence(row.kind, detail)}</span>`}</td>
+    <td>${kind}${row.late && html` <span class="old-mark" title=${w.lateTitle}>${w.late}</span>`}${Object.keys(detail).length > 0 && html`<span class="note block">${alarmSentence(row, detail)}${last != null && ` ${w.last(utc(last))}`}</span>`}</td>
     <td>${utc(row.since_ms)} <span class="dim">${all.ago(duration(ageS(row.since_ms)))}</span></td>
     <td>${row.until_ms == null ? html`<strong>${w.open}</strong>` : utc(row.until_ms)}</td>
     <td>${row.acknowledged_ms != null ? w.by(row.acknowledged_by, utc(row.acknowledged_ms))

@@ -1,5 +1,6 @@
 // What happened, in sentences: events of vehicles, charges, details of alarms and of the audit. Content is anybody's: each
 // value is taken as text, and what has not the form of its topic is shown by names and values without brackets.
+import { languageOf } from "./unit/parts.js";
 import { words } from "./unit/words.js";
 
 const DEPTH = 3; // of values in values
@@ -64,17 +65,12 @@ const NAMES = {
 };
 export const nameOf = (topic) => NAMES[topic] ?? topic;
 
-export function sentenceOf(topic, content) {
-  const known = content && typeof content === "object" && !Array.isArray(content) ? content : {};
+// Of an event, whose texts the centre has put into words by their codes.
+export function sentenceOf(topic, { content, ...row }) {
+  const known = content && typeof content === "object" && !Array.isArray(content) ? { ...content, ...row.languages?.[languageOf(row)] } : {};
   if (isText(known.left_out)) return `Its content is left out: ${ended(text(known.left_out))}`;
   return (Object.hasOwn(SENTENCES, topic) ? SENTENCES[topic](known) : null)?.slice(0, MOST) ?? plain(known);
 }
 
-// Details of alarms by their kind.
-const ALARMS = {
-  silent: ({ after_s: s }) => (typeof s === "number" ? `No report for ${s >= 3600 ? `${Math.round(s / 3600)} h` : `${Math.round(s / 60)} min`}.` : null),
-  gap: ({ missing, dropped }) => (missing != null ? `${flat(missing)} reports are missing.` : dropped != null ? `${flat(dropped)} reports were dropped by a full outbox.` : null),
-  signature: ({ reason, count, last }) => `${flat(count)} batches were not signed by it (${flat(reason)})${last ? `, the last at ${last}` : ""}.`,
-  flood: ({ budget, withheld, last }) => `${flat(withheld)} batches have no receipt: the budget of the ${flat(budget)} is used up${last ? `, the last at ${last}` : ""}.`,
-};
-export const alarmSentence = (kind, detail) => (Object.hasOwn(ALARMS, kind) ? ALARMS[kind](detail) : null) ?? plain(detail);
+// The detail of an alarm: by its code in the browser's language, else by names and values.
+export const alarmSentence = (row, detail) => row.languages?.[languageOf(row)]?.sentence ?? plain(detail);

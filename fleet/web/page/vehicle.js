@@ -32,14 +32,14 @@ function Newest({ row, origins }) {
 }
 
 const Events = ({ events }) => (events.length === 0 ? html`<p class="dim">${w.noEvents}</p>` : html`<${Table} label=${w.events} columns=${[w.columns.time, w.columns.name, w.columns.content]}>
-  ${events.map((e, i) => html`<tr key=${i}><td>${utc(e.utc_ms)}</td><th scope="row" title=${e.name}>${nameOf(e.name)}</th><td class="content-cell">${sentenceOf(e.name, e.content)}</td></tr>`)}</${Table}>`);
+  ${events.map((e, i) => html`<tr key=${i}><td>${utc(e.utc_ms)}</td><th scope="row" title=${e.name}>${nameOf(e.name)}</th><td class="content-cell">${sentenceOf(e.name, e)}</td></tr>`)}</${Table}>`);
 
 function Gaps({ gaps, epochs, aside }) {
   const missing = epochs.reduce((n, e) => n + Math.max(0, e.highest - e.received - e.lost), 0);
   return html`${gaps.length === 0 && missing === 0 ? html`<p class="dim">${w.noGaps}</p>` : html`<ul class="reasons">
       ${missing > 0 && html`<li>${w.missingReports(missing)}</li>`}
       ${gaps.map((g, i) => html`<li key=${i}>${utc(g.from_ms)} - ${utc(g.to_ms)}: ${w.gap(g.count)}</li>`)}</ul>`}
-    ${aside.length > 0 && html`<h3 class="divide">${w.aside}</h3><ul class="reasons">${aside.map((a) => html`<li key=${a.reason}>${w.asideRow(a.batches, a.reason)}</li>`)}</ul>`}`;
+    ${aside.length > 0 && html`<h3 class="divide">${w.aside}</h3><ul class="reasons">${aside.map((a) => html`<li key=${a.reason}>${w.asideRow(a.batches, a.told ?? a.reason)}</li>`)}</ul>`}`;
 }
 
 function stateOf(key) {

@@ -108,6 +108,7 @@ export const w = {
     kinds: { unsafe: "UNSAFE for long", gap: "Gap in the evidence", silent: "Silent", signature: "Foreign signature", flood: "Flood of reports" },
     columns: ["Vehicle", "Kind", "Since", "Until", "Acknowledged"],
     open: "open",
+    last: (time) => `The last at ${time}.`,
     late: "late",
     lateTitle: "Raised by reports that arrived long after their stamps",
     acknowledge: "Acknowledge",

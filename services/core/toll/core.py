@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shared.maths.dates import BEYOND_NS
 from shared.maths.earth import FloatArray
+from shared.messages.explanation import Explanation
 from shared.messages.fitting import fitting, size
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
@@ -34,6 +35,7 @@ from shared.messages.toll import (
 )
 from shared.messages.v2x import Cam, StationType
 from shared.toll.plaza import Plaza, along
+from shared.words.words import Told, reason
 
 from .delta import DeltaEstimator
 from .gates import Arrival, is_near, refusal
@@ -60,6 +62,8 @@ NO_VEHICLE = {StationType.ROAD_SIDE_UNIT, StationType.PEDESTRIAN, StationType.CY
 
 BoolArray = npt.NDArray[np.bool_]
 Statement = TollPassage | GateCommand
+
+Command = tuple[int, bool, Explanation | None]  # lane, whether it opens, and why not
 
 
 @dataclass
@@ -94,7 +98,7 @@ class Core:
         self._passages: dict[str, Passage] = {}  # of a track, or continued from the ledger
         self._unsettled: dict[str, TollPassage] = {}  # last statements of ended passages
         self._contracts: dict[int, int] = {}  # station ID: end of its registration
-        self._gates: dict[str, tuple[str, int]] = {}  # passage: content and time of its newest gate command
+        self._gates: dict[str, tuple[Command, int]] = {}  # passage: content and time of its newest gate command
         self._taken: deque[tuple[int, Received]] = deque()  # clock offset and CAM, as `used` has returned them
         self._rejected: Counter[str] = Counter()
         self._cams = 0
@@ -126,8 +130,8 @@ class Core:
             self._rejected["fix_is_corrected"] += 1  # its error is not that of the vehicles
         else:
             north, east = self._plaza.plane(fix.latitude_deg, fix.longitude_deg)
-            if reason := self._estimator.add(fix.sampled_ns, east, north):
-                self._rejected[reason] += 1
+            if reject := self._estimator.add(fix.sampled_ns, east, north):
+                self._rejected[reject] += 1
 
     def estimate_delta(self, now_ns: int) -> TollDelta:
         """Compute the delta position; it is used once it is passed to `use_delta`.
@@ -138,8 +142,10 @@ class Core:
             self._rejected["delta_from_the_future"] += 1
             self._deltas.pop()
         found = self._estimator.delta(now_ns)
-        if isinstance(found, str):
-            return TollDelta(sampled_ns=now_ns, plaza=self._plaza.name, valid=False, reason=found)
+        if isinstance(found, Explanation):
+            return TollDelta(
+                sampled_ns=now_ns, plaza=self._plaza.name, valid=False, reason=reason(found), reason_code=found
+            )
         return TollDelta(
             sampled_ns=found.time_ns,
             plaza=self._plaza.name,
@@ -591,7 +597,7 @@ class Core:
             station_ids=list(statement.station_ids),
             here=here,
             state=statement.state,
-            doubt=statement.reason,
+            doubt=Told(statement.reason, statement.reason_code) if statement.reason else None,
             crossing=crossing,
             stated_ns=statement.sampled_ns,
             overlaps=list(statement.overlaps),
@@ -638,23 +644,25 @@ class Core:
         lane = here.decided(settings.decided)
         if passage.state is not PassageState.OPEN or lane is None or not is_near(here, settings):
             return
-        reason = refusal(passage, self._ahead(passage, here, lane))
-        content, said_ns = self._gates.get(passage.passage_id, ("", 0))
-        if content == f"{lane} {reason}" and here.time_ns - said_ns < SECOND_NS:
+        why = refusal(passage, self._ahead(passage, here, lane))
+        command = lane, why is None, why.code if why else None
+        before, said_ns = self._gates.get(passage.passage_id, (None, 0))
+        if command == before and here.time_ns - said_ns < SECOND_NS:
             return
-        self._gates[passage.passage_id] = (f"{lane} {reason}", here.time_ns)
+        self._gates[passage.passage_id] = command, here.time_ns
         arrival = Arrival.of(here)
         yield GateCommand(
             sampled_ns=here.time_ns,
             plaza=self._plaza.name,
             lane=self._plaza.lanes[lane].name,
             passage_id=passage.passage_id,
-            open=not reason,
+            open=why is None,
             mode=self._plaza.lanes[lane].mode,
             crossing_ns=arrival.crossing_ns,
             crossing_sd_s=arrival.sd_s,
             valid_until_ns=max(arrival.crossing_ns or 0, here.time_ns) + GATE_VALID_S * SECOND_NS,
-            reason=reason,
+            reason=why.text if why else "",
+            reason_code=why.code if why else None,
         )
 
     def _ahead(self, passage: Passage, here: Here, lane: int) -> Passage | None:
@@ -673,7 +681,7 @@ class Core:
     def _statement(
         self, passage: Passage, now_ns: int, *, checkpoint: bool = False, evidence: PassageEvidence | None = None
     ) -> TollPassage:
-        here, crossing = passage.here, passage.crossing
+        here, crossing, why = passage.here, passage.crossing, passage.why or passage.doubt
         passage.stated_ns = now_ns
         position = self._plaza.position(here.north, here.east)
         lanes = crossing.lanes if crossing else here.lanes
@@ -684,7 +692,8 @@ class Core:
             plaza=self._plaza.name,
             plaza_digest=self._plaza.digest,
             state=passage.state,
-            reason=passage.reason or passage.doubt,
+            reason=why.text if why else "",
+            reason_code=why.code if why else None,
             checkpoint=checkpoint,
             station_ids=tuple(passage.station_ids),
             opened_ns=passage.opened_ns,

@@ -11,6 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from shared.messages.explanation import Explanation, explain
+
+from .codes import Code
+
 FloatArray = npt.NDArray[np.float64]
 MAXIMUM_M = 100.0  # a receiver that is further off is not in error, but broken or deceived
 
@@ -78,15 +82,15 @@ class DeltaEstimator:
             self._samples.popleft()
         return None
 
-    def delta(self, now_ns: int) -> Delta | str:
+    def delta(self, now_ns: int) -> Delta | Explanation:
         """Return the delta position, or why there is none."""
         if not self._samples:
-            return "no fix of the unit's receiver"
+            return explain(Code.NO_FIX)
         newest_ns, oldest_ns = self._samples[-1][0], self._samples[0][0]
         if now_ns - newest_ns > self._max_age_ns:
-            return f"no fix for {(now_ns - newest_ns) / 1e9:.0f} s"
+            return explain(Code.OLD_FIX, age_s=round((now_ns - newest_ns) / 1e9))
         if newest_ns - oldest_ns < self._least_ns:
-            return f"only {(newest_ns - oldest_ns) / 1e9:.0f} s of fixes"
+            return explain(Code.FEW_FIXES, span_s=round((newest_ns - oldest_ns) / 1e9))
         samples = np.array([[(t - newest_ns) * 1e-9, east, north] for t, east, north in self._samples])
         weights, variance = self._weights(samples[:, 0])
         east, north = (weights @ samples[:, 1:]).tolist()

@@ -3,6 +3,11 @@
 from dataclasses import dataclass
 from math import hypot
 
+from shared.messages.explanation import explain
+from shared.messages.explanation import passage as reference_of
+from shared.words.words import Told, stated
+
+from .codes import Code
 from .passages import Here, Passage
 from .settings import PassageSettings
 
@@ -33,15 +38,15 @@ def is_near(here: Here, settings: PassageSettings) -> bool:
     return -here.along <= max(settings.gate_lead_m, settings.gate_lead_s * here.speed)
 
 
-def refusal(passage: Passage, ahead: Passage | None) -> str:
-    """Why the gate stays closed for a vehicle; empty: it opens.
+def refusal(passage: Passage, ahead: Passage | None) -> Told | None:
+    """Why the gate stays closed for a vehicle; None: it opens.
 
     `ahead` is another passage in the same lane of a stop-and-go gate that is nearer to its gate line.
     """
     if not passage.registered:
-        return "no contract is known"
+        return stated(explain(Code.NO_CONTRACT))
     if passage.doubt:
         return passage.doubt
     if ahead is not None:
-        return f"passage {ahead.passage_id[:8]} is before it"
-    return ""
+        return stated(explain(Code.QUEUED, passage=reference_of(ahead.passage_id)))
+    return None

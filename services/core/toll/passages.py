@@ -5,8 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
 
+from shared.messages.explanation import Explanation, explain
+from shared.messages.explanation import passage as reference_of
 from shared.messages.toll import OVERLAPS, POSTERIORS, PassageState
+from shared.words.words import Told, stated
 
+from .codes import Code
 from .settings import PassageSettings
 
 ACCELERATION, FASTEST = 3.0, 70.0  # [m/s²], [m/s] of a vehicle that is not seen
@@ -102,8 +106,8 @@ class Passage:
     station_ids: list[int]
     here: Here
     state: PassageState = PassageState.OPEN
-    reason: str = ""
-    doubt: str = ""  # why it will be suspect once it has crossed
+    why: Told | None = None
+    doubt: Told | None = None  # why it will be suspect once it has crossed
     crossing: Crossing | None = None
     exit_ns: int | None = None
     registered: bool = False
@@ -140,8 +144,8 @@ class Passage:
         if self.state.is_final:
             return False
         if here.along < self.furthest - settings.turned_m:
-            side = "before" if self.state is PassageState.OPEN else "behind"
-            self._end(PassageState.VOID, f"turned around {side} the gate line")
+            is_before = self.state is PassageState.OPEN
+            self._end(PassageState.VOID, explain(Code.TURNED_BEFORE if is_before else Code.TURNED_BEHIND))
         elif self.state is PassageState.OPEN and crossing and here.along >= settings.crossed_m:
             self.state, self.crossing = PassageState.CROSSED, crossing
             self.posteriors = [*self.posteriors[1 - POSTERIORS :], (here.time_ns, crossing.lanes)]
@@ -159,16 +163,16 @@ class Passage:
             return False
         self.exit_ns = self.here.time_ns
         if not self.registered:
-            self._end(PassageState.UNREGISTERED, "no contract is known for its station IDs")
+            self._end(PassageState.UNREGISTERED, explain(Code.UNREGISTERED))
         elif self.crossing is None or self.crossing.lane is None:
-            self._end(PassageState.UNDECIDED, f"no lane with a probability of {settings.decided:g}")
+            self._end(PassageState.UNDECIDED, explain(Code.UNDECIDED, decided_probability=settings.decided))
         else:
-            self._end(PassageState.CHARGED, "passed the exit line")
+            self._end(PassageState.CHARGED, explain(Code.PASSED))
         return True
 
     def contradict(self, other: "Passage") -> None:
         """Note that another passage has the same station ID, and that they cannot be of one vehicle."""
-        self.doubt = f"passage {other.passage_id[:8]} has the same station ID at another place"
+        self.doubt = stated(explain(Code.SAME_STATION, passage=reference_of(other.passage_id)))
 
     def suspect(self, overlapped: Sequence["Passage"]) -> None:
         """Note the passages that it overlaps in its lane; end it if another one has its station ID.
@@ -177,19 +181,19 @@ class Passage:
         """
         self.overlaps = [one.passage_id for one in overlapped][:OVERLAPS]
         if self.doubt:
-            self._end(PassageState.SUSPECT, self.doubt)
+            self.state, self.why = PassageState.SUSPECT, self.doubt
 
     def lose(self) -> None:
         """End the passage of a vehicle that fell silent."""
-        where = "before the gate line" if self.state is PassageState.OPEN else "between gate and exit line"
-        self._end(PassageState.VOID, f"fell silent {where}")
+        is_before = self.state is PassageState.OPEN
+        self._end(PassageState.VOID, explain(Code.SILENT_BEFORE if is_before else Code.SILENT_BETWEEN))
 
     def give_way(self, older: "Passage") -> None:
         """End the passage because the vehicle's older one is continued."""
-        self._end(PassageState.VOID, f"the vehicle continues passage {older.passage_id[:8]}")
+        self._end(PassageState.VOID, explain(Code.CONTINUES, passage=reference_of(older.passage_id)))
 
-    def _end(self, state: PassageState, reason: str) -> None:
-        self.state, self.reason = state, reason
+    def _end(self, state: PassageState, why: Explanation) -> None:
+        self.state, self.why = state, stated(why)
 
 
 def can_reach(last: Here, here: Here, *, gate_m: float, longest_s: float) -> bool:

@@ -3,7 +3,11 @@
 from collections import deque
 from collections.abc import Iterator, Sequence
 
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, explain, process
 from shared.messages.operation import Problem
+from shared.words.words import reason
+
+from .codes import Code
 
 SHOWN_NS = 60_000_000_000  # after the last sign of it
 WINDOW = 8  # names that a sentence holds
@@ -34,10 +38,10 @@ class Intruders:
             self._crowded.append((now_ns, count - self._crowd))
         self._crowd = count
 
-    def second_life(self, process: str, now_ns: int) -> None:
+    def second_life(self, name: str, now_ns: int) -> None:
         """Note a heartbeat of a life of a process that another one has followed already."""
-        since_ns, _ = self._twice.get(process, (now_ns, 0))
-        self._twice[process] = since_ns, now_ns
+        since_ns, _ = self._twice.get(name, (now_ns, 0))
+        self._twice[name] = since_ns, now_ns
 
     def problems(self, now_ns: int) -> Iterator[Problem]:
         """What was seen in the last minute."""
@@ -46,21 +50,17 @@ class Intruders:
                 events.popleft()
         if self._recent:
             number = sum(count for _, count in self._recent)
-            text = (
-                f"the broker has refused {number} connection{'s' if number > 1 else ''} without the right secret in "
-                f"the last minute: {', '.join(self._names)}"
-            )
-            yield Problem(what=BROKER, text=text[:400], since_ns=self._recent[0][0])
+            clients = Quoted(quoted=", ".join(self._names)[:QUOTED_LENGTH])
+            yield _problem(BROKER, explain(Code.REFUSED, refused_count=number, clients=clients), self._recent[0][0])
         if self._crowded:
             number = sum(count for _, count in self._crowded)
-            text = (
-                f"the broker has refused {number} connection{'s' if number > 1 else ''} in the last minute, since it "
-                "has as many as it may: `ss -tnp` names the programs that hold them"
-            )
-            yield Problem(what=BROKER, text=text, since_ns=self._crowded[0][0])
-        for process, (since_ns, last_ns) in list(self._twice.items()):
+            yield _problem(BROKER, explain(Code.CROWDED, refused_count=number), self._crowded[0][0])
+        for name, (since_ns, last_ns) in list(self._twice.items()):
             if now_ns - last_ns > SHOWN_NS:
-                del self._twice[process]
+                del self._twice[name]
                 continue
-            text = f"{process} runs twice: two programs send under its name and its secret; stop one of them"
-            yield Problem(what=process, text=text, since_ns=since_ns)
+            yield _problem(name, explain(Code.RUNS_TWICE, process(name)), since_ns)
+
+
+def _problem(what: str, why: Explanation, since_ns: int) -> Problem:
+    return Problem(what=what, text=reason(why), text_code=why, since_ns=since_ns)

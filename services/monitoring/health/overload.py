@@ -3,8 +3,12 @@
 import os
 from collections.abc import Sequence
 
+from shared.messages.explanation import Explanation, explain
 from shared.messages.operation import Problem
 from shared.runtime.freshness import percentile
+from shared.words.words import reason
+
+from .codes import Code
 
 COMPUTER = "computer"
 LATE_S = 0.5  # delay of messages, from which a unit of milliseconds does not keep up
@@ -45,18 +49,13 @@ class Overload:
             if self.problem is None or now_ns - self._over_since_ns >= LASTS_NS:
                 self._since_ns = self.problem = None
         if self._since_ns is not None and now_ns - self._since_ns >= LASTS_NS:
-            text = self._text(load, late_s, behind_s or 0.0)
-            self.problem = Problem(what=COMPUTER, text=text, since_ns=self._since_ns)
+            why = self._why(load, late_s, behind_s)
+            self.problem = Problem(what=COMPUTER, text=reason(why), text_code=why, since_ns=self._since_ns)
 
-    def _text(self, load: float, late_s: float, behind_s: float) -> str:
-        delays = [f"messages arrive {late_s:.1f} s late"] if late_s >= SHARE_OF_LIMIT * LATE_S else []
-        delays += (
-            [f"core.fusion is {behind_s:.1f} s behind its samples"] if behind_s >= SHARE_OF_LIMIT * BEHIND_S else []
-        )
-        processors = f"{self._processors} processor{'s' if self._processors > 1 else ''}"
-        if load >= self._processors:
-            what, remedy = "this computer is overloaded", "end other programs, lower the rates of the sensors"
-        else:
-            what, remedy = "this computer does not keep up", "check its disk, its temperature and its power supply"
-        figures = ", ".join([f"load {load:.1f} on {processors}", *([" and ".join(delays)] if delays else [])])
-        return f"{what}: {figures}; {remedy}, or use a faster one"
+    def _why(self, load: float, late_s: float, behind_s: float | None) -> Explanation:
+        is_busy = load >= self._processors
+        alone, fusion = (Code.OVERLOADED, Code.OVERLOADED_FUSION) if is_busy else (Code.SLOW, Code.SLOW_FUSION)
+        return explain(
+            alone if behind_s is None else fusion, load_count=load, processor_count=self._processors, late_s=late_s,
+            behind_s=behind_s,
+        )  # fmt: skip

@@ -9,6 +9,8 @@ was killed remains the cause while it starts again.
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
+from shared.bus.codes import broker_down
+from shared.messages.explanation import Explanation, explain, process, topic
 from shared.messages.operation import (
     DeadlineReport,
     Freshness,
@@ -25,8 +27,10 @@ from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, percentile
 from shared.runtime.tally import told
 from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
+from shared.words.words import Told, reason, stated
 
 from .causes import expected_topics, producers_of, upstream_of
+from .codes import Code, back, down
 from .intruders import Intruders
 from .overload import Overload
 from .process_watch import OVER, ProcessWatch
@@ -44,15 +48,8 @@ SLOW_NS = (
 )
 RESUME_NS = 60_000_000_000  # maximum age of a report whose outages are continued after a restart
 DISK_LOW_BYTES = 1_000_000_000
-BROKER, SELF = "broker", "monitoring.health"
+BROKER, SELF, RECORDER = "broker", "monitoring.health", "monitoring.recorder"
 SOLUTION, SAMPLES, HEARTBEATS = "navigation/solution", "imu/sample", "health/+"
-WHY_DOWN = {
-    ProcessStatus.LOST: "was lost: it crashed, was killed or lost its connection",
-    ProcessStatus.STALE: "is stale: connected, but without heartbeat; it hangs or is overloaded",
-    ProcessStatus.ENDED: "has ended: it was stopped on request",
-    ProcessStatus.MISSING: "is missing: it should run in this vehicle, but was never seen",
-}
-RESTARTED = "was restarted and is starting again"
 
 
 @dataclass
@@ -155,8 +152,8 @@ class Watch:
             if (outage := problem.outage) is not None and outage.what not in self._open:
                 silent_ns = {name: report.now_ns for name in problem.affected if name in self._topics}
                 self._open[outage.what] = _Open(outage, silent_ns=silent_ns)
-        cause = f"{SELF} was restarted; nothing was monitored in between"
-        self._events.append(Outage(what=SELF, since_ns=report.now_ns, until_ns=self._started_ns, cause=cause))
+        cause = explain(Code.NOT_MONITORED, process(SELF))
+        self._events.append(_outage(SELF, report.now_ns, cause, self._started_ns))
 
     def step(self, now_ns: int, *, connected: bool) -> list[Outage]:
         """Compare everything with its deadline; return the outages that began or ended.
@@ -172,12 +169,7 @@ class Watch:
         self._now_ns, self.answering = now_ns, answering
         if not answering:
             if BROKER not in self._open:
-                cause = (
-                    "the broker hangs: it is connected, but delivers nothing"
-                    if connected
-                    else "the broker is not reachable"
-                )
-                self._begin(BROKER, self._received_ns, cause, self._flowing())
+                self._begin(BROKER, self._received_ns, broker_down(connected=connected), self._flowing())
             return []
         if now_ns >= self._judged_from_ns:
             self._judge_processes()
@@ -262,7 +254,7 @@ class Watch:
                 continue
             watch = self._processes[name]
             since_ns = self._started_ns if watch.seen_ns is None else max(watch.seen_ns, self._started_ns)
-            self._begin(name, since_ns, f"{name} {WHY_DOWN[status]}", self._flowing(name))
+            self._begin(name, since_ns, down(name, status), self._flowing(name))
             self._open[name].incarnation = watch.incarnation
 
     # --- topics
@@ -388,24 +380,24 @@ class Watch:
         published = {watch.producer for watch in self._topics.values() if watch.topic.rate_hz and watch.topic.consumers}
         return not published.intersection(producers_of(topic, self._present()))
 
-    def _why_silent(self, root: str) -> str:
+    def _why_silent(self, root: str) -> Explanation:
         """Describe a root cause other than a process that is down."""
         if root not in self._topics:
-            return f"{root} {RESTARTED}"
+            return explain(Code.RESTARTED, process(root))
         producers = self._producers(BY_NAME[root])
         if not producers:
-            return f"no process of this vehicle publishes {root}"
+            return explain(Code.NO_PRODUCER, topic(root))
         if producers[0] not in PROCESS_ROWS:
-            return f"{producers[0]}, which published {root}, has ended"
-        if PROCESS_ROWS[producers[0]].layer == 1:
-            return f"{producers[0]} runs, but its device sends nothing ({root})"
-        return f"{producers[0]} runs, but does not publish {root}"
+            code = Code.PRODUCER_ENDED
+        else:
+            code = Code.DEVICE_SILENT if PROCESS_ROWS[producers[0]].layer == 1 else Code.NOT_PUBLISHED
+        return explain(code, topic(root), process=process(producers[0]))
 
     # --- outages
 
-    def _begin(self, what: str, since_ns: int, cause: str, topics: list[str]) -> None:
+    def _begin(self, what: str, since_ns: int, cause: Explanation, topics: list[str]) -> None:
         self._settling.pop(what, None)
-        self._open[what] = entry = _Open(Outage(what=what, since_ns=since_ns, cause=cause))
+        self._open[what] = entry = _Open(_outage(what, since_ns, cause))
         self._affect(entry, topics)
         self._events.append(entry.outage)
 
@@ -455,26 +447,27 @@ class Watch:
         return (self._processes[what].heartbeat_ns or 0) if what in self._processes else 0
 
     def _problem(self, entry: _Open) -> Problem:
-        outage = entry.outage
-        silent = _in_order(entry.silent_ns)
+        outage, told = entry.outage, self._effect(entry)
         return Problem(
-            what=outage.what, text=self._text(entry), since_ns=outage.since_ns, affected=silent, outage=outage
-        )
+            what=outage.what, text=told.text, text_code=told.code, since_ns=outage.since_ns,
+            affected=_in_order(entry.silent_ns), outage=outage,
+        )  # fmt: skip
 
-    def _text(self, entry: _Open) -> str:
-        """Describe the present effect of an outage."""
-        what, waiting = entry.outage.what, ", ".join(_in_order(entry.silent_ns))
+    def _effect(self, entry: _Open) -> Told:
+        """Describe the present effect of an outage; one of an earlier release has no code."""
+        what, waiting = entry.outage.what, _in_order(entry.silent_ns)
         if what == BROKER and self.answering:
-            return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")
+            return stated(back(Code.BROKER_BACK, Code.BROKER_BACK_WAITING, None, waiting))
         if what in self._processes:
             status = self._status(what)
             if status.down:
-                return f"{what} {WHY_DOWN[status]}"
-            again = RESTARTED if self._processes[what].incarnation > entry.incarnation else "runs again"
-            return f"{what} {again}" + (f"; not yet published again: {waiting}" if waiting else "")
-        if what in self._topics and what not in entry.silent_ns:
-            return f"{what} is published again; not yet: {waiting}"
-        return entry.outage.cause
+                return stated(down(what, status))
+            if self._processes[what].incarnation > entry.incarnation:
+                return stated(back(Code.RESTARTED, Code.RESTARTED_WAITING, process(what), waiting))
+            return stated(back(Code.RUNNING_AGAIN, Code.RUNNING_AGAIN_WAITING, process(what), waiting))
+        if what in self._topics and what not in entry.silent_ns and waiting:
+            return stated(back(Code.TOPIC_BACK_WAITING, Code.TOPIC_BACK_WAITING, topic(what), waiting))
+        return Told(entry.outage.cause, entry.outage.cause_code)
 
     def _other_problems(self) -> list[Problem]:
         """List what is wrong although nothing is silent because of it."""
@@ -486,22 +479,24 @@ class Watch:
         if self._now_ns < self._judged_from_ns:
             return
         for name, watch in self._topics.items():
-            for process, since_ns in watch.tally.deaf():
-                if process in self._processes and not self._status(process).down:
-                    text = f"{process} receives nothing of {name}, which {watch.producer} publishes"
-                    yield Problem(what=process, text=text, since_ns=since_ns)
+            for receiver, since_ns in watch.tally.deaf():
+                if receiver in self._processes and not self._status(receiver).down:
+                    why = explain(
+                        Code.NOT_RECEIVED, process(receiver), topic=topic(name), producer=process(watch.producer or "")
+                    )
+                    yield Problem(what=receiver, text=reason(why), text_code=why, since_ns=since_ns)
 
     def _recording_problems(self) -> list[Problem]:
         state, fresh = self._recording, self._topics["recording/state"].freshness(self._now_ns) is not Freshness.STALE
         if state is None or not fresh:
             return []
         if not state.recording and state.reason:
-            return [Problem(what="monitoring.recorder", text=f"not recording: {state.reason}")]
+            return [Problem(what=RECORDER, text=state.reason, text_code=state.reason_code)]
         if state.flood:
-            return [Problem(what="monitoring.recorder", text=state.flood)]
+            return [Problem(what=RECORDER, text=state.flood, text_code=state.flood_code)]
         if state.free_bytes < DISK_LOW_BYTES:
-            text = f"only {state.free_bytes / 1e6:.0f} MB of disk left"
-            return [Problem(what="monitoring.recorder", text=text)]
+            why = explain(Code.DISK_LOW, free_bytes=state.free_bytes)
+            return [Problem(what=RECORDER, text=reason(why), text_code=why)]
         return []
 
     # --- rows of the report
@@ -509,6 +504,7 @@ class Watch:
     def _topic_age(self, watch: TopicWatch, now_ns: int) -> TopicAge:
         median_s, p99_s = watch.latencies_s()
         name = watch.topic.name
+        cause = next((self._effect(entry) for entry in self._open.values() if name in entry.silent_ns), None)
         return TopicAge(
             topic=name,
             freshness=watch.freshness(now_ns),
@@ -517,7 +513,8 @@ class Watch:
             count=watch.count,
             latency_p50_s=median_s,
             latency_p99_s=p99_s,
-            cause=next((self._text(entry) for entry in self._open.values() if name in entry.silent_ns), None),
+            cause=None if cause is None else cause.text,
+            cause_code=None if cause is None else cause.code,
         )
 
     def _process_age(self, watch: ProcessWatch, now_ns: int) -> ProcessAge:
@@ -527,6 +524,10 @@ class Watch:
             heartbeat_age_s=watch.age_s(now_ns),
             restarts=watch.restarts,
         )
+
+
+def _outage(what: str, since_ns: int, cause: Explanation, until_ns: int | None = None) -> Outage:
+    return Outage(what=what, since_ns=since_ns, until_ns=until_ns, cause=reason(cause), cause_code=cause)
 
 
 def _slack_ns(*topics: Topic) -> int:

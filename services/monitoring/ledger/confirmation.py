@@ -4,6 +4,10 @@ from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from enum import Enum
 
+from shared.messages.explanation import Explanation, explain
+
+from .codes import Code
+
 TIGHT_SD = 3.0  # standard deviations of crossing and pulse within which a passage need not wait for its neighbours
 
 
@@ -44,7 +48,7 @@ def groups(claims: Mapping[str, Claim]) -> list[list[Claim]]:
     return [[claims[passage_id] for passage_id in sorted(members)] for _, members in sorted(unique.items())]
 
 
-def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, str]:
+def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, Explanation | None]:
     """Decide on passages that overlap one another, or on one alone.
 
     Parameters
@@ -56,8 +60,8 @@ def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, str]:
 
     Returns
     -------
-    Verdict, str
-        And the reason for a review.
+    Verdict, Explanation or None
+        And why there is a review.
 
     Notes
     -----
@@ -68,21 +72,21 @@ def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, str]:
     claims = list(group)
     charges = [claim for claim in claims if claim.is_charge]
     if any(not claim.is_derivable for claim in charges):
-        return Verdict.REVIEW, "lane and crossing cannot be derived again from the evidence"
+        return Verdict.REVIEW, explain(Code.NOT_DERIVABLE)
     is_complete = all(claim.overlaps <= known or claim.waited for claim in claims)
     counted = all(claim.has_detector for claim in claims)
     if is_complete and (all(claim.is_confirmed for claim in claims) if counted else len(charges) <= 1):
-        return Verdict.STANDS, ""
+        return Verdict.STANDS, None
     if not (all(claim.waited for claim in claims) if counted else is_complete):
-        return Verdict.WAITS, ""
+        return Verdict.WAITS, None
     return Verdict.REVIEW, _doubt(claims, len(charges), counted=counted)
 
 
-def _doubt(claims: list[Claim], charges: int, *, counted: bool) -> str:
+def _doubt(claims: list[Claim], charges: int, *, counted: bool) -> Explanation:
     """Say why passages are to be reviewed."""
     if not counted:
-        return f"{charges} registered passages overlap in a lane without a detector"
+        return explain(Code.OVERLAP_WITHOUT_DETECTOR, passage_count=charges)
     if len(claims) == 1:
-        return "the lane's detector has not counted it"
+        return explain(Code.NOT_COUNTED)
     pulses = sum(claim.pulse_sds is not None for claim in claims)
-    return f"{len(claims)} passages overlap in the lane, and its detector has counted {pulses}"
+    return explain(Code.OVERLAP_COUNTED, passage_count=len(claims), pulse_count=pulses)

@@ -17,6 +17,8 @@ from pydantic import Field, ValidationError
 
 from shared.evidence import KeyFile
 from shared.messages.base import Message
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, explain
+from shared.messages.explanation import passage as passage_of
 from shared.messages.fitting import fitting
 from shared.messages.toll import (
     OVERLAPS,
@@ -44,8 +46,10 @@ from shared.messages.toll import (
 from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
 from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
+from shared.words.words import Told, reason, stated
 
 from .chain import Chain
+from .codes import Code
 from .confirmation import Claim, Verdict, groups, judge
 from .reconciliation import Crossing, Pulse, match
 from .store import Row, Store
@@ -59,7 +63,7 @@ RECENT = 50
 USED_KEPT_NS = 70 * NS
 OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
-UNCONFIRMED = "not confirmed by a detector"
+UNCONFIRMED = "unconfirmed"  # count
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 
@@ -203,7 +207,7 @@ class Ledger:
             self.rejects["another plaza"] += 1
         elif self._store.execute("UPDATE settled SET final_ns = ? WHERE passage_id = ?", now_ns, message.passage_id):
             if message.state in (PassageState.VOID, PassageState.SUSPECT):
-                self._withdraw(message.passage_id, message.state, message.reason or message.state.value, now_ns)
+                self._withdraw(message.passage_id, message.state, _why(message), now_ns)
         else:
             self._follow(message, now_ns)
 
@@ -219,7 +223,8 @@ class Ledger:
         self._store.execute("DELETE FROM outbox WHERE transaction_id = ?", message.transaction_id)
         self._next_send.pop(message.transaction_id, None)
         if not message.accepted:
-            self._reverse(message.passage_id, f"not accepted by {message.operator}: {message.reason}", now_ns)
+            why = explain(Code.NOT_ACCEPTED, operator=_quoted(message.operator), answer=_quoted(message.reason))
+            self._reverse(message.passage_id, stated(why), now_ns)
 
     def remember(self, used: UsedCams) -> None:
         """Keep the CAM that `core.toll` has used, in memory only; a new process gets those of the one before."""
@@ -250,7 +255,7 @@ class Ledger:
             silent = [p for p in self._unregistered.values() if p.sampled_ns < silent_ns]
             for passage in stored + silent:
                 state = PassageState.VOID if passage.crossing_ns is None else PassageState.UNDECIDED
-                self._settle(passage, state, "no statement from core.toll any more", now_ns)
+                self._settle(passage, state, stated(explain(Code.NO_STATEMENT)), now_ns)
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         self._store.execute("DELETE FROM registration WHERE valid_until_ns < ?", now_ns)
         self._forget_used(now_ns)
@@ -338,13 +343,13 @@ class Ledger:
             if not is_held and not any(claim.overlaps for claim in group):
                 continue
             members = {claim.passage_id for claim in group}
-            verdict, reason = judge(group, members)
+            verdict, why = judge(group, members)
             if verdict is Verdict.WAITS:
                 continue
             for passage_id in sorted(members):
                 self._store.execute("UPDATE crossing SET overlaps = '[]' WHERE passage_id = ?", passage_id)
-                if verdict is Verdict.REVIEW:
-                    self._review(passage_id, reason, sorted(members - {passage_id}), now_ns)
+                if why is not None:
+                    self._review(passage_id, why, sorted(members - {passage_id}), now_ns)
                 elif states[passage_id] == PassageState.HELD:
                     self._charge_held(passage_id, now_ns)
 
@@ -534,15 +539,15 @@ class Ledger:
             self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
         )
         if len(contracts) > 1 and message.state not in UNCHARGED:
-            several = "contracts" if len({name for name, _ in contracts}) > 1 else "tariff classes"
-            self._settle(message, PassageState.SUSPECT, f"station IDs of two {several}", now_ns, contracts)
+            code = Code.TWO_CONTRACTS if len({name for name, _ in contracts}) > 1 else Code.TWO_CLASSES
+            self._settle(message, PassageState.SUSPECT, stated(explain(code)), now_ns, contracts)
             return
         if message.state.is_final and self._merge(message, contracts, now_ns):
             return
         if message.state is PassageState.CHARGED:
             self._charge(message, crossed, contracts, now_ns)
         elif message.state.is_final:
-            self._settle(message, message.state, message.reason, now_ns, contracts)
+            self._settle(message, message.state, _why(message), now_ns, contracts)
         elif not contracts:
             newest = self._unregistered.get(message.passage_id, message)
             if message.sampled_ns >= newest.sampled_ns:
@@ -571,16 +576,16 @@ class Ledger:
         if not contracts and waited_ns < self._settings.registration_wait_s * NS:
             return
         if message.lane is None:
-            self._settle(message, PassageState.UNDECIDED, message.reason or "no lane is certain", now_ns)
+            why = _why(message) if message.reason else stated(explain(Code.NO_LANE))
+            self._settle(message, PassageState.UNDECIDED, why, now_ns)
         elif not contracts:
-            self._settle(message, PassageState.UNREGISTERED, "no contract for its station ID", now_ns)
+            self._settle(message, PassageState.UNREGISTERED, stated(explain(Code.NO_CONTRACT)), now_ns)
         elif message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
-            reason = "its statement has no crossing or no evidence"
-            self._settle(message, PassageState.SUSPECT, reason, now_ns, contracts)
+            self._settle(message, PassageState.SUSPECT, stated(explain(Code.NO_EVIDENCE)), now_ns, contracts)
         elif min(contracts)[1] not in self._plaza.tariff.classes:  # the file has changed since
             self.rejects["tariff class"] += 1
-            reason = f"the tariff has no class {min(contracts)[1]}: add it to the plaza's file"
-            self._settle(message, PassageState.SUSPECT, reason, now_ns, contracts)
+            why = stated(explain(Code.NO_CLASS, tariff_class=_quoted(min(contracts)[1])))
+            self._settle(message, PassageState.SUSPECT, why, now_ns, contracts)
         else:
             self._hold(message, proof, *min(contracts), now_ns)
             if message.lane not in self._detectors and proof.derivable and not message.overlaps:
@@ -597,17 +602,17 @@ class Ledger:
             "INSERT INTO held VALUES (?, ?, ?, ?, ?)", message.passage_id, contract, tariff_class,
             message.model_dump_json(exclude_none=True), crossed.model_dump_json(exclude_none=True),
         )  # fmt: skip
-        self._settle(message, PassageState.HELD, "waits for the lane's detector", now_ns)
+        self._settle(message, PassageState.HELD, stated(explain(Code.WAITS)), now_ns)
 
     def _charge_held(self, passage_id: str, now_ns: int) -> None:
         """Store charge, outbox row and evidence; `passage` has made sure that none is there, and UNIQUE insists."""
         pack = self._pack_of_held(passage_id)
         if pack is None:  # the plaza's file has changed while it was held
-            self._review(passage_id, "the tariff has lost its class: add it to the plaza's file", [], now_ns)
+            self._review(passage_id, explain(Code.LOST_CLASS), [], now_ns)
             return
         self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id)
         tariff, message, lane = self._plaza.tariff, pack.charged, pack.lane
-        is_confirmed = lane in self._detectors
+        is_confirmed, unconfirmed = lane in self._detectors, explain(Code.UNCONFIRMED)
         transaction = TollTransaction(
             transaction_id=transaction_id(message.passage_id, TransactionKind.CHARGE),
             passage_id=message.passage_id,
@@ -625,13 +630,14 @@ class Ledger:
             currency=tariff.currency,
             authenticated=message.authenticated,
             confirmed=is_confirmed,
-            reason="" if is_confirmed else UNCONFIRMED,
+            reason="" if is_confirmed else reason(unconfirmed),
             evidence_digest=_digest(pack),
         )
         self._enter(transaction)
         self._keep(pack, now_ns)
         self._change(
-            passage_id, state=PassageState.CHARGED, reason=transaction.reason, tariff_class=pack.tariff_class,
+            passage_id, state=PassageState.CHARGED, reason=transaction.reason,
+            reason_code=None if is_confirmed else unconfirmed, tariff_class=pack.tariff_class,
             amount_cents=pack.amount_cents, currency=tariff.currency, confirmed=is_confirmed,
             evidence_digest=transaction.evidence_digest,
         )  # fmt: skip
@@ -657,18 +663,20 @@ class Ledger:
             passage_id, digest, now_ns, zlib.compress(_encoded(pack)), self.chain.pack_seal(passage_id, digest, now_ns),
         )  # fmt: skip
 
-    def _review(self, passage_id: str, reason: str, others: list[str], now_ns: int) -> None:
+    def _review(self, passage_id: str, explanation: Explanation, others: list[str], now_ns: int) -> None:
         """Leave a passage to a person: what is held is not booked, what is booked is reversed."""
         pack = self._pack_of_held(passage_id)
         self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id)
         if pack is not None:
             self._keep(pack, now_ns)
-        charge = self._reverse(passage_id, reason, now_ns)
+        why = stated(explanation)
+        charge = self._reverse(passage_id, why, now_ns)
         about = charge or pack
-        summary = self._change(passage_id, state=PassageState.SUSPECT, reason=reason)
+        summary = self._change(passage_id, state=PassageState.SUSPECT, reason=why.text, reason_code=why.code)
         self._ask(
             TollReview(
-                sampled_ns=now_ns, passage_id=passage_id, plaza=self._plaza.name, reason=reason, lane=summary.lane,
+                sampled_ns=now_ns, passage_id=passage_id, plaza=self._plaza.name, reason=why.text,
+                reason_code=why.code, lane=summary.lane,
                 crossing_ns=summary.crossing_ns, overlaps=tuple(others[:OVERLAPS]),
                 contract=about.contract if about else None,
                 tariff_class=about.tariff_class if about else None,
@@ -685,14 +693,14 @@ class Ledger:
             review.passage_id, review.sampled_ns, review.model_dump_json(exclude_none=True),
         )  # fmt: skip
 
-    def _withdraw(self, passage_id: str, state: PassageState, reason: str, now_ns: int) -> None:
+    def _withdraw(self, passage_id: str, state: PassageState, why: Told, now_ns: int) -> None:
         """Take back what was held or charged, because the passage was none."""
         if self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id):
-            self._change(passage_id, state=state, reason=reason[:400])
+            self._change(passage_id, state=state, reason=why.text, reason_code=why.code)
         else:
-            self._reverse(passage_id, reason, now_ns)
+            self._reverse(passage_id, why, now_ns)
 
-    def _reverse(self, passage_id: str, reason: str, now_ns: int) -> TollTransaction | None:
+    def _reverse(self, passage_id: str, why: Told, now_ns: int) -> TollTransaction | None:
         """Book the opposite of a charge, once; return the charge, or None if there is none or it is reversed."""
         rows = self._store.rows("SELECT kind, content FROM booking WHERE passage_id = ?", passage_id)
         content = {row["kind"]: row["content"] for row in rows}
@@ -704,10 +712,10 @@ class Ledger:
             "kind": TransactionKind.REVERSAL,
             "booked_ns": now_ns,
             "amount_cents": -charge.amount_cents,
-            "reason": reason[:400],
+            "reason": why.text,
         }
         self._enter(charge.model_copy(update=opposite))
-        self._change(passage_id, reversed=True, reason=f"reversed: {reason}"[:400])
+        self._change(passage_id, reversed=True, reason=why.text, reason_code=why.code)
         return charge
 
     def _merge(self, message: TollPassage, contracts: set[tuple[str, str]], now_ns: int) -> bool:
@@ -732,12 +740,12 @@ class Ledger:
         if not first_ns:
             return False
         first, *others = sorted(first_ns, key=lambda passage_id: (first_ns[passage_id], passage_id))
-        reason = f"of the vehicle of passage {first[:8]}, at the same time"
+        why = stated(explain(Code.SAME_VEHICLE, passage=passage_of(first)))
         for name in names:
             self._store.execute("INSERT OR REPLACE INTO chain VALUES (?, ?, ?, ?)", name, first, from_ns, to_ns)
         for other in others:
-            self._withdraw(other, PassageState.VOID, reason, now_ns)
-        self._settle(message.model_copy(update={"crossing_ns": None}), PassageState.VOID, reason, now_ns)
+            self._withdraw(other, PassageState.VOID, why, now_ns)
+        self._settle(message.model_copy(update={"crossing_ns": None}), PassageState.VOID, why, now_ns)
         return True
 
     def _enter(self, transaction: TollTransaction) -> None:
@@ -757,7 +765,7 @@ class Ledger:
         self,
         message: TollPassage,
         state: PassageState,
-        reason: str,
+        why: Told,
         now_ns: int,
         contracts: Collection[tuple[str, str]] = (),
     ) -> None:
@@ -766,7 +774,7 @@ class Ledger:
         self._store.execute("DELETE FROM passage WHERE passage_id = ?", message.passage_id)
         summary = PassageSummary(
             passage_id=message.passage_id, state=state, lane=message.lane, crossing_ns=message.crossing_ns,
-            probability=_probability(message), reason=reason[:400],
+            probability=_probability(message), reason=why.text, reason_code=why.code,
         )  # fmt: skip
         self._store.execute(
             "INSERT INTO settled VALUES (?, ?, ?)",
@@ -784,8 +792,8 @@ class Ledger:
             names = sorted({name for name, _ in contracts})
             self._ask(
                 TollReview(
-                    sampled_ns=now_ns, passage_id=message.passage_id, plaza=self._plaza.name, reason=reason[:400],
-                    lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps,
+                    sampled_ns=now_ns, passage_id=message.passage_id, plaza=self._plaza.name, reason=why.text,
+                    reason_code=why.code, lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps,
                     contract=names[0] if len(names) == 1 else None,
                     contracts=tuple(names[:STATION_IDS]) if len(names) > 1 else (),
                 )
@@ -867,11 +875,21 @@ def _crossing(row: Row) -> Crossing:
 
 def _missed(row: Row) -> PassageSummary:
     """Summarise a pulse that no passage explains; its digest stands for the ID of the passage that is not known."""
+    missed = explain(Code.MISSED)
     name = f"missed:{row['lane']}:{row['since_ns']}:{row['number']}"
     return PassageSummary(
         passage_id=hashlib.sha256(name.encode()).hexdigest(), state=PassageState.MISSED, lane=row["lane"],
-        crossing_ns=row["sampled_ns"], reason="the lane's detector has counted it, and no passage explains it",
+        crossing_ns=row["sampled_ns"], reason=reason(missed), reason_code=missed,
     )  # fmt: skip
+
+
+def _why(message: TollPassage) -> Told:
+    """What `core.toll` says of a passage; the name of its state where it says nothing."""
+    return Told(message.reason or message.state.value, message.reason_code)
+
+
+def _quoted(text: str) -> Quoted:
+    return Quoted(quoted=text[:QUOTED_LENGTH])
 
 
 def _probability(passage: TollPassage) -> float | None:
@@ -881,5 +899,5 @@ def _probability(passage: TollPassage) -> float | None:
 def _summary(passage: TollPassage) -> PassageSummary:
     return PassageSummary(
         passage_id=passage.passage_id, state=passage.state, lane=passage.lane, crossing_ns=passage.crossing_ns,
-        probability=_probability(passage), reason=passage.reason,
+        probability=_probability(passage), reason=passage.reason, reason_code=passage.reason_code,
     )  # fmt: skip

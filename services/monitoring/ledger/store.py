@@ -3,6 +3,7 @@
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import ENOSPC
 from pathlib import Path
 
 from shared.errors import ObuError
@@ -111,7 +112,7 @@ class Store:
     def damaged(self, what: str, error: object) -> LedgerFault:
         """Make the fault of content that SQLite reads and that is not what was written."""
         first = str(error).splitlines()[0]
-        return LedgerFault(f"{self.path} is damaged: {what} cannot be read: {first}; {_remedy(Exception('corrupt'))}")
+        return LedgerFault(f"{self.path} is damaged: {what} cannot be read: {first}; {RESTORE}")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -121,10 +122,18 @@ class Store:
             raise LedgerFault(f"the ledger {self.path} cannot be used: {error}; {_remedy(error)}") from error
 
 
+ROOM = "make room on its disk; charging continues by itself"
+DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last: content of a row
+RESTORE = "move it away for examination and restore its backup; without one a new ledger is begun"
+
+
 def _remedy(error: Exception) -> str:
-    text = str(error).lower()
-    if "full" in text or "no space" in text:
-        return "make room on its disk; charging continues by itself"
-    if "malformed" in text or "not a database" in text or "corrupt" in text:
-        return "move it away for examination and restore its backup; without one a new ledger is begun"
+    """What to do, by the codes of SQLite and of the operating system; an error of ours without one is damage."""
+    code = getattr(error, "sqlite_errorcode", None)
+    primary = None if code is None else code & 0xFF
+    if primary == sqlite3.SQLITE_FULL or (isinstance(error, OSError) and error.errno == ENOSPC):
+        return ROOM
+    is_ours = code is None and type(error) is sqlite3.DatabaseError
+    if primary in DAMAGED or is_ours:
+        return RESTORE
     return "check its folder's owner and its disk"

@@ -7,13 +7,16 @@ from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
 from shared.evidence import KeyFile, keys_folder
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, explain
 from shared.messages.operation import ModeState, RecordingState
 from shared.processes import Role
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
 from shared.runtime.config import Section, parse_vehicle
 from shared.topics import TOPICS
+from shared.words.words import reason
 
+from .codes import Code
 from .quota import Quota
 from .retention import Limits, decide, file_name
 
@@ -21,7 +24,6 @@ log = logging.getLogger(__name__)
 
 CONNECT_S = 2.0  # after which a recorder without a broker opens its file as well
 STATE_NS, RETRY_NS = 1_000_000_000, 5_000_000_000
-POWER_ENDS = "the battery is nearly empty: the recording is closed until the mains are back"
 
 
 class Config(Section):
@@ -63,7 +65,7 @@ class Process:
         self._limits = Limits(config.maximum_total_bytes, config.minimum_free_bytes)
         self._quota = Quota(config.maximum_topic_bytes_per_s, config.maximum_total_bytes)
         self._kept_out: set[str] = set()
-        self._reason: str | None = None
+        self._reason: Explanation | None = None
         self._power_ends = False
         self._opened_ns = self._flush_ns = self._state_ns = self._retry_ns = 0
 
@@ -97,7 +99,7 @@ class Process:
                 self._flush_ns = now_ns + round(self._config.flush_period_s * 1e9)
                 self._folder.flush()
         except OSError as error:
-            self._stop(f"cannot write: {error.strerror}", now_ns)
+            self._stop(explain(Code.CANNOT_WRITE, error=_quoted(error.strerror)), now_ns)
 
     def _close_before_power_off(self, bus: Bus, envelopes: list[Envelope]) -> None:
         """Close the file when the mode says that the power ends; a mode that the broker has kept is of another time."""
@@ -113,7 +115,7 @@ class Process:
                     self._folder.close_on_disk()
                 except OSError as error:
                     log.warning("left a recording that may not be on the disk: %s", error.strerror)
-                self._stop(POWER_ENDS, bus.now_ns())
+                self._stop(explain(Code.POWER_ENDS), bus.now_ns())
             else:
                 self._retry_ns = 0
 
@@ -136,12 +138,13 @@ class Process:
                     bus.last_error = folder.unsigned[:400]
             folder.sync()  # so that a power cut costs no more than a second or two
         except OSError as error:
-            self._stop(f"cannot use {folder.path}: {error.strerror}", now_ns)
+            why = explain(Code.CANNOT_USE_FOLDER, folder=_quoted(folder.path), error=_quoted(error.strerror))
+            self._stop(why, now_ns)
 
-    def _stop(self, reason: str, now_ns: int) -> None:
-        if reason != self._reason:
-            log.warning("not recording: %s", reason)
-        self._reason, self._retry_ns = reason[:400], now_ns + RETRY_NS
+    def _stop(self, why: Explanation, now_ns: int) -> None:
+        if self._reason is None or why.code != self._reason.code:
+            log.warning("%s", reason(why))
+        self._reason, self._retry_ns = why, now_ns + RETRY_NS
         self._close()
 
     def _close(self) -> None:
@@ -152,13 +155,18 @@ class Process:
             log.warning("left a recording without its summary: %s", error.strerror)
 
     def _state(self, bus: Bus) -> RecordingState:
-        folder = self._folder
+        folder, flood = self._folder, self._quota.complaint(bus.now_ns())
         return RecordingState(
             now_ns=bus.now_ns(), recording=folder.open_name is not None, file=folder.open_name,
             bytes_written=folder.bytes_written, messages=folder.messages, dropped=folder.lost + bus.dropped,
-            free_bytes=folder.free_bytes, reason=self._reason, left_out=self._quota.left_out,
-            flood=self._quota.complaint(bus.now_ns()),
+            free_bytes=folder.free_bytes, left_out=self._quota.left_out,
+            reason=None if self._reason is None else reason(self._reason), reason_code=self._reason,
+            flood=None if flood is None else reason(flood), flood_code=flood,
         )  # fmt: skip
+
+
+def _quoted(text: object) -> Quoted:
+    return Quoted(quoted=str(text)[-QUOTED_LENGTH:])
 
 
 def _connect(bus: Bus) -> list[Envelope]:

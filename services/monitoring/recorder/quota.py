@@ -8,11 +8,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from shared.bus.bus import Envelope
+from shared.messages.explanation import Explanation, explain, process, topic
+
+from .codes import Code
 
 SHARE = 8  # of the room for all recordings, one part of which a topic may fill at once
 SOURCES_TOPICS = 2  # a source may fill as much as so many topics
+SENDERS_MAXIMUM = 3  # named by the code of a flood
 MOST_BUDGETS = 512  # of names that come from the bus; further ones share one budget
 OTHERS = "others"
+TOPIC, SOURCE = "topic", "source"  # kinds of budgets
 TOLD_NS = 10_000_000_000  # for which a flood is said after its last message
 
 
@@ -44,26 +49,27 @@ class Quota:
         """Select the messages that both budgets hold."""
         return [envelope for envelope in envelopes if self._admits(envelope, now_ns)]
 
-    def complaint(self, now_ns: int) -> str | None:
-        """Say which topic and source are flooded at present, and how many of their messages were left out."""
+    def complaint(self, now_ns: int) -> Explanation | None:
+        """Say which topics and sources are flooded at present, and how many of their messages were left out."""
         flooded = [
-            f"{name} ({budget.left_out} messages)"
-            for (_, name), budget in self._budgets.items()
+            ((topic if kind == TOPIC else process)(name), budget.left_out)
+            for (kind, name), budget in self._budgets.items()
             if budget.left_out and now_ns - budget.last_ns < TOLD_NS
         ]
         if not flooded:
             return None
-        named = ", ".join(flooded[:3]) + (f" and {len(flooded) - 3} more" if len(flooded) > 3 else "")
-        return (
-            f"left out what goes beyond {self._rate_per_s / 1e3:.0f} kB/s of a topic or twice that of a process: "
-            f"{named}; find out who sends it"
+        return explain(
+            Code.FLOOD,
+            senders=tuple(sender for sender, _ in flooded[:SENDERS_MAXIMUM]),
+            left_out_count=max(left_out for _, left_out in flooded),  # a message counts in its topic and its source
+            per_second_bytes=round(self._rate_per_s),
         )
 
     def _admits(self, envelope: Envelope, now_ns: int) -> bool:
         size = len(envelope.payload)
         budgets = (
-            self._budget("topic", envelope.topic, 1, now_ns),
-            self._budget("source", envelope.producer, SOURCES_TOPICS, now_ns),
+            self._budget(TOPIC, envelope.topic, 1, now_ns),
+            self._budget(SOURCE, envelope.producer, SOURCES_TOPICS, now_ns),
         )
         short = [budget for budget in budgets if not budget.holds(size, now_ns)]
         for budget in short:

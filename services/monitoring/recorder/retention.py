@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from shared.library.order import natural
+from shared.messages.explanation import Explanation, explain
 from shared.recording.folder import Stored
+
+from .codes import Code
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class Verdict:
     """What to delete, oldest first; or, where that would not help, why not to record."""
 
     delete: tuple[str, ...] = ()
-    refusal: str | None = None
+    refusal: Explanation | None = None
 
 
 def decide(stored: Iterable[Stored], free_bytes: int, limits: Limits, *, open_name: str | None = None) -> Verdict:
@@ -58,18 +61,11 @@ def decide(stored: Iterable[Stored], free_bytes: int, limits: Limits, *, open_na
     if missing <= 0:
         return Verdict(tuple(chosen))
     if over_quota > below_floor:
-        return Verdict(
-            refusal=f"the recordings to be kept exceed the quota of {_megabytes(limits.maximum_total_bytes)}"
-        )
-    floor = _megabytes(limits.minimum_free_bytes)
-    return Verdict(refusal=f"the disk has {_megabytes(free_bytes)} left, and {floor} must stay free")
+        return Verdict(refusal=explain(Code.OVER_QUOTA, maximum_total_bytes=limits.maximum_total_bytes))
+    return Verdict(refusal=explain(Code.DISK_FULL, free_bytes=free_bytes, minimum_free_bytes=limits.minimum_free_bytes))
 
 
 def file_name(started_ns: int, vehicle: str) -> str:
     """Name a recording by its start in UTC, as the host's clock shows it, and its vehicle."""
     start = datetime.fromtimestamp(started_ns // 1_000_000_000, UTC)
     return f"{start:%Y%m%dT%H%M%SZ}_{re.sub(r'[^A-Za-z0-9-]', '-', vehicle)[:32]}"
-
-
-def _megabytes(count: int) -> str:
-    return f"{count / 1e6:.0f} MB"

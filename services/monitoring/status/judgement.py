@@ -3,9 +3,14 @@
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
+from shared.bus.codes import broker_down
+from shared.messages.explanation import Explanation, explain, process
 from shared.messages.operation import DeadlineReport, Outage, Problem, ProcessStatus, TopicAge
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.topics import BY_NAME
+from shared.words.words import Told, reason, stated
+
+from .views.codes import Code
 
 WATCHDOG = "monitoring.health"
 BROKER_SILENT_NS = 2_000_000_000  # our own heartbeat returns through the broker twice a second
@@ -28,11 +33,14 @@ class Judgement:
         """Processes that do no work, in the order of the data flow."""
         return tuple(name for name, status in self.statuses.items() if status.down)
 
-    def cause(self, topic: str) -> str | None:
+    def cause(self, topic: str) -> Told | None:
         """Give the root cause of the silence of a topic; None if it is not known, or not silent."""
         if not self.complete:
-            return self.problems[0].text if self.problems else f"{WATCHDOG} has not reported yet"
-        return self.topics[topic].cause if topic in self.topics else None
+            if not self.problems:
+                return stated(explain(Code.NOT_REPORTED_YET, process(WATCHDOG)))
+            return Told(self.problems[0].text, self.problems[0].text_code)
+        row = self.topics.get(topic)
+        return None if row is None or row.cause is None else Told(row.cause, row.cause_code)
 
 
 def from_report(report: DeadlineReport) -> Judgement:
@@ -55,17 +63,17 @@ def unavailable(expected: Collection[str], problem: Problem | None) -> Judgement
 
 def broker_problem(since_ns: int, *, connected: bool) -> Problem:
     """Judgement while the broker does not work; everything else is unknown."""
-    text = "the broker hangs: it is connected, but delivers nothing" if connected else "the broker is not reachable"
-    return _problem("broker", text, since_ns)
+    return _problem("broker", broker_down(connected=connected), since_ns)
 
 
 def watchdog_problem(since_ns: int) -> Problem:
     """Judgement while `monitoring.health` does not report; everything else is unknown."""
-    return _problem(WATCHDOG, f"{WATCHDOG} does not report, so the state of processes and topics is unknown", since_ns)
+    return _problem(WATCHDOG, explain(Code.NOT_REPORTED, process(WATCHDOG)), since_ns)
 
 
-def _problem(what: str, text: str, since_ns: int) -> Problem:
-    return Problem(what=what, text=text, since_ns=since_ns, outage=Outage(what=what, since_ns=since_ns, cause=text))
+def _problem(what: str, why: Explanation, since_ns: int) -> Problem:
+    outage = Outage(what=what, since_ns=since_ns, cause=reason(why), cause_code=why)
+    return Problem(what=what, text=outage.cause, text_code=why, since_ns=since_ns, outage=outage)
 
 
 class OutageList:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
+from shared.messages.explanation import explain, process
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import (
     AidingKind,
@@ -39,6 +40,7 @@ from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.runtime.tally import told
 from shared.topics import TOPICS, topic_of
+from shared.words.words import Told, stated
 
 from .flow import ProcessFlow, TopicFlow, on_demand
 from .history.alternatives import Alternatives
@@ -59,6 +61,7 @@ from .judgement import (
 from .series.store import Series
 from .truth_check import TruthCheck
 from .views.banner import KNOWN, Evidence, Trust, Verdict, ratio_of, show
+from .views.codes import Code
 from .views.geometry import ellipse_95, offset_m
 from .views.toll import verdict as plaza_verdict
 
@@ -471,12 +474,13 @@ class State:
             load=None if self._has_ended("core.fusion") else self.newest(ProcessLoad, "health/load", now_ns),
         )
 
-    def _awaited(self, trust: TrustState | None, now_ns: int) -> str | None:
+    def _awaited(self, trust: TrustState | None, now_ns: int) -> Told | None:
         """Name what must come before a verdict holds: the verdict itself, and the solution if it says there is one."""
         if trust is None:
-            return "the first verdict of core.trust" if self.is_awaited("trust/state", now_ns) else None
+            verdict = explain(Code.FIRST_VERDICT, process("core.trust"))
+            return stated(verdict) if self.is_awaited("trust/state", now_ns) else None
         if trust.state in WITH_POSITION and self.is_earlier("navigation/solution"):
-            return "the first solution after the restart of core.fusion"
+            return stated(explain(Code.FIRST_SOLUTION, process("core.fusion")))
         return None
 
     def _is_old(self, statement: TrustMonitor) -> bool:

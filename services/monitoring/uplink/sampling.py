@@ -133,7 +133,9 @@ def event_of(message: Message, topic: str, utc_ms: int, *, places: bool) -> Even
             content = message.model_dump(mode="json", exclude_none=True, exclude={"monitors"})
             accusing = [one for one in message.monitors if one.outcome is Outcome.ACCUSES]
             content["monitors"] = [
-                one.model_dump(mode="json", include={"monitor", "outcome", "reason", "reason_code", "accused"})
+                one.model_dump(
+                    mode="json", include={"monitor", "outcome", "reason", "reason_code", "accused"}, exclude_none=True
+                )
                 for one in accusing
             ]
         case Outage() | TollTransaction() | Origin():

@@ -2,7 +2,7 @@
 import { render } from "preact";
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, tellErrors, togglePause } from "./store.js";
-import { Drawer, Empty, Guard, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
+import { Drawer, Empty, Guard, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, told, verdict } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 
@@ -233,7 +233,7 @@ function Footer() {
     ${received && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
     <span class=${received && recording.recording ? "rec" : ""}>${!received ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
     ${v.state !== "safe" && html`<a class="problems verdict-state" href=${role() === "rsu" ? "#/toll" : "#/trust"}><${StateIcon} state=${v.state} word="" />${v.word}</a>`}
-    ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text, first.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - first.since_ns / 1e6) / 1000)) : null)}</a>`
+    ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, told(first, first.text), first.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - first.since_ns / 1e6) / 1000)) : null)}</a>`
       : html`<span class=${v.state === "safe" ? "push dim" : "dim"}>${!live ? words.status.unknown : toCome > 0 ? t.toCome(toCome) : t.noProblems}</span>`}
   </footer>`;
 }

@@ -187,6 +187,12 @@ export async function copyText(text) {
 export const checksNow = (banner) => (isLive() ? banner.checks
   : banner.checks.map((c) => ({ ...c, state: "stale", text: words.status.unknown, ratio: null })));
 
+// The browser's first language in which the server says something.
+export const languageOf = (row) => navigator.languages?.map((one) => one.slice(0, 2)).find((one) => one === "en" || row.languages?.[one]);
+
+// A row's text in the browser's language, else in English.
+export const told = (row, english) => row.languages?.[languageOf(row)] ?? english;
+
 // What the banner says: the server's words in the browser's language, or that the connection is lost and so no verdict is known.
 export function verdict() {
   const banner = state.value?.banner;
@@ -194,7 +200,7 @@ export function verdict() {
   if (!banner) return { state: "starting", word: words.trust.starting, sentence: words.connecting, since_ns: null };
   const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
   if (!isLive() && (paused.value || lostS > 1 || connected())) return { ...banner, state: "disconnected", word: words.trust.disconnected, sentence: words.banner.disconnected, action: null, since_ns: state.value.now_ns };
-  const language = navigator.languages?.map((one) => one.slice(0, 2)).find((one) => one === "en" || banner.languages?.[one]);
+  const language = languageOf(banner);
   // The centre may have put a sentence of its own in place of the unit's.
   return banner.languages?.[language] && banner.state !== "disconnected" ? { ...banner, ...banner.languages[language], language } : banner;
 }

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import degrees
 
+from shared.bus.codes import broker_down
 from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import (
@@ -26,8 +27,9 @@ from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 from shared.trust.accused import reference
 from shared.trust.result import told
-from shared.words.words import ENGLISH, LANGUAGES, Words, reason, said, words
+from shared.words.words import ENGLISH, LANGUAGES, Told, Words, reason, said, stated, words
 
+from .codes import Code
 from .geometry import vertical_sd
 from .hypotheses import figures
 from .plain_words import label_of
@@ -59,19 +61,7 @@ class Trust(StrEnum):
     OFF = "off"
 
 
-WORDS = {
-    Trust.SAFE: "SAFE",
-    Trust.CAUTION: "CAUTION",
-    Trust.UNSAFE: "UNSAFE",
-    Trust.ABOVE_LIMIT: "ABOVE LIMIT",
-    Trust.DEAD_RECKONING: "DEAD RECKONING",
-    Trust.NO_FIX: "NO POSITION",
-    Trust.INITIALISING: "INITIALISING",
-    Trust.STARTING: "STARTING",
-    Trust.STALE: "NO DATA",
-    Trust.BROKER_LOST: "BROKER LOST",
-    Trust.OFF: "NOT EVALUATED",
-}
+WORDS = {state: words().name("state", state) for state in Trust}
 KNOWN = frozenset(Trust(level.value) for level in TrustLevel) | {Trust.ABOVE_LIMIT}  # a verdict is there
 OUTCOMES = {
     Outcome.PASS: Trust.SAFE,
@@ -93,11 +83,11 @@ class Evidence:
 
     broker: bool
     received_ns: int | None = None  # stamp of the newest message of all
-    awaited: str | None = None  # what is to come after a start, as long as nothing is known to keep it away
+    awaited: Told | None = None  # what is to come after a start, as long as nothing is known to keep it away
     earlier_monitors: frozenset[str] = frozenset()  # their process was restarted since their last statement
     trust: TrustState | None = None
     trust_age_s: float | None = None
-    trust_cause: str | None = None  # root cause of a missing or old verdict
+    trust_cause: Told | None = None  # root cause of a missing or old verdict
     solution: NavigationSolution | None = None
     solution_age_s: float | None = None
     filter_codes: tuple[Explanation, ...] = ()  # why the filter is in its phase
@@ -111,7 +101,7 @@ class Evidence:
     alert_limit_horizontal_m: float | None = None  # as configured, from `navigation/state`
     alert_limit_vertical_m: float | None = None
     set_up: SetUpState | None = None
-    cause: str | None = None  # root cause of a missing or old solution
+    cause: Told | None = None  # root cause of a missing or old solution
     load: ProcessLoad | None = None  # of core.fusion, while it is behind or checks are paused
 
 
@@ -126,52 +116,6 @@ class Check:
     ratio: float | None = None  # statistic over limit, where there is one: 1 is the limit
     link: str = ""  # page of the dashboard
     kind: Kind = Kind.INPUT
-
-
-class Code(StrEnum):
-    """What the banner itself says: of each state of the verdict, and where there is no verdict or no position."""
-
-    SAFE = "banner.safe"
-    CAUTION = "banner.caution"
-    UNSAFE = "banner.unsafe"
-    DEAD_RECKONING = "banner.dead_reckoning"
-    NO_FIX = "banner.no_fix"
-    NO_FIX_CAUSE = "banner.no_fix_cause"
-    NO_FIX_SLOW = "banner.no_fix_slow"
-    NO_FIX_WAITING = "banner.no_fix_waiting"
-    INITIALISING = "banner.initialising"
-    INITIALISING_CAUSE = "banner.initialising_cause"
-    INITIALISING_WAITING = "banner.initialising_waiting"
-    BROKER_LOST = "banner.broker_lost"
-    STARTING = "banner.starting"
-    NO_VERDICT = "banner.no_verdict"
-    NO_VERDICT_CAUSE = "banner.no_verdict_cause"
-    OLD_VERDICT = "banner.old_verdict"
-    OLD_VERDICT_CAUSE = "banner.old_verdict_cause"
-    # of the checks
-    CHECK_UNKNOWN = "banner.check_unknown"
-    CHECK_NO_VERDICT = "banner.check_no_verdict"
-    CHECK_OLD_VERDICT = "banner.check_old_verdict"
-    CHECK_RESTARTED = "banner.check_restarted"
-    CHECK_NO_POSITION = "banner.check_no_position"
-    CHECK_SUSPECTS = "banner.check_suspects"
-    CHECK_SHARE = "banner.check_share"
-    CHECK_NONE_RECEIVED = "banner.check_none_received"
-    CHECK_OLD = "banner.check_old"
-    CHECK_IN_TIME = "banner.check_in_time"
-    FIX_WITHOUT_POSITION = "banner.fix_without_position"
-    FIX = "banner.fix"
-    SATELLITES = "banner.satellites"
-    NO_STATE = "banner.no_state"
-    PHASE = "banner.phase"
-    HEADING = "banner.heading"
-    LEVEL_NOT_PUBLISHED = "banner.level_not_published"
-    LEVEL = "banner.level"
-    LEVEL_LIMITED = "banner.level_limited"
-    NO_ALERT_LIMIT = "banner.no_alert_limit"
-    RESIDUAL = "banner.residual"
-    RESIDUAL_DISCARDED = "banner.residual_discarded"
-    NO_RESIDUAL = "banner.no_residual"
 
 
 OF_STATE = {level: Code(f"banner.{level.value}") for level in TrustLevel}
@@ -215,7 +159,7 @@ def show(evidence: Evidence) -> Verdict:
     if not e.broker:
         unknown = reason(explain(Code.CHECK_UNKNOWN))
         stale = tuple(replace(check, state=Trust.STALE, text=unknown, ratio=None) for check in checks)
-        lines = _lines(explain(Code.BROKER_LOST), cause=e.cause or "the broker is not reachable")
+        lines = _lines(explain(Code.BROKER_LOST), cause=e.cause or stated(broker_down(connected=False)))
         return _spoken(Trust.BROKER_LOST, lines, stale, since_ns=e.received_ns)
     if e.awaited:
         return _spoken(Trust.STARTING, _lines(explain(Code.STARTING), cause=e.awaited), checks)
@@ -225,7 +169,7 @@ def show(evidence: Evidence) -> Verdict:
 
 
 def _lines(
-    explanation: Explanation, state: TrustLevel | None = None, reason: str = "", cause: str = ""
+    explanation: Explanation, state: TrustLevel | None = None, reason: str = "", cause: Told | None = None
 ) -> dict[str, Line]:
     """Put a code into words in every language.
 
@@ -237,15 +181,15 @@ def _lines(
         Whose words are used for what the code has none.
     reason : str
         The message's own text of this code, shown where the code has no words.
-    cause : str
-        Text of a message without codes, which the sentence names.
+    cause : Told, optional
+        What the sentence names as its cause.
     """
     return {language: _line(words(language), explanation, state, reason, cause) for language in LANGUAGES}
 
 
-def _line(spoken: Words, explanation: Explanation, state: TrustLevel | None, reason: str, cause: str) -> Line:
+def _line(spoken: Words, explanation: Explanation, state: TrustLevel | None, reason: str, cause: Told | None) -> Line:
     general = None if state is None else explain(OF_STATE[state])
-    sentence = spoken.sentence(explanation, cause=cause) or reason
+    sentence = spoken.sentence(explanation, **({"cause": cause} if cause else {})) or reason
     action = spoken.action(explanation)
     if general is not None:
         sentence, action = sentence or spoken.sentence(general) or "", action or spoken.action(general)
@@ -257,7 +201,7 @@ def _without_verdict(e: Evidence) -> dict[str, Line]:
         why = explain(Code.NO_VERDICT_CAUSE if e.trust_cause else Code.NO_VERDICT)
     else:
         why = explain(Code.OLD_VERDICT_CAUSE if e.trust_cause else Code.OLD_VERDICT, age_s=round(e.trust_age_s))
-    return _lines(why, cause=e.trust_cause or "")
+    return _lines(why, cause=e.trust_cause)
 
 
 def no_verdict(age_s: float | None) -> Explanation | None:
@@ -275,7 +219,7 @@ def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdi
     if known is None and not trust.reason_codes and reason:
         lines = {language: replace(line, sentence=reason) for language, line in _lines(deciding).items()}
     else:
-        lines = _lines(known or deciding, trust.state, reason, e.cause or "")
+        lines = _lines(known or deciding, trust.state, reason, e.cause)
     return _spoken(
         Trust(words().row(deciding.code).level or trust.state.value),
         lines,

@@ -113,7 +113,7 @@ def hypotheses(state: State, now_ns: int) -> Json:
 
 def outages(state: State) -> Json:
     """List the outages that are open, and those that are over."""
-    rows = [(outage.until_ns is None, outage.model_dump(mode="json")) for outage in views.outages(state)]
+    rows = [(outage.until_ns is None, views.outage_row(outage)) for outage in views.outages(state)]
     return {"open": [row for is_open, row in rows if is_open], "closed": [row for is_open, row in rows if not is_open]}
 
 

@@ -3,6 +3,7 @@
 from math import hypot
 
 from shared.messages.base import Message
+from shared.messages.explanation import Explanation
 from shared.messages.gnss import GnssFix, GnssSatellites
 from shared.messages.navigation import NavigationSolution, NavigationState, SetUpState, TruthState
 from shared.messages.operation import (
@@ -19,6 +20,7 @@ from shared.messages.uplink import UplinkState
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import limits_of
 from shared.topics import TOPICS
+from shared.words.words import ENGLISH, LANGUAGES, Told, words
 
 from ..flow import TopicFlow
 from ..state import State
@@ -83,7 +85,7 @@ def dashboard(state: State, now_ns: int) -> Json:
         "topics": {name: {**traffic(flow), **_earlier(state, name)} for name, flow in state.topics.items()},
         "processes": processes(state, now_ns),
         "problems": problems(state),
-        "outages": [outage.model_dump(mode="json") for outage in outages(state)[:OUTAGES_SHOWN]],
+        "outages": [outage_row(outage) for outage in outages(state)[:OUTAGES_SHOWN]],
         "bus": {
             "messages_hz": round(sum(flow.rate_hz for flow in state.topics.values()), 1),
             "delay_p95_s": rounded(state.bus_delay_p95_s, 5),
@@ -192,6 +194,7 @@ def processes(state: State, now_ns: int) -> Json:
             "memory_bytes": flow.memory_bytes,
             "dropped": health.dropped if health else 0,
             "rejects": dict(health.rejects) if health else {},
+            "reject_names": {kind: words().name("reject", kind) for kind in health.rejects} if health else {},
             "kinds": [kind.model_dump(mode="json") for kind in flow.kinds],
             "reconnections": health.reconnections if health else 0,
             "last_error": flow.last_error,
@@ -201,13 +204,28 @@ def processes(state: State, now_ns: int) -> Json:
 
 def problems(state: State) -> list[Json]:
     """List what is wrong now, each with the topics that it silences."""
-    return [problem.model_dump(mode="json", exclude={"outage"}) for problem in state.judgement.problems]
+    return [
+        {**problem.model_dump(mode="json", exclude={"outage"}), "languages": _told(problem.text, problem.text_code)}
+        for problem in state.judgement.problems
+    ]
 
 
 def outages(state: State) -> list[Outage]:
     """List the outages: open ones first, then the newest."""
     open_ = [problem.outage for problem in state.judgement.problems if problem.outage is not None]
     return [*open_, *(outage for outage in state.outages.closed() if not _same(outage, open_))]
+
+
+def outage_row(outage: Outage) -> Json:
+    """Show an outage, with its cause in every language."""
+    return {**outage.model_dump(mode="json"), "languages": _told(outage.cause, outage.cause_code)}
+
+
+def _told(text: str, code: Explanation | None) -> dict[str, str]:
+    """What a code says in languages other than English; empty for a message without a code."""
+    if code is None:
+        return {}
+    return {language: words(language).told(Told(text, code)) for language in LANGUAGES if language != ENGLISH}
 
 
 def _earlier(state: State, name: str) -> Json:

@@ -6,6 +6,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.json_schema import models_json_schema
 
+from shared.messages.explanation import Explanation
 from shared.messages.operation import Freshness, Outage, ProcessStatus
 from shared.messages.trust import Hypothesis
 
@@ -63,9 +64,12 @@ class ProblemRow(Answer):
     what: str
     """root cause: a process, a topic, or "broker" """
     text: str
+    text_code: Explanation | None
     since_ns: Stamp | None
     affected: list[str]
     """topics that it silences"""
+    languages: dict[str, str]
+    """`text` in languages other than English"""
 
 
 class Health(Answer):
@@ -260,11 +264,18 @@ class HypothesesReport(Answer):
     """of the last two minutes"""
 
 
+class OutageRow(Outage):
+    """An outage."""
+
+    languages: dict[str, str]
+    """`cause` in languages other than English"""
+
+
 class Outages(Answer):
     """Outages by root cause."""
 
-    open: list[Outage]
-    closed: list[Outage]
+    open: list[OutageRow]
+    closed: list[OutageRow]
 
 
 class Topic(Answer):
@@ -302,7 +313,7 @@ class Everything(Answer):
     topics: dict[str, Topic]
     processes: dict[str, Object]
     problems: list[ProblemRow]
-    outages: list[Outage]
+    outages: list[OutageRow]
 
 
 class Viewers(Answer):

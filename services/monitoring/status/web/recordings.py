@@ -1,7 +1,6 @@
 """Recordings over the web: the list, a download, and what the configuration allows besides."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from shared.library.library import Library
+from shared.runtime.reports import VARIABLE, read_report
 
 from ..views import recordings as views
 from . import body
@@ -27,7 +27,7 @@ from .body import json_response
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 Responses = dict[int | str, dict[str, Any]]
-OUTPUT_BYTES = 4000  # of a job's output that are read
+LOG, REPORT = "job.log", "job.report.json"  # output for people, and what the job tells
 
 
 class Action(StrEnum):
@@ -71,10 +71,12 @@ class Job:
         command = [sys.executable, "-m", "cli", action.value, str(recording), *more]
         environment = {k: v for k, v in os.environ.items() if k not in ("OBU_VEHICLE", "OBU_BROKER")}
         self.action, self.name = action, name
-        with (self._folder / "job.log").open("wb") as output:
+        (self._folder / REPORT).unlink(missing_ok=True)
+        with (self._folder / LOG).open("wb") as output:
             self._child = subprocess.Popen(
                 ["nice", *command], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                env={**environment, "OBU_STATE": str(self._folder), FOLDER_VARIABLE: str(self._tokens)},
+                env={**environment, "OBU_STATE": str(self._folder), FOLDER_VARIABLE: str(self._tokens),
+                     VARIABLE: str(self._folder / REPORT)},
             )  # fmt: skip
 
     def cancel(self) -> None:
@@ -97,19 +99,19 @@ class Job:
         return self._folder / f"{Path(name).stem}-solution" / "report.html"
 
     def view(self) -> dict[str, object] | None:
-        """Show the job: its last line of output, and the port of a replay."""
+        """Show the job: what it has found or why it failed, and the port of a replay."""
         if self._child is None:
             return None
-        text = (self._folder / "job.log").read_bytes()[-OUTPUT_BYTES:].decode(errors="replace")
-        port = re.search(r"replayed at http://[^ ]*?:(\d+)", text)
-        lines = [line for line in text.splitlines() if line.strip()]
+        report = read_report(self._folder / REPORT)
+        failed = not self.running and self._child.returncode not in (0, -signal.SIGTERM, 128 + signal.SIGTERM)
+        unsaid = f"it ended with code {self._child.returncode}; its output is {self._folder / LOG}" if failed else ""
         return {
             "action": self.action,
             "name": self.name,
             "running": self.running,
-            "failed": not self.running and self._child.returncode not in (0, -signal.SIGTERM, 128 + signal.SIGTERM),
-            "port": int(port[1]) if port and self.running else None,
-            "text": lines[-1].removeprefix("obu: ")[:300] if lines else "",
+            "failed": failed,
+            "port": report.port if self.running else None,
+            "text": (report.error or report.finding or unsaid)[:300],
         }
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cli.demo.supervisor import Supervisor
+from shared.errors import UserError
 from tests.support.patience import HANGS_S
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(60)"]
@@ -64,6 +65,17 @@ def test_a_child_that_rejects_its_configuration_is_not_restarted(supervisor: Sup
     watch_until(supervisor, lambda: child.misconfigured)
     supervisor.watch()
     assert child.process is None and child.restarts == 0
+
+
+def test_why_a_configuration_is_rejected_is_what_the_child_reports_and_not_what_it_logs(
+    supervisor: Supervisor,
+) -> None:
+    script = "import os, sys; from shared.runtime.reports import begin, tell; begin(); tell(error='no such key')"
+    supervisor.add("rejecting", [sys.executable, "-c", f"{script}; print('a line'); sys.exit(os.EX_CONFIG)"])
+    child = supervisor.children["rejecting"]
+    watch_until(supervisor, lambda: child.misconfigured)
+    with pytest.raises(UserError, match=r"^rejecting does not start: no such key$"):
+        supervisor.raise_rejected()
 
 
 def test_the_output_of_a_child_is_logged(supervisor: Supervisor, tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from cli.campaign import Job, code_of, in_executor
-from cli.fleet.run import DIFFERENT, MODULES, Command, Done, _finding, cluster, run, work_on
+from cli.fleet.run import MODULES, Command, Done, cluster, run, work_on
 from shared.errors import UserError
 from shared.evidence import KeyFile, Outcome
+from shared.evidence.outcome import OTHER_RELEASE
 from tests.unit.shared.recording.test_proof import drive, record
 
 ROOT = Path(__file__).parents[4]
@@ -99,10 +100,10 @@ def test_what_a_recording_is_verified_as_says_why_the_code_is_not_0(tmp_path: Pa
     assert foreign.said.startswith("signed by key ") and "not among the accepted ones" in foreign.said
 
 
-def test_a_process_that_is_not_repeated_is_named() -> None:
-    rows = ["a.mcap: verified", "process  started verdict", "core.fusion 9 no journal", "core.trust 9 identical"]
-    assert _finding(Command.VERIFY, Path(), rows, DIFFERENT) == "core.fusion: no journal"
-    assert _finding(Command.VERIFY, Path(), rows[:1], DIFFERENT) == "a.mcap: verified"
+def test_what_another_release_has_made_is_said_with_its_own_code(tmp_path: Path) -> None:
+    verified = done(Command.VERIFY, tmp_path / "out", RECORDING)
+    assert verified.code == OTHER_RELEASE
+    assert "version 0.1.0 or earlier" in verified.said
 
 
 def test_what_was_solved_and_attacked_is_a_sentence_and_no_path(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """`obu verify` names what happened to a recording by its exit code, and `obu evidence-key` manages the keys."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,6 @@ from mcap.writer import CompressionType
 
 from cli.evidence_key import accepted_keys, export, rotate, show
 from cli.recordings.record import repair
-from cli.recordings.signatures import check_signatures
 from cli.recordings.verify import verify
 from shared.errors import UserError
 from shared.evidence import KeyFile, Outcome, keys_folder
@@ -16,6 +16,10 @@ from shared.recording.folder import RecordingFolder
 from tests.support.rewritten import rewrite
 from tests.unit.shared.recording.test_proof import drive, record
 from tests.unit.shared.recording.test_recording import START_NS
+
+
+def check_signatures(files: Sequence[Path], keys: list[Path] | None) -> int:
+    return verify(list(files), key=keys, signatures=True)
 
 
 @pytest.fixture(autouse=True)
@@ -61,8 +65,8 @@ def test_the_gravest_file_decides(tmp_path: Path, key: KeyFile) -> None:
     good = record(tmp_path / "good.mcap", drive(20), key.signer())
     cut = record(tmp_path / "cut.mcap", drive(20), key.signer(), close=False)
     edited = changed(good, tmp_path / "edited.mcap", 3000, b"xx")
-    assert check_signatures([good, cut], None) is Outcome.CUT
-    assert check_signatures([edited, cut, good], None) is Outcome.EDITED
+    assert check_signatures([good, cut], None) == Outcome.CUT
+    assert check_signatures([edited, cut, good], None) == Outcome.EDITED
 
 
 def test_the_line_of_a_file_says_whose_it_is(tmp_path: Path, key: KeyFile, capsys: pytest.CaptureFixture[str]) -> None:
@@ -82,8 +86,8 @@ def test_a_missing_file_between_two_of_a_recorder_is_named(
         folder.write(drive(20))
         folder.close()
     files = [tmp_path / "drives" / f"{number}.mcap" for number in range(3)]
-    assert check_signatures(files, None) is Outcome.VERIFIED
-    assert check_signatures([files[0], files[2]], None) is Outcome.EDITED
+    assert check_signatures(files, None) == Outcome.VERIFIED
+    assert check_signatures([files[0], files[2]], None) == Outcome.EDITED
     assert "a recording is missing" in capsys.readouterr().out
 
 
@@ -93,8 +97,8 @@ def test_a_public_key_is_enough_to_verify_elsewhere(
     path = record(tmp_path / "a.mcap", drive(20), key.signer())
     assert export(tmp_path / "car.pub") == 0
     monkeypatch.setenv("OBU_STATE", str(tmp_path / "elsewhere"))
-    assert check_signatures([path], None) is Outcome.FOREIGN
-    assert check_signatures([path], [tmp_path / "car.pub"]) is Outcome.VERIFIED
+    assert check_signatures([path], None) == Outcome.FOREIGN
+    assert check_signatures([path], [tmp_path / "car.pub"]) == Outcome.VERIFIED
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -102,7 +106,7 @@ def test_given_keys_replace_those_of_this_unit(tmp_path: Path, key: KeyFile) -> 
     path = record(tmp_path / "a.mcap", drive(20), key.signer())
     other = KeyFile(tmp_path / "other")
     other.signer()
-    assert check_signatures([path], [tmp_path / "other" / "ring.json"]) is Outcome.FOREIGN
+    assert check_signatures([path], [tmp_path / "other" / "ring.json"]) == Outcome.FOREIGN
 
 
 def test_rotation_is_shown_and_the_old_key_stays_accepted(
@@ -116,7 +120,7 @@ def test_rotation_is_shown_and_the_old_key_stays_accepted(
     assert sum("signs now" in line for line in lines) == 1
     assert len(accepted_keys(None).keys) == 2
     assert accepted_keys(None).find(old) is not None
-    assert check_signatures([record(tmp_path / "a.mcap", drive(20), key.signer())], None) is Outcome.VERIFIED
+    assert check_signatures([record(tmp_path / "a.mcap", drive(20), key.signer())], None) == Outcome.VERIFIED
 
 
 def test_key_files_that_hold_none_are_user_errors(tmp_path: Path) -> None:

@@ -1,3 +1,4 @@
+import json
 import os
 import subprocess
 import sys
@@ -12,12 +13,13 @@ from cli.recordings.verify import verify
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.evidence import KeyFile, keys_folder
+from shared.evidence.outcome import OTHER_RELEASE
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import LastPosition
 from shared.messages.operation import Mode, ModeState, ProcessHealth, ProcessState
 from shared.messages.vehicle import CanRaw, VehicleSpeed
-from shared.recording import RecordingWriter
+from shared.recording import RecordingWriter, channels, writer
 from shared.recording.seals import Sealer
 from shared.runtime.config import parse_vehicle
 from shared.runtime.live import Journal, Reactor, load_process
@@ -320,15 +322,55 @@ def test_a_recorded_process_is_verified(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_a_recording_with_a_changed_message_is_different(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def forge(envelopes: list[Envelope]) -> None:
-        k = [n for n, e in enumerate(envelopes) if e.topic == "vehicle/speed"][10]
-        old = envelopes[k]
-        envelopes[k] = old._replace(payload=old.payload.replace(b'"speed_m_s":', b'"speed_m_s":1'))
-
-    assert verify([can_recording(tmp_path / "a.mcap", forge)], "parsers.can", None) == 1
+    assert verify([can_recording(tmp_path / "a.mcap", forge_a_speed)], "parsers.can", None) == 1
     captured = capsys.readouterr()
     assert "different" in captured.out
     assert "vehicle/speed byte " in captured.err
+
+
+def forge_a_speed(envelopes: list[Envelope]) -> None:
+    k = [n for n, e in enumerate(envelopes) if e.topic == "vehicle/speed"][10]
+    old = envelopes[k]
+    envelopes[k] = old._replace(payload=old.payload.replace(b'"speed_m_s":', b'"speed_m_s":1'))
+
+
+def other_version(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(writer, "VERSION", "0.0.9")
+
+
+def other_schema(patch: pytest.MonkeyPatch) -> None:
+    def schema_of(topic: str) -> tuple[str, bytes] | None:
+        name, schema = channels.schema_of(topic) or ("", b"{}")
+        return name, schema.replace(b"speed_m_s", b"speed") if topic == "vehicle/speed" else schema
+
+    patch.setattr(writer, "schema_of", schema_of)
+
+
+@pytest.mark.parametrize("other", [other_version, other_schema])
+def test_a_difference_in_what_another_release_has_made_is_its_release(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    other: Callable[[pytest.MonkeyPatch], None],
+) -> None:
+    with monkeypatch.context() as patch:
+        other(patch)
+        differs = can_recording(tmp_path / "a.mcap", forge_a_speed)
+        same = can_recording(tmp_path / "b.mcap")
+    assert verify([differs], None, None, as_json=True) == OTHER_RELEASE
+    [found] = json.loads(capsys.readouterr().out)["processes"]
+    assert found["verdict"] == "other_release" and found["reason"]
+    assert verify([same], None, None) == 0, "what is identical needs no other release"
+
+
+def test_words_about_a_field_make_no_other_release(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        described = [channels.schema_of("vehicle/speed")]
+        assert described[0] is not None
+        other = json.dumps({**json.loads(described[0][1]), "description": "of before"}).encode()
+        patch.setattr(writer, "schema_of", lambda topic: ("VehicleSpeed", other) if topic == "vehicle/speed" else None)
+        path = can_recording(tmp_path / "a.mcap", forge_a_speed)
+    assert verify([path], None, None) == 1
 
 
 def test_an_incarnation_in_two_files_is_verified_if_both_are_given(tmp_path: Path) -> None:

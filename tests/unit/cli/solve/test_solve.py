@@ -30,7 +30,7 @@ from tests.support.bus.envelopes import sent
 from tests.support.drives.csv_drive import write_drive
 
 Metrics = dict[str, float]
-WRITTEN = ["verdict", *as_objects(dict.fromkeys(METRICS))]  # keys of metrics.json
+WRITTEN = ["verdict", "verdict_codes", *as_objects(dict.fromkeys(METRICS))]  # keys of metrics.json
 
 DURATION_S = 70.0
 

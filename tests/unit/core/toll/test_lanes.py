@@ -7,8 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cli.papers.toll.lane_decisions import ROWS, gauss_markov, simulate
+from services.core.toll.codes import Code
 from services.core.toll.delta import Delta, DeltaEstimator, ErrorModel
 from services.core.toll.lanes import LaneGeometry, lane_likelihood
+from shared.messages.explanation import explain
 
 SECOND_NS = 10**9
 
@@ -68,16 +70,16 @@ def test_independent_fixes_of_a_constant_error_are_averaged() -> None:
 
 def test_there_is_no_delta_from_few_or_old_fixes() -> None:
     one = estimator()
-    assert one.delta(0) == "no fix of the unit's receiver"
+    assert one.delta(0) == explain(Code.NO_FIX)
     for second in range(10):
         one.add(second * SECOND_NS, 0.0, 0.0)
-    assert one.delta(9 * SECOND_NS) == "only 9 s of fixes"
+    assert one.delta(9 * SECOND_NS) == explain(Code.FEW_FIXES, span_s=9)
     for second in range(10, 30):
         one.add(second * SECOND_NS, 0.0, 0.0)
     assert isinstance(one.delta(39 * SECOND_NS), Delta)
-    assert one.delta(40 * SECOND_NS) == "no fix for 11 s"
+    assert one.delta(40 * SECOND_NS) == explain(Code.OLD_FIX, age_s=11)
     one.add(60 * SECOND_NS, 0.0, 0.0)
-    assert one.delta(60 * SECOND_NS) == "only 0 s of fixes"
+    assert one.delta(60 * SECOND_NS) == explain(Code.FEW_FIXES, span_s=0)
 
 
 def test_fixes_far_away_or_out_of_order_are_rejected() -> None:

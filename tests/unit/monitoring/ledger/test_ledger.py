@@ -9,6 +9,7 @@ import pytest
 from services.monitoring.ledger.ledger import PASSAGES_BYTES, Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Row, Store, Value
 from shared.bus.codec import encode
+from shared.messages.explanation import Quoted, explain
 from shared.messages.toll import SETTLED, STATIONS, EvidencePack, PassageState, RegisteredStation, TransactionKind
 from shared.topics import MANY_BYTES
 from tests.support.v2x.tolling import NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
@@ -136,7 +137,7 @@ def test_station_ids_of_one_contract_with_two_tariff_classes_are_suspect(opened:
     ledger.passage(vehicle.says(CHARGED), LATER_NS)
     (review,) = ledger.reviews()
     assert (review.contract, review.contracts) == ("contract-1", ())
-    assert review.reason == "station IDs of two tariff classes"
+    assert review.reason_code == explain("ledger.two_classes")
 
 
 @pytest.mark.parametrize("is_first", [True, False])
@@ -386,7 +387,8 @@ def test_a_class_that_the_tariff_has_lost_is_not_charged_and_counted(tmp_path: P
     ledger = Ledger(store, plaza, "", Settings(), START_NS)
     ledger.passage(vehicle.says(CHARGED), LATER_NS)
     assert outcomes(ledger) == {vehicle.passage_id: PassageState.SUSPECT}
-    assert "no class van" in ledger.state(LATER_NS).recent[0].reason
+    why = explain("ledger.no_class", tariff_class=Quoted(quoted="van"))
+    assert ledger.state(LATER_NS).recent[0].reason_code == why
     assert ledger.due(LATER_NS) == []
     assert ledger.rejects == {"tariff class": 1}
     store.close()

@@ -134,7 +134,9 @@ def test_a_full_disk_settles_nothing_and_charging_continues_when_there_is_room(
 
     def limited(store: Store, sql: str, *values: str | float | bytes | None) -> int:
         if full and sql.startswith("INSERT INTO booking"):
-            raise sqlite3.OperationalError("database or disk is full")
+            error = sqlite3.OperationalError("x")
+            error.sqlite_errorcode = sqlite3.SQLITE_FULL
+            raise error
         return execute(store, sql, *values)
 
     def remedy(call: int) -> None:

@@ -40,7 +40,8 @@ for path in sorted((disk / "recordings").glob("*.mcap")):
         found += [m.sequence for m in recording]
 stopped = [s for s in states if not s.recording]
 assert 4 <= len(stopped) <= 12, len(stopped)
-assert all("No space left on device" in s.reason for s in stopped), {s.reason for s in stopped}
+FULL = {"quoted": "No space left on device"}
+assert all(s.reason_code.model_dump()["values"]["error"] == FULL for s in stopped), {s.reason for s in stopped}
 assert found[:35] == list(range(35))
 assert found[-70:] == list(range(180, 250))
 assert found == sorted(set(found))

@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from services.monitoring.recorder.codes import Code
 from services.monitoring.recorder.process import Config, Process
 from shared.bus.bus import Envelope
 from shared.library.order import in_order, read_order
+from shared.messages.explanation import Quoted
 from shared.messages.operation import Mode, ModeState, RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
@@ -101,13 +103,16 @@ def test_old_recordings_make_room_but_not_those_to_be_kept(tmp_path: Path) -> No
     assert names == ["20200101T000000Z_car.mcap", "20200103T000000Z_car.mcap", "20260921T141320Z_car.mcap"]
 
 
+def codes_of(states: list[RecordingState]) -> set[str]:
+    return {state.reason_code.code for state in states if state.reason_code is not None}
+
+
 def test_a_disk_below_its_floor_is_not_written_to_and_the_state_says_why(tmp_path: Path) -> None:
     states = run(tmp_path, Config(minimum_free_bytes=1 << 60), 25)
 
     assert list((tmp_path / "recordings").iterdir()) == []
     assert not any(state.recording for state in states)
-    assert states[-1].reason is not None
-    assert "must stay free" in states[-1].reason
+    assert codes_of(states[-1:]) == {Code.DISK_FULL} and states[-1].reason
     assert states[-1].dropped == 20
 
 
@@ -159,10 +164,7 @@ def test_a_full_disk_stops_the_recorder_with_a_reason_and_it_resumes_by_itself(t
     assert [state.recording for state in states[1:5]] == [True] * 4
     stopped = [state for state in states if not state.recording]
     assert 5 <= len(stopped) <= 10
-    assert {state.reason for state in stopped} <= {
-        "cannot write: No space left on device",
-        f"cannot use {tmp_path / 'recordings'}: No space left on device",
-    }
+    assert codes_of(stopped) <= {Code.CANNOT_WRITE, Code.CANNOT_USE_FOLDER}
     assert states[-1].recording
     assert states[-1].reason is None
     found = recorded(tmp_path / "recordings")
@@ -178,15 +180,16 @@ def test_a_folder_that_cannot_be_made_is_a_reason_and_not_a_crash(tmp_path: Path
     states = run(tmp_path, EASY, 25)
 
     assert not states[-1].recording
-    assert states[-1].reason is not None
-    assert states[-1].reason.startswith("cannot use ")
+    assert codes_of(states[-1:]) == {Code.CANNOT_USE_FOLDER}
 
 
 def test_a_disk_that_is_not_mounted_is_a_reason_and_its_place_is_not_made(tmp_path: Path) -> None:
     states = run(tmp_path, Config(minimum_free_bytes=0, folder=str(tmp_path / "disk" / "recordings")), 25)
 
-    reason = f"cannot use {tmp_path / 'disk' / 'recordings'}: No such file or directory"
-    assert [(state.recording, state.reason, state.free_bytes) for state in states] == [(False, reason, 0)] * len(states)
+    assert [(state.recording, state.free_bytes) for state in states] == [(False, 0)] * len(states)
+    assert codes_of(states) == {Code.CANNOT_USE_FOLDER}
+    assert states[-1].reason_code is not None
+    assert states[-1].reason_code.values["error"] == Quoted(quoted="No such file or directory")
     assert states[-1].dropped == 20
     assert not (tmp_path / "disk").exists()
 

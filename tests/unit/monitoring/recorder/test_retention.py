@@ -1,6 +1,8 @@
 import pytest
 
+from services.monitoring.recorder.codes import Code
 from services.monitoring.recorder.retention import Limits, Verdict, decide, file_name
+from shared.messages.explanation import explain
 from shared.recording.folder import Stored
 
 LIMITS = Limits(maximum_total_bytes=100, minimum_free_bytes=50)
@@ -30,13 +32,13 @@ def test_the_recording_in_progress_counts_but_stays() -> None:
 def test_kept_recordings_over_the_quota_stop_the_recorder() -> None:
     verdict = decide([Stored("a", 101_000_000, kept=True), Stored("b", 5)], 1000, Limits(100_000_000, 0))
 
-    assert verdict == Verdict(refusal="the recordings to be kept exceed the quota of 100 MB")
+    assert verdict == Verdict(refusal=explain(Code.OVER_QUOTA, maximum_total_bytes=100_000_000))
 
 
 def test_nothing_is_deleted_where_that_would_not_be_enough() -> None:
     verdict = decide(FILES, 0, Limits(10**9, 500_000_000))
 
-    assert verdict == Verdict(refusal="the disk has 0 MB left, and 500 MB must stay free")
+    assert verdict == Verdict(refusal=explain(Code.DISK_FULL, free_bytes=0, minimum_free_bytes=500_000_000))
 
 
 @pytest.mark.parametrize("free_bytes", range(0, 200, 7))

@@ -12,8 +12,9 @@ from services.monitoring.status.state import State
 from services.monitoring.status.views import position, reports, snapshot
 from services.monitoring.status.views.banner import Trust
 from shared.bus.codec import encode
+from shared.bus.codes import broker_down
 from shared.errors import BadPayload
-from shared.messages.explanation import explain
+from shared.messages.explanation import Explanation, explain, process, topic
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import AidingKind, NavigationPhase, TruthState
@@ -33,6 +34,7 @@ from shared.messages.operation import (
 from shared.messages.trust import Outcome, TrustEvent, TrustLevel
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.topics import BY_NAME
+from shared.words.words import stated
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.status_world import (
     ALL,
@@ -93,12 +95,12 @@ def fields(found: object) -> dict[str, Any]:
     return found
 
 
-def problems(world: World) -> list[str]:
-    return [problem.text for problem in world.state.judgement.problems]
+def problems(world: World) -> list[Explanation | None]:
+    return [problem.text_code for problem in world.state.judgement.problems]
 
 
 AWAITS_TRUST = "Nothing is known yet: waiting for the first verdict of core.trust."
-STALE = "core.fusion is stale: connected, but without heartbeat; it hangs or is overloaded"
+STALE = explain("health.stale", process("core.fusion"))
 
 
 def test_a_unit_that_works_has_no_problems(driving: World) -> None:
@@ -113,7 +115,7 @@ def test_a_stopped_process_is_stale_within_its_deadline_of_two_seconds(driving: 
         drive(driving, 0.1, without=("core.fusion",))
         assert driving.now_ns - stopped_ns < 3.0 * SECOND_NS, "deadline, heartbeat, report and the period of judging"
     drive(driving, 0.7, without=("core.fusion",), level=TrustLevel.NO_FIX)
-    assert driving.state.verdict.sentence == f"No position: {STALE}."
+    assert driving.state.verdict.sentence == "No position: core.fusion does not answer."
 
 
 def test_every_age_is_that_of_the_data_however_promptly_it_arrives(driving: World) -> None:
@@ -181,7 +183,9 @@ def test_a_process_that_ended_as_asked_is_ended_and_not_stale(driving: World) ->
 
 def test_a_sensor_that_falls_silent_is_named_while_its_driver_runs(driving: World) -> None:
     drive(driving, 3.0, without=("ImuRaw",))
-    assert problems(driving) == ["sensors.simulator runs, but its device sends nothing (imu/raw)"]
+    assert problems(driving) == [
+        explain("health.device_silent", topic("imu/raw"), process=process("sensors.simulator"))
+    ]
 
 
 def test_a_unit_that_has_just_started_has_no_root_cause_yet() -> None:
@@ -207,7 +211,7 @@ def test_an_outage_lasts_from_the_last_message_to_the_first_after_it(driving: Wo
 def test_an_outage_that_goes_on_is_open_again_and_not_a_second_one(driving: World) -> None:
     over = Outage(what="gnss/raw", since_ns=driving.now_ns, until_ns=driving.now_ns + SECOND_NS, cause="unplugged")
     driving.hear(over, "monitoring.health")
-    assert reports.outages(driving.state)["closed"] == [over.model_dump(mode="json")]
+    assert reports.outages(driving.state)["closed"] == [{**over.model_dump(mode="json"), "languages": {}}]
     driving.hear(over.model_copy(update={"until_ns": None}), "monitoring.health")
     assert reports.outages(driving.state)["closed"] == []
 
@@ -218,7 +222,7 @@ def test_processes_are_waited_for_and_after_two_minutes_missing() -> None:
     assert status(world, "core.fusion") is ProcessStatus.WAITING
     world.pass_time(2.0, 0.5)
     assert status(world, "core.fusion") is ProcessStatus.MISSING
-    cause = "core.fusion is missing: it should run in this vehicle, but was never seen"
+    cause = stated(explain("health.missing", process("core.fusion")))
     assert world.state.judgement.cause("navigation/solution") == cause
     assert "core.trust is missing" in world.state.verdict.sentence
 
@@ -239,7 +243,7 @@ def test_a_health_message_in_the_name_of_a_stranger_is_rejected(driving: World) 
 
 @pytest.mark.parametrize(
     ("connected", "text"),
-    [(False, "the broker is not reachable"), (True, "the broker hangs: it is connected, but delivers nothing")],
+    [(False, "the broker is not reachable"), (True, "the broker delivers nothing")],
 )
 def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
     driving: World, connected: bool, text: str
@@ -247,13 +251,19 @@ def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
     for _ in range(60):
         driving.now_ns += SECOND_NS // 10
         driving.state.tick(driving.now_ns, broker=connected)
-        assert problems(driving) in ([], [text])
+        assert problems(driving) in ([], [broker_down(connected=connected)])
     assert status(driving, "core.fusion") is ProcessStatus.UNKNOWN
     assert driving.state.verdict.state is Trust.BROKER_LOST
     assert driving.state.verdict.sentence == f"Nothing is known: {text}."
     assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
     [outage] = rows(reports.outages(driving.state)["open"])
-    assert (outage["what"], outage["cause"]) == ("broker", text)
+    assert outage["what"] == "broker"
+    [problem] = snapshot.problems(driving.state)
+    for row in (outage, problem):
+        told = row["languages"]
+        assert isinstance(told, dict) and told["de"].startswith("der Broker ") and told["fr"].startswith("le broker ")
+    assert driving.state.verdict.lines["de"].sentence.startswith("Nichts ist bekannt: der Broker ")
+    assert outage["cause_code"] == broker_down(connected=connected).model_dump(mode="json")
 
 
 def test_a_broker_that_is_back_accuses_nobody(driving: World) -> None:
@@ -294,8 +304,7 @@ def test_a_silent_watchdog_is_the_only_problem_and_all_else_is_unknown(driving: 
     drive(driving, 1.5)
     assert problems(driving) == []
     drive(driving, 1.5)
-    text = "monitoring.health does not report, so the state of processes and topics is unknown"
-    assert problems(driving) == [text]
+    assert problems(driving) == [explain("banner.not_reported", process("monitoring.health"))]
     assert {status(driving, name) for name in ALL} == {ProcessStatus.UNKNOWN}
     assert driving.state.verdict.state is Trust.SAFE, "the verdict does not depend on the watchdog"
     assert reports.health(driving.state, driving.now_ns)["topics"] == {}
@@ -333,7 +342,7 @@ def test_the_verdict_ends_at_the_deadline_of_trust_state_and_is_never_safe_after
         age_s = (driving.now_ns - said_ns) / SECOND_NS
         assert (driving.state.verdict.state is Trust.STALE) == (age_s >= 5.0) or abs(age_s - 5.0) < 0.3
     verdict = driving.state.verdict
-    assert verdict.sentence.startswith("Trust is not evaluated: no verdict for 9 s")
+    assert verdict.sentence.startswith("Trust is not evaluated for 9 s")
     assert all(check.state is Trust.STALE for check in verdict.checks if check.kind == "monitor")
     health = reports.health(driving.state, driving.now_ns)
     position = health["position"]
@@ -383,7 +392,7 @@ def test_the_verdict_of_a_process_that_has_ended_is_withdrawn_at_once(driving: W
     driving.hear(will, "core.trust")
     drive(driving, 0.3, without=("core.trust",))
     assert driving.state.verdict.state is Trust.STALE
-    assert driving.state.verdict.sentence.startswith("Trust is not evaluated: no verdict of core.trust")
+    assert driving.state.verdict.sentence == "Trust is not evaluated: core.trust was lost."
 
 
 def test_a_verdict_of_before_the_restart_of_core_trust_is_not_shown_any_more(driving: World) -> None:
@@ -399,7 +408,7 @@ def test_a_verdict_on_a_solution_of_before_the_restart_of_core_fusion_is_not_sho
     drive(driving, 1.2, without=("core.fusion",))
     verdict = driving.state.verdict
     assert verdict.state is Trust.STARTING
-    assert "the first solution after the restart of core.fusion" in verdict.sentence
+    assert "the first position of core.fusion" in verdict.sentence
     green = {check.name for check in verdict.checks if check.state is Trust.SAFE}
     assert not green & {"phase", "heading", "protection", "gate"}
     drive(driving, 0.3, without=("core.fusion",), level=TrustLevel.NO_FIX)
@@ -483,10 +492,10 @@ def test_what_the_watchdog_reports_is_shown_as_it_is(driving: World) -> None:
     row = TopicAge(
         topic="navigation/solution", freshness=Freshness.STALE, age_s=3.0, rate_hz=0.0, count=30, cause="unplugged"
     )
-    process = ProcessAge(process="core.fusion", status=ProcessStatus.RESTARTING, heartbeat_age_s=0.1, restarts=4)
+    row_of = ProcessAge(process="core.fusion", status=ProcessStatus.RESTARTING, heartbeat_age_s=0.1, restarts=4)
     problem = Problem(what="imu/raw", text="the IMU is unplugged", since_ns=START_NS, affected=("imu/raw",))
     driving.watchdog = None
-    report = DeadlineReport(now_ns=driving.now_ns, topics=(row,), processes=(process,), problems=(problem,))
+    report = DeadlineReport(now_ns=driving.now_ns, topics=(row,), processes=(row_of,), problems=(problem,))
     driving.hear(report, "monitoring.health")
     driving.hear(trust(driving.now_ns, TrustLevel.NO_FIX, reasons=("solution is old",)), "core.trust")
     driving.pass_time(0.3)
@@ -494,7 +503,14 @@ def test_what_the_watchdog_reports_is_shown_as_it_is(driving: World) -> None:
     health = reports.health(driving.state, driving.now_ns)
     assert health["topics"] == {"navigation/solution": {"freshness": "stale", "age_s": 3.0, "cause": "unplugged"}}
     assert health["problems"] == [
-        {"what": "imu/raw", "text": "the IMU is unplugged", "since_ns": START_NS, "affected": ["imu/raw"]}
+        {
+            "what": "imu/raw",
+            "text": "the IMU is unplugged",
+            "since_ns": START_NS,
+            "affected": ["imu/raw"],
+            "text_code": None,
+            "languages": {},
+        }
     ]
     shown = snapshot.processes(driving.state, driving.now_ns)["core.fusion"]
     assert isinstance(shown, dict)

@@ -11,6 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from cli.import_drive import codes as importing
+from cli.solve import codes as solve
+from fleet.alarms import codes as fleet
 from services.core.cooperative.codes import Code as SatelliteCode
 from services.core.evidence.codes import Code as EvidenceCode
 from services.core.evidence.monitor import EvidenceMonitor, Part
@@ -22,16 +25,24 @@ from services.core.spoofing.drift.monitor import NAMES
 from services.core.spoofing.drift.monitor import Part as Axes
 from services.core.spoofing.gyroscope.vote import Source
 from services.core.spoofing.profile import Trait
+from services.core.toll import codes as toll
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
-from services.monitoring.status.views.banner import Code as BannerCode
-from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain
+from services.monitoring.health import codes as health
+from services.monitoring.ledger import codes as ledger
+from services.monitoring.recorder import codes as recorder
+from services.monitoring.status.views import codes as banner
+from services.monitoring.status.views.banner import Trust
+from shared.bus import codes as broker
+from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain, process
 from shared.messages.gnss import InterferenceState
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
+from shared.rejects import PARTS, reason_of
 from shared.trust.inputs import Input
 from shared.words import words as words_module
 from shared.words.words import (
+    CLAUSE,
     INSTANT,
     INSTANT_ENDING,
     LANGUAGES,
@@ -41,11 +52,12 @@ from shared.words.words import (
     REASON_LENGTH,
     REPOSITORY,
     SUBJECT,
-    TEXT,
     Row,
+    Told,
     Words,
     reason,
     said,
+    stated,
     words,
 )
 from tests.support.words import FIELDS, FILE, lines, texts
@@ -54,11 +66,19 @@ ENGLISH = words()
 CODES: dict[str, type[StrEnum]] = {
     "trust": Code,
     "fusion": FusionCode,
-    "banner": BannerCode,
     "spoofing": InertialCode,
     "motion": MotionCode,
     "evidence": EvidenceCode,
     "cooperative": SatelliteCode,
+    "banner": banner.Code,
+    "broker": broker.Code,
+    "health": health.Code,
+    "toll": toll.Code,
+    "ledger": ledger.Code,
+    "fleet": fleet.Code,
+    "import": importing.Code,
+    "solve": solve.Code,
+    "recorder": recorder.Code,
 }
 FIGURES = {"statistic", "threshold", "window_s"}  # of the test that an explanation belongs to, in its unit
 MONITORS = ("spoofing", "motion", "evidence", "cooperative")
@@ -67,8 +87,13 @@ ROWS = [(language, code) for language in LANGUAGES for code in ENGLISH.rows]
 
 
 def test_every_file_of_words_has_a_registered_owner() -> None:
-    found = {path.parent.relative_to(REPOSITORY).as_posix() for path in (REPOSITORY / "services").rglob("words.toml")}
+    found = {
+        path.parent.relative_to(REPOSITORY).as_posix()
+        for part in ("services", "shared", "cli", "fleet")
+        for path in (REPOSITORY / part).rglob("words.toml")
+    }
     assert found == set(OWNERS.values()), "add the folder to OWNERS of shared/words/words.py"
+    assert CODES.keys() == OWNERS.keys(), "add the codes to CODES of this file"
 
 
 @pytest.mark.parametrize("owner", CODES)
@@ -78,17 +103,17 @@ def test_every_code_has_a_row_and_every_row_is_of_a_code(owner: str) -> None:
 
 
 @pytest.mark.parametrize("language", [one for one in LANGUAGES if one != "en"])
-def test_a_language_has_every_sentence_and_action_that_a_driver_reads_and_nothing_else(language: str) -> None:
+def test_a_language_has_what_a_driver_reads_and_the_causes_that_an_installer_reads(language: str) -> None:
     here = words(language)
     for code, row in ENGLISH.rows.items():
-        for field in ("sentence", "action"):
+        for field in ("sentence", "clause", "action", *(["detail"] if row.clause else [])):
             said, there = bool(getattr(here.row(code), field)), bool(getattr(row, field))
             assert said == there, f"{language}.toml and {code}: {field}"
     assert set(here.rows) <= set(ENGLISH.rows)
     assert here.format.keys() == ENGLISH.format.keys()
     tables = {
         match[2] for row in here.rows.values() for match in PLACEHOLDER.finditer(row.sentence)
-        if match[2] not in (*QUANTITIES, TEXT, INSTANT)
+        if match[2] not in ("", *QUANTITIES, CLAUSE, INSTANT)
     }  # fmt: skip
     for table in tables:
         assert here.names[table].keys() == ENGLISH.names[table].keys(), f"names.{table} of {language}.toml"
@@ -115,7 +140,7 @@ def test_a_placeholder_names_a_quantity_that_fits_its_value_or_a_table_that_exis
                 assert name in FIGURES or name.endswith(QUANTITIES[kind][0]), f"{code}: {name} is not {kind}"
             elif kind == INSTANT:
                 assert name.endswith(INSTANT_ENDING)
-            elif kind and kind != TEXT:
+            elif kind and kind != CLAUSE:
                 assert kind in ENGLISH.names, f"{code}: there is no quantity and no table {kind}"
             assert field != "sentence" or kind not in ("distance", "speed", "number", "share"), (
                 "no figures for a driver"
@@ -141,6 +166,7 @@ ENUMERATIONS: dict[str, Iterable[str]] = {
     "source": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
     "hypothesis": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
     "phase": NavigationPhase,
+    "state": Trust,
     "direction": Direction,
     "heading_method": HeadingMethod,
     "input": Input,
@@ -243,11 +269,24 @@ def row(**changes: str) -> Words:
         ("{a}", {"a": Reference(kind=ReferenceKind.LANE, name="n1")}, "lane n1"),
         ("{a}", {"a": Reference(kind=ReferenceKind.PROCESS, name="core.trust")}, "core.trust"),
         ("{a}", {"a": ()}, "no source by name"),
+        ("{a:and}", {"a": (Reference(kind=ReferenceKind.TOPIC, name="gnss/raw"),) * 2}, "gnss/raw and gnss/raw"),
+        ("{a_bytes:size}", {"a_bytes": 512_000}, "512 kB"),
+        ("{a_bytes:size}", {"a_bytes": 300_000_000}, "300 MB"),
         ("{a}", {"a": Quoted(quoted="{b}")}, "“{b}”"),
     ],
 )
 def test_values_are_written_by_their_quantity(template: str, values: dict[str, Value], said: str) -> None:
     assert row(detail=template).detail(Explanation(code="trust.x", values=values)) == said
+
+
+def test_the_meaning_of_a_reject_is_that_of_the_registry() -> None:
+    for reasons in PARTS.values():
+        for kind in reasons:
+            if "*" not in kind:
+                assert reason_of(kind) is not None and words("de").name("reject", kind)
+                assert ENGLISH.name("reject", kind) in {one[kind].meaning for one in PARTS.values() if kind in one}
+    assert ENGLISH.name("reject", "receipt of nothing") == "a receipt without its batch, or one that cannot be read"
+    assert ENGLISH.name("reject", "of_a_newer_release") == "of a newer release"
 
 
 def test_the_viewer_decides_language_and_time_zone() -> None:
@@ -260,6 +299,17 @@ def test_the_viewer_decides_language_and_time_zone() -> None:
     assert words("de").detail(silent) == ENGLISH.detail(silent), "what a language lacks is said in English as a whole"
     with pytest.raises(ValueError, match="there are en, de, fr"):
         words("xx")
+
+
+def test_a_sentence_names_a_cause_by_its_clause_and_one_without_a_code_by_its_text() -> None:
+    lost = explain(health.Code.LOST, process("core.fusion"))
+    no_fix = explain(banner.Code.NO_FIX_CAUSE)
+    assert words("de").sentence(no_fix, cause=stated(lost)) == "Keine Position: core.fusion ist ausgefallen."
+    assert ENGLISH.sentence(no_fix, cause=stated(lost)) == "No position: core.fusion was lost."
+    for told in (Told("of 0.1.0"), Told("of 0.1.0", explain("future.code"))):
+        assert words("de").sentence(no_fix, cause=told) == "Keine Position: of 0.1.0."
+        assert words("de").told(told) == "of 0.1.0"
+    assert ENGLISH.sentence(no_fix) is None, "no cause is given"
 
 
 @pytest.mark.parametrize(
@@ -312,7 +362,7 @@ def test_whatever_the_values_are_rendering_ends_in_text_or_in_none(code: str, da
     made = Explanation(code=code, values=values)
     assert Explanation.model_validate_json(made.model_dump_json()) == made
     for language in LANGUAGES:
-        for text in (words(language).sentence(made, cause="c"), words(language).detail(made)):
+        for text in (words(language).sentence(made, cause=Told("c")), words(language).detail(made)):
             assert text is None or "{" not in PLACEHOLDER.sub("", text) or "“" in text
 
 

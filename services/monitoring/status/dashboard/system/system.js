@@ -2,7 +2,7 @@
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
-  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
+  Age, Card, Drawer, FRESH_STATE, KindsTable, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay, told,
 } from "../parts.js";
 import { TopicDrawer } from "./inspector.js";
 import { words } from "../words.js";
@@ -148,7 +148,7 @@ function NodeDrawer({ name, onClose }) {
   const topics = Object.entries(contract.value.topics);
   const published = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
   const subscribed = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
-  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind}`).join(", ");
+  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind} (${p.reject_names?.[kind] ?? kind})`).join("; ");
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
     <p class="lead-text">${row.purpose}.</p>
@@ -208,7 +208,7 @@ function OutagesCard() {
     ${others.length > 0 && html`<ul class="outages">${others.map((p) => html`<li key=${p.what} class="open">
       <span><${StateIcon} state="caution" word="" /><strong>${p.what}</strong></span>
       <span class="number">${p.since_ns == null ? "" : duration(Math.max(0, (nowMs() - p.since_ns / 1e6) / 1000))}</span>
-      <span class="dim">${p.text}</span>
+      <span class="dim">${told(p, p.text)}</span>
     </li>`)}</ul>`}
     ${list.length === 0 ? others.length === 0 && html`<p class="note block">${t.empty}</p>` : html`<ul class="outages">${list.map((o) => {
       const open = o.until_ns == null;
@@ -216,7 +216,7 @@ function OutagesCard() {
       return html`<li key=${`${o.what}${o.since_ns}`} class=${open ? "open" : ""}>
         <span><${StateIcon} state=${open ? "stale" : "info"} word="" /><strong>${o.what}</strong>${open && html` <em>${t.open}</em>`}</span>
         <span class="number">${fixed(span, span < 10 ? 1 : 0)} s</span>
-        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${o.cause}${o.affected.length > 0 && html` · ${t.affected(o.affected)}`}</span>
+        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${told(o, o.cause)}${o.affected.length > 0 && html` · ${t.affected(o.affected)}`}</span>
       </li>`;
     })}</ul>`}
   </${Card}>`;

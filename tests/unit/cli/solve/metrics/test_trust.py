@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cli.solve.codes import Code
 from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.metrics import METRICS, Run, as_objects, metrics_of
 from cli.solve.metrics.trust import TRUST, Trust, harm_of
-from cli.solve.report.report import Heading, by_verdict, summary, verdict, worse_axes
+from cli.solve.report.report import Heading, by_verdict, judgement, summary, verdict, worse_axes
 from cli.solve.track import Track
 from cli.solve.verdicts import Verdicts
 from shared.messages.base import Vector3
@@ -111,9 +112,9 @@ def test_fusion_is_not_called_worse_than_gnss_alone_where_an_outage_removed_fixe
     found = metrics_of(made(TENTHS)) | {
         "gnss_alone_count": 28, "gnss_alone_horizontal_rmse_m": 0.4, "at_fixes_horizontal_rmse_m": 0.6,
     }  # fmt: skip
-    assert worse_axes(found) == ["horizontally"] and "worse than the receiver" in verdict(found)
+    assert worse_axes(found) == ["horizontal"] and judgement(found)[0].code == Code.WORSE
     cut = found | {"fixes_removed": 10}
-    assert worse_axes(cut) == [] and "receiver only" not in verdict(cut)
+    assert worse_axes(cut) == [] and judgement(cut)[0].code != Code.WORSE
     said = " ".join(summary(Heading("drive", "a circle", "10/30", []), cut))
     assert "worse" not in said and "Receiver only, at the same 28 fixes" in said
 

@@ -10,12 +10,14 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawn
 
+from cli.solve.codes import Code
 from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.metrics import METRICS, Run, Value, metrics_of
 from cli.solve.report.drawing import STYLE, WIDTH_IN, Figure, label_decades, stacked_axes
 from cli.solve.report.plots import figures_of
-from cli.solve.report.report import Heading, document, page, summary, verdict
+from cli.solve.report.report import Heading, document, judgement, page, summary, verdict
+from shared.messages.explanation import explain
 from shared.messages.navigation import AidingKind, AidingUpdate
 from tests.support.drives.tracks import START_NS, reference, solution, track
 
@@ -150,15 +152,18 @@ def figures_of_nothing() -> list[Figure]:
 
 
 def test_the_share_of_the_fixes_and_the_resets_are_in_the_verdict() -> None:
-    text = verdict(judged(fixes_used=17, fixes_offered=229, fixes_used_fraction=17 / 229, filter_resets=121))
-    assert "17 of 229 fixes since the alignment were used (7.42 %), and the filter was reset 121 times" in text
+    unsound, advice = judgement(
+        judged(fixes_used=17, fixes_offered=229, fixes_used_fraction=17 / 229, filter_resets=121)
+    )
+    assert unsound == explain(Code.UNSOUND, used_count=17, offered_count=229, reset_count=121)
+    assert advice == explain(Code.UNSOUND_UNEXPLAINED)
     excluded = judged(fixes_used=17, fixes_used_fraction=0.03, gnss_excluded_s=500.0)
-    assert "core.trust excluded GNSS; --without trust" in verdict(excluded)
+    assert judgement(excluded)[1] == explain(Code.UNSOUND_EXCLUDED)
 
 
 def test_a_sound_drive_may_be_reset_rarely() -> None:
-    assert verdict(judged(filter_resets=2)) == "There is no truth; the next fix is predicted to 2.12 m (RMS)."
-    assert "no sound" not in verdict(judged(filter_resets=12, duration_s=7200.0))
+    assert judgement(judged(filter_resets=2)) == [explain(Code.INNOVATION, innovation_m=2.12)]
+    assert judgement(judged(filter_resets=12, duration_s=7200.0))[0].code == Code.INNOVATION
     said = summary(Heading("drive", "none", None, []), judged(filter_resets=1))
     assert "590 of 600 fixes since the alignment were used (98.3 %), and the filter was reset once." in said
 

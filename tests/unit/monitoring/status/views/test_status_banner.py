@@ -11,7 +11,6 @@ from services.monitoring.status.views.banner import (
     OF_STATE,
     WORDS,
     Check,
-    Code,
     Evidence,
     Kind,
     Trust,
@@ -19,17 +18,21 @@ from services.monitoring.status.views.banner import (
     ratio_of,
     show,
 )
+from services.monitoring.status.views.codes import Code
 from shared.bus import codec
-from shared.messages.explanation import Explanation, explain
+from shared.bus.codes import broker_down
+from shared.messages.explanation import Explanation, explain, process
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.operation import ProcessLoad, Work
 from shared.messages.trust import Outcome, TrustLevel, TrustState
-from shared.words.words import words
+from shared.words.words import Told, stated, words
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 from tests.support.words import longest
 
 LEVELS = {"protection_level_horizontal_m": 3.14, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}
+LOST = stated(explain("health.lost", process("core.fusion")))
+AWAITED = stated(explain("banner.first_verdict", process("core.trust")))
 GOOD = Evidence(
     broker=True,
     trust=trust(START_NS),
@@ -190,7 +193,7 @@ def test_a_computer_that_is_too_slow_is_named_with_its_remedy_although_the_input
     level: TrustLevel, why: str, sentence: str
 ) -> None:
     load = ProcessLoad(sampled_ns=START_NS, process="core.fusion", lag_s=6.2, paused=tuple(Work))
-    shown = show(changed(trust=trust(START_NS, level, explain(why)), load=load, cause="core.fusion was lost"))
+    shown = show(changed(trust=trust(START_NS, level, explain(why)), load=load, cause=LOST))
     assert shown.sentence == sentence and shown.action.startswith("End other programs on this computer")
     assert WORDS[Trust.NO_FIX] == "NO POSITION", "the receiver has a fix"
     other = trust(START_NS, level, explain("trust.solution_old"))
@@ -201,7 +204,7 @@ def test_a_computer_that_is_too_slow_is_named_with_its_remedy_although_the_input
 
 
 def test_before_the_first_verdict_after_a_start_the_banner_says_what_it_waits_for() -> None:
-    shown = show(changed(trust=None, trust_age_s=None, awaited="the first verdict of core.trust"))
+    shown = show(changed(trust=None, trust_age_s=None, awaited=AWAITED))
     assert shown.state is Trust.STARTING
     assert shown.sentence == "Nothing is known yet: waiting for the first verdict of core.trust."
 
@@ -217,8 +220,9 @@ def test_a_monitor_whose_process_was_restarted_has_no_outcome_until_it_states_on
 
 
 def test_an_old_verdict_is_said_with_its_age_and_root_cause() -> None:
-    shown = show(changed(trust_age_s=6.2, trust_cause="core.trust was lost"))
-    assert shown.sentence == "Trust is not evaluated: no verdict for 6 s (core.trust was lost)."
+    shown = show(changed(trust_age_s=6.2, trust_cause=LOST))
+    assert shown.sentence == "Trust is not evaluated for 6 s: core.fusion was lost."
+    assert shown.lines["de"].sentence == "Vertrauen seit 6 s ungeprüft: core.fusion ist ausgefallen."
     assert check(changed(trust_age_s=6.2), "inertial_short") == (Trust.STALE, "no verdict for 6 s")
 
 
@@ -231,13 +235,13 @@ def test_a_verdict_that_never_came_is_said() -> None:
 def test_a_lost_broker_leaves_nothing_known() -> None:
     assert show(changed(broker=False)).state is Trust.BROKER_LOST
     assert {c.state for c in show(changed(broker=False)).checks} == {Trust.STALE}, "no row is green"
-    sentence = show(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
-    assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
+    sentence = show(changed(broker=False, cause=stated(broker_down(connected=True)))).sentence
+    assert sentence == "Nothing is known: the broker delivers nothing."
 
 
 def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_what_the_filter_waits_for() -> None:
-    cause = "core.fusion was restarted and is starting again"
-    evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=cause)
+    cause = "a cause without a code"
+    evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=Told(cause))
     lost = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.NO_FIX, reasons=("solution is old",)))
     assert show(lost).sentence == f"No position: {cause}."
     missing = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.INITIALISING, reasons=("none yet",)))

@@ -1,0 +1,22 @@
+"""Codes of passages, gates and the delta position; `words.toml` beside this file has their words."""
+
+from enum import StrEnum
+
+
+class Code(StrEnum):
+    """Why a passage is in its state, a gate is closed, or there is no delta position."""
+
+    TURNED_BEFORE = "toll.turned_before"  # the gate line
+    TURNED_BEHIND = "toll.turned_behind"
+    UNREGISTERED = "toll.unregistered"
+    UNDECIDED = "toll.undecided"
+    PASSED = "toll.passed"
+    SAME_STATION = "toll.same_station"
+    SILENT_BEFORE = "toll.silent_before"  # the gate line
+    SILENT_BETWEEN = "toll.silent_between"  # gate line and exit line
+    CONTINUES = "toll.continues"
+    NO_CONTRACT = "toll.no_contract"
+    QUEUED = "toll.queued"
+    NO_FIX = "toll.no_fix"
+    OLD_FIX = "toll.old_fix"
+    FEW_FIXES = "toll.few_fixes"

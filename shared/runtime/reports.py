@@ -1,0 +1,53 @@
+"""What a command tells the program that has started it, beside its exit code: a small file of JSON.
+
+The starter names the file in an environment variable, which the command takes out of its own environment, so that its
+children do not write there. What is printed is for people, and read by nothing.
+"""
+
+import os
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ..bounded import read_bytes
+
+VARIABLE = "OBU_REPORT"
+MAXIMUM_BYTES = 100_000
+LENGTH = 1000  # of a text
+
+
+class Report(BaseModel):
+    """What is known of a command that runs or has ended."""
+
+    model_config = ConfigDict(frozen=True, strict=True)
+    error: str = ""  # why it failed, in a sentence
+    finding: str = ""  # what it found, in a sentence
+    port: int | None = None  # where it serves a page
+
+
+class _Place:
+    path: Path | None = None
+
+
+def begin() -> None:
+    """Take the name of the file out of the environment; to be called once, before children are started."""
+    name = os.environ.pop(VARIABLE, "")
+    _Place.path = Path(name) if name else None
+
+
+def tell(*, error: str = "", finding: str = "", port: int | None = None) -> None:
+    """Write the report, if somebody wants one; raises `OSError`."""
+    if _Place.path is None:
+        return
+    report = Report(error=error[:LENGTH], finding=finding[:LENGTH], port=port)
+    fresh = _Place.path.with_name(f"{_Place.path.name}.new")
+    fresh.write_text(report.model_dump_json(), encoding="utf-8")
+    fresh.replace(_Place.path)
+
+
+def read_report(path: Path) -> Report:
+    """Read a report; an empty one of a command that wrote none."""
+    try:
+        return Report.model_validate_json(read_bytes(path, MAXIMUM_BYTES))
+    except (OSError, ValidationError, ValueError):
+        return Report()
