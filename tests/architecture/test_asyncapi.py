@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.status.process import DASHBOARD
+from services.monitoring.status.page import DASHBOARD
 from shared.bus.contract import asyncapi_json
 from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
 from tests.support.patience import HANGS_S

@@ -27,6 +27,8 @@ from shared.errors import UserError
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import ModeCommand, OperatorCommand, Origin, OriginKind
 from shared.messages.simulation import AttackName
+from shared.page.answers import Answer, Refusal
+from shared.page.map.installed import MapAnswer
 from shared.recording.folder import RecordingFolder
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.bus.envelopes import sent
@@ -435,7 +437,7 @@ def test_without_a_solution_every_value_is_null_and_nothing_is_live(tmp_path: Pa
             model.model_validate_json(json.dumps(shown))
 
 
-ANSWERS: dict[str, type[answers.Answer]] = {
+ANSWERS: dict[str, type[Answer]] = {
     "/api/solution": answers.Solution,
     "/api/solution?format=geojson": answers.Feature,
     "/api/health": answers.Health,
@@ -449,9 +451,9 @@ ANSWERS: dict[str, type[answers.Answer]] = {
     "/api/simulation": answers.Simulation,
     "/api/replay": answers.Replay,
     "/api/track": answers.TrackRows,
-    "/api/map": answers.InstalledMap,
+    "/api/map": MapAnswer,
     "/api/recordings": answers.Recordings,
-    "/api/topics/gnss/colour": answers.Refusal,
+    "/api/topics/gnss/colour": Refusal,
 }
 
 
@@ -475,7 +477,7 @@ def test_the_description_of_the_api_is_openapi_with_a_tag_and_a_schema_for_every
 
 
 @pytest.mark.parametrize("model", answers.EXAMPLES)
-def test_every_example_is_valid_by_its_schema(model: type[answers.Answer]) -> None:
+def test_every_example_is_valid_by_its_schema(model: type[Answer]) -> None:
     model.model_validate_json(json.dumps(answers.EXAMPLES[model]))
 
 

@@ -15,12 +15,14 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from services.monitoring.status.web.access.access import Access, Rules
-from services.monitoring.status.web.access.guard import Guard, Receive, Scope, Send
+from services.monitoring.status.web.access.guard import Guard
 from services.monitoring.status.web.access.rights import GRANTED, Right
-from services.monitoring.status.web.access.table import ROWS, WEBSOCKET, Row, needed
+from services.monitoring.status.web.access.table import ROWS, needed
 from services.monitoring.status.web.access.tokens import FILE, Tokens
 from services.monitoring.status.web.answers import TokenList
 from services.monitoring.status.web.routes import app_without_unit
+from shared.page.access.requests import Receive, Scope, Send
+from shared.page.access.table import WEBSOCKET, Row
 from tests.support.dashboard.status_server import Running, status_server
 from tests.support.patience import HANGS_S
 

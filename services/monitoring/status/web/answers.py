@@ -1,13 +1,12 @@
 """What the API answers, as models: they are the schemas of /openapi.json, and tests hold every answer to them."""
 
-from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
-from pydantic.json_schema import models_json_schema
+from pydantic import ConfigDict, Field
 
 from shared.messages.operation import Freshness, Outage, ProcessStatus
 from shared.messages.trust import Hypothesis
+from shared.page.answers import Answer, Object, Stamp
 
 from ..views.banner import Trust
 
@@ -16,15 +15,6 @@ SENTENCE = (
     "The position can be used: protection levels 3.0 m horizontal and 4.0 m vertical, alert limits 10.0 m and 20.0 m; "
     "no monitor accuses GNSS."
 )
-REFERENCE = "#/components/schemas/{model}"
-Stamp = int  # [ns] on the OBU time line, which is UTC as nanoseconds since 1970
-Object = dict[str, Any]  # described by asyncapi.json, or by no contract
-
-
-class Answer(BaseModel):
-    """An answer, of which every field is described."""
-
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, defer_build=True)
 
 
 class Position(Answer):
@@ -391,34 +381,6 @@ class TrackRows(Answer):
     columns: TrackColumns
 
 
-class MapFile(Answer):
-    """The map that is installed."""
-
-    container: Literal["pmtiles", "mbtiles"]
-    tiles: Literal["mvt", "png", "jpg", "webp"]
-    zoom_minimum: int
-    zoom_maximum: int
-    bounds_deg: tuple[float, float, float, float]
-    """west, south, east, north"""
-    attribution: str
-    layers: list[str]
-    """of vector tiles"""
-
-
-class InstalledMap(Answer):
-    """The map file, or why there is none."""
-
-    map: MapFile | None
-    problem: str | None
-    """why the file that is named cannot be used"""
-
-
-class Refusal(Answer):
-    """Why a request was refused, and what to try."""
-
-    detail: str
-
-
 class Series(Answer):
     """Numeric fields over time, a column each on one grid."""
 
@@ -446,7 +408,7 @@ class Receivers(Answer):
     """fix, satellites with the reason why one is not used, signals, settings, bands over time"""
 
 
-EXAMPLES: dict[type[Answer], object] = {
+EXAMPLES: dict[type[Answer], Object] = {
     Health: {
         "state": "ok",
         "now_ns": EXAMPLE_NS,
@@ -494,36 +456,6 @@ EXAMPLES: dict[type[Answer], object] = {
     },
     Viewers: {"connected": 2, "events": 0, "maximum": 100},
     Accepted: {"request_id": "5f0c9a7be2d1"},
-    Refusal: {"detail": "there is no topic gnss/colour; /api/state lists them"},
 }  # fmt: skip
-
-
-def file_of(media_type: str, text: str) -> Object:
-    """Describe an answer that is a file."""
-    return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
-
-
-def schemas(*others: type[BaseModel]) -> Object:
-    """Give the schemas of all answers, and of other models, by name; they are built when somebody asks for them."""
-    models = [*_below(Answer), *others]
-    _, found = models_json_schema([(model, "validation") for model in models], ref_template=REFERENCE)
-    definitions = found["$defs"]
-    assert isinstance(definitions, dict)
-    return definitions
-
-
-def _below(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
-    for child in model.__subclasses__():
-        yield child
-        yield from _below(child)
-
-
-def reference_to(model: type[BaseModel]) -> Object:
-    """Refer to the schema of a model."""
-    return {"$ref": REFERENCE.format(model=model.__name__)}
-
-
-def described(model: type[Answer], text: str, media_type: str = "application/json") -> Object:
-    """Describe an answer of a route: its schema, and an example where there is one."""
-    example = {"example": EXAMPLES[model]} if model in EXAMPLES else {}
-    return {"description": text, "content": {media_type: {"schema": reference_to(model), **example}}}
+for model, example in EXAMPLES.items():
+    model.example = example

@@ -11,10 +11,11 @@ from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
 from shared.messages.operation import ModeCommand
+from shared.page import body
+from shared.page.answers import Refusal, described, reference_to
 
 from ..state import State
-from . import body
-from .answers import Accepted, Refusal, described, reference_to
+from .answers import Accepted
 
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(ModeCommand)}}, "required": True}

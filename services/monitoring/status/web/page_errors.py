@@ -5,34 +5,20 @@ from queue import Full, Queue
 from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from shared.bus.bus import Bus
+from shared.page import body
+from shared.page.answers import Refusal, described, reference_to
+from shared.page.body import json_response
+from shared.page.page_error import PageError
 
-from . import body
-from .answers import Refusal, Taken, described, reference_to
-from .body import json_response
+from .answers import Taken
 
-log = logging.getLogger(__name__)  # limited by access/limits.py: a visitor decides how much comes
+log = logging.getLogger(__name__)  # limited: a visitor decides how much comes
 
 REJECT = "page error"  # as the heartbeat of monitoring.status counts it
 WAITING = 8  # reports that are not yet counted
-
-
-class PageError(BaseModel):
-    """An error that no part of a page expected."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    page: str = Field(max_length=40, description="part of the dashboard, such as gnss or banner")
-    message: str = Field(max_length=400, description="the error, as the browser words it")
-    place: str = Field(default="", max_length=400, description="file, line and column, innermost first")
-
-    @property
-    def sentence(self) -> str:
-        """The error on one line; the text is the visitor's, so control characters are escaped."""
-        at = f" at {self.place!a}" if self.place else ""
-        return f"page {self.page!a}: {self.message!a}{at}"[:400]
 
 
 BODY = {"content": {"application/json": {"schema": reference_to(PageError)}}, "required": True}

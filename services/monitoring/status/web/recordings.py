@@ -16,14 +16,15 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from shared.library.library import Library
+from shared.page import body
+from shared.page.answers import Refusal, described, reference_to
+from shared.page.body import json_response
 
 from ..views import recordings as views
-from . import body
 from .access.guard import insist_on, may
 from .access.rights import Right
 from .access.tokens import FOLDER_VARIABLE
-from .answers import Done, Recordings, Refusal, described, reference_to
-from .body import json_response
+from .answers import Done, Recordings
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 Responses = dict[int | str, dict[str, Any]]

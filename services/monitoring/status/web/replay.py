@@ -10,11 +10,12 @@ from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import ValidationError
 
 from shared.messages.replay import ReplayCommand, ReplayControl
+from shared.page import body
+from shared.page.answers import Refusal, described, reference_to
+from shared.page.body import json_response
 
 from ..replay import ReplayFeed
-from . import body
-from .answers import Refusal, Replay, Taken, described, reference_to
-from .body import json_response
+from .answers import Replay, Taken
 
 WAITING = 32  # commands that are not yet published
 LOOK_S = 0.02  # between two looks for a jump that is complete

@@ -18,14 +18,21 @@ from shared.library.library import Library
 from shared.messages.operation import ModeCommand
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
+from shared.page.access.limits import quiet_accept
+from shared.page.answers import Refusal, described, reference_to, schemas
+from shared.page.body import json_response
+from shared.page.page_error import PageError
+from shared.page.pages import Pages
+from shared.page.told import tell_browsers
 from shared.topics import BY_NAME
 
 from ..history.columns import FIELDS
 from ..state import State
 from ..views import position, prometheus, reports
+from . import page_errors
+from .access import login
 from .access.access import Access, Rules
 from .access.guard import STYLE, Guard
-from .access.limits import BACKLOG, IDLE_S, Connections, CountedWebSocket, LimitedHttp, limit_logs, quiet_accept
 from .access.login import LoginApi, LoginRequest
 from .access.manage import AddToken, RevokeToken, TokensApi
 from .access.tokens import Tokens
@@ -37,28 +44,21 @@ from .answers import (
     History,
     HypothesesReport,
     Outages,
-    Refusal,
     Solution,
     Topic,
     TrustReport,
     Viewers,
-    described,
-    reference_to,
-    schemas,
 )
-from .body import json_response
 from .command import CommandApi
 from .looking import look_at
-from .map.map import MapApi
-from .page_errors import PageError, PageErrorsApi
-from .pages import Pages
+from .map import MapApi
+from .page_errors import PageErrorsApi
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
 from .series import SeriesApi
 from .simulation import SimulationApi
 from .stream.events import Events
 from .stream.websocket import Stream
-from .told import tell_browsers
 
 log = logging.getLogger(__name__)
 
@@ -79,6 +79,7 @@ TAGS = {
     "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
 }
 GEOJSON = "application/geo+json"
+LIMITED_LOGS = (login.__name__, page_errors.__name__)  # of what visitors cause
 BODIES = (SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken, PageError)
 Responses = dict[int | str, dict[str, Any]]
 
@@ -314,33 +315,6 @@ def app_without_unit() -> FastAPI:
     series = SeriesApi(state, lock, now_ns, 1)
     apis = (series, simulation, replay, recordings, commands, maps, PageErrorsApi())
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
-
-
-def make_server(app: FastAPI, connections: Connections) -> uvicorn.Server:
-    """Make the server, which the app may end; no compression of frames, which would double its work.
-
-    Headers of proxies are read by the guard, which knows whom to believe.
-    """
-    limit_logs()
-    app.state.connections = connections
-    config = uvicorn.Config(
-        app,
-        http=LimitedHttp,
-        ws=CountedWebSocket,
-        ws_per_message_deflate=False,
-        ws_max_size=4096,
-        backlog=BACKLOG,
-        proxy_headers=False,
-        timeout_keep_alive=IDLE_S,
-        timeout_graceful_shutdown=1,
-        server_header=False,
-        access_log=False,
-        log_config=None,
-        log_level="warning",
-    )
-    server = uvicorn.Server(config)
-    app.state.server = server
-    return server
 
 
 def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:

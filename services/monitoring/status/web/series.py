@@ -9,6 +9,10 @@ from fastapi import FastAPI, HTTPException, Path, Query, Response, WebSocket
 from pydantic_core import to_json
 
 from shared.errors import BadPayload
+from shared.page.answers import Refusal, described
+from shared.page.body import json_response
+from shared.page.stream.clients import Client, Clients, Frame
+from shared.page.stream.connection import read_until_closed, run_first_of, write_frames
 
 from ..flow import TopicFlow
 from ..series import fields
@@ -16,11 +20,8 @@ from ..series.rings import FINE_CELLS, FINE_NS, SECOND_NS
 from ..series.store import HOUR_NS, SeriesFull, labelled
 from ..state import State
 from ..views import gnss as views
-from .answers import Fields, Receivers, Refusal, Series, described
-from .body import json_response
+from .answers import Fields, Receivers, Series
 from .looking import look_at
-from .stream.clients import Client, Clients, Frame
-from .stream.websocket import read_until_closed, run_first_of, write_frames
 
 FIELDS_ASKED = 16  # in one question; more would take megabytes
 FIELDS_FOLLOWED = 96  # over one WebSocket

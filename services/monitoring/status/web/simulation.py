@@ -12,12 +12,13 @@ from pydantic_core import from_json, to_json
 
 from shared.attacks import BY_NAME
 from shared.messages.simulation import AttackCommand, SimulationAttack
+from shared.page import body
+from shared.page.answers import Refusal, described, reference_to
+from shared.page.body import json_response
 
 from ..state import State
 from ..views import simulation as views
-from . import body
-from .answers import Accepted, Refusal, Simulation, described, reference_to
-from .body import json_response
+from .answers import Accepted, Simulation
 
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(SimulationAttack)}}, "required": True}

@@ -7,12 +7,14 @@ from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from .. import body
-from ..answers import LoginState, Refusal, described, reference_to
-from ..body import json_response
+from shared.page import body
+from shared.page.access.peer import Peer
+from shared.page.answers import Refusal, described, reference_to
+from shared.page.body import json_response
+
+from ..answers import LoginState
 from .access import Access
 from .guard import PEER, visitor_of
-from .peer import Peer
 from .tokens import is_secret
 
 log = logging.getLogger(__name__)

@@ -7,10 +7,11 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from shared.errors import UserError
+from shared.page import body
+from shared.page.answers import Refusal, described, reference_to
+from shared.page.body import json_response
 
-from .. import body
-from ..answers import MadeToken, Refusal, TokenList, described, reference_to
-from ..body import json_response
+from ..answers import MadeToken, TokenList
 from .rights import Right
 from .tokens import Tokens
 

@@ -13,10 +13,11 @@ from fastapi.responses import StreamingResponse
 from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 
+from shared.page.stream.clients import Client, Clients, Frame
+
 from ...state import State
 from ...views import reports
 from ...views.position import solution
-from .clients import Client, Clients, Frame
 
 PERIOD_S = 0.2
 SOLUTION_NS, HEARTBEAT_NS = 1_000_000_000, 5_000_000_000
