@@ -13,6 +13,7 @@ from fastapi import FastAPI, Response
 from services.monitoring.status.page import DASHBOARD
 from shared.page import assets
 from shared.page.access.limits import quiet_accept
+from shared.page.answers import NOT_KEPT
 from shared.page.body import json_response
 from shared.page.pages import Pages
 from shared.page.told import tell_browsers
@@ -66,7 +67,8 @@ def make_app(
             await cursor.execute("SELECT 1")
         return json_response({"alive": True})
 
-    app = FastAPI(title="Control centre", docs_url=None, redoc_url=None, openapi_url=None, lifespan=lifespan)
+    app = FastAPI(title="Control centre", docs_url=None, redoc_url=None, openapi_url=None, lifespan=lifespan,
+                  dependencies=NOT_KEPT)  # fmt: skip
     app.add_api_route("/api/alive", alive)
     for part in routes:
         part.add_to(app)

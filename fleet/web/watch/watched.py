@@ -4,6 +4,7 @@ import json
 import logging
 import time
 from collections import Counter
+from collections.abc import Mapping
 
 from nats.aio.msg import Msg
 
@@ -91,13 +92,13 @@ class Watched:
         self._taken += 1
         return self._taken <= MOST_A_SECOND
 
-    def _with_watch(self, view: Json) -> Json:
+    def _with_watch(self, shown: Mapping[str, object]) -> Json:
         """What the unit's page is sent, with what is to be said of the watch."""
-        watch = self.shown()
+        watch, banner = self.shown(), _object(shown["banner"])
         if watch["silent"]:
             sentence = {"state": "disconnected", "word": "NO CONNECTION", "sentence": NO_ANSWER, "action": None}
-            view["banner"] = {**_object(view["banner"]), **sentence, "since_ns": watch["heard_ns"]}
-        return {**view, "watch": watch, "simulation": None}  # attacks are started at the unit alone
+            banner |= {**sentence, "since_ns": watch["heard_ns"]}
+        return {**shown, "banner": banner, "watch": watch, "simulation": None}  # attacks are started at the unit alone
 
 
 def watch_request(watchers: int, for_s: int) -> bytes:
@@ -106,4 +107,4 @@ def watch_request(watchers: int, for_s: int) -> bytes:
 
 
 def _object(value: object) -> Json:
-    return value if isinstance(value, dict) else {}
+    return dict(value) if isinstance(value, dict) else {}

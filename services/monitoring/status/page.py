@@ -4,21 +4,23 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from fastapi import FastAPI, Response
+from fastapi import FastAPI
 from prometheus_client import CollectorRegistry
 
-from shared.page.body import json_response
+from shared.page.answers import NOT_KEPT
 from shared.page.pages import Pages
 from shared.page.told import tell_browsers
 
 from .judgement import BROKER_SILENT_NS
 from .state import State
-from .views.snapshot import Json
+from .web.access.login import LoginState
+from .web.access.rights import Right
 from .web.map import MapApi
 from .web.replay import ReplayApi
 from .web.routes import Api, Watching
 from .web.series import SeriesApi
 from .web.stream.events import Events
+from .web.stream.patch import Json
 from .web.stream.websocket import Stream
 
 DASHBOARD = Path(__file__).parent / "dashboard"
@@ -45,7 +47,7 @@ class PassedOnPage:
 
     def app(self, pages: Pages, style: str, map_file: str | None) -> FastAPI:
         """Make the application: no commands, recordings, tokens; `style` is the address of the style of refusals."""
-        app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+        app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, dependencies=NOT_KEPT)
         self.stream.version = pages.version
         Api(self.state, self.lock, self._now_ns, CollectorRegistry(), HISTORY_S).add_to(app)
         SeriesApi(self.state, self.lock, self._now_ns, self._clients).add_to(app)
@@ -75,6 +77,6 @@ class _AdaptedStream(Stream):
         return self._adapt(super()._view())
 
 
-def _no_session() -> Response:
+def _no_session() -> LoginState:
     """The login is that of the centre: nothing can be changed from here."""
-    return json_response({"name": None, "role": "view", "session": False, "csrf": None})
+    return {"name": None, "role": Right.VIEW, "session": False, "csrf": None}

@@ -1,20 +1,21 @@
 """The map file that is installed, and its routes."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 from fastapi import FastAPI, HTTPException, Response
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse
+from typing_extensions import TypedDict
 
-from ..answers import Answer, described
-from ..body import json_response
+from ..answers import answer
 from . import tiles
 
 ZOOM_MAXIMUM = 24
 
 
-class MapFile(Answer):
+@answer()
+class MapFile(TypedDict):
     """The map that is installed."""
 
     container: Literal["pmtiles", "mbtiles"]
@@ -28,7 +29,8 @@ class MapFile(Answer):
     """of vector tiles"""
 
 
-class MapAnswer(Answer):
+@answer()
+class MapAnswer(TypedDict):
     """The map file, or why there is none."""
 
     map: MapFile | None
@@ -44,19 +46,19 @@ class InstalledMap:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        shown = described(MapAnswer, "The installed map, or why there is none")
-        app.add_api_route("/api/map", self.map, response_class=Response, tags=["unit"], responses={200: shown})
+        shown = "The installed map, or why there is none"
+        app.add_api_route("/api/map", self.map, tags=["unit"], response_description=shown)
         app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
         app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
 
-    def map(self) -> Response:
+    def map(self) -> MapAnswer:
         """The installed map: container, format, zoom levels, bounds, layers; `problem` says why there is none."""
         if self._path is None:
-            return json_response({"map": None, "problem": None})
+            return {"map": None, "problem": None}
         try:
-            return json_response({"map": tiles.describe(self._path).as_json(), "problem": None})
+            return {"map": cast("MapFile", dict(vars(tiles.describe(self._path)))), "problem": None}
         except tiles.BadMap as error:
-            return json_response({"map": None, "problem": str(error)})
+            return {"map": None, "problem": str(error)}
 
     def archive(self) -> Response:
         """The PMTiles file, in the ranges that are asked for."""

@@ -8,17 +8,34 @@ from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, Query, Request, Response
 from pydantic_core import to_json
+from typing_extensions import TypedDict
 
-from shared.page.answers import described, file_of
+from shared.page.answers import Stamp, answer, file_of
 from shared.page.map.installed import InstalledMap
 from shared.track_files import Segment, gpx_lines, kml_lines
 
-from ..history.track import columns, length_m, segments
+from ..history.track import TrackColumns, columns, length_m, segments
 from ..state import State
-from .answers import TrackRows
 
 Source = Literal["fused", "gnss", "truth"]
 GZIP_FROM_BYTES = 2000
+
+
+@answer()
+class TrackRows(TypedDict):
+    """The track of this drive, thinned to a bounded number of rows."""
+
+    generation: int
+    """changes when rows were removed"""
+    complete: bool
+    """all rows, not only those after `after_ns`"""
+    spacing_m: float
+    """distance between rows"""
+    length_m: float
+    """distance driven, without the spans in which there was no position"""
+    started_ns: Stamp | None
+    now_ns: Stamp
+    columns: TrackColumns
 
 
 class MapApi:
@@ -32,13 +49,16 @@ class MapApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        routes: dict[str, tuple[Callable[..., Response], str, dict[str, Any]]] = {
-            "/api/track": (self.track, "position", described(TrackRows, "Columns of the track")),
-            "/api/track.gpx": (self.gpx, "position", file_of("application/gpx+xml", "GPX 1.1")),
-            "/api/track.kml": (self.kml, "position", file_of("application/vnd.google-earth.kml+xml", "Timed KML")),
+        app.add_api_route(
+            "/api/track", self.track, response_model=TrackRows, tags=["position"],
+            response_description="Columns of the track",
+        )  # fmt: skip
+        files: dict[str, tuple[Callable[..., Response], dict[str, Any]]] = {
+            "/api/track.gpx": (self.gpx, file_of("application/gpx+xml", "GPX 1.1")),
+            "/api/track.kml": (self.kml, file_of("application/vnd.google-earth.kml+xml", "Timed KML")),
         }
-        for path, (answer, tag, shown) in routes.items():
-            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: shown})
+        for path, (make, shown) in files.items():
+            app.add_api_route(path, make, response_class=Response, tags=["position"], responses={200: shown})
         self._installed.add_to(app)
 
     def track(
@@ -56,15 +76,16 @@ class MapApi:
             track = self._state.track
             complete = generation != track.generation
             rows = list(track.rows) if complete else track.after(after_ns)
-            head = {
+            shown: TrackRows = {
                 "generation": track.generation,
                 "complete": complete,
                 "spacing_m": track.spacing_m,
                 "length_m": round(length_m(track.rows), 1),
                 "started_ns": track.rows[0].time_ns if track.rows else None,
                 "now_ns": self._now_ns(),
+                "columns": columns(rows),
             }
-        return _packed(request, to_json({**head, "columns": columns(rows)}))
+        return _packed(request, to_json(shown))
 
     def gpx(self, source: Source = "fused") -> Response:
         """The track of this drive as GPX 1.1, one segment for each unbroken part."""

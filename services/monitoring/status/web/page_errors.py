@@ -2,18 +2,14 @@
 
 import logging
 from queue import Full, Queue
-from typing import Any
 
-from fastapi import FastAPI, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request
 from pydantic import ValidationError
 
 from shared.bus.bus import Bus
 from shared.page import body
-from shared.page.answers import Refusal, described, reference_to
-from shared.page.body import json_response
+from shared.page.answers import Taken, reference_to, refusals
 from shared.page.page_error import PageError
-
-from .answers import Taken
 
 log = logging.getLogger(__name__)  # limited: a visitor decides how much comes
 
@@ -32,15 +28,14 @@ class PageErrorsApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
-        taken: dict[int | str, dict[str, Any]] = {202: described(Taken, "Counted")}
-        refused = {403: "A page from elsewhere", 413: "Too long", 422: "Not a report", 503: "Reports are waiting"}
-        taken |= {status: described(Refusal, text) for status, text in refused.items()}
+        refused = refusals({403: "A page from elsewhere", 413: "Too long", 422: "Not a report",
+                            503: "Reports are waiting"})  # fmt: skip
         app.add_api_route(
-            "/api/page-error", self.report, methods=["POST"], status_code=202, response_class=Response,
-            tags=["unit"], responses=taken, openapi_extra={"requestBody": BODY},
+            "/api/page-error", self.report, methods=["POST"], status_code=202, response_description="Counted",
+            tags=["unit"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    async def report(self, request: Request) -> Response:
+    async def report(self, request: Request) -> Taken:
         """Report an error of the dashboard's program: counted as `page error` in the health of monitoring.status."""
         try:
             report = PageError.model_validate_json(await body.read(request))
@@ -50,7 +45,7 @@ class PageErrorsApi:
             self.reports.put_nowait(report)
         except Full as error:
             raise HTTPException(503, "reports before this one are waiting; it is left out") from error
-        return json_response({}, 202)
+        return {}
 
 
 def count(errors: PageErrorsApi, bus: Bus) -> None:

@@ -15,12 +15,18 @@ from shared.page.stream.connection import TRY_AGAIN_LATER, read_until_closed, ru
 
 from ...state import State
 from ...views import snapshot
-from ...views.snapshot import Json
-from ..replay import ReplayApi
-from .patch import difference
+from ...views.models.dashboard import Dashboard
+from ..replay import ReplayApi, ReplayShown
+from .patch import Json, difference
 
 PERIOD_S, SLOWED_PERIOD_S = 0.2, 1.0
 PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
+
+
+class Shown(Dashboard):
+    """What a page is sent as `state`."""
+
+    replay: ReplayShown | None
 
 
 class Stream:
@@ -89,4 +95,5 @@ class Stream:
 
     def _view(self) -> Json:
         with self._lock:
-            return {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
+            shown: Shown = {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
+        return shown
