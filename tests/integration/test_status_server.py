@@ -563,8 +563,8 @@ def test_the_process_has_less_than_67_mib(tmp_path: Path) -> None:
         assert process.wait(timeout=HANGS_S) == 0
     resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
     # Measured: 65 MiB. 46 MiB are imported libraries, 6 MiB imports of our own, 1.3 MiB the simulated unit, 1.2 MiB the
-    # last hour of the charts, 5 MiB routes and connections, 2 MiB checkers of answers, which FastAPI makes from the types
-    # of the views. A new version of a library moves the sum by 1 to 2 MiB; the limit finds what grows by more.
+    # last hour of the charts, 5 MiB routes and connections, 2 MiB what FastAPI checks and prints answers with. A new
+    # version of a library moves the sum by 1 to 2 MiB; the limit finds what grows by more.
     assert resident_kb and int(resident_kb[1]) < 67 * 1024
 
 
