@@ -17,10 +17,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol
 
-from services.monitoring.status.web.map.tiles import BadMap, describe
 from services.parsers.can.database import load
 from shared.errors import ObuError
 from shared.library.summary import read_summary
+from shared.page.map.tiles import BadMap, describe
 from shared.recording import Recording
 from shared.runtime.config import load_vehicle
 from shared.toll.plaza import load_plaza

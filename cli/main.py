@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import json
 import logging
 import os
 import signal
@@ -437,21 +438,42 @@ def run(
 @app.command()
 def topics(
     processes: Annotated[bool, typer.Option("--processes", help="List the processes instead.")] = False,
-    asyncapi: Annotated[bool, typer.Option("--asyncapi", help="Print the contract as AsyncAPI 3.0.")] = False,
 ) -> None:
-    """Print the contract of the bus: topics, or processes, or the AsyncAPI document.
+    """Print the contract of the bus: topics, or processes; `obu schemas bus` prints the messages as well.
 
     Examples:
     [bold]obu topics[/]
     [bold]obu topics --processes[/]
-    [bold]obu topics --asyncapi > asyncapi.json[/]
     """
     from shared.bus import contract
 
-    if asyncapi:
-        print(contract.asyncapi_json())
-    else:
-        print(contract.processes_table() if processes else contract.topics_table())
+    print(contract.processes_table() if processes else contract.topics_table())
+
+
+class Interface(StrEnum):
+    """What other programs build on."""
+
+    BUS = "bus"
+    CENTRE = "centre"
+    API = "api"
+
+
+@app.command()
+def schemas(
+    interface: Annotated[
+        Interface, typer.Argument(help="bus, centre (the link to a control centre): AsyncAPI 3.0. api: OpenAPI 3.1.")
+    ],
+) -> None:
+    """Print the description of an interface for programs, with the schema of every message or answer.
+
+    Examples:
+    [bold]obu schemas bus > asyncapi.json[/]
+    [bold]obu schemas centre > asyncapi-centre.json[/]
+    [bold]obu schemas api > openapi.json[/]
+    """
+    from .schemas import documents
+
+    print(json.dumps(documents()[interface], indent=1, ensure_ascii=False))
 
 
 @app.command()

@@ -11,9 +11,8 @@ from services.monitoring.status.web.access.rights import GRANTED, MEANING, Right
 from services.monitoring.status.web.access.table import ROWS
 from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
-from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
+from shared.bus.contract import Json, diagram, processes_table, table, topics_table
 from shared.errors import UserError
-from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
 from shared.messages.trust import TrustLevel
 from shared.missing_sensors import MISSING
 from shared.processes import PROCESSES, Role, running
@@ -22,6 +21,7 @@ from shared.rejects import PARTS
 from shared.runtime.config import Section, Vehicle, own_fields
 from shared.words.words import PLACEHOLDER, words
 
+from .schemas import schemas_page
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
 from .solve.track import COLUMNS
@@ -211,7 +211,7 @@ def api_page(description: Json) -> str:
     parts = [
         "# API\n\n",
         f"{cast('Json', description['info'])['description']} `/docs` of a unit shows the same with forms to try, "
-        "[openapi.json](openapi.json) is the description for programs, and [Read the unit from a program]"
+        "`/openapi.json` and `obu schemas api` are the description for programs, and [Read the unit from a program]"
         "(../how-to/read-the-unit-from-a-program.md) has examples.\n",
     ]
     for tag, about in tags.items():
@@ -252,10 +252,8 @@ def pages() -> dict[str, str]:
         "attacks.md": HEAD + attacks_page(),
         "rejects.md": HEAD + rejects_page(),
         "access.md": HEAD + access_page(),
-        "asyncapi.json": asyncapi_json() + "\n",
-        "asyncapi-centre.json": centre_asyncapi_json() + "\n",
-        "api.md": HEAD + api_page(cast("Json", (description := openapi()))),
-        "openapi.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
+        "api.md": HEAD + api_page(cast("Json", openapi())),
+        "schemas.md": HEAD + schemas_page(),
     }
 
 

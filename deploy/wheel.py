@@ -20,7 +20,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from services.monitoring.status.web import assets  # noqa: E402 the repository is not on the path of a script
+from shared.page import assets  # noqa: E402 the repository is not on the path of a script
 
 DASHBOARD = Path("services/monitoring/status/dashboard")
 FOLDERS = ("cli", "services", "shared", "broker", "deploy/vehicles", "deploy/plazas")

@@ -16,9 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fleet.bus import closed, connected
 from fleet.centre import Centre
 from fleet.serving import until_cancelled
-from services.monitoring.status.web.access.limits import Connections, quiet_accept
-from services.monitoring.status.web.access.peer import place_of
-from services.monitoring.status.web.routes import make_server
+from shared.page.access.limits import Connections, quiet_accept
+from shared.page.access.peer import place_of
+from shared.page.server import make_server
 
 from .authority import Authority, BadRequest
 from .callout import Callout

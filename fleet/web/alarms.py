@@ -7,7 +7,7 @@ from pydantic import Field
 
 from fleet.alarms.signing import new_secret
 from fleet.alarms.web_hook import MOST_ADDRESS, SET, Reach
-from services.monitoring.status.web.body import json_response
+from shared.page.body import json_response
 
 from .access.guard import visitor_of
 from .audit import note

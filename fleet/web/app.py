@@ -10,12 +10,13 @@ from typing import Protocol
 import uvicorn
 from fastapi import FastAPI, Response
 
-from services.monitoring.status.process import DASHBOARD
-from services.monitoring.status.web import assets
-from services.monitoring.status.web.access.limits import quiet_accept
-from services.monitoring.status.web.body import json_response
-from services.monitoring.status.web.pages import Pages
-from services.monitoring.status.web.told import tell_browsers
+from services.monitoring.status.page import DASHBOARD
+from shared.page import assets
+from shared.page.access.limits import quiet_accept
+from shared.page.answers import NOT_KEPT
+from shared.page.body import json_response
+from shared.page.pages import Pages
+from shared.page.told import tell_browsers
 
 from .access.guard import STYLE, Guard
 from .access.sessions import Sessions
@@ -66,7 +67,8 @@ def make_app(
             await cursor.execute("SELECT 1")
         return json_response({"alive": True})
 
-    app = FastAPI(title="Control centre", docs_url=None, redoc_url=None, openapi_url=None, lifespan=lifespan)
+    app = FastAPI(title="Control centre", docs_url=None, redoc_url=None, openapi_url=None, lifespan=lifespan,
+                  dependencies=NOT_KEPT)  # fmt: skip
     app.add_api_route("/api/alive", alive)
     for part in routes:
         part.add_to(app)

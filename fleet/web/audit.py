@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Request, Response
 from psycopg.types.json import Jsonb
 
-from services.monitoring.status.web.body import json_response
+from shared.page.body import json_response
 
 from .access.guard import visitor_of
 from .database import Cursor, Database

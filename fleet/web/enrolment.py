@@ -11,9 +11,9 @@ from pydantic import Field
 
 from fleet.bus import told
 from fleet.database.revoking import END_TOKEN, END_TOKENS, LOCK_VEHICLE, REVOKE
-from services.monitoring.status.web.body import json_response
 from shared.fleet.enrolling import command_for, new_secret
 from shared.fleet.topics import REVOKED, RULE, VEHICLE
+from shared.page.body import json_response
 
 from .access.guard import visitor_of
 from .audit import note

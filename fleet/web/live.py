@@ -13,14 +13,14 @@ from nats.aio.client import Client as Nats
 from nats.aio.msg import Msg
 from pydantic_core import to_json
 
-from services.monitoring.status.web.stream.clients import Clients, Frame
-from services.monitoring.status.web.stream.websocket import (
+from shared.fleet.topics import ALARM, CHANGED
+from shared.page.stream.clients import Clients, Frame
+from shared.page.stream.connection import (
     TRY_AGAIN_LATER,
     read_until_closed,
     run_first_of,
     write_frames,
 )
-from shared.fleet.topics import ALARM, CHANGED
 
 from .access.guard import VISITOR
 from .access.rights import Visitor

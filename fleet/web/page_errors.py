@@ -6,9 +6,9 @@ import time
 from fastapi import FastAPI, Request, Response
 from pydantic import ValidationError
 
-from services.monitoring.status.web import body
-from services.monitoring.status.web.body import json_response
-from services.monitoring.status.web.page_errors import PageError
+from shared.page import body
+from shared.page.body import json_response
+from shared.page.page_error import PageError
 
 from .access.guard import visitor_of
 

@@ -2,7 +2,7 @@
 
 from fastapi import FastAPI, Request, Response
 
-from services.monitoring.status.web.body import json_response
+from shared.page.body import json_response
 
 from .access.guard import visitor_of
 from .database import CONTENT, Database

@@ -13,11 +13,11 @@ from fleet.bus import closed, connected
 from fleet.centre import check_certificate
 from fleet.servers.nats import NatsAccess
 from fleet.serving import until_cancelled
-from services.monitoring.status.web.access.limits import Connections
-from services.monitoring.status.web.access.peer import place_of
-from services.monitoring.status.web.map.map import InstalledMap
-from services.monitoring.status.web.routes import make_server
 from shared.errors import UserError
+from shared.page.access.limits import Connections
+from shared.page.access.peer import place_of
+from shared.page.map.installed import InstalledMap
+from shared.page.server import make_server
 
 from .access.accounts import AccountsApi
 from .access.attempts import Attempts

@@ -5,7 +5,7 @@ from typing import TypeVar
 from fastapi import HTTPException, Request
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from services.monitoring.status.web import body
+from shared.page import body
 
 B = TypeVar("B", bound="Body")
 

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, HTTPException, Path, Query, Request, Response
 
-from services.monitoring.status.web.body import json_response
 from shared.fleet.batch import BadBatch, Kind
 from shared.fleet.sealed import unsealed
 from shared.fleet.times import OLD_S
 from shared.fleet.topics import VEHICLE
+from shared.page.body import json_response
 from shared.words.words import words
 
 from .access.guard import visitor_of

@@ -1,6 +1,5 @@
 """Prints the topics and processes: Markdown tables, and an AsyncAPI 3.0 document."""
 
-import json
 import textwrap
 from collections.abc import Iterable, Sequence
 from typing import cast
@@ -31,11 +30,6 @@ def asyncapi() -> Json:
         "operations": _operations(),
         "components": {"messages": {t.message.__name__: _message(t) for t in TOPICS}, "schemas": _schemas()},
     }
-
-
-def asyncapi_json() -> str:
-    """Print the AsyncAPI document."""
-    return json.dumps(asyncapi(), indent=2)
 
 
 def topics_table() -> str:

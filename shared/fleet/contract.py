@@ -4,8 +4,6 @@ The schemas describe content as it is once CBOR, deflate and the frame of COSE_S
 refuses besides is in `batch.decode`.
 """
 
-import json
-
 from .. import VERSION
 from .batch import (
     DIGEST_BYTES,
@@ -67,11 +65,6 @@ def asyncapi() -> Json:
     }
 
 
-def asyncapi_json() -> str:
-    """Print the AsyncAPI document."""
-    return json.dumps(asyncapi(), indent=2)
-
-
 def _channel(noun: str, purpose: str, message: str) -> Json:
     parameters: Json = {"vehicle": {"description": "name of the vehicle at the centre, that of its certificate"}}
     if noun.startswith(LIVE):
@@ -93,7 +86,7 @@ def _messages() -> Json:
         "Batch": _message("Signed reports, events or a gap, with dense sequence numbers", cose, _batch()),
         "Receipt": _message("Names exactly the batches that it answers", "application/cbor", _receipt()),
         "Watch": _message("Topics that are wanted, and for how long", "application/json", _watch()),
-        "Live": _message("As on the bus of the unit: see asyncapi.json", "application/json", {"type": "object"}),
+        "Live": _message("As on the bus of the unit: see its own contract", "application/json", {"type": "object"}),
     }
 
 

@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from services.monitoring.status.process import DASHBOARD
-from shared.bus.contract import asyncapi_json
-from shared.fleet.contract import asyncapi_json as centre_asyncapi_json
+from cli.main import command_line
+from services.monitoring.status.page import DASHBOARD
 from tests.support.patience import HANGS_S
 
 # Reads documents as a JSON list of texts; prints for each the list of its errors.
@@ -28,7 +28,7 @@ def test_asyncapis_own_parser_finds_no_error_but_a_reference_to_nothing() -> Non
     node = shutil.which("node", path=os.pathsep.join((os.environ.get("PATH", ""), str(Path(sys.executable).parent))))
     if node is None or not (DASHBOARD / "node_modules" / "@asyncapi" / "parser").is_dir():
         pytest.skip("node or @asyncapi/parser is missing: `python deploy/install_dashboard.py --testing`")
-    document, of_centre = asyncapi_json(), centre_asyncapi_json()
+    document, of_centre = (CliRunner().invoke(command_line([]), ["schemas", name]).output for name in ("bus", "centre"))
     broken = document.replace('"#/components/schemas/FixType"', '"#/$defs/FixType"')
     result = subprocess.run(
         [node, "-e", SCRIPT], cwd=DASHBOARD, input=json.dumps([document, of_centre, broken]), capture_output=True,

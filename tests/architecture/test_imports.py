@@ -42,6 +42,16 @@ PURE_SHARED |= {"shared.copies"}  # shallow copies of objects
 PURE_SHARED |= {"shared.maths.compiled"}  # it changes how fast mathematics runs, and not what comes of it
 
 
+ABOVE = {"cli", "services", "broker", "fleet", "deploy", "tests", "benchmarks"}  # what is built on `shared`
+# What the centre takes from processes: the page of a unit, which it shows for a watched vehicle, and the outbox of a
+# unit, with which simulated vehicles send as real ones do.
+OF_A_UNIT = {
+    "fleet/web": {"services.monitoring.status.page"},
+    "fleet/simulate": {"services.monitoring.uplink.outbox", "services.monitoring.uplink.sending"},
+}
+SERVING = ("fastapi", "starlette", "uvicorn", "h11", "prometheus_client")
+
+
 def files_of(process: str) -> list[Path]:
     return sorted((ROOT / "services" / Path(*process.split("."))).rglob("*.py"))
 
@@ -69,7 +79,7 @@ def test_a_process_imports_shared_and_its_own_folder_only(row) -> None:  # type:
     for path in files_of(row.name):
         foreign = {
             name for name in imports_of(path)
-            if name.split(".")[0] in ("cli", "services", "broker", "tests", "benchmarks")
+            if name.split(".")[0] in ABOVE
             and not (name == own or name.startswith(own + "."))
         }  # fmt: skip
         assert not foreign, f"{path.relative_to(ROOT)} imports {foreign}"
@@ -91,8 +101,27 @@ def test_every_file_but_process_py_does_no_input_and_output(row) -> None:  # typ
 
 def test_shared_does_not_import_what_is_built_on_it() -> None:
     for path in (ROOT / "shared").rglob("*.py"):
-        upward = {name for name in imports_of(path) if name.split(".")[0] in ("cli", "services", "broker", "tests")}
+        upward = {name for name in imports_of(path) if name.split(".")[0] in ABOVE}
         assert not upward, f"{path.relative_to(ROOT)} imports {upward}"
+
+
+def test_the_centre_takes_nothing_of_a_process_but_the_page_and_the_outbox_of_a_unit() -> None:
+    taken: dict[str, set[str]] = {}
+    for path in (ROOT / "fleet").rglob("*.py"):
+        if found := {name for name in imports_of(path) if name.split(".")[0] in ABOVE - {"fleet", "broker"}}:
+            taken.setdefault("/".join(path.relative_to(ROOT).parts[:2]), set()).update(found)
+    assert taken == OF_A_UNIT
+
+
+def test_no_process_but_the_page_loads_a_web_server() -> None:
+    """`shared.page` costs who serves no page nothing."""
+    others = [f"services.{row.name}.process" for row in PROCESSES if row.name != "monitoring.status"]
+    program = (
+        f"import importlib, sys, shared; [importlib.import_module(name) for name in {others!r}]; "
+        f"print(*(name for name in sys.modules if name in {SERVING!r} or name.startswith('shared.page')))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not done.stdout.strip()
 
 
 def test_every_process_of_the_table_has_a_folder_and_every_folder_a_row() -> None:

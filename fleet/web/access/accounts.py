@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import Field
 
-from services.monitoring.status.web.body import json_response
+from shared.page.body import json_response
 
 from ..audit import note
 from ..database import Database

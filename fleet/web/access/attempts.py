@@ -9,7 +9,7 @@ from hashlib import sha256
 from typing import NamedTuple
 
 from fleet.database.retention import FORGOTTEN_S
-from services.monitoring.status.web.access.peer import place_of
+from shared.page.access.peer import place_of
 
 from ..database import Database
 

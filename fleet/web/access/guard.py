@@ -7,9 +7,9 @@ from typing import cast
 
 from fastapi import HTTPException, Request, Response, WebSocketDisconnect
 
-from services.monitoring.status.web.access import hosts
-from services.monitoring.status.web.access.access import CSRF_HEADER
-from services.monitoring.status.web.access.guard import (
+from shared.page.access import hosts
+from shared.page.access.requests import (
+    CSRF_HEADER,
     LOGGED_OUT,
     App,
     Receive,
@@ -20,8 +20,8 @@ from services.monitoring.status.web.access.guard import (
     refusal_of,
     with_headers,
 )
-from services.monitoring.status.web.access.table import SAFE_METHODS, WEBSOCKET
-from services.monitoring.status.web.told import readable
+from shared.page.access.table import SAFE_METHODS, WEBSOCKET
+from shared.page.told import readable
 
 from .rights import Right, Visitor, needed
 from .sessions import COOKIE, Sessions

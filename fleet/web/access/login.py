@@ -9,8 +9,8 @@ from typing import Annotated
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from services.monitoring.status.web import body
-from services.monitoring.status.web.body import json_response
+from shared.page import body
+from shared.page.body import json_response
 
 from ..audit import note
 from ..database import Database

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from services.monitoring.status.web.access.table import WEBSOCKET, Row, row_of
+from shared.page.access.table import WEBSOCKET, Row, row_of
 
 
 class Right(StrEnum):

@@ -13,12 +13,12 @@ from nats.aio.msg import Msg
 from nats.aio.subscription import Subscription
 from starlette.routing import Mount
 
-from services.monitoring.status.process import DASHBOARD
-from services.monitoring.status.web.access.guard import Receive, Scope, Send, headers_of, refusal_of
-from services.monitoring.status.web.pages import read_pages
-from services.monitoring.status.web.told import readable
+from services.monitoring.status.page import DASHBOARD
 from shared.errors import TooManyFaults
 from shared.fleet.topics import LIVE, VEHICLE, WATCH, subject
+from shared.page.access.requests import Receive, Scope, Send, headers_of, refusal_of
+from shared.page.pages import read_pages
+from shared.page.told import readable
 
 from ..access.guard import STYLE, VISITOR
 from ..access.rights import Visitor
@@ -101,7 +101,7 @@ class WatchGate:
                 await self._end(session)
 
     async def _look_after(self, session: Session) -> None:
-        now_s, pages = time.monotonic(), session.watched.watchers
+        now_s, pages = time.monotonic(), session.watched.page.watchers
         if pages:
             session.seen_s = now_s
         if now_s - session.seen_s >= LINGER_S or any(task.done() for task in session.tasks):
@@ -146,7 +146,7 @@ class WatchGate:
 
         name = f"{subject(vehicle, LIVE)}.>"
         session.subscription = await self._nats.subscribe(name, cb=take, pending_msgs_limit=MOST_PENDING)
-        works = watched.stream.run(), watched.events.run(), _tick(watched)
+        works = watched.page.stream.run(), watched.page.events.run(), _tick(watched)
         session.tasks = [asyncio.create_task(work) for work in works]
         self._sessions[vehicle] = session
         await self._tell(session, 1)
@@ -174,7 +174,7 @@ class WatchGate:
         self._sessions.pop(session.vehicle, None)
         for task in session.tasks:
             task.cancel()
-        for clients in (session.watched.stream.clients, session.watched.events.clients):
+        for clients in (session.watched.page.stream.clients, session.watched.page.events.clients):
             clients.end()
 
     async def _tell(self, session: Session, watchers: int) -> None:

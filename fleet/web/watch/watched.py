@@ -2,34 +2,20 @@
 
 import json
 import logging
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Mapping
 
-from fastapi import FastAPI, Response
 from nats.aio.msg import Msg
-from prometheus_client import CollectorRegistry
 
-from services.monitoring.status.judgement import BROKER_SILENT_NS
-from services.monitoring.status.state import State
-from services.monitoring.status.views.snapshot import Json
-from services.monitoring.status.web.body import json_response
-from services.monitoring.status.web.map.map import MapApi
-from services.monitoring.status.web.pages import Pages
-from services.monitoring.status.web.replay import ReplayApi
-from services.monitoring.status.web.routes import Api, Watching
-from services.monitoring.status.web.series import SeriesApi
-from services.monitoring.status.web.stream.events import Events
-from services.monitoring.status.web.stream.websocket import Stream
-from services.monitoring.status.web.told import tell_browsers
+from services.monitoring.status.page import SILENT_NS, PassedOnPage
 from shared.bus import codec
 from shared.bus.envelope import Envelope
 from shared.errors import BadPayload
 from shared.faults import Faults
 from shared.fleet.batch import VERDICTS
 from shared.fleet.topics import WATCHABLE
+from shared.page.pages import Pages
 from shared.topics import BY_NAME
 
 from ..access.guard import STYLE
@@ -38,9 +24,9 @@ from .time_line import TimeLine
 
 log = logging.getLogger(__name__)
 
-HISTORY_S = 900.0
+Json = dict[str, object]
+
 PAGES_OF_ONE = 20  # browsers that watch the same vehicle
-SILENT_NS = BROKER_SILENT_NS  # what is silence of the broker on the unit's own page is that of the vehicle here
 MOST_A_SECOND = 400  # messages; 17 topics at 5 Hz, and every monitor by itself, are some 200
 ALLOWED = frozenset(WATCHABLE)
 NO_ANSWER = (
@@ -57,15 +43,12 @@ class Watched:
         self.vehicle, self.begun_s = vehicle, time.monotonic()
         self.rejects: Counter[str] = Counter()
         self._last = last
-        self._line, self._lock = TimeLine(), threading.Lock()
+        self._line = TimeLine()
         self._heard_ns: int | None = None  # newest message, on the time line of the unit
         self._second, self._taken = 0, 0
         self._faults = Faults(self.rejects)
-        self.state = State(vehicle, (), self.now_ns(), HISTORY_S)
-        self.stream = WatchStream(self.state, self._lock, self.now_ns, ReplayApi(None, self._lock, self.now_ns))
-        self.stream.shown, self.stream.version = self.shown, pages.version
-        self.events = Events(self.state, self._lock, self.now_ns, PAGES_OF_ONE)
-        self.app = self._make_app(pages, map_file)
+        self.page = PassedOnPage(vehicle, self.now_ns, PAGES_OF_ONE, self._with_watch)
+        self.app = self.page.app(pages, STYLE, map_file)
 
     def now_ns(self) -> int:
         """Read the unit's time line."""
@@ -73,8 +56,8 @@ class Watched:
 
     def tick(self) -> None:
         """Let time pass; raises `TooManyFaults`."""
-        with self._lock, self._faults.handling(self.now_ns()):
-            self.state.tick(self.now_ns(), broker=True)
+        with self.page.lock, self._faults.handling(self.now_ns()):
+            self.page.state.tick(self.now_ns(), broker=True)
 
     def take(self, message: Msg) -> None:
         """Take a message that the unit passes on; raises `TooManyFaults`."""
@@ -84,12 +67,12 @@ class Watched:
             return
         topic = BY_NAME.get(name)
         stamp_ns = codec.stamp_ns(topic, message.data) if topic is not None else None
-        with self._lock, self._faults.handling(self.now_ns()):
+        with self.page.lock, self._faults.handling(self.now_ns()):
             newest = stamp_ns is not None and topic is not None and not topic.retain  # what is kept may be of long ago
             if newest and self._line.take(name, stamp_ns or 0, time.time_ns()):
-                self.state.clear(self.now_ns())
+                self.page.state.clear(self.now_ns())
             try:
-                self.state.receive(Envelope.of(name, message.data, self.now_ns()))
+                self.page.state.receive(Envelope.of(name, message.data, self.now_ns()))
                 self._heard_ns = self.now_ns()
             except BadPayload:
                 self.rejects["payload"] += 1
@@ -100,12 +83,7 @@ class Watched:
         if self._last is not None:
             last = {"utc_ms": self._last["utc_ms"], "verdict": VERDICTS[self._last["verdict"]].value}
         silent = self._heard_ns is None or self.now_ns() - self._heard_ns >= SILENT_NS
-        return {"heard_ns": self._heard_ns, "silent": silent, "last": last, "pages": self.watchers}
-
-    @property
-    def watchers(self) -> int:
-        """Open pages, and programs that read the stream of events."""
-        return len(self.stream.clients) + len(self.events.clients)
+        return {"heard_ns": self._heard_ns, "silent": silent, "last": last, "pages": self.page.watchers}
 
     def _has_room(self) -> bool:
         second = int(time.monotonic())
@@ -114,36 +92,13 @@ class Watched:
         self._taken += 1
         return self._taken <= MOST_A_SECOND
 
-    def _make_app(self, pages: Pages, map_file: str | None) -> FastAPI:
-        """The unit's application without what only the unit can do: no commands, recordings, tokens."""
-        app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-        state, lock, now_ns = self.state, self._lock, self.now_ns
-        Api(state, lock, now_ns, CollectorRegistry(), HISTORY_S).add_to(app)
-        SeriesApi(state, lock, now_ns, PAGES_OF_ONE).add_to(app)
-        MapApi(state, lock, now_ns, map_file).add_to(app)
-        Watching(self.stream, self.events).add_to(app)
-        app.add_api_route("/api/session", _no_session)
-        app.include_router(pages.router())
-        tell_browsers(app, STYLE)
-        return app
-
-
-class WatchStream(Stream):
-    """The stream of the unit's page, with what is to be said of the watch."""
-
-    shown: Callable[[], Json]
-
-    def __init__(
-        self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], replay: ReplayApi
-    ) -> None:
-        super().__init__(state, lock, now_ns, PAGES_OF_ONE, replay)
-
-    def _view(self) -> Json:
-        view, watch = super()._view(), self.shown()
+    def _with_watch(self, shown: Mapping[str, object]) -> Json:
+        """What the unit's page is sent, with what is to be said of the watch."""
+        watch, banner = self.shown(), _object(shown["banner"])
         if watch["silent"]:
             sentence = {"state": "disconnected", "word": "NO CONNECTION", "sentence": NO_ANSWER, "action": None}
-            view["banner"] = {**_object(view["banner"]), **sentence, "since_ns": watch["heard_ns"]}
-        return {**view, "watch": watch, "simulation": None}  # attacks are started at the unit alone
+            banner |= {**sentence, "since_ns": watch["heard_ns"]}
+        return {**shown, "banner": banner, "watch": watch, "simulation": None}  # attacks are started at the unit alone
 
 
 def watch_request(watchers: int, for_s: int) -> bytes:
@@ -151,10 +106,5 @@ def watch_request(watchers: int, for_s: int) -> bytes:
     return json.dumps({"topics": WATCHABLE, "for_s": for_s, "watchers": watchers}).encode()
 
 
-def _no_session() -> Response:
-    """The login is that of the centre: nothing can be changed from here."""
-    return json_response({"name": None, "role": "view", "session": False, "csrf": None})
-
-
 def _object(value: object) -> Json:
-    return value if isinstance(value, dict) else {}
+    return dict(value) if isinstance(value, dict) else {}

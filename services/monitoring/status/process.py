@@ -19,24 +19,26 @@ from shared.errors import BadPayload, ObuError, UserError
 from shared.faults import Faults
 from shared.library.library import Library
 from shared.messages.operation import RecordingState
+from shared.page.access.limits import Connections
+from shared.page.access.peer import networks
+from shared.page.pages import read_pages
+from shared.page.server import make_server
 from shared.runtime.config import Section, address_file, parse_vehicle
 
 from .history.history_file import HistoryFile
+from .page import DASHBOARD
 from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.access.access import Access, Rules, is_simulated
-from .web.access.limits import Connections
-from .web.access.peer import networks
 from .web.access.tokens import Tokens, tokens_folder
 from .web.command import CommandApi
-from .web.map.map import MapApi
+from .web.map import MapApi
 from .web.page_errors import PageErrorsApi, count
-from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
-from .web.routes import Api, Watching, make_app, make_server
+from .web.routes import LIMITED_LOGS, Api, Watching, make_app
 from .web.series import SeriesApi
 from .web.simulation import SimulationApi
 from .web.stream.events import Events
@@ -44,7 +46,6 @@ from .web.stream.websocket import Stream
 
 log = logging.getLogger(__name__)
 
-DASHBOARD = Path(__file__).parent / "dashboard"
 PAST_PERIOD_S = 1.0
 HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"
@@ -188,7 +189,8 @@ class Process:
         access = self._make_access(bus)
         app = make_app(api, (series, *apis, maps), read_pages(folder), watching, access)
         per_client, trusted = self._config.connections_per_client, access.rules.trusted_proxies
-        return make_server(app, Connections(4 * clients + 16, per_client, trusted, access.rules.published))
+        connections = Connections(4 * clients + 16, per_client, trusted, access.rules.published)
+        return make_server(app, connections, LIMITED_LOGS)
 
     def _make_access(self, bus: Bus) -> Access:
         config, vehicle = self._config, parse_vehicle(bus.vehicle_toml)

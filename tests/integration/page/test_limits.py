@@ -1,5 +1,6 @@
 """Limits of connections over real sockets: slow clients, too many of them, and what is written about them."""
 
+import logging
 import os
 import resource
 import select
@@ -13,8 +14,10 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from services.monitoring.status.web import body
-from services.monitoring.status.web.access import limits
+from services.monitoring.status.web import page_errors
+from services.monitoring.status.web.access import login
+from shared.page import body
+from shared.page.access import limits
 from shared.runtime.config import ADDRESS_FILE
 from tests.support.dashboard.status_server import Running, eventually, status_server
 from tests.support.patience import HANGS_S
@@ -97,7 +100,7 @@ def test_a_body_that_does_not_come_is_answered(tmp_path: Path, monkeypatch: pyte
 def test_a_connection_without_a_request_is_closed_after_the_idle_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.monitoring.status.web.routes.IDLE_S", 1)
+    monkeypatch.setattr("shared.page.server.IDLE_S", 1)
     with status_server(tmp_path, unit=False) as server, opened(port_of(server)) as idle:
         assert status_of(idle) == b"HTTP/1.1 200 OK"
         assert is_closed(idle)
@@ -206,3 +209,10 @@ def test_garbage_is_written_a_few_times_a_minute(tmp_path: Path) -> None:
                 one.sendall(b"\x16\x03\x01 garbage\r\n\r\n")
                 one.recv(100)
         assert log.stat().st_size < LOG_BYTES
+
+
+def test_what_visitors_cause_is_written_a_few_times_a_minute(tmp_path: Path) -> None:
+    names = (limits.__name__, "uvicorn.error", login.__name__, page_errors.__name__)
+    with status_server(tmp_path, unit=False):
+        for name in names:
+            assert any(isinstance(one, limits.RateLimit) for one in logging.getLogger(name).filters), name

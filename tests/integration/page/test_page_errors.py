@@ -7,8 +7,9 @@ from typing import cast
 import httpx
 import pytest
 
-from services.monitoring.status.web.page_errors import REJECT, WAITING, PageError, PageErrorsApi, count
+from services.monitoring.status.web.page_errors import REJECT, WAITING, PageErrorsApi, count
 from shared.bus.bus import Bus
+from shared.page.page_error import PageError
 from tests.support.dashboard.fake_unit import FakeBus
 from tests.support.dashboard.status_server import Running, change, eventually, status_server
 from tests.support.patience import HANGS_S

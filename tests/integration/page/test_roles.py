@@ -9,18 +9,21 @@ from pathlib import Path
 import httpx
 import pytest
 from fastapi.routing import APIRoute
+from pydantic import TypeAdapter
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from services.monitoring.status.web.access.access import Access, Rules
-from services.monitoring.status.web.access.guard import Guard, Receive, Scope, Send
+from services.monitoring.status.web.access.guard import Guard
+from services.monitoring.status.web.access.manage import TokenList
 from services.monitoring.status.web.access.rights import GRANTED, Right
-from services.monitoring.status.web.access.table import ROWS, WEBSOCKET, Row, needed
+from services.monitoring.status.web.access.table import ROWS, needed
 from services.monitoring.status.web.access.tokens import FILE, Tokens
-from services.monitoring.status.web.answers import TokenList
 from services.monitoring.status.web.routes import app_without_unit
+from shared.page.access.requests import Receive, Scope, Send
+from shared.page.access.table import WEBSOCKET, Row
 from tests.support.dashboard.status_server import Running, status_server
 from tests.support.patience import HANGS_S
 
@@ -185,7 +188,7 @@ def test_admin_makes_and_revokes_tokens_over_the_page(page: Guarded) -> None:
     assert found and (found.name, found.role) == ("van", Right.VIEW)
     head = {"Authorization": f"Bearer {page.secrets[Right.ADMIN]}"}
     listed = httpx.get(f"{page.server.address}/api/tokens", headers=head, timeout=HANGS_S)
-    TokenList.model_validate_json(listed.content)
+    TypeAdapter(TokenList).validate_json(listed.content)
     assert "van" in listed.text and made not in listed.text and found.hash not in listed.text
     assert change(action="add", name="van", role="view").status_code == 409
     assert change(action="revoke", name="van").json() == {"token": None}

@@ -9,7 +9,7 @@ from functools import wraps
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
-from services.monitoring.status.process import DASHBOARD
+from services.monitoring.status.page import DASHBOARD
 
 AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
 PATIENCE_MS = 30_000  # with what a page must show: a machine that also does something else may need seconds

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deploy import wheel
-from services.monitoring.status.web.pages import read_pages
 from shared import VERSION
+from shared.page.pages import read_pages
 from tests.support.data import REPOSITORY
 from tests.support.wheel import built
 

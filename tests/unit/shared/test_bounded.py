@@ -170,7 +170,7 @@ def test_a_recording_with_huge_metadata_or_attachments_is_opened_in_little_memor
     assert outcome(path, "from shared.recording import Recording", read, "ValueError", mapped=size).endswith("read")
 
 
-MAP = "import sqlite3\nfrom services.monitoring.status.web.map.tiles import BadMap, describe, read_tile"
+MAP = "import sqlite3\nfrom shared.page.map.tiles import BadMap, describe, read_tile"
 VIEWS = {
     "endless tiles": "create view tiles as with recursive n(x) as (select 1 union all select x + 1 from n) "
     "select x % 1 zoom_level, x % 1 tile_column, x % 1 tile_row, x'' tile_data from n",

@@ -4,6 +4,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
+from typing_extensions import TypedDict
+
+from shared.page.answers import Stamp, answer
+
 FINE_S, FINE_HZ = 60.0, 5.0
 COARSE_HZ = 1.0
 CHANGES_MAXIMUM = 500  # of the verdict
@@ -26,6 +30,33 @@ FIELDS = (
 )
 
 
+@answer({"time_ns": [1_795_380_196_007_361_076], "fields": {"speed_fused_m_s": [13.9], "position_error_m": [None]}})
+class HistoryColumns(TypedDict):
+    """Columns of one length; a value that was stale is null."""
+
+    time_ns: list[Stamp]
+    fields: dict[str, list[float | None]]
+
+
+@answer()
+class Change(TypedDict):
+    """Begin of a state."""
+
+    since_ns: Stamp
+    state: str
+
+
+@answer()
+class TrustColumns(TypedDict):
+    """Changes of the state; once a second each monitor's statistic over its threshold, and probabilities."""
+
+    changes: list[Change]
+    time_ns: list[Stamp]
+    ratios: dict[str, list[float | None]]
+    probabilities: dict[str, list[float | None]]
+    """of each hypothesis"""
+
+
 class History:
     """Two rings of samples; a value that was stale is None, so that a plot breaks its line."""
 
@@ -40,7 +71,7 @@ class History:
         if not self._coarse or now_ns - self._coarse[-1][0] >= 0.95e9 / COARSE_HZ:
             self._coarse.append(row)
 
-    def columns(self, now_ns: int, seconds: float, fields: Sequence[str] = FIELDS) -> dict[str, object]:
+    def columns(self, now_ns: int, seconds: float, fields: Sequence[str] = FIELDS) -> HistoryColumns:
         """Give the last seconds as one list of stamps and one list of values a field; unknown fields are KeyError."""
         indices = {name: FIELDS.index(name) if name in FIELDS else None for name in fields}
         if unknown := [name for name, index in indices.items() if index is None]:
@@ -84,7 +115,7 @@ class TrustHistory:
             self._rows.append((now_ns, known, probabilities))
         return changed or second
 
-    def columns(self, now_ns: int, seconds: float) -> dict[str, object]:
+    def columns(self, now_ns: int, seconds: float) -> TrustColumns:
         """Give the last seconds: changes, stamps, ratios and probabilities by name, None where not evaluated."""
         from_ns = now_ns - int(seconds * 1e9)
         rows = [row for row in self._rows if row[0] >= from_ns]

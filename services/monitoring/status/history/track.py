@@ -4,10 +4,12 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from math import cos, hypot, inf, radians
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
+from shared.page.answers import Stamp, answer
 from shared.track_files import Extra, TrackPoint
 
 POINTS_MAXIMUM = 6000
@@ -23,6 +25,30 @@ class Place(NamedTuple):
 
     latitude_deg: float
     longitude_deg: float
+
+
+@answer()
+class TrackColumns(TypedDict):
+    """Columns of one length, one row a position; null where a source was silent."""
+
+    time_ns: list[Stamp]
+    state: list[str]
+    """the verdict shown: `state` of /api/solution"""
+    aided: list[Literal[0, 1]]
+    """1: GNSS was part of the solution within the last 3 s"""
+    height_ellipsoid_m: list[float | None]
+    radius_95_m: list[float | None]
+    """semi-major axis of the 95 % error ellipse"""
+    level_m: list[float | None]
+    """horizontal protection level"""
+    fused_latitude_deg: list[float | None]
+    fused_longitude_deg: list[float | None]
+    gnss_latitude_deg: list[float | None]
+    """of the receiver only"""
+    gnss_longitude_deg: list[float | None]
+    truth_latitude_deg: list[float | None]
+    """of the simulator"""
+    truth_longitude_deg: list[float | None]
 
 
 class TrackRow(NamedTuple):
@@ -165,21 +191,27 @@ def _point(row: TrackRow, place: Place, source: str) -> TrackPoint:
     return TrackPoint(row.time_ns, *place, row.height_ellipsoid_m, extras)
 
 
-def columns(rows: list[TrackRow]) -> dict[str, list[object]]:
+def columns(rows: list[TrackRow]) -> TrackColumns:
     """Turn rows into columns for JSON: degrees to 8 decimals, metres to centimetres."""
-    table: dict[str, list[object]] = {
+    fused, gnss, truth = ([getattr(row, source) for row in rows] for source in SOURCES)
+    return {
         "time_ns": [row.time_ns for row in rows],
         "state": [row.state for row in rows],
-        "aided": [int(row.aided) for row in rows],
+        "aided": [1 if row.aided else 0 for row in rows],
         "height_ellipsoid_m": [_rounded(row.height_ellipsoid_m) for row in rows],
         "radius_95_m": [_rounded(row.radius_95_m) for row in rows],
         "level_m": [_rounded(row.level_m) for row in rows],
+        "fused_latitude_deg": _degrees(fused, 0),
+        "fused_longitude_deg": _degrees(fused, 1),
+        "gnss_latitude_deg": _degrees(gnss, 0),
+        "gnss_longitude_deg": _degrees(gnss, 1),
+        "truth_latitude_deg": _degrees(truth, 0),
+        "truth_longitude_deg": _degrees(truth, 1),
     }
-    for source in SOURCES:
-        places: list[Place | None] = [getattr(row, source) for row in rows]
-        for i, name in enumerate(("latitude_deg", "longitude_deg")):
-            table[f"{source}_{name}"] = [None if place is None else round(place[i], 8) for place in places]
-    return table
+
+
+def _degrees(places: list[Place | None], number: int) -> list[float | None]:
+    return [None if place is None else round(place[number], 8) for place in places]
 
 
 def length_m(rows: list[TrackRow]) -> float:

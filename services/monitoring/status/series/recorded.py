@@ -82,7 +82,7 @@ def main() -> None:
     series = read_past(Path(question["folder"]), names, now_ns)
     for name in names:
         columns = series.columns([name], now_ns - HOUR_NS, now_ns, fine=False)
-        values = cast(dict[str, list[float | None]], columns["values"])[name]
+        values = columns["values"][name]
         sys.stdout.buffer.write(to_json({"name": name, "values": values}) + b"\n")
 
 

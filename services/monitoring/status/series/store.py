@@ -2,9 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 
+from typing_extensions import TypedDict
+
 from shared.messages.base import Message
 from shared.messages.gnss import Constellation
 from shared.messages.navigation import AidingKind
+from shared.page.answers import Stamp, answer
 from shared.topics import BY_NAME
 
 from ..flow import LATENCY_MAXIMUM_S, on_demand, stamp_ns
@@ -12,7 +15,6 @@ from . import computed, fields
 from .fields import COMPUTED, LATENCY, Field
 from .rings import BYTES_PER_FIELD, COARSE_CELLS, COARSE_NS, FINE_CELLS, FINE_NS, SECOND_NS, Ring
 
-Json = dict[str, object]
 FIELDS_MAXIMUM = 160  # with 31 kB each at most 5 MB
 BYTES_MAXIMUM = FIELDS_MAXIMUM * BYTES_PER_FIELD
 KEEP_ASKED_NS = 3600 * SECOND_NS  # after the last question, a field gives way to another one
@@ -42,6 +44,35 @@ STANDARD = (
     *(f"navigation/aiding[{kind}]:test_ratio" for kind in AidingKind),
     *(f"{topic}:{LATENCY}" for topic in _LATENCIES),
 )  # fmt: skip
+
+
+@answer()
+class Columns(TypedDict):
+    """Values of fields, a column each on one grid."""
+
+    period_s: float
+    time_ns: list[Stamp]
+    values: dict[str, list[float | None]]
+    """by field; null where nothing was published"""
+
+
+@answer()
+class FieldLabel(TypedDict):
+    """How a field is plotted."""
+
+    unit: str
+    axis: str
+
+
+@answer({
+    "period_s": 1.0, "time_ns": [1_795_380_196_007_361_076], "values": {"gnss/fix:hdop": [0.8]},
+    "fields": {"gnss/fix:hdop": {"unit": "", "axis": ""}},
+})  # fmt: skip
+class LabelledColumns(Columns):
+    """Numeric fields over time, a column each on one grid."""
+
+    fields: dict[str, FieldLabel]
+    """unit and axis of each field"""
 
 
 class SeriesFull(Exception):
@@ -133,7 +164,7 @@ class Series:
             if kept_one := self._kept.get(f"{COMPUTED}:{name}"):
                 kept_one.put(time_ns, value, fill=fill)
 
-    def columns(self, names: Sequence[str], from_ns: int, to_ns: int, *, fine: bool) -> Json:
+    def columns(self, names: Sequence[str], from_ns: int, to_ns: int, *, fine: bool) -> Columns:
         """Give the values of kept fields in a span of time, a column each on the same grid; KeyError for another."""
         period_ns = FINE_NS if fine else COARSE_NS
         first, last = from_ns // period_ns, to_ns // period_ns
@@ -179,15 +210,14 @@ class Series:
         self.wanted.append(field.name)
 
 
-def labelled(names: Sequence[str], series: Json) -> Json:
+def labelled(names: Sequence[str], series: Columns) -> LabelledColumns:
     """Add unit and axis of each field to its values, and round these to what a plot shows."""
     columns = series["values"]
-    assert isinstance(columns, dict)
     return {**series, "fields": {name: _described(fields.parse(name)) for name in names},
             "values": {name: [_rounded(v) for v in columns[name]] for name in names}}  # fmt: skip
 
 
-def _described(field: Field) -> Json:
+def _described(field: Field) -> FieldLabel:
     return {"unit": fields.unit_of(field), "axis": fields.axis_of(field)}
 
 

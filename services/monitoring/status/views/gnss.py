@@ -6,12 +6,13 @@ from math import degrees
 from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import Constellation, GnssSignal, Satellite, SignalQuality
 from shared.messages.trust import MonitorTest, Outcome, TrustState
+from shared.page.answers import Object
 from shared.trust.result import SATELLITE_LEFT_OUT, told
 
 from ..history.gnss_history import ReceiverHistory
 from ..state import State
+from .models.gnss import Receivers, ReceiverShown, SatelliteShown, SignalShown, Tracks
 
-Json = dict[str, object]
 PARSER = "parsers.gnss"
 LETTERS = {
     Constellation.GPS: "G", Constellation.GALILEO: "E", Constellation.GLONASS: "R", Constellation.BEIDOU: "C",
@@ -29,7 +30,7 @@ _QUALITY_REASONS: dict[SignalQuality | None, str] = {
 }
 
 
-def gnss(state: State, now_ns: int) -> Json:
+def gnss(state: State, now_ns: int) -> Receivers:
     """Show each receiver, the one received last first."""
     trust = state.newest(TrustState, "trust/state", now_ns, live=True)
     monitor = next((m for m in trust.monitors if m.monitor == "satellites"), None) if trust else None
@@ -43,12 +44,12 @@ def gnss(state: State, now_ns: int) -> Json:
     }
 
 
-def tracks(state: State) -> Json:
+def tracks(state: State) -> Tracks:
     """Give the tracks of the satellites in the sky: elevation and azimuth in degrees, twice a minute for an hour."""
     return {
         source: {
             f"{LETTERS[Constellation(constellation)]}{number:02d}": [
-                [round(elevation), round(azimuth)] for _, elevation, azimuth in track
+                (round(elevation), round(azimuth)) for _, elevation, azimuth in track
             ]
             for (constellation, number), track in receiver.tracks.items()
         }
@@ -77,7 +78,7 @@ def why_not_used(satellite: Satellite, mask_rad: float | None) -> str | None:
     return None if satellite.used else stated
 
 
-def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_ns: int) -> Json:
+def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_ns: int) -> ReceiverShown:
     fix, quality, configuration = receiver.fix, receiver.quality, receiver.configuration
     mask_rad = configuration.elevation_mask_rad if configuration else None
     return {
@@ -105,7 +106,7 @@ def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_n
     }  # fmt: skip
 
 
-def _corrections(state: State, now_ns: int) -> Json | None:
+def _corrections(state: State, now_ns: int) -> Object | None:
     """Where corrections come from, with age and kinds; None of a unit without sources of corrections."""
     stated = state.newest(CorrectionsState, "corrections/state", now_ns, live=True)
     if stated is None:
@@ -125,8 +126,10 @@ def _first_fix_s(receiver: ReceiverHistory) -> float | None:
     return round((receiver.first_position_ns - receiver.waited_since_ns) * 1e-9, 1)
 
 
-def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mask_rad: float | None) -> list[Json]:
-    rows: list[Json] = []
+def _satellites(
+    receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mask_rad: float | None
+) -> list[SatelliteShown]:
+    rows: list[SatelliteShown] = []
     stated = _stated_signals(receiver)
     measured = _measured_signals(receiver)
     for satellite in receiver.satellites.satellites if receiver.satellites else _satellites_of(stated):
@@ -179,7 +182,7 @@ def _as_satellite(signal: GnssSignal) -> Satellite:
     )  # fmt: skip
 
 
-def _signal(signal: GnssSignal, satellite: Satellite, mask_rad: float | None) -> Json:
+def _signal(signal: GnssSignal, satellite: Satellite, mask_rad: float | None) -> SignalShown:
     """Show one signal; the satellite adds elevation and orbit to the reason why it is not used."""
     of_satellite = {"elevation_rad": satellite.elevation_rad, "orbit_known": satellite.orbit_known}
     reason = why_not_used(_as_satellite(signal).model_copy(update=of_satellite), mask_rad)
@@ -187,9 +190,9 @@ def _signal(signal: GnssSignal, satellite: Satellite, mask_rad: float | None) ->
     return {"band": band, "cn0_db_hz": signal.cn0_db_hz, "used": signal.pseudorange_used, "reason": reason}
 
 
-def _measured_signals(receiver: ReceiverHistory) -> dict[str, list[Json]]:
+def _measured_signals(receiver: ReceiverHistory) -> dict[str, list[SignalShown]]:
     """C/N0 of each signal of a satellite, of receivers that send raw measurements; these do not state the use."""
-    found: dict[str, list[Json]] = {}
+    found: dict[str, list[SignalShown]] = {}
     for measured in receiver.epoch.measurements if receiver.epoch else ():
         if measured.cn0_db_hz is not None:
             band, cn0 = band_of(measured.constellation, measured.signal), round(measured.cn0_db_hz, 1)

@@ -7,9 +7,9 @@ from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustH
 from shared.words.words import said, words
 
 from ..history.alternatives import Line, separation_ratio, worst
+from .models.hypotheses import AlternativeTrack, HypothesisRow, SatelliteSolution
 from .plain_words import who
 
-Json = dict[str, object]
 Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live
 
 
@@ -31,7 +31,7 @@ def figures(beliefs: Iterable[Belief]) -> list[str]:
     ]
 
 
-def table(beliefs: Iterable[Belief], stated: Sequence[Stated]) -> Json:
+def table(beliefs: Iterable[Belief], stated: Sequence[Stated]) -> dict[str, HypothesisRow]:
     """Show each hypothesis by its name: probability, what follows from it, and its solution or why it has none."""
     known = {one.hypothesis: one for one in beliefs}
     return {
@@ -49,7 +49,7 @@ def _is_stated(hypothesis: Hypothesis, stated: Sequence[Stated]) -> bool:
     )
 
 
-def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]) -> Json:
+def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]) -> HypothesisRow:
     found = [(producer, one) for producer, message in stated for one in message.solutions]
     mine = [(producer, one) for producer, one in found if one.hypothesis is hypothesis]
     solution = worst([one for _, one in mine])
@@ -83,7 +83,7 @@ def _missing(hypothesis: Hypothesis, message: TrustHypotheses) -> list[str]:
     return [codes.get(name) or text for name, text in message.missing if name is hypothesis]
 
 
-def satellites(stated: Sequence[Stated]) -> list[Json]:
+def satellites(stated: Sequence[Stated]) -> list[SatelliteSolution]:
     """List the solutions without satellites, the largest separation over its limit first."""
     found = [one for _, message in stated for one in message.solutions if one.hypothesis is Hypothesis.SATELLITES]
     return [
@@ -102,17 +102,17 @@ def satellites(stated: Sequence[Stated]) -> list[Json]:
     ]
 
 
-def tracks(lines: Iterable[Line]) -> list[Json]:
+def tracks(lines: Iterable[Line]) -> list[AlternativeTrack]:
     """Show the lines of the map: places as [longitude, latitude] in degrees, as in GeoJSON."""
     return [
         {
-            "hypothesis": line.hypothesis.value,
+            "hypothesis": line.hypothesis,
             "label": words().name("condition", line.hypothesis),
             "source": line.producer,
             "left_out": list(line.points[-1].left_out),
             "until_ns": line.points[-1].time_ns,
             "places": [
-                [round(point.place.longitude_deg, 8), round(point.place.latitude_deg, 8)] for point in line.points
+                (round(point.place.longitude_deg, 8), round(point.place.latitude_deg, 8)) for point in line.points
             ],
         }
         for line in lines

@@ -1,18 +1,21 @@
 """The newest position for programs, with what it is worth: as a flat object, and as a GeoJSON feature (RFC 7946)."""
 
 from math import degrees, hypot
+from typing import cast
 
 from shared.messages.navigation import NavigationSolution
 
 from ..state import State
 from .banner import KNOWN
 from .geometry import ellipse_95, horizontal_sd, vertical_sd
-from .snapshot import Json, rounded
+from .models.position import Feature, Point, Properties, Solution
+from .snapshot import rounded
 
 TOPIC = "navigation/solution"
+PLACE = ("longitude_deg", "latitude_deg", "height_ellipsoid_m")
 
 
-def solution(state: State, now_ns: int) -> Json:
+def solution(state: State, now_ns: int) -> Solution:
     """Show the newest solution; what is not known is null, and without any solution all of it is."""
     s, verdict = state.newest(NavigationSolution, TOPIC, now_ns), state.verdict
     ellipse = ellipse_95(s.position_cov_ned_m2) if s else None
@@ -45,9 +48,12 @@ def solution(state: State, now_ns: int) -> Json:
     }
 
 
-def feature(state: State, now_ns: int) -> Json:
+def feature(state: State, now_ns: int) -> Feature:
     """Show the newest solution as a feature: a point with height in WGS 84, and the rest as properties."""
     shown = solution(state, now_ns)
-    place = [shown.pop(name) for name in ("longitude_deg", "latitude_deg", "height_ellipsoid_m")]
-    geometry = None if None in place else {"type": "Point", "coordinates": place}
-    return {"type": "Feature", "geometry": geometry, "properties": shown}
+    properties = cast("Properties", {name: value for name, value in shown.items() if name not in PLACE})
+    longitude_deg, latitude_deg, height_m = shown["longitude_deg"], shown["latitude_deg"], shown["height_ellipsoid_m"]
+    geometry: Point | None = None
+    if longitude_deg is not None and latitude_deg is not None and height_m is not None:
+        geometry = {"type": "Point", "coordinates": (longitude_deg, latitude_deg, height_m)}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}

@@ -1,35 +1,40 @@
 """The list of recordings as JSON: what is known of each, and the outline of its track as an SVG path."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import cos, radians
 
 from shared.library.library import Entry
+from shared.library.summary import RecordingSummary
 
-Json = dict[str, object]
+from .models.recordings import RecordingShown, SummaryShown
+
 WIDTH, HEIGHT = 100.0, 60.0  # of the outline's view box
 
 
-def recordings(entries: Iterable[Entry], open_name: str | None) -> list[Json]:
+def recordings(
+    entries: Iterable[Entry], open_name: str | None, has_report: Callable[[str], bool]
+) -> list[RecordingShown]:
     """Show each recording."""
-    return [_recording(entry, recording=entry.name == open_name) for entry in entries]
+    return [_recording(entry, recording=entry.name == open_name, report=has_report(entry.name)) for entry in entries]
 
 
-def _recording(entry: Entry, *, recording: bool) -> Json:
-    shown: Json = {
+def _recording(entry: Entry, *, recording: bool, report: bool) -> RecordingShown:
+    return {
         "name": entry.name, "size_bytes": entry.size_bytes, "kept": entry.kept, "recording": recording,
-        "failed": entry.failed, "summary": None,
+        "failed": entry.failed, "summary": None if entry.summary is None else _summary(entry.summary), "report": report,
     }  # fmt: skip
-    if (s := entry.summary) is not None:
-        shown["summary"] = {
-            "begin_ns": s.begin_ns,
-            "end_ns": s.end_ns,
-            "origin": s.origin,
-            "distance_m": None if s.distance_m is None else round(s.distance_m),
-            "outline": outline(s.track),
-            "trust": [change.model_dump() for change in s.trust],
-            "outages": [outage.model_dump(include={"what", "since_ns", "until_ns", "cause"}) for outage in s.outages],
-        }
-    return shown
+
+
+def _summary(s: RecordingSummary) -> SummaryShown:
+    return {
+        "begin_ns": s.begin_ns,
+        "end_ns": s.end_ns,
+        "origin": s.origin,
+        "distance_m": None if s.distance_m is None else round(s.distance_m),
+        "outline": outline(s.track),
+        "trust": [change.model_dump() for change in s.trust],
+        "outages": [outage.model_dump(include={"what", "since_ns", "until_ns", "cause"}) for outage in s.outages],
+    }
 
 
 def outline(track: Sequence[tuple[float, float]]) -> str | None:

@@ -4,18 +4,22 @@ from shared.errors import BadPayload
 from shared.messages.base import Message, RawBytes
 from shared.messages.operation import ProcessStatus
 from shared.messages.trust import TrustState
+from shared.page.answers import Object
 
 from ..flow import TopicFlow
 from ..state import State
 from . import hypotheses as hypothesis_views
 from . import snapshot as views
 from .banner import WORDS, Trust
-from .snapshot import Json, dashboard, rounded, traffic
+from .models.dashboard import Everything
+from .models.trust import HypothesesReport, TrustReport
+from .models.unit import Health, Outages, Topic
+from .snapshot import common, rounded, traffic
 
 BYTES_SHOWN = 512
 
 
-def health(state: State, now_ns: int) -> Json:
+def health(state: State, now_ns: int) -> Health:
     """Give the judgement of `monitoring.health`, or why there is none."""
     judgement = state.judgement
     lost = any(problem.what == "broker" for problem in judgement.problems) and not judgement.complete
@@ -48,13 +52,13 @@ def health(state: State, now_ns: int) -> Json:
     }
 
 
-def snapshot(state: State, now_ns: int) -> Json:
+def snapshot(state: State, now_ns: int) -> Everything:
     """Give everything at once: the dashboard's view and the newest message of every topic."""
     topics = {name: topic(flow, now_ns) for name, flow in state.topics.items()}
-    return {**dashboard(state, now_ns), "topics": topics}
+    return {**common(state, now_ns), "topics": topics}
 
 
-def topic(flow: TopicFlow, now_ns: int) -> Json:
+def topic(flow: TopicFlow, now_ns: int) -> Topic:
     """Show one topic: its newest message, rate, jitter, size and age; or why that message cannot be read."""
     message, unreadable = None, None
     try:
@@ -79,7 +83,7 @@ def topic(flow: TopicFlow, now_ns: int) -> Json:
     }
 
 
-def _readable(message: Message) -> Json:
+def _readable(message: Message) -> Object:
     """Show a message as JSON, and the bytes of a device as hexadecimal and text."""
     if not isinstance(message, RawBytes):
         return message.model_dump(mode="json")
@@ -93,13 +97,17 @@ def _readable(message: Message) -> Json:
     }
 
 
-def trust(state: State, now_ns: int, seconds: float) -> Json:
+def trust(state: State, now_ns: int, seconds: float) -> TrustReport:
     """Give verdict, monitors, events, and the history of the last seconds."""
-    shown = {"state": state.verdict.state, "sentence": state.verdict.sentence}
-    return {**shown, **views.trust(state, now_ns), "history": state.trust_history.columns(now_ns, seconds)}
+    return {
+        "state": state.verdict.state,
+        "sentence": state.verdict.sentence,
+        **views.trust(state, now_ns),
+        "history": state.trust_history.columns(now_ns, seconds),
+    }
 
 
-def hypotheses(state: State, now_ns: int) -> Json:
+def hypotheses(state: State, now_ns: int) -> HypothesesReport:
     """Give every hypothesis, the solutions without satellites, and the tracks of the alternatives."""
     message = state.newest(TrustState, "trust/state", now_ns)
     stated = state.hypotheses(now_ns)
@@ -111,10 +119,13 @@ def hypotheses(state: State, now_ns: int) -> Json:
     }
 
 
-def outages(state: State) -> Json:
+def outages(state: State) -> Outages:
     """List the outages that are open, and those that are over."""
-    rows = [(outage.until_ns is None, views.outage_row(outage)) for outage in views.outages(state)]
-    return {"open": [row for is_open, row in rows if is_open], "closed": [row for is_open, row in rows if not is_open]}
+    rows = [views.outage_row(outage) for outage in views.outages(state)]
+    return {
+        "open": [row for row in rows if row["until_ns"] is None],
+        "closed": [row for row in rows if row["until_ns"] is not None],
+    }
 
 
 def _age_s(stamp_ns: int | None, now_ns: int) -> float | None:

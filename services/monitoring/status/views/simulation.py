@@ -1,17 +1,14 @@
 """The attacks on a simulated vehicle as JSON: what is possible, what is active, and whether the verdict is right."""
 
-from dataclasses import asdict
-
-from shared.attacks import ATTACKS
+from shared.attacks import ATTACKS, Parameter
 from shared.messages.simulation import SimulationState
 from shared.messages.trust import TrustState
 
 from ..state import State
+from .models.simulation import Catalogue, ParameterShown, SimulationShown
 
-Json = dict[str, object]
 
-
-def catalogue() -> Json:
+def catalogue() -> Catalogue:
     """List every attack with its parameters, their defaults and limits."""
     return {
         "attacks": [
@@ -19,14 +16,14 @@ def catalogue() -> Json:
                 "name": row.name,
                 "label": row.name.replace("_", " "),
                 "purpose": row.purpose,
-                "parameters": [asdict(one) for one in row.parameters],
+                "parameters": [_parameter(one) for one in row.parameters],
             }
             for row in ATTACKS
         ]
     }
 
 
-def simulation(state: State, now_ns: int) -> Json | None:
+def simulation(state: State, now_ns: int) -> SimulationShown | None:
     """Show the attacks of the drive and the comparison with the truth; None unless the data are simulated."""
     if not state.simulated(now_ns):
         return None
@@ -45,4 +42,15 @@ def simulation(state: State, now_ns: int) -> Json | None:
             level: {"within": round(within, 1), "above": round(above, 1)}
             for level, (within, above) in state.truth_check.seconds.items()
         },
+    }
+
+
+def _parameter(one: Parameter) -> ParameterShown:
+    return {
+        "name": one.name,
+        "default": one.default,
+        "least": one.least,
+        "greatest": one.greatest,
+        "unit": one.unit,
+        "purpose": one.purpose,
     }

@@ -1,6 +1,7 @@
 """The state as JSON for the dashboard: stamps instead of ages, and nothing that a browser would have to derive."""
 
 from math import hypot
+from typing import cast
 
 from shared.messages.base import Message
 from shared.messages.explanation import Explanation
@@ -17,6 +18,7 @@ from shared.messages.operation import (
 )
 from shared.messages.trust import TrustState
 from shared.messages.uplink import UplinkState
+from shared.page.answers import Object
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import limits_of
 from shared.topics import TOPICS
@@ -30,16 +32,33 @@ from . import toll
 from . import trust as trust_views
 from .banner import WORDS
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
+from .models.dashboard import (
+    Banner,
+    Chain,
+    Contract,
+    Dashboard,
+    OdometerShown,
+    OriginShown,
+    ProcessContract,
+    ProcessShown,
+    SatelliteCount,
+    SolutionShown,
+    TopicContract,
+    TopicShown,
+    TruthShown,
+)
+from .models.dashboard import State as StateShown
+from .models.trust import TrustShown
+from .models.unit import OutageRow, ProblemRow, Traffic
 
-Json = dict[str, object]
 SENSORS = tuple(topic.name for topic in TOPICS if topic.name.endswith("/raw"))
 RUNNING = (ProcessStatus.READY, ProcessStatus.LATE, ProcessStatus.RESTARTING)
 OUTAGES_SHOWN = 50
 
 
-def contract() -> Json:
+def contract() -> Contract:
     """The constant part: layers, processes, topics with their limits."""
-    topics = {}
+    topics: dict[str, TopicContract] = {}
     for topic in TOPICS:
         limits = limits_of(topic)
         topics[topic.name] = {
@@ -53,14 +72,20 @@ def contract() -> Json:
             "qos": topic.qos,
             "retain": topic.retain,
         }
-    processes = {
+    processes: dict[str, ProcessContract] = {
         row.name: {"layer": row.layer, "purpose": row.purpose, "observes_all": row.observes_all} for row in PROCESSES
     }
     return {"layers": tuple(LAYERS), "processes": processes, "topics": topics}
 
 
-def dashboard(state: State, now_ns: int) -> Json:
+def dashboard(state: State, now_ns: int) -> Dashboard:
     """Draw up what the dashboard shows; every value with the stamp from which its age follows."""
+    topics = {name: _topic(state, flow) for name, flow in state.topics.items()}
+    return {**common(state, now_ns), "topics": topics}
+
+
+def common(state: State, now_ns: int) -> StateShown:
+    """Draw up what dashboards and programs see alike: all but the topics."""
     return {
         "now_ns": now_ns,
         "vehicle": state.vehicle,
@@ -82,7 +107,6 @@ def dashboard(state: State, now_ns: int) -> Json:
         "mode": _dated(state, "mode/state", ModeState, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
         "uplink": _dated(state, "uplink/state", UplinkState, now_ns),
-        "topics": {name: {**traffic(flow), **_earlier(state, name)} for name, flow in state.topics.items()},
         "processes": processes(state, now_ns),
         "problems": problems(state),
         "outages": [outage_row(outage) for outage in outages(state)[:OUTAGES_SHOWN]],
@@ -95,7 +119,7 @@ def dashboard(state: State, now_ns: int) -> Json:
     }
 
 
-def banner(state: State) -> Json:
+def banner(state: State) -> Banner:
     """Show the verdict, since when, and the checks behind it."""
     verdict = state.verdict
     return {
@@ -122,7 +146,7 @@ def banner(state: State) -> Json:
     }
 
 
-def trust(state: State, now_ns: int) -> Json:
+def trust(state: State, now_ns: int) -> TrustShown:
     """Show the newest verdict, monitors, hypotheses, and the changes since this process started, newest first."""
     message = state.newest(TrustState, "trust/state", now_ns)
     beliefs = () if message is None else message.beliefs
@@ -134,7 +158,7 @@ def trust(state: State, now_ns: int) -> Json:
     }
 
 
-def origin(state: State, now_ns: int) -> Json | None:
+def origin(state: State, now_ns: int) -> OriginShown | None:
     """Origin of the data; with one simulated source among live ones it is simulated."""
     order = (OriginKind.SIMULATED, OriginKind.REPLAY, OriginKind.LIVE)
     known = [(order.index(message.kind), message, ns) for message, ns in state.live_origins(now_ns)]
@@ -144,7 +168,7 @@ def origin(state: State, now_ns: int) -> Json | None:
     return {"kind": message.kind, "name": message.name, "seed": message.seed, "speed": message.speed}
 
 
-def chain(state: State, now_ns: int) -> Json:
+def chain(state: State, now_ns: int) -> Chain:
     """Show the links behind the server, each with how much of it works: broker, services, sensors; None is unknown."""
     judgement = state.judgement
     expected = [name for name, status in judgement.statuses.items() if status is not ProcessStatus.ABSENT]
@@ -170,12 +194,12 @@ def chain(state: State, now_ns: int) -> Json:
     }
 
 
-def processes(state: State, now_ns: int) -> Json:
+def processes(state: State, now_ns: int) -> dict[str, ProcessShown]:
     """Show each process with its state, its load, and the latency of what it says most often.
 
     Of what it says regularly, if there is any: a topic of events may tell of data that waited on purpose.
     """
-    rows: Json = {}
+    rows: dict[str, ProcessShown] = {}
     for name, flow in state.processes.items():
         said = [t for t in state.topics.values() if t.producer == name and not t.topic.per_process]
         main = max(said, key=lambda t: (t.limits is not None, t.rate_hz), default=None)
@@ -202,11 +226,18 @@ def processes(state: State, now_ns: int) -> Json:
     return rows
 
 
-def problems(state: State) -> list[Json]:
+def problems(state: State) -> list[ProblemRow]:
     """List what is wrong now, each with the topics that it silences."""
     return [
-        {**problem.model_dump(mode="json", exclude={"outage"}), "languages": _told(problem.text, problem.text_code)}
-        for problem in state.judgement.problems
+        {
+            "what": one.what,
+            "text": one.text,
+            "text_code": _plain(one.text_code),
+            "since_ns": one.since_ns,
+            "affected": list(one.affected),
+            "languages": _told(one.text, one.text_code),
+        }
+        for one in state.judgement.problems
     ]
 
 
@@ -216,9 +247,21 @@ def outages(state: State) -> list[Outage]:
     return [*open_, *(outage for outage in state.outages.closed() if not _same(outage, open_))]
 
 
-def outage_row(outage: Outage) -> Json:
+def outage_row(outage: Outage) -> OutageRow:
     """Show an outage, with its cause in every language."""
-    return {**outage.model_dump(mode="json"), "languages": _told(outage.cause, outage.cause_code)}
+    return {
+        "what": outage.what,
+        "since_ns": outage.since_ns,
+        "until_ns": outage.until_ns,
+        "cause": outage.cause,
+        "cause_code": _plain(outage.cause_code),
+        "affected": list(outage.affected),
+        "languages": _told(outage.cause, outage.cause_code),
+    }
+
+
+def _plain(code: Explanation | None) -> Object | None:
+    return None if code is None else code.model_dump(mode="json")
 
 
 def _told(text: str, code: Explanation | None) -> dict[str, str]:
@@ -228,12 +271,15 @@ def _told(text: str, code: Explanation | None) -> dict[str, str]:
     return {language: words(language).told(Told(text, code)) for language in LANGUAGES if language != ENGLISH}
 
 
-def _earlier(state: State, name: str) -> Json:
-    """Mark a topic whose newest message is from before a restart, so that nobody takes it for live."""
-    return {"earlier": True} if state.is_earlier(name) else {}
+def _topic(state: State, flow: TopicFlow) -> TopicShown:
+    """Show how one topic flows; marked where its newest message is from before a restart, and not live."""
+    shown = cast("TopicShown", traffic(flow))
+    if state.is_earlier(flow.name):
+        shown["earlier"] = True
+    return shown
 
 
-def traffic(flow: TopicFlow) -> Json:
+def traffic(flow: TopicFlow) -> Traffic:
     """Show how one topic flows."""
     return {
         "updated_ns": flow.updated_ns,
@@ -243,14 +289,14 @@ def traffic(flow: TopicFlow) -> Json:
     }
 
 
-def _dated(state: State, name: str, kind: type[Message], now_ns: int) -> Json | None:
+def _dated(state: State, name: str, kind: type[Message], now_ns: int) -> Object | None:
     message = state.newest(kind, name, now_ns)
     if message is None:
         return None
     return {**message.model_dump(mode="json"), "updated_ns": state.topics[name].updated_ns}
 
 
-def _solution(state: State, now_ns: int) -> Json | None:
+def _solution(state: State, now_ns: int) -> SolutionShown | None:
     s = state.newest(NavigationSolution, "navigation/solution", now_ns)
     if s is None:
         return None
@@ -280,7 +326,7 @@ def _solution(state: State, now_ns: int) -> Json | None:
     }
 
 
-def _fix(state: State, now_ns: int) -> Json | None:
+def _fix(state: State, now_ns: int) -> Object | None:
     """Show the newest fix, and how far it is from the solution when moved to the same moment."""
     fields = _dated(state, "gnss/fix", GnssFix, now_ns)
     solution = state.newest(NavigationSolution, "navigation/solution", now_ns, live=True)
@@ -296,7 +342,7 @@ def _fix(state: State, now_ns: int) -> Json | None:
     }
 
 
-def _satellites(state: State, now_ns: int) -> Json | None:
+def _satellites(state: State, now_ns: int) -> SatelliteCount | None:
     message = state.newest(GnssSatellites, "gnss/satellites", now_ns)
     if message is None:
         return None
@@ -307,14 +353,14 @@ def _satellites(state: State, now_ns: int) -> Json | None:
     }
 
 
-def _odometer(state: State, now_ns: int) -> Json | None:
+def _odometer(state: State, now_ns: int) -> OdometerShown | None:
     found = state.odometer(now_ns)
     if found is None:
         return None
     return {"speed_m_s": round(found[0], 3), "topic": found[1], "updated_ns": state.topics[found[1]].updated_ns}
 
 
-def _truth(state: State, now_ns: int) -> Json | None:
+def _truth(state: State, now_ns: int) -> TruthShown | None:
     truth = state.newest(TruthState, "truth/state", now_ns, live=True)
     if truth is None:
         return None

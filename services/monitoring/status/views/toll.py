@@ -10,17 +10,17 @@ from shared.messages.toll import (
     TollTrack,
     TollTracks,
 )
+from shared.page.answers import Object
 
 from .banner import Check, Trust, Verdict
 from .geometry import ground_offset
+from .models.toll import Plaza, PlazaShown, TrackShown
 
 if TYPE_CHECKING:
     from ..state import State
 
-Json = dict[str, object]
 
-
-def plaza(state: "State", now_ns: int) -> Json | None:
+def plaza(state: "State", now_ns: int) -> Plaza | None:
     """Show the plaza, its vehicles and its charges; None in a unit that is no road-side unit."""
     if "core.toll" not in state.expected:
         return None
@@ -109,13 +109,13 @@ def _accounts_check(ledger: LedgerState | None) -> Check:
     return Check("accounts", "Reconciliation", Trust.SAFE, "every detection has one outcome")
 
 
-def _dated(message: TollDelta | LedgerState | None, state: "State", topic: str) -> Json | None:
+def _dated(message: TollDelta | LedgerState | None, state: "State", topic: str) -> Object | None:
     if message is None:
         return None
     return {**message.model_dump(mode="json"), "updated_ns": state.topics[topic].updated_ns}
 
 
-def _description(message: PlazaDescription) -> Json:
+def _description(message: PlazaDescription) -> PlazaShown:
     return {
         "name": message.plaza,
         "digest": message.plaza_digest,
@@ -136,17 +136,17 @@ def _description(message: PlazaDescription) -> Json:
     }
 
 
-def _tracks(message: TollTracks, description: PlazaDescription) -> list[Json]:
+def _tracks(message: TollTracks, description: PlazaDescription) -> list[TrackShown]:
     return [
         {
             "track": track.track,
             "at": _plane(track, description),
             "heading_rad": round(track.heading_rad, 3),
             "speed_m_s": round(track.speed_m_s, 1),
-            "ellipse": [
+            "ellipse": (
                 round(track.ellipse_major_m, 2), round(track.ellipse_minor_m, 2),
                 round(track.ellipse_orientation_rad, 3),
-            ],
+            ),
             "lanes": {lane.lane: round(lane.probability, 3) for lane in track.lanes},
             "lane": track.lane,
             "delta": track.delta_applied,

@@ -1,28 +1,29 @@
 """The verdict, the monitors and the events of `core.trust` as JSON for the page Trust."""
 
 from shared.messages.trust import MonitorTest, TrustEvent, TrustMonitor, TrustState
+from shared.page.answers import Object
 from shared.trust.result import told
 
 from .banner import MONITORS_MAXIMUM, details, ratio_of
+from .models.trust import Event
 from .plain_words import label_of, who
 
-Json = dict[str, object]
 TESTS_MAXIMUM = 64  # shown of one monitor
 
 
-def verdict(state: TrustState, updated_ns: int | None) -> Json:
+def verdict(state: TrustState, updated_ns: int | None) -> Object:
     """Show a verdict with its reasons, exclusions and limits; stamps instead of ages."""
     shown = state.model_dump(mode="json", exclude={"monitors", "reasons", "findings", "beliefs"})
     reasons, findings = details(state.reasons, state.reason_codes), details(state.findings, state.finding_codes)
     return {**shown, "updated_ns": updated_ns, "reasons": reasons, "findings": findings}
 
 
-def monitors(state: TrustState) -> Json:
+def monitors(state: TrustState) -> dict[str, Object]:
     """Show each monitor and its tests by name, with statistic over threshold where both are there."""
     return {statement.monitor: _monitor(statement) for statement in state.monitors[:MONITORS_MAXIMUM]}
 
 
-def event(change: TrustEvent) -> Json:
+def event(change: TrustEvent) -> Event:
     """Show a change of the verdict with the monitors that accused at that time."""
     return {
         "sampled_ns": change.sampled_ns,
@@ -42,7 +43,7 @@ def event(change: TrustEvent) -> Json:
     }
 
 
-def _monitor(m: TrustMonitor) -> Json:
+def _monitor(m: TrustMonitor) -> Object:
     shown = m.model_dump(mode="json", exclude={"tests", "monitor"})
     return {
         **shown,
@@ -52,11 +53,11 @@ def _monitor(m: TrustMonitor) -> Json:
     }
 
 
-def _test(test: MonitorTest) -> Json:
+def _test(test: MonitorTest) -> Object:
     return {**test.model_dump(mode="json", exclude={"name"}), **_common(test, test.name)}
 
 
-def _common(shown: TrustMonitor | MonitorTest, name: str) -> Json:
+def _common(shown: TrustMonitor | MonitorTest, name: str) -> Object:
     ratio = ratio_of(shown.outcome, shown.statistic, shown.threshold)
     label = label_of(name) if isinstance(shown, TrustMonitor) else name.replace("_", " ")
     return {

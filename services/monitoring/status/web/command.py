@@ -3,21 +3,28 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
-from typing import Any
 from uuid import uuid4
 
-from fastapi import FastAPI, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request
 from pydantic import ValidationError
 from pydantic_core import from_json, to_json
+from typing_extensions import TypedDict
 
 from shared.messages.operation import ModeCommand
+from shared.page import body
+from shared.page.answers import answer, reference_to, refusals
 
 from ..state import State
-from . import body
-from .answers import Accepted, Refusal, described, reference_to
 
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(ModeCommand)}}, "required": True}
+
+
+@answer({"request_id": "5f0c9a7be2d1"})
+class Accepted(TypedDict):
+    """A command was published; the answer on the bus has this ID."""
+
+    request_id: str
 
 
 class CommandApi:
@@ -29,29 +36,21 @@ class CommandApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
-        taken: dict[int | str, dict[str, Any]] = {202: described(Accepted, "Published")}
-        taken |= {
-            status: described(Refusal, text)
-            for status, text in (
-                (403, "Not the role, or a page from elsewhere"), (413, "Too long"), (422, "Not a command"),
-                (503, "Commands are waiting"),
-            )
-        }  # fmt: skip
+        refused = refusals({403: "Not the role, or a page from elsewhere", 413: "Too long", 422: "Not a command",
+                            503: "Commands are waiting"})  # fmt: skip
         app.add_api_route(
-            "/api/command", self.command, methods=["POST"], status_code=202, response_class=Response,
-            tags=["command"], responses=taken, openapi_extra={"requestBody": BODY},
+            "/api/command", self.command, methods=["POST"], status_code=202, response_description="Published",
+            tags=["command"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    async def command(self, request: Request) -> Response:
+    async def command(self, request: Request) -> Accepted:
         """Publish a command; 202 with the request ID that `mode/answer` will carry."""
         command = _command(await body.read(request))
         try:
             self.commands.put_nowait(command)
         except Full as error:
             raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
-        return Response(
-            to_json({"request_id": command.request_id}), 202, {"Cache-Control": "no-store"}, "application/json"
-        )
+        return {"request_id": command.request_id}
 
 
 def _command(data: bytes) -> ModeCommand:

@@ -2,37 +2,19 @@
 
 import logging
 from queue import Full, Queue
-from typing import Any
 
-from fastapi import FastAPI, HTTPException, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from fastapi import FastAPI, HTTPException, Request
+from pydantic import ValidationError
 
 from shared.bus.bus import Bus
+from shared.page import body
+from shared.page.answers import Taken, reference_to, refusals
+from shared.page.page_error import PageError
 
-from . import body
-from .answers import Refusal, Taken, described, reference_to
-from .body import json_response
-
-log = logging.getLogger(__name__)  # limited by access/limits.py: a visitor decides how much comes
+log = logging.getLogger(__name__)  # limited: a visitor decides how much comes
 
 REJECT = "page error"  # as the heartbeat of monitoring.status counts it
 WAITING = 8  # reports that are not yet counted
-
-
-class PageError(BaseModel):
-    """An error that no part of a page expected."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    page: str = Field(max_length=40, description="part of the dashboard, such as gnss or banner")
-    message: str = Field(max_length=400, description="the error, as the browser words it")
-    place: str = Field(default="", max_length=400, description="file, line and column, innermost first")
-
-    @property
-    def sentence(self) -> str:
-        """The error on one line; the text is the visitor's, so control characters are escaped."""
-        at = f" at {self.place!a}" if self.place else ""
-        return f"page {self.page!a}: {self.message!a}{at}"[:400]
 
 
 BODY = {"content": {"application/json": {"schema": reference_to(PageError)}}, "required": True}
@@ -46,15 +28,14 @@ class PageErrorsApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
-        taken: dict[int | str, dict[str, Any]] = {202: described(Taken, "Counted")}
-        refused = {403: "A page from elsewhere", 413: "Too long", 422: "Not a report", 503: "Reports are waiting"}
-        taken |= {status: described(Refusal, text) for status, text in refused.items()}
+        refused = refusals({403: "A page from elsewhere", 413: "Too long", 422: "Not a report",
+                            503: "Reports are waiting"})  # fmt: skip
         app.add_api_route(
-            "/api/page-error", self.report, methods=["POST"], status_code=202, response_class=Response,
-            tags=["unit"], responses=taken, openapi_extra={"requestBody": BODY},
+            "/api/page-error", self.report, methods=["POST"], status_code=202, response_description="Counted",
+            tags=["unit"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    async def report(self, request: Request) -> Response:
+    async def report(self, request: Request) -> Taken:
         """Report an error of the dashboard's program: counted as `page error` in the health of monitoring.status."""
         try:
             report = PageError.model_validate_json(await body.read(request))
@@ -64,7 +45,7 @@ class PageErrorsApi:
             self.reports.put_nowait(report)
         except Full as error:
             raise HTTPException(503, "reports before this one are waiting; it is left out") from error
-        return json_response({}, 202)
+        return {}
 
 
 def count(errors: PageErrorsApi, bus: Bus) -> None:

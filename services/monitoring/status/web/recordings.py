@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from fastapi import Path as PathParameter
@@ -15,18 +15,17 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from shared.library.library import Library
+from shared.page import body
+from shared.page.answers import Responses, Taken, reference_to, refusals
 from shared.runtime.reports import VARIABLE, read_report
 
 from ..views import recordings as views
-from . import body
+from ..views.models.recordings import JobShown, Recordings
 from .access.guard import insist_on, may
 from .access.rights import Right
 from .access.tokens import FOLDER_VARIABLE
-from .answers import Done, Recordings, Refusal, described, reference_to
-from .body import json_response
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
-Responses = dict[int | str, dict[str, Any]]
 LOG, REPORT = "job.log", "job.report.json"  # output for people, and what the job tells
 
 
@@ -98,7 +97,7 @@ class Job:
         """Give the path of a recording's report."""
         return self._folder / f"{Path(name).stem}-solution" / "report.html"
 
-    def view(self) -> dict[str, object] | None:
+    def view(self) -> JobShown | None:
         """Show the job: what it has found or why it failed, and the port of a replay."""
         if self._child is None:
             return None
@@ -125,47 +124,36 @@ class RecordingsApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        wrong = {403: "Not allowed, or a page from elsewhere", 404: "No such recording"}
-        missing: Responses = {status: described(Refusal, text) for status, text in wrong.items()}
-        more = {
-            409: "It is being written, is kept, or a job runs",
-            413: "Too long",
-            422: "Not a command",
-            503: "No room",
-        }
-        done: Responses = {
-            202: described(Done, "Carried out"),
-            **missing,
-            **{status: described(Refusal, text) for status, text in more.items()},
-        }
-        listed: Responses = {200: described(Recordings, "Recordings, newest first")}
+        missing = refusals({403: "Not allowed, or a page from elsewhere", 404: "No such recording"})
+        more = refusals({409: "It is being written, is kept, or a job runs", 413: "Too long", 422: "Not a command",
+                         503: "No room"})  # fmt: skip
         text = {"schema": {"type": "string"}}
         binary = {"schema": {"type": "string", "format": "binary"}}
         file: Responses = {200: {"description": "The file", "content": {"application/octet-stream": binary}}, **missing}
         html: Responses = {200: {"description": "The report", "content": {"text/html": text}}, **missing}
         schema = {"requestBody": {"content": {"application/json": {"schema": reference_to(Command)}}, "required": True}}
-        for path, answer, responses in (
-            ("/api/recordings", self.list, listed),
+        listed = "Recordings, newest first"
+        app.add_api_route("/api/recordings", self.list, tags=["recordings"], response_description=listed)
+        for path, send, responses in (
             ("/api/recordings/{name}", self.download, file),
             ("/api/recordings/{name}/report", self.report, html),
         ):
-            app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses=responses)
+            app.add_api_route(path, send, response_class=Response, tags=["recordings"], responses=responses)
         app.add_api_route(
-            "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
-            tags=["recordings"], responses=done, openapi_extra=schema,
+            "/api/recordings", self.command, methods=["POST"], status_code=202, response_description="Carried out",
+            tags=["recordings"], responses={**missing, **more}, openapi_extra=schema,
         )  # fmt: skip
 
-    def list(self, request: Request) -> Response:
+    def list(self, request: Request) -> Recordings:
         """Every recording, newest first, with its summary as soon as it is computed, and the job that runs."""
-        shown = views.recordings(self._library.entries.values(), self._open_name())
-        for one in shown:
-            one["report"] = self._job.report(str(one["name"])).is_file()
-        return json_response({
-            "recordings": shown,
+        return {
+            "recordings": views.recordings(
+                self._library.entries.values(), self._open_name(), lambda name: self._job.report(name).is_file()
+            ),
             "free_bytes": self._library.free_bytes,
             "allowed": sorted(action for action in self._allowed if may(request, _right(action))),
             "job": self._job.view(),
-        }, 200)  # fmt: skip
+        }
 
     def download(self, name: Annotated[str, PathParameter(max_length=200)]) -> Response:
         """The MCAP file."""
@@ -180,7 +168,7 @@ class RecordingsApi:
             raise HTTPException(404, "there is no report; solve the recording first")
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
-    async def command(self, request: Request) -> Response:
+    async def command(self, request: Request) -> Taken:
         """Keep, release, delete, replay or solve a recording, or stop the job."""
         try:
             command = Command.model_validate_json(await body.read(request))
@@ -188,7 +176,7 @@ class RecordingsApi:
             raise body.invalid(error) from error
         insist_on(request, _right(command.action))
         self._carry_out(command)
-        return json_response({}, 202)
+        return {}
 
     def _carry_out(self, command: Command) -> None:
         action, name = command.action, command.name

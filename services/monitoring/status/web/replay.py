@@ -4,21 +4,46 @@ import asyncio
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
-from typing import Any
 
-from fastapi import FastAPI, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request
 from pydantic import ValidationError
+from typing_extensions import TypedDict
 
 from shared.messages.replay import ReplayCommand, ReplayControl
+from shared.page import body
+from shared.page.answers import Object, Stamp, Taken, answer, reference_to, refusals
 
 from ..replay import ReplayFeed
-from . import body
-from .answers import Refusal, Replay, Taken, described, reference_to
-from .body import json_response
 
 WAITING = 32  # commands that are not yet published
 LOOK_S = 0.02  # between two looks for a jump that is complete
 BODY = {"content": {"application/json": {"schema": reference_to(ReplayControl)}}, "required": True}
+
+
+@answer()
+class ReplayShown(TypedDict):
+    """A replay."""
+
+    name: str
+    position_ns: Stamp
+    begin_ns: Stamp
+    end_ns: Stamp
+    speed: float
+    playing: bool
+    epoch: int
+    """counts the jumps"""
+    lost: bool
+    """nothing comes from sensors.replay"""
+    trust: list[Object]
+    """changes of the verdict"""
+    outages: list[Object]
+
+
+@answer()
+class Replay(TypedDict):
+    """Position, extent, speed and events of a replay; null where none runs."""
+
+    replay: ReplayShown | None
 
 
 class ReplayApi:
@@ -33,16 +58,12 @@ class ReplayApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        taken: dict[int | str, dict[str, Any]] = {202: described(Taken, "Published")}
-        refused = {403: "A page from elsewhere", 409: "No replay", 413: "Too long", 422: "Not a command", 503: "Full"}
-        taken |= {status: described(Refusal, text) for status, text in refused.items()}
+        refused = refusals({403: "A page from elsewhere", 409: "No replay", 413: "Too long", 422: "Not a command",
+                            503: "Full"})  # fmt: skip
+        app.add_api_route("/api/replay", self.replay, tags=["replay"], response_description="The replay, or null")
         app.add_api_route(
-            "/api/replay", self.replay, response_class=Response, tags=["replay"],
-            responses={200: described(Replay, "The replay, or null")},
-        )  # fmt: skip
-        app.add_api_route(
-            "/api/replay", self.control, methods=["POST"], status_code=202, response_class=Response,
-            tags=["replay"], responses=taken, openapi_extra={"requestBody": BODY},
+            "/api/replay", self.control, methods=["POST"], status_code=202, response_description="Published",
+            tags=["replay"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
     def refresh(self, *, connected: bool) -> None:
@@ -51,12 +72,12 @@ class ReplayApi:
             self.commands.put_nowait(ReplayControl(command=ReplayCommand.REFRESH))
         self._connected = connected
 
-    def replay(self) -> Response:
+    def replay(self) -> Replay:
         """Position, extent, speed and events of the replay; null if this is none."""
         with self._lock:
-            return json_response({"replay": self.view()}, 200)
+            return {"replay": self.view()}
 
-    async def control(self, request: Request) -> Response:
+    async def control(self, request: Request) -> Taken:
         """Play, pause, seek, or set the speed; 202, and the position follows in the state."""
         if self._feed is None:
             raise HTTPException(409, "this unit shows no recording; run obu replay FILE")
@@ -68,7 +89,7 @@ class ReplayApi:
             self.commands.put_nowait(command)
         except Full as error:
             raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
-        return json_response({}, 202)
+        return {}
 
     async def pause(self, period_s: float) -> None:
         """Wait for a period, or until a jump of the replay is complete."""
@@ -81,7 +102,7 @@ class ReplayApi:
                 break
         self._feed.fresh = False
 
-    def view(self) -> dict[str, object] | None:
+    def view(self) -> ReplayShown | None:
         """Show the replay; the caller holds the lock."""
         feed = self._feed
         if feed is None or feed.newest is None:

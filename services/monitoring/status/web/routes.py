@@ -6,7 +6,7 @@ import pathlib
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import AbstractContextManager, asynccontextmanager
 from threading import Lock
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import uvicorn
 from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
@@ -18,47 +18,38 @@ from shared.library.library import Library
 from shared.messages.operation import ModeCommand
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
+from shared.page.access.limits import quiet_accept
+from shared.page.answers import NOT_KEPT, Refusal, Responses, described, reference_to, refusals, schemas
+from shared.page.body import json_response
+from shared.page.page_error import PageError
+from shared.page.pages import Pages
+from shared.page.told import tell_browsers
 from shared.topics import BY_NAME
 
-from ..history.columns import FIELDS
+from ..history.columns import FIELDS, HistoryColumns
 from ..state import State
 from ..views import position, prometheus, reports
+from ..views.models.dashboard import Everything
+from ..views.models.position import Feature, Solution
+from ..views.models.trust import HypothesesReport, TrustReport
+from ..views.models.unit import Alive, Health, Outages, Topic, Viewers
+from . import page_errors
+from .access import login
 from .access.access import Access, Rules
 from .access.guard import STYLE, Guard
-from .access.limits import BACKLOG, IDLE_S, Connections, CountedWebSocket, LimitedHttp, limit_logs, quiet_accept
 from .access.login import LoginApi, LoginRequest
 from .access.manage import AddToken, RevokeToken, TokensApi
 from .access.tokens import Tokens
-from .answers import (
-    Alive,
-    Everything,
-    Feature,
-    Health,
-    History,
-    HypothesesReport,
-    Outages,
-    Refusal,
-    Solution,
-    Topic,
-    TrustReport,
-    Viewers,
-    described,
-    reference_to,
-    schemas,
-)
-from .body import json_response
 from .command import CommandApi
 from .looking import look_at
-from .map.map import MapApi
-from .page_errors import PageError, PageErrorsApi
-from .pages import Pages
+from .map import MapApi
+from .page_errors import PageErrorsApi
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
 from .series import SeriesApi
 from .simulation import SimulationApi
 from .stream.events import Events
 from .stream.websocket import Stream
-from .told import tell_browsers
 
 log = logging.getLogger(__name__)
 
@@ -79,8 +70,9 @@ TAGS = {
     "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
 }
 GEOJSON = "application/geo+json"
+LIMITED_LOGS = (login.__name__, page_errors.__name__)  # of what visitors cause
 BODIES = (SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken, PageError)
-Responses = dict[int | str, dict[str, Any]]
+T = TypeVar("T")
 
 
 class Routes(Protocol):
@@ -106,109 +98,103 @@ class Api:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-
-        def add(path: str, answer: Callable[..., Response], tag: str, responses: Responses) -> None:
-            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
-
-        health: Responses = {200: described(Health, "State of the unit"), 503: described(Health, "The broker is lost")}
-        feature = described(Feature, "The solution as a feature", GEOJSON)["content"]
-        newest = described(Solution, "The newest solution")
-        newest["content"] |= {GEOJSON: {**feature[GEOJSON], "schema": reference_to(Feature)}}
-        unknown: Responses = {404: described(Refusal, "There is no such name")}
-        add("/api/solution", self.solution, "position", {200: newest})
-        add("/api/history", self.history, "position", {200: described(History, "Columns of values"), **unknown})
-        add("/api/trust", self.trust, "integrity", {200: described(TrustReport, "The verdict and its monitors")})
-        hypotheses: Responses = {200: described(HypothesesReport, "What may be wrong, and the positions that follow")}
-        add("/api/hypotheses", self.hypotheses, "integrity", hypotheses)
-        add("/api/health", self.health, "unit", health)
-        add(
-            "/api/alive",
-            self.alive,
-            "unit",
-            {200: described(Alive, "It works"), 503: described(Alive, "The broker is lost")},
-        )
-        add("/api/outages", self.outages, "unit", {200: described(Outages, "Outages by root cause")})
-        add("/api/state", self.state, "unit", {200: described(Everything, "Everything at once")})
-        add("/api/topics/{name:path}", self.topic, "unit", {200: described(Topic, "One topic"), **unknown})
+        unknown = refusals({404: "There is no such name"})
+        lost: Responses = {503: described(Health, "The broker is lost")}
+        dead: Responses = {503: described(Alive, "The broker is lost")}
+        feature: Responses = {200: {"content": {GEOJSON: {"schema": reference_to(Feature)}}}}
+        app.add_api_route("/api/solution", self.solution, response_model=Solution, tags=["position"],
+                          response_description="The newest solution", responses=feature)  # fmt: skip
+        about = "What may be wrong, and the positions that follow"
+        for path, answer, tag, description, responses in (
+            ("/api/history", self.history, "position", "Columns of values", unknown),
+            ("/api/trust", self.trust, "integrity", "The verdict and its monitors", None),
+            ("/api/hypotheses", self.hypotheses, "integrity", about, None),
+            ("/api/health", self.health, "unit", "State of the unit", lost),
+            ("/api/alive", self.alive, "unit", "It works", dead),
+            ("/api/outages", self.outages, "unit", "Outages by root cause", None),
+            ("/api/state", self.state, "unit", "Everything at once", None),
+            ("/api/topics/{name:path}", self.topic, "unit", "One topic", unknown),
+        ):
+            app.add_api_route(path, answer, tags=[tag], response_description=description, responses=responses)
         text = {"text/plain": {"schema": {"type": "string"}, "example": 'obu_process_up{process="core.fusion"} 1.0\n'}}
-        add("/metrics", self.metrics, "unit", {200: {"description": "Metrics for Prometheus", "content": text}})
+        app.add_api_route("/metrics", self.metrics, response_class=Response, tags=["unit"],
+                          responses={200: {"description": "Metrics for Prometheus", "content": text}})  # fmt: skip
 
     def solution(
         self,
         request: Request,
         form: Annotated[Literal["json", "geojson"] | None, Query(alias="format")] = None,
-    ) -> Response:
+    ) -> Solution | Response:
         """The newest position with uncertainty, protection levels and verdict: JSON, or GeoJSON if asked for.
 
         `format` decides, or else the header `Accept: application/geo+json`. Look at `verdict_known` and `live`: an old
         solution stays here with its age.
         """
         if form == "geojson" or (form is None and GEOJSON in request.headers.get("accept", "")):
-            return self._answer(lambda now_ns: position.feature(self._state, now_ns), GEOJSON)
-        return self._answer(lambda now_ns: position.solution(self._state, now_ns))
+            return json_response(self._ask(position.feature), 200, GEOJSON)
+        return self._ask(position.solution)
 
-    def state(self) -> Response:
+    def state(self) -> Everything:
         """Everything at once: banner, solution, processes, and the newest message of every topic."""
         look_at(self._state, self._lock, self._now_ns, tuple(BY_NAME))
-        return self._answer(lambda now_ns: reports.snapshot(self._state, now_ns))
+        return self._ask(reports.snapshot)
 
-    def health(self) -> Response:
+    def health(self, response: Response) -> Health:
         """Every topic and process against its deadline; 503 only if the broker is lost."""
-        with self._lock:
-            report = reports.health(self._state, self._now_ns())
-        return json_response(report, 503 if report["state"] == "failed" else 200)
+        report = self._ask(reports.health)
+        response.status_code = 503 if report["state"] == "failed" else 200
+        return report
 
-    def alive(self) -> Response:
+    def alive(self, response: Response) -> Alive:
         """Whether this process responds and the broker is connected; 503 if it is not. It needs no login."""
-        with self._lock:
-            alive = reports.health(self._state, self._now_ns())["state"] != "failed"
-        return json_response({"alive": alive}, 200 if alive else 503)
+        alive = self._ask(reports.health)["state"] != "failed"
+        response.status_code = 200 if alive else 503
+        return {"alive": alive}
 
-    def topic(self, name: Annotated[str, Path(max_length=80)]) -> Response:
+    def topic(self, name: Annotated[str, Path(max_length=80)]) -> Topic:
         """Newest message of one topic with its rate, jitter, size and age; a fast one is followed for 5 s from now."""
         flow = self._state.topics.get(name)
         if flow is None:
             raise HTTPException(404, f"there is no topic {name}; /api/state lists them")
         look_at(self._state, self._lock, self._now_ns, (name,))
-        return self._answer(lambda now_ns: reports.topic(flow, now_ns))
+        return self._ask(lambda _, now_ns: reports.topic(flow, now_ns))
 
     def history(
         self,
         seconds: Annotated[float, Query(gt=0, le=86_400)] = 60.0,
         fields: Annotated[str, Query(max_length=400)] = ",".join(FIELDS),
-    ) -> Response:
+    ) -> HistoryColumns:
         """The last seconds as columns: 5 Hz up to a minute, 1 Hz beyond, as far back as `history_s`."""
         wanted = tuple(dict.fromkeys(name for name in fields.split(",") if name))
         if unknown := [name for name in wanted if name not in FIELDS]:
             raise HTTPException(404, f"there is no field {unknown[0]}; there are {', '.join(FIELDS)}")
         span_s = min(seconds, self._history_s)
-        return self._answer(lambda now_ns: self._state.history.columns(now_ns, span_s, wanted))
+        return self._ask(lambda state, now_ns: state.history.columns(now_ns, span_s, wanted))
 
-    def trust(self, seconds: Annotated[float, Query(gt=0, le=86_400)] = 900.0) -> Response:
+    def trust(self, seconds: Annotated[float, Query(gt=0, le=86_400)] = 900.0) -> TrustReport:
         """The verdict with its reasons and every monitor; their history at 1 Hz, as far back as `history_s`."""
         span_s = min(seconds, self._history_s)
-        return self._answer(lambda now_ns: reports.trust(self._state, now_ns, span_s))
+        return self._ask(lambda state, now_ns: reports.trust(state, now_ns, span_s))
 
-    def hypotheses(self) -> Response:
+    def hypotheses(self) -> HypothesesReport:
         """What may be wrong: probabilities, and the position under each hypothesis over the last two minutes."""
-        return self._answer(lambda now_ns: reports.hypotheses(self._state, now_ns))
+        return self._ask(reports.hypotheses)
 
-    def outages(self) -> Response:
+    def outages(self) -> Outages:
         """What is lost now, and what was lost and for how long."""
-        return self._answer(lambda _: reports.outages(self._state))
+        return self._ask(lambda state, _: reports.outages(state))
 
     def metrics(self) -> Response:
         """The state for Prometheus."""
         return Response(prometheus.text(self._registry), media_type="text/plain; version=0.0.4; charset=utf-8")
 
-    def _answer(self, ask: Callable[[int], object], media_type: str = "application/json") -> Response:
+    def _ask(self, view: Callable[[State, int], T]) -> T:
         with self._lock:
-            answer = ask(self._now_ns())
-        return json_response(answer, 200, media_type)
+            return view(self._state, self._now_ns())
 
 
 class Described(FastAPI):
-    """An app whose schemas are built when its description is asked for, and cost no memory before."""
+    """An app whose description has the schemas of bodies, which are read here and not by FastAPI."""
 
     def openapi(self) -> dict[str, Any]:
         """Describe the routes, with the schemas that they refer to."""
@@ -216,7 +202,7 @@ class Described(FastAPI):
             found = super().openapi()
             found.setdefault("components", {})["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
             found["security"] = [{}, {"token": []}]  # a simulated unit needs none from its own machine
-            found["components"].setdefault("schemas", {}).update(schemas(*BODIES))
+            found["components"].setdefault("schemas", {}).update(schemas(Feature, Refusal, *BODIES))
         return super().openapi()
 
 
@@ -232,23 +218,23 @@ class Watching:
         content = {"text/event-stream": {"schema": {"type": "string"}, "example": example}}
         answers: Responses = {
             200: {"description": "verdict, solution, outage; comments as heartbeats", "content": content},
-            503: described(Refusal, "Too many readers"),
+            **refusals({503: "Too many readers"}),
         }
-        viewers: Responses = {200: described(Viewers, "Clients and their limit")}
         app.add_api_route(
             "/api/events", self.read, response_class=StreamingResponse, tags=["streams"], responses=answers
         )
-        app.add_api_route("/api/viewers", self.viewers, response_class=Response, tags=["streams"], responses=viewers)
+        limit = "Clients and their limit"
+        app.add_api_route("/api/viewers", self.viewers, tags=["streams"], response_description=limit)
         app.add_api_websocket_route("/ws", self.stream.serve)
 
     async def read(self) -> StreamingResponse:
         """Server-sent events: the verdict when it changes, the solution once a second, outages."""
         return self.events.stream()
 
-    def viewers(self) -> Response:
+    def viewers(self) -> Viewers:
         """How many clients are connected, and how many may be."""
         connected, events = len(self.stream.clients), len(self.events.clients)
-        return json_response({"connected": connected, "events": events, "maximum": self.stream.clients.maximum}, 200)
+        return {"connected": connected, "events": events, "maximum": self.stream.clients.maximum}
 
 
 def make_app(
@@ -278,6 +264,7 @@ def make_app(
         docs_url=None,
         redoc_url=None,
         lifespan=lifespan,
+        dependencies=NOT_KEPT,
     )
     watching.stream.version = pages.version
     api.add_to(app)
@@ -314,33 +301,6 @@ def app_without_unit() -> FastAPI:
     series = SeriesApi(state, lock, now_ns, 1)
     apis = (series, simulation, replay, recordings, commands, maps, PageErrorsApi())
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
-
-
-def make_server(app: FastAPI, connections: Connections) -> uvicorn.Server:
-    """Make the server, which the app may end; no compression of frames, which would double its work.
-
-    Headers of proxies are read by the guard, which knows whom to believe.
-    """
-    limit_logs()
-    app.state.connections = connections
-    config = uvicorn.Config(
-        app,
-        http=LimitedHttp,
-        ws=CountedWebSocket,
-        ws_per_message_deflate=False,
-        ws_max_size=4096,
-        backlog=BACKLOG,
-        proxy_headers=False,
-        timeout_keep_alive=IDLE_S,
-        timeout_graceful_shutdown=1,
-        server_header=False,
-        access_log=False,
-        log_config=None,
-        log_level="warning",
-    )
-    server = uvicorn.Server(config)
-    app.state.server = server
-    return server
 
 
 def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:

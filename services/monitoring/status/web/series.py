@@ -3,24 +3,25 @@
 import asyncio
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import FastAPI, HTTPException, Path, Query, Response, WebSocket
+from fastapi import FastAPI, HTTPException, Path, Query, WebSocket
 from pydantic_core import to_json
+from typing_extensions import TypedDict
 
 from shared.errors import BadPayload
+from shared.page.answers import answer, refusals
+from shared.page.stream.clients import Client, Clients, Frame
+from shared.page.stream.connection import read_until_closed, run_first_of, write_frames
 
 from ..flow import TopicFlow
 from ..series import fields
 from ..series.rings import FINE_CELLS, FINE_NS, SECOND_NS
-from ..series.store import HOUR_NS, SeriesFull, labelled
+from ..series.store import HOUR_NS, LabelledColumns, SeriesFull, labelled
 from ..state import State
 from ..views import gnss as views
-from .answers import Fields, Receivers, Refusal, Series, described
-from .body import json_response
+from ..views.models.gnss import Receivers, Tracks
 from .looking import look_at
-from .stream.clients import Client, Clients, Frame
-from .stream.websocket import read_until_closed, run_first_of, write_frames
 
 FIELDS_ASKED = 16  # in one question; more would take megabytes
 FIELDS_FOLLOWED = 96  # over one WebSocket
@@ -29,7 +30,30 @@ FRAME_S = 0.5  # between two frames at least: a page draws a dozen charts with e
 FIELDS_LISTED = 400  # of one topic
 QUESTION_LENGTH = 6000
 FINE_S = FINE_CELLS * FINE_NS / SECOND_NS
-Json = dict[str, object]
+
+
+@answer()
+class FieldShown(TypedDict):
+    """A numeric field of a topic."""
+
+    name: str
+    """as /api/series takes it"""
+    path: str
+    value: float | int | None
+    unit: str
+    axis: str
+
+
+@answer({
+    "topic": "gnss/fix",
+    "fields": [{"name": "gnss/fix:hdop", "path": "hdop", "value": 0.8, "unit": "", "axis": ""}],
+})  # fmt: skip
+class Fields(TypedDict):
+    """Numeric fields of the newest message of a topic."""
+
+    topic: str
+    fields: list[FieldShown]
+    """name, path, value, unit and axis of each"""
 
 
 class SeriesApi:
@@ -43,26 +67,24 @@ class SeriesApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        refusals: dict[int | str, dict[str, Any]] = {
-            status: described(Refusal, text)
-            for status, text in ((422, "No such field, or too many"), (503, "No further field can be kept"))
-        }
-        unknown: dict[int | str, dict[str, Any]] = {404: described(Refusal, "There is no such topic")}
-        routes: tuple[tuple[str, Callable[..., Response], str, dict[int | str, dict[str, Any]]], ...] = (
-            ("/api/series", self.series, "unit", {200: described(Series, "Columns of values"), **refusals}),
-            ("/api/fields/{name:path}", self.fields, "unit", {200: described(Fields, "Numeric fields"), **unknown}),
-            ("/api/gnss", self.gnss, "position", {200: described(Receivers, "GNSS receivers")}),
+        refused = refusals({422: "No such field, or too many", 503: "No further field can be kept"})
+        unknown = refusals({404: "There is no such topic"})
+        app.add_api_route(
+            "/api/series", self.series, tags=["unit"], response_description="Columns of values", responses=refused
         )
-        for path, answer, tag, responses in routes:
-            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
-        app.add_api_route("/api/gnss/tracks", self.tracks, response_class=Response, include_in_schema=False)
+        app.add_api_route(
+            "/api/fields/{name:path}", self.fields, tags=["unit"], response_description="Numeric fields",
+            responses=unknown,
+        )  # fmt: skip
+        app.add_api_route("/api/gnss", self.gnss, tags=["position"], response_description="GNSS receivers")
+        app.add_api_route("/api/gnss/tracks", self.tracks, include_in_schema=False)
         app.add_api_websocket_route("/ws/series", self.serve)
 
     def series(
         self,
         fields: Annotated[str, Query(max_length=QUESTION_LENGTH)],
         seconds: Annotated[float, Query(gt=0, le=3600)] = 900.0,
-    ) -> Response:
+    ) -> LabelledColumns:
         """Numeric fields of messages as columns: 5 Hz up to a minute, 1 Hz beyond, for the last hour at most.
 
         A field is written topic:path, such as gnss/fix:hdop, and navigation/aiding[odometer]:test_ratio where a topic
@@ -71,9 +93,9 @@ class SeriesApi:
         """
         names = self._want(fields, FIELDS_ASKED)
         now_ns = self._now_ns()
-        return json_response(self._answer(names, now_ns - round(seconds * SECOND_NS), now_ns, fine=seconds <= FINE_S))
+        return self._answer(names, now_ns - round(seconds * SECOND_NS), now_ns, fine=seconds <= FINE_S)
 
-    def fields(self, name: Annotated[str, Path(max_length=80)]) -> Response:
+    def fields(self, name: Annotated[str, Path(max_length=80)]) -> Fields:
         """Numeric fields of the newest message of a topic, with value and unit."""
         look_at(self._state, self._lock, self._now_ns, (name,))
         with self._lock:
@@ -81,19 +103,17 @@ class SeriesApi:
             if flow is None:
                 raise HTTPException(404, f"there is no topic {name}; /api/state lists them")
             listed = fields_of(flow)
-        return json_response({"topic": name, "fields": listed})
+        return {"topic": name, "fields": listed}
 
-    def gnss(self) -> Response:
+    def gnss(self) -> Receivers:
         """Each GNSS receiver: fix, satellites with the reason why one is not used, signals, configuration, bands."""
         with self._lock:
-            shown = views.gnss(self._state, self._now_ns())
-        return json_response(shown)
+            return views.gnss(self._state, self._now_ns())
 
-    def tracks(self) -> Response:
+    def tracks(self) -> Tracks:
         """Tracks of the satellites in the sky over the last hour."""
         with self._lock:
-            shown = views.tracks(self._state)
-        return json_response(shown)
+            return views.tracks(self._state)
 
     async def serve(self, socket: WebSocket) -> None:
         """Send the past of the fields that are asked for in the address, then what is added, until the page leaves."""
@@ -148,7 +168,7 @@ class SeriesApi:
             raise HTTPException(503, str(error)) from error
         return names
 
-    def _answer(self, names: list[str], from_ns: int, to_ns: int, *, fine: bool) -> Json:
+    def _answer(self, names: list[str], from_ns: int, to_ns: int, *, fine: bool) -> LabelledColumns:
         oldest_ns = to_ns - (round(FINE_S * SECOND_NS) if fine else HOUR_NS)
         with self._lock:
             series = self._state.series
@@ -168,7 +188,7 @@ def _parts(names: list[str]) -> list[list[str]]:
     return [names[start : start + FIELDS_IN_FRAME] for start in range(0, len(names), FIELDS_IN_FRAME)]
 
 
-def fields_of(flow: TopicFlow) -> list[Json]:
+def fields_of(flow: TopicFlow) -> list[FieldShown]:
     """List the numeric fields of the newest message of a topic; none of one that cannot be read."""
     try:
         message = flow.decoded()
@@ -177,7 +197,7 @@ def fields_of(flow: TopicFlow) -> list[Json]:
     selector = fields.selector_of(message)
     head = f"{flow.name}[{selector}]" if selector else flow.name
     latency = [(fields.LATENCY, flow.latencies_s[-1])] if flow.latencies_s else []
-    listed: list[Json] = []
+    listed: list[FieldShown] = []
     for path, value in (*fields.numbers(message), *latency):
         try:
             field = fields.parse(f"{head}:{path}")

@@ -3,21 +3,21 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
-from typing import Any
 from uuid import uuid4
 
-from fastapi import FastAPI, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request
 from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
 from shared.attacks import BY_NAME
 from shared.messages.simulation import AttackCommand, SimulationAttack
+from shared.page import body
+from shared.page.answers import reference_to, refusals
 
 from ..state import State
 from ..views import simulation as views
-from . import body
-from .answers import Accepted, Refusal, Simulation, described, reference_to
-from .body import json_response
+from ..views.models.simulation import Simulation
+from .command import Accepted
 
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(SimulationAttack)}}, "required": True}
@@ -32,30 +32,21 @@ class SimulationApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        shown: dict[int | str, dict[str, Any]] = {200: described(Simulation, "Attacks")}
-        taken: dict[int | str, dict[str, Any]] = {202: described(Accepted, "Published")}
-        taken |= {
-            status: described(Refusal, text)
-            for status, text in (
-                (403, "A page from elsewhere"), (409, "Not simulated"), (413, "Too long"), (422, "Not a command"),
-                (503, "Commands are waiting"),
-            )
-        }  # fmt: skip
+        refused = refusals({403: "A page from elsewhere", 409: "Not simulated", 413: "Too long", 422: "Not a command",
+                            503: "Commands are waiting"})  # fmt: skip
+        app.add_api_route("/api/simulation", self.simulation, tags=["simulation"], response_description="Attacks")
         app.add_api_route(
-            "/api/simulation", self.simulation, response_class=Response, tags=["simulation"], responses=shown
-        )
-        app.add_api_route(
-            "/api/simulation/attack", self.attack, methods=["POST"], status_code=202, response_class=Response,
-            tags=["simulation"], responses=taken, openapi_extra={"requestBody": BODY},
+            "/api/simulation/attack", self.attack, methods=["POST"], status_code=202, response_description="Published",
+            tags=["simulation"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    def simulation(self) -> Response:
+    def simulation(self) -> Simulation:
         """The attacks that are possible, those of this drive, and whether the verdict was right."""
         with self._lock:
             shown = views.simulation(self._state, self._now_ns())
-        return json_response({**views.catalogue(), "simulation": shown}, 200)
+        return {**views.catalogue(), "simulation": shown}
 
-    async def attack(self, request: Request) -> Response:
+    async def attack(self, request: Request) -> Accepted:
         """Start or stop an attack; 202 with the request ID that `simulation/state` will carry."""
         with self._lock:
             simulated = self._state.simulated(self._now_ns())
@@ -68,7 +59,7 @@ class SimulationApi:
             self.commands.put_nowait(command)
         except Full as error:
             raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
-        return json_response({"request_id": command.request_id}, 202)
+        return {"request_id": command.request_id}
 
 
 def _command(data: bytes) -> SimulationAttack:

@@ -16,7 +16,7 @@ from fleet.web.access.attempts import Attempts, Free, origins
 from fleet.web.access.passwords import agrees, hashed, weakness
 from fleet.web.access.rights import GRANTED, ROWS, Right, Role, needed
 from fleet.web.database import Database
-from services.monitoring.status.web.access.table import WEBSOCKET
+from shared.page.access.table import WEBSOCKET
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.web import ACCOUNTS, PASSWORD, RunningWeb, Visitor, tenant
 from tests.support.patience import HANGS_S

@@ -10,7 +10,7 @@ from enum import StrEnum
 import pytest
 
 from services.core.trust.facts import Monitor
-from services.monitoring.status.process import DASHBOARD
+from services.monitoring.status.page import DASHBOARD
 from services.monitoring.status.series.fields import parse, unit_of
 from services.monitoring.status.views.banner import OF_STATE, WORDS, Trust
 from services.monitoring.status.views.gnss import LETTERS

@@ -1,1 +1,1 @@
-"""Who may look and act: tokens, sessions, rights of routes, hosts, limits of connections."""
+"""Who may look and act: tokens, sessions, rights of routes."""

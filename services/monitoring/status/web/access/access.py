@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from http.cookies import CookieError, SimpleCookie
 
+from shared.page.access.peer import Network, Peer, as_address, peer_of
+from shared.page.access.requests import CSRF_HEADER
 from shared.runtime.config import VehicleFile
 
-from .peer import Network, Peer, as_address, peer_of
 from .rights import Right
 from .tokens import Session, Tokens, is_secret
 
-CSRF_HEADER = "x-obu-csrf"
 STILL_VALID_S = 1.0  # between two checks of an open stream
 SIMULATED = ("sensors.simulator", "sensors.traffic")
 SIMULATED_RADIO = "udp://127.0.0.1:47347"  # default of sensors.v2x

@@ -1,30 +1,36 @@
 """Stands before every route: host, origin, who asks, what the route needs; and headers that keep a browser safe."""
 
-import asyncio
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import cast
 
 from fastapi import HTTPException, Request, Response, WebSocketDisconnect
-from pydantic_core import to_json
 
-from .. import assets
-from ..told import readable
-from . import hosts
-from .access import CSRF_HEADER, Access, Visitor, csrf_agrees
-from .peer import Peer
+from shared.page.access import hosts
+from shared.page.access.peer import Peer
+from shared.page.access.requests import (
+    CSRF_HEADER,
+    LOGGED_OUT,
+    App,
+    Receive,
+    Scope,
+    Send,
+    answer_head,
+    headers_of,
+    refusal_of,
+    with_headers,
+)
+from shared.page.access.table import SAFE_METHODS, WEBSOCKET
+from shared.page.told import readable
+
+from .access import Access, Visitor, csrf_agrees
 from .rights import Right
-from .table import SAFE_METHODS, WEBSOCKET, needed
+from .table import needed
 
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Scope]]
-Send = Callable[[Scope], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
 TOKENS = "/api/tokens"  # every program of the machine is a visitor of a simulated unit, and a token outlives that
 VISITOR = "obu.visitor"  # in the scope of a request
 PEER = "obu.peer"
-LOGGED_OUT = 4401  # close code of a WebSocket whose session has ended
 LOGIN_PAGE = "login"
 STYLE = "style.css"
 
@@ -132,15 +138,6 @@ def insist_on(request: Request, right: Right) -> None:
         raise HTTPException(403, f"this needs the role {right}; log in with another token")
 
 
-def headers_of(scope: Mapping[str, Any]) -> dict[str, str]:
-    """Headers by their name; those that are repeated are joined."""
-    found: dict[str, str] = {}
-    for name, value in scope["headers"]:
-        key, text = name.decode("latin-1").lower(), value.decode("latin-1")
-        found[key] = f"{found[key]}, {text}" if key in found else text
-    return found
-
-
 def _lacking(path: str, visitor: Visitor, right: Right) -> Response | None:
     """What a visitor may not do."""
     if path == TOKENS and visitor.session is None and visitor.bearer is None:
@@ -165,43 +162,3 @@ def _unknown(method: str, path: str, headers: Mapping[str, str]) -> Response:
         return Response(status_code=303, headers={"Location": address, "Cache-Control": "no-store"})
     text = "log in at /login, or send a token: `Authorization: Bearer TOKEN`; `obu token add` on the unit makes one"
     return refusal_of(401, text, {"WWW-Authenticate": 'Bearer realm="obu"'})
-
-
-def refusal_of(status: int, detail: str, headers: Mapping[str, str] | None = None) -> Response:
-    """Answer with a status and what to try."""
-    head = {"Cache-Control": "no-store", **(headers or {})}
-    return Response(to_json({"detail": detail}), status, head, "application/json")
-
-
-async def answer_head(app: App, scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer HEAD by the head of the answer to GET; a stream ends with it."""
-    ended = asyncio.Event()
-
-    async def send_head(message: Scope) -> None:
-        if message["type"] == "http.response.start":
-            await send(message)
-            await send({"type": "http.response.body", "body": b"", "more_body": False})
-            ended.set()
-
-    answer = asyncio.ensure_future(app({**scope, "method": "GET"}, receive, send_head))
-    end = asyncio.ensure_future(ended.wait())
-    await asyncio.wait((answer, end), return_when=asyncio.FIRST_COMPLETED)
-    end.cancel()
-    if answer.done():
-        answer.result()
-    else:
-        answer.cancel()
-
-
-def with_headers(send: Send) -> Send:
-    """Add the headers that keep a browser safe to what has none."""
-
-    async def send_guarded(message: Scope) -> None:
-        if message["type"] in ("http.response.start", "websocket.http.response.start"):
-            present = {name for name, _ in message["headers"]}
-            extra = {"Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'", **assets.HEADERS}
-            rest = [(n.lower().encode(), v.encode()) for n, v in extra.items() if n.lower().encode() not in present]
-            message["headers"] = [*message["headers"], *rest]
-        await send(message)
-
-    return send_guarded

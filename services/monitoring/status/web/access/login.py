@@ -1,21 +1,35 @@
 """Routes of the login: open a session, end it, and who has logged in."""
 
 import logging
-from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
+from typing_extensions import TypedDict
 
-from .. import body
-from ..answers import LoginState, Refusal, described, reference_to
-from ..body import json_response
+from shared.page import body
+from shared.page.access.peer import Peer
+from shared.page.answers import answer, reference_to, refusals
+
 from .access import Access
 from .guard import PEER, visitor_of
-from .peer import Peer
+from .rights import Right
 from .tokens import is_secret
 
 log = logging.getLogger(__name__)
+
+
+@answer()
+class LoginState(TypedDict):
+    """Who asks."""
+
+    name: str | None
+    """of the token; "local" where no login is needed; null: not logged in"""
+    role: Right | None
+    session: bool
+    """whether there is a session, which can be ended"""
+    csrf: str | None
+    """value of the header X-OBU-CSRF that each change needs; null with a token in the header Authorization"""
 
 
 class LoginRequest(BaseModel):
@@ -36,32 +50,27 @@ class LoginApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        wrong = {401: "No such token", 403: "A page from elsewhere", 413: "Too long", 422: "Not a login"}
-        refused: dict[int | str, dict[str, Any]] = {status: described(Refusal, text) for status, text in wrong.items()}
+        refused = refusals({401: "No such token", 403: "A page from elsewhere", 413: "Too long", 422: "Not a login"})
+        app.add_api_route("/api/session", self.session, tags=["login"], response_description="The login")
         app.add_api_route(
-            "/api/session", self.session, response_class=Response, tags=["login"],
-            responses={200: described(LoginState, "The login")},
+            "/api/login", self.log_in, methods=["POST"], tags=["login"], response_description="Logged in",
+            responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
         app.add_api_route(
-            "/api/login", self.log_in, methods=["POST"], response_class=Response, tags=["login"],
-            responses={200: described(LoginState, "Logged in"), **refused}, openapi_extra={"requestBody": BODY},
-        )  # fmt: skip
-        app.add_api_route(
-            "/api/logout", self.log_out, methods=["POST"], response_class=Response, tags=["login"],
-            responses={200: described(LoginState, "Logged out")},
-        )  # fmt: skip
+            "/api/logout", self.log_out, methods=["POST"], tags=["login"], response_description="Logged out"
+        )
 
-    def session(self, request: Request) -> Response:
+    def session(self, request: Request) -> LoginState:
         """Who asks, with which role; `csrf` is the value of the header X-OBU-CSRF of every change."""
         visitor = visitor_of(request)
-        return json_response({
+        return {
             "name": visitor.name if visitor else None,
             "role": visitor.right if visitor else None,
             "session": bool(visitor and visitor.session),
             "csrf": visitor.csrf if visitor else None,
-        })  # fmt: skip
+        }
 
-    async def log_in(self, request: Request) -> Response:
+    async def log_in(self, request: Request, response: Response) -> LoginState:
         """Open a session with a token: the answer sets a cookie."""
         try:
             given = LoginRequest.model_validate_json(await body.read(request))
@@ -77,22 +86,20 @@ class LoginApi:
                                 "used before; `obu token show-link` on the unit makes a new link")  # fmt: skip
         cookie, session = opened
         log.info("%s logged in from %s as %s", session.token, peer.address[:45], session.role)
-        answer = json_response({"name": session.token, "role": session.role, "session": True, "csrf": None})
-        self._set_cookie(request, answer, cookie, round(seconds))
-        return answer
+        self._set_cookie(request, response, cookie, round(seconds))
+        return {"name": session.token, "role": session.role, "session": True, "csrf": None}
 
-    async def log_out(self, request: Request) -> Response:
+    async def log_out(self, request: Request, response: Response) -> LoginState:
         """End the session; without one nothing happens."""
         visitor = visitor_of(request)
         if visitor and visitor.session:
             await run_in_threadpool(self._access.tokens.log_out, visitor.session)
-        answer = json_response({"name": None, "role": None, "session": False, "csrf": None})
-        self._set_cookie(request, answer, "", 0)
-        return answer
+        self._set_cookie(request, response, "", 0)
+        return {"name": None, "role": None, "session": False, "csrf": None}
 
-    def _set_cookie(self, request: Request, answer: Response, value: str, seconds: int) -> None:
+    def _set_cookie(self, request: Request, response: Response, value: str, seconds: int) -> None:
         peer: Peer = request.scope[PEER]
-        answer.set_cookie(
+        response.set_cookie(
             self._access.cookie, value, max_age=seconds, path="/", secure=peer.encrypted, httponly=True,
             samesite="strict",
         )  # fmt: skip

@@ -1,20 +1,61 @@
 """Routes of the tokens: list, add, revoke."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from typing import Annotated, Literal
 
-from fastapi import FastAPI, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
+from typing_extensions import TypedDict
 
 from shared.errors import UserError
+from shared.page import body
+from shared.page.answers import answer, reference_to, refusals
 
-from .. import body
-from ..answers import MadeToken, Refusal, TokenList, described, reference_to
-from ..body import json_response
 from .rights import Right
 from .tokens import Tokens
 
 DAY_S = 86_400.0
+
+
+@answer()
+class TokenRow(TypedDict):
+    """One token, without its text."""
+
+    name: str
+    role: Right
+    created_s: float
+    """since 1970"""
+    expires_s: float | None
+    """since 1970; null: never"""
+    single_use: bool
+    """of a link, which logs in once"""
+
+
+@answer()
+class SessionRow(TypedDict):
+    """One open login."""
+
+    token: str
+    """name of the token, which may have been used up"""
+    role: Right
+    created_s: float
+    expires_s: float
+
+
+@answer()
+class TokenList(TypedDict):
+    """Who may log in, and who has."""
+
+    tokens: list[TokenRow]
+    sessions: list[SessionRow]
+
+
+@answer()
+class MadeToken(TypedDict):
+    """A new token; null after a revocation."""
+
+    token: str | None
 
 
 class AddToken(BaseModel):
@@ -50,34 +91,37 @@ class TokensApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        wrong = {403: "Not the role, or a page from elsewhere", 409: "It cannot be done", 413: "Too long",
-                 422: "Not a command"}  # fmt: skip
-        refused: dict[int | str, dict[str, Any]] = {status: described(Refusal, text) for status, text in wrong.items()}
+        refused = refusals({403: "Not the role, or a page from elsewhere", 409: "It cannot be done", 413: "Too long",
+                            422: "Not a command"})  # fmt: skip
+        app.add_api_route("/api/tokens", self.list, tags=["login"], response_description="Tokens and open logins")
         app.add_api_route(
-            "/api/tokens", self.list, response_class=Response, tags=["login"],
-            responses={200: described(TokenList, "Tokens and open logins")},
-        )  # fmt: skip
-        app.add_api_route(
-            "/api/tokens", self.change, methods=["POST"], response_class=Response, tags=["login"],
-            responses={200: described(MadeToken, "Done"), **refused}, openapi_extra={"requestBody": BODY},
+            "/api/tokens", self.change, methods=["POST"], tags=["login"], response_description="Done",
+            responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    def list(self) -> Response:
+    def list(self) -> TokenList:
         """Names and roles of all tokens, and the logins that are open."""
         content = self._tokens.content()
-        return json_response({
-            "tokens": [token.model_dump(exclude={"hash"}) for token in content.tokens],
-            "sessions": [session.model_dump(exclude={"hash"}) for session in content.sessions],
-        })  # fmt: skip
+        tokens: Iterable[TokenRow] = (
+            {
+                "name": one.name, "role": one.role, "created_s": one.created_s, "expires_s": one.expires_s,
+                "single_use": one.single_use,
+            } for one in content.tokens
+        )  # fmt: skip
+        sessions: Iterable[SessionRow] = (
+            {"token": one.token, "role": one.role, "created_s": one.created_s, "expires_s": one.expires_s}
+            for one in content.sessions
+        )
+        return {"tokens": [*tokens], "sessions": [*sessions]}
 
-    async def change(self, request: Request) -> Response:
+    async def change(self, request: Request) -> MadeToken:
         """Add a token, which is in the answer only, or revoke one and end its logins."""
         try:
             command = COMMANDS.validate_json(await body.read(request))
         except ValidationError as error:
             raise body.invalid(error) from error
         try:
-            return json_response({"token": await run_in_threadpool(self._carry_out, command)})
+            return {"token": await run_in_threadpool(self._carry_out, command)}
         except UserError as error:
             raise HTTPException(409, str(error)) from error
 

@@ -1,30 +1,8 @@
-"""Which right each route needs: the one list that the guard decides by, and that the documentation prints."""
+"""Which right each route of the unit's page needs: the one list that the guard decides by."""
 
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from enum import StrEnum
-from functools import cache
-from typing import Generic, TypeVar
-
-from starlette.routing import compile_path
+from shared.page.access.table import SAFE_METHODS, WEBSOCKET, Row, row_of
 
 from .rights import Right
-
-SAFE_METHODS = ("GET", "HEAD", "OPTIONS")  # which change nothing
-WEBSOCKET = "WEBSOCKET"
-R = TypeVar("R", bound=StrEnum)  # rights: those of the unit's page, or of a centre's
-
-
-@dataclass(frozen=True)
-class Row(Generic[R]):
-    """One method of one route; the first row whose path matches counts. HEAD is allowed wherever GET is."""
-
-    method: str
-    path: str  # as the application writes it: {name} is one part of a path, {name:path} the rest
-    right: R
-    purpose: str
-
 
 ROWS = (
     Row("GET", "/login", Right.PUBLIC, "page of the login"),
@@ -83,15 +61,3 @@ def needed(method: str, path: str) -> Right:
     if (row := row_of(ROWS, method, path)) is not None:
         return row.right
     return Right.VIEW if method in (*SAFE_METHODS, WEBSOCKET) else Right.ADMIN
-
-
-def row_of(rows: Iterable[Row[R]], method: str, path: str) -> Row[R] | None:
-    """Find the row that describes a request."""
-    method = "GET" if method == "HEAD" else method
-    return next((row for row in rows if row.method == method and pattern_of(row.path).match(path)), None)
-
-
-@cache
-def pattern_of(path: str) -> re.Pattern[str]:
-    """Translate the path of a route by the router itself: whatever it takes for this route has the right of its row."""
-    return compile_path(path)[0]

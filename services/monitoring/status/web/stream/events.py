@@ -13,10 +13,12 @@ from fastapi.responses import StreamingResponse
 from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 
+from shared.page.stream.clients import Client, Clients, Frame
+
 from ...state import State
 from ...views import reports
+from ...views.models.unit import OutageRow
 from ...views.position import solution
-from .clients import Client, Clients, Frame
 
 PERIOD_S = 0.2
 SOLUTION_NS, HEARTBEAT_NS = 1_000_000_000, 5_000_000_000
@@ -32,7 +34,7 @@ class Events:
         self._state, self._lock, self._now_ns = state, lock, now_ns
         self.clients = Clients(clients_maximum)
         self._verdict: tuple[object, ...] = ()
-        self._outages: dict[tuple[object, object], object] = {}
+        self._outages: dict[tuple[str, int], int | None] = {}
         self._solution_ns = self._heartbeat_ns = 0
 
     async def run(self) -> None:
@@ -60,12 +62,12 @@ class Events:
     def _position(self, now_ns: int) -> object:
         return reports.health(self._state, now_ns)["position"]
 
-    def _notice(self) -> tuple[bool, list[object]]:
+    def _notice(self) -> tuple[bool, list[OutageRow]]:
         """Compare with what was sent: whether the verdict changed, and the outages that began or ended."""
         verdict = self._state.verdict
         before, self._verdict = self._verdict, (verdict.state, verdict.row)
         shown = reports.outages(self._state)
-        rows = [row for rows in shown.values() if isinstance(rows, list) for row in rows]
+        rows = [*shown["open"], *shown["closed"]]
         known, self._outages = self._outages, {(row["what"], row["since_ns"]): row["until_ns"] for row in rows}
         new = [row for row in rows if known.get((row["what"], row["since_ns"]), 0) != row["until_ns"]]
         return before != self._verdict, new

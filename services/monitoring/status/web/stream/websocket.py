@@ -4,23 +4,29 @@
 compressed once for all; permessage-deflate would need a compressor with 256 kB for every client.
 """
 
-import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 
-from fastapi import WebSocket, WebSocketDisconnect
+from fastapi import WebSocket
 from pydantic_core import to_json
+
+from shared.page.stream.clients import Clients, Frame
+from shared.page.stream.connection import TRY_AGAIN_LATER, read_until_closed, run_first_of, write_frames
 
 from ...state import State
 from ...views import snapshot
-from ...views.snapshot import Json
-from ..replay import ReplayApi
-from .clients import Client, Clients, Frame
-from .patch import difference
+from ...views.models.dashboard import Dashboard
+from ..replay import ReplayApi, ReplayShown
+from .patch import Json, difference
 
 PERIOD_S, SLOWED_PERIOD_S = 0.2, 1.0
-TRY_AGAIN_LATER = 1013  # registry of close codes of RFC 6455
 PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
+
+
+class Shown(Dashboard):
+    """What a page is sent as `state`."""
+
+    replay: ReplayShown | None
 
 
 class Stream:
@@ -89,32 +95,5 @@ class Stream:
 
     def _view(self) -> Json:
         with self._lock:
-            return {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
-
-
-async def write_frames(socket: WebSocket, client: Client) -> None:
-    """Send what is queued for a browser until its end is."""
-    while (frame := await client.frames.get()) is not None:
-        if client.packed:
-            await socket.send_bytes(frame.packed)
-        else:
-            await socket.send_text(frame.plain.decode())
-
-
-async def read_until_closed(socket: WebSocket) -> None:
-    """Listen only for the end: a dashboard has nothing to say."""
-    while (await socket.receive())["type"] != "websocket.disconnect":
-        pass
-
-
-async def run_first_of(*coroutines: Coroutine[None, None, None]) -> None:
-    """Run until the first one ends, and end the others."""
-    tasks = [asyncio.create_task(coroutine) for coroutine in coroutines]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            if not isinstance(task.exception(), WebSocketDisconnect):
-                task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
+            shown: Shown = {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
+        return shown

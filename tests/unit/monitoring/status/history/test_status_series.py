@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.status.process import DASHBOARD
+from services.monitoring.status.page import DASHBOARD
 from services.monitoring.status.series import fields, past, rings, store
 from services.monitoring.status.series.store import Series, SeriesFull
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssSatellites, Satellite

@@ -1,4 +1,6 @@
+from collections.abc import Mapping, Sized
 from itertools import pairwise
+from typing import cast
 
 import pytest
 from pydantic_core import to_json
@@ -94,7 +96,7 @@ def test_a_gap_splits_the_segments_of_its_source_only() -> None:
 
 def test_the_columns_have_one_value_a_row_and_none_where_a_source_was_silent() -> None:
     table = columns([row(0, 0.0), row(1, None)])
-    assert {len(values) for values in table.values()} == {2}
+    assert {len(values) for values in cast(Mapping[str, Sized], table).values()} == {2}
     assert table["fused_latitude_deg"] == [48.0, None]
     assert table["gnss_longitude_deg"] == [None, None]
 

@@ -112,9 +112,9 @@ def test_the_report_has_tracks_rows_and_satellites_and_an_old_message_states_not
         world.hear(stated(world.now_ns, solution(Hypothesis.GNSS, "gnss", north_m=float(step))), "core.fusion")
         world.pass_time(1.0)
     report = reports.hypotheses(world.state, world.now_ns)
-    rows, (track,) = report["hypotheses"], report["tracks"]  # type: ignore[misc]
+    rows, (track,) = report["hypotheses"], report["tracks"]
     assert isinstance(rows, dict) and set(rows) == {"gnss", "imu"}
-    assert (track["label"], len(track["places"])) == ("if GNSS is wrong", 5)  # type: ignore[has-type]
+    assert (track["label"], len(track["places"])) == ("if GNSS is wrong", 5)
     world.pass_time(6.0)
     rows = reports.hypotheses(world.state, world.now_ns)["hypotheses"]
     assert isinstance(rows, dict) and set(rows) == {"imu"}, "the solutions are stale"

@@ -6,9 +6,9 @@ import pytest
 
 from services.monitoring.status.process import Config
 from services.monitoring.status.web.access.access import Access, Rules, csrf_agrees, csrf_of, is_simulated
-from services.monitoring.status.web.access.peer import Peer, networks, peer_of
 from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens
+from shared.page.access.peer import Peer, networks, peer_of
 from shared.runtime.config import load_vehicle, parse_vehicle
 
 VEHICLES = Path(__file__).parents[6] / "deploy" / "vehicles"

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, cast
 
 import h11
@@ -23,8 +23,6 @@ IDLE_S = 15  # between two requests
 BACKLOG = 64  # connections that are accepted at once, and wait in the kernel
 RESERVED_FILES = 128  # of the limit of open files, which connections leave for recordings, tiles and the bus
 LOGGED_PERIOD_S = 60.0
-LOGIN_LOGGER = f"{__package__}.login"
-PAGE_ERRORS_LOGGER = f"{__package__.rsplit('.', 1)[0]}.page_errors"
 LOGGED_PER_PERIOD = 5  # of each text
 
 
@@ -191,9 +189,9 @@ def quiet_accept(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> No
         loop.default_exception_handler(context)
 
 
-def limit_logs() -> None:
-    """Limit what clients can make this process write."""
-    for name in (__name__, LOGIN_LOGGER, PAGE_ERRORS_LOGGER, "uvicorn.error"):
+def limit_logs(names: Iterable[str]) -> None:
+    """Limit what clients can make this process write: by the server, and by loggers of these names."""
+    for name in (__name__, "uvicorn.error", *names):
         logger = logging.getLogger(name)
         if not any(isinstance(one, RateLimit) for one in logger.filters):
             logger.addFilter(RateLimit())

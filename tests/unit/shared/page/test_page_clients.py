@@ -1,6 +1,6 @@
 import zlib
 
-from services.monitoring.status.web.stream.clients import QUEUE_FRAMES, Clients, Frame
+from shared.page.stream.clients import QUEUE_FRAMES, Clients, Frame
 
 
 def test_a_full_house_admits_nobody() -> None:

@@ -52,10 +52,6 @@ class MapDescription:
     attribution: str  # plain text
     layers: tuple[str, ...]  # of vector tiles
 
-    def as_json(self) -> dict[str, object]:
-        """Give the fields for JSON."""
-        return dict(vars(self))
-
 
 def describe(path: Path) -> MapDescription:
     """Read what a file says of itself; raises `BadMap`."""

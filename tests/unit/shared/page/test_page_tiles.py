@@ -10,7 +10,7 @@ import lz4.frame
 import pytest
 import zstandard
 
-from services.monitoring.status.web.map.tiles import BadMap, describe, read_tile
+from shared.page.map.tiles import BadMap, describe, read_tile
 from tests.support.dashboard.tile_files import tile_at, write_mbtiles, write_pmtiles
 
 LATITUDE_DEG, LONGITUDE_DEG = 48.1351, 11.5820

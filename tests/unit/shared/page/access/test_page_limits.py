@@ -5,8 +5,8 @@ from typing import cast
 
 import pytest
 
-from services.monitoring.status.web.access.limits import Connections, LimitedHttp, RateLimit, quiet_accept
-from services.monitoring.status.web.access.peer import networks, place_of
+from shared.page.access.limits import Connections, LimitedHttp, RateLimit, quiet_accept
+from shared.page.access.peer import networks, place_of
 
 
 class FakeTransport:

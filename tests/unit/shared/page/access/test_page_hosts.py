@@ -1,6 +1,6 @@
 import pytest
 
-from services.monitoring.status.web.access.hosts import host_allowed, own_names, same_origin
+from shared.page.access.hosts import host_allowed, own_names, same_origin
 
 
 @pytest.fixture(autouse=True)

@@ -3,8 +3,8 @@ from base64 import b64encode
 from hashlib import sha256
 from pathlib import Path
 
-from services.monitoring.status.process import DASHBOARD
-from services.monitoring.status.web import assets
+from services.monitoring.status.page import DASHBOARD
+from shared.page import assets
 
 PAGE = '<head><script type="importmap">{"imports": {}}</script><script type="module" src="/main.js"></script></head>'
 
@@ -44,7 +44,7 @@ def test_no_page_names_another_host() -> None:
 
 
 def test_no_library_is_part_of_the_repository() -> None:
-    ignored = (Path(__file__).parents[5] / ".gitignore").read_text().splitlines()
+    ignored = (Path(__file__).parents[4] / ".gitignore").read_text().splitlines()
     assert "node_modules" in ignored
 
 

@@ -1,1 +1,0 @@
-"""Routes of the page Map, and its tiles."""

@@ -1,0 +1,1 @@
+"""What every page of the project needs on the server: files, bodies, limits, streams, the installed map."""

@@ -1,0 +1,1 @@
+"""Connections that stay open: one encoded frame for every client."""
