@@ -14,9 +14,9 @@ ROOMS = ("inertial", "aids", "start", "timeline", "hypotheses")  # each may impo
 BESIDE = {
     "inertial": {"settings", "smoothing.history"},  # the filter reads its noise, and records what the smoother needs
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
-    "start": {"settings", "integrity.disagreement"},  # a saved state has what the level holds
-    "timeline": {"settings", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
-    "hypotheses": {"settings", "integrity.disagreement", "integrity.protection_levels", "solution"},
+    "start": {"settings", "codes", "integrity.disagreement"},  # a saved state has what the level holds
+    "timeline": {"settings", "codes", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
+    "hypotheses": {"settings", "codes", "integrity.disagreement", "integrity.protection_levels", "solution"},
 }
 # The filter has the models of GNSS errors as states, until an aid with a state brings its own row.
 UPWARD = {"inertial/filter.py": {"aids.gnss.velocity_errors", "aids.gnss.position_errors"}}

@@ -52,8 +52,11 @@ def satellite_hypotheses(
     if position is not None:
         shown = [one for left in found if (one := _solution(position, left, time_ns, rate, risk)) is not None]
     if not shown:
-        why = reason(why_not or _why_none(position))
-        return TrustHypotheses(sampled_ns=time_ns, source=SOURCE, missing=((Hypothesis.SATELLITES, why),))
+        why = why_not or _why_none(position)
+        return TrustHypotheses(
+            sampled_ns=time_ns, source=SOURCE, missing_codes=((Hypothesis.SATELLITES, why),),
+            missing=((Hypothesis.SATELLITES, reason(why)),),
+        )  # fmt: skip
     shown.sort(key=_ratio, reverse=True)
     return TrustHypotheses(sampled_ns=time_ns, source=SOURCE, solutions=tuple(shown[:SOLUTIONS_MAXIMUM]))
 

@@ -191,7 +191,7 @@ def test_a_vehicle_that_turns_around_is_void(stop: float) -> None:
     back = replace(CAR, backward=True, start=stop, speed=0.0, acceleration=2.0, since=21.0)
     plant.drive(back, since=21.0, until=35.0)
     assert plant.states == (["open", "void"] if stop < 0.0 else ["open", "crossed", "void"])
-    assert code_of(plant.passages[-1]) == Code.TURNED_BEFORE
+    assert code_of(plant.passages[-1]) == (Code.TURNED_BEFORE if stop < 0.0 else Code.TURNED_BEHIND)
 
 
 def test_a_vehicle_of_the_other_direction_passes_its_own_lanes() -> None:
