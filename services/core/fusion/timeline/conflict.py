@@ -6,13 +6,18 @@ first goes on. From then on both run, and the level of the one that is published
 GNSS is published only if core.trust excludes GNSS and if that solution is good: `Conflict.declined` says why not.
 """
 
-from math import hypot
+from math import hypot, isfinite, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.explanation import Explanation, explain
 
 from ..aids.base import Outcome
 from ..codes import Code
+from ..inertial import error_model as em
 from ..integrity.disagreement import CLOSURE_SDS, Disagreement, Pair, Vector
 from ..settings import Settings
 from ..solution import UncertaintyCache
@@ -21,9 +26,12 @@ from .engine import Engine
 from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
 from .log import Log
 
+FloatArray = npt.NDArray[np.float64]
+
 PART = 40  # samples that are used again for each new one: two minutes take 3 s
 CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
 EARLIER_NS = 40_000_000_000  # than the suspect time of a monitor, which sees a slow error late
+CONTRADICTION_SDS = 3.0  # of their difference, from which two solutions contradict each other
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
@@ -55,6 +63,53 @@ def distance_n(one: Engine, other: Engine) -> Vector | None:
     return ned_from_geodetic_difference(one.filter.position, other.filter.position)
 
 
+class Contradiction(NamedTuple):
+    """A difference of two solutions that is more than its spread; an axis that is not is zero."""
+
+    apart_n: Vector  # [m, NED] position with GNSS minus the one without it
+    sd: Pair  # [m] of the difference, horizontal and vertical
+    ratio: float  # [-] difference over its standard deviation
+
+    @property
+    def slack(self) -> Pair:
+        """Spread of the difference, which the level holds beside its length [m]."""
+        return CLOSURE_SDS * self.sd[0], CLOSURE_SDS * self.sd[1]
+
+
+def contradiction_of(apart_n: Vector, P: FloatArray) -> Contradiction | None:
+    """Compare a difference with its spread; None where it is within three standard deviations.
+
+    Parameters
+    ----------
+    apart_n : tuple of float
+        [m, NED] Of the two positions.
+    P : ndarray, shape (3, 3)
+        [m², NED] Covariance of the position without GNSS. The other one has the same errors of sensors and start, and
+        some of its own that are small beside it, so that this is the covariance of the difference.
+    """
+    north, east, down = apart_n
+    far, high = hypot(north, east), abs(down)
+    squared = separation(apart_n, P)
+    ratios = 0.0 if squared is None else sqrt(squared), high / sqrt(max(float(P[2, 2]), 1e-12))
+    beyond = [ratio > CONTRADICTION_SDS for ratio in ratios]
+    if not any(beyond):
+        return None
+    vector = (north if beyond[0] else 0.0, east if beyond[0] else 0.0, down if beyond[1] else 0.0)
+    sd = far / ratios[0] if beyond[0] else 0.0, high / ratios[1] if beyond[1] else 0.0
+    return Contradiction(vector, sd, max(ratios))
+
+
+def separation(apart_n: Vector, covariance: FloatArray) -> float | None:
+    """Horizontal difference squared over its covariance [m²]; None of a covariance that is none."""
+    S = covariance[:2, :2]
+    determinant = float(S[0, 0] * S[1, 1] - S[0, 1] ** 2)
+    if not determinant > 0.0:
+        return None
+    north, east, _ = apart_n
+    value = (north**2 * S[1, 1] - 2.0 * north * east * S[0, 1] + east**2 * S[0, 0]) / determinant
+    return float(value) if isfinite(value) else None
+
+
 class Conflict:
     """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it.
 
@@ -80,7 +135,9 @@ class Conflict:
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
-        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None  # the same while its levels decided
+        # The same with the standard deviation of the difference, when it was largest against that deviation: later
+        # growth of the spread takes nothing back. None while the two do not contradict each other.
+        self.contradiction: Contradiction | None = earlier.contradiction if earlier else None
         # Newest: published minus other position, and the levels of the other.
         self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
         self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
@@ -176,10 +233,10 @@ class Verdicts:
     def held(self) -> Disagreement:
         """What the level holds, for a later process: with the difference of an open conflict."""
         held, conflict = self.engine.aids.error_monitor.held, self.conflict
-        if conflict is None or conflict.apart_n is None:
+        found = None if conflict is None else conflict.contradiction
+        if found is None:
             return held
-        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
-        return held.after(conflict.apart_n, spread, self.engine.time_ns, grew=False, slack=conflict.levels_m)
+        return held.after(found.apart_n, found.sd, self.engine.time_ns, grew=False, slack=found.slack)
 
     def _levels(self, engine: Engine) -> Pair:
         """Protection levels of an engine with a filter."""
@@ -270,13 +327,12 @@ class Verdicts:
             conflict.apart_n = apart
             far_h, far_v = conflict.farthest_m
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
+            found = contradiction_of(apart, without.filter.P[em.POSITION, em.POSITION])
+            known = conflict.contradiction
+            if found is not None and (known is None or found.ratio > known.ratio):
+                conflict.contradiction = found
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
-        if apart is not None and (share <= MOST_LIMITS or conflict.good is None):
-            conflict.good = (
-                apart,
-                (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
-            )
         if share > LAST_LIMITS:
             self._leave(explain(Code.WITHOUT_GNSS_OF_NO_USE, level_m=horizontal_m))
         elif share > MOST_LIMITS:
@@ -288,17 +344,17 @@ class Verdicts:
         conflict.published = self.wanted[1] and not conflict.declined
 
     def _leave(self, why: Explanation) -> None:
-        """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
+        """Give the solution without GNSS up: the level holds by what the two contradicted each other, with its spread.
 
-        Later differences are its own drift. What the solution with GNSS did since then shows when it comes back.
+        What was within its spread has contradicted nothing, and leaves nothing to hold. What the solution with GNSS did
+        since then shows when it comes back.
         """
         conflict, self.conflict, self.unresolved = self.conflict, None, why
-        if conflict is not None and conflict.good is not None:
+        found = None if conflict is None else conflict.contradiction
+        if found is not None:
             main = self.main.engine
             before = main.aids.error_monitor.held
-            apart, levels = conflict.good
-            spread = levels[0] / CLOSURE_SDS, levels[1] / CLOSURE_SDS
-            self._hold(before.after(apart, spread, main.time_ns, grew=False, slack=levels))
+            self._hold(before.after(found.apart_n, found.sd, main.time_ns, grew=False, slack=found.slack))
 
     def _end(self, now_ns: int) -> None:
         """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
@@ -315,7 +371,8 @@ class Verdicts:
         ratio = conflict.cursor.engine.exclusions.test_ratio
         # GNSS agrees with the solution without it.
         came_back = conflict.published and ratio is not None and ratio <= 1.0
-        left = None if apart is None or came_back else self._left(apart, conflict)
+        contradicted = conflict.contradiction is not None
+        left = None if apart is None or came_back or not contradicted else self._left(apart, conflict)
         spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         if conflict.published or main.engine.counts.resets > conflict.resets:
             conflict.cursor.carry(main)
