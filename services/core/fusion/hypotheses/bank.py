@@ -6,6 +6,7 @@ anchors may contain what is suspected, and use everything since then again, a pa
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from ..integrity.disagreement import Pair
 from ..integrity.protection_levels import horizontal_level, vertical_level
 from ..settings import Settings
 from ..solution import UncertaintyCache, upper
-from ..timeline.conflict import CONVERGED_S, separation, start_ns
+from ..timeline.conflict import CONVERGED_S, start_ns
 from ..timeline.cursor import Cursor
 from ..timeline.engine import Engine
 from ..timeline.events import Event, GnssExcluded, OdometerExclusion
@@ -143,6 +144,17 @@ class Member:
             found.triangles[0], levels, apart, separation(apart, P + covariance),
             self._innovations.get(AidingKind.GNSS_POSITION), self._innovations.get(AidingKind.ODOMETER),
         )  # fmt: skip
+
+
+def separation(apart_n: Vector, covariance: FloatArray) -> float | None:
+    """Horizontal difference squared over its covariance [m²]; None of a covariance that is none."""
+    S = covariance[:2, :2]
+    determinant = float(S[0, 0] * S[1, 1] - S[0, 1] ** 2)
+    if not determinant > 0.0:
+        return None
+    north, east, _ = apart_n
+    value = (north**2 * S[1, 1] - 2.0 * north * east * S[0, 1] + east**2 * S[0, 0]) / determinant
+    return float(value) if isfinite(value) else None
 
 
 class Bank:

@@ -6,18 +6,14 @@ first goes on. From then on both run, and the level of the one that is published
 GNSS is published only if core.trust excludes GNSS and if that solution is good: `Conflict.declined` says why not.
 """
 
-from math import hypot, isfinite, sqrt
+from math import hypot
 from typing import NamedTuple
-
-import numpy as np
-import numpy.typing as npt
 
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.explanation import Explanation, explain
 
 from ..aids.base import Outcome
 from ..codes import Code
-from ..inertial import error_model as em
 from ..integrity.disagreement import CLOSURE_SDS, Disagreement, Pair, Vector
 from ..settings import Settings
 from ..solution import UncertaintyCache
@@ -25,8 +21,6 @@ from .cursor import PERIOD_NS, Cursor
 from .engine import Engine
 from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
 from .log import Log
-
-FloatArray = npt.NDArray[np.float64]
 
 PART = 40  # samples that are used again for each new one: two minutes take 3 s
 CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
@@ -76,38 +70,26 @@ class Contradiction(NamedTuple):
         return CLOSURE_SDS * self.sd[0], CLOSURE_SDS * self.sd[1]
 
 
-def contradiction_of(apart_n: Vector, P: FloatArray) -> Contradiction | None:
-    """Compare a difference with its spread; None where it is within three standard deviations.
+def contradiction_of(apart_n: Vector, levels_m: Pair) -> Contradiction | None:
+    """Compare a difference with its spread; None where it is within three standard deviations on both axes.
 
     Parameters
     ----------
     apart_n : tuple of float
         [m, NED] Of the two positions.
-    P : ndarray, shape (3, 3)
-        [m², NED] Covariance of the position without GNSS. The other one has the same errors of sensors and start, and
-        some of its own that are small beside it, so that this is the covariance of the difference.
+    levels_m : tuple of float
+        [m] Protection levels of the position without GNSS: three standard deviations, of what its covariance has and of
+        what lever arm and delay may be off by. The other position has the same errors of sensors and start, and some of
+        its own that are small beside it, so that this is the spread of the difference.
     """
     north, east, down = apart_n
-    far, high = hypot(north, east), abs(down)
-    squared = separation(apart_n, P)
-    ratios = 0.0 if squared is None else sqrt(squared), high / sqrt(max(float(P[2, 2]), 1e-12))
-    beyond = [ratio > CONTRADICTION_SDS for ratio in ratios]
-    if not any(beyond):
+    sd = max(levels_m[0] / CONTRADICTION_SDS, 1e-6), max(levels_m[1] / CONTRADICTION_SDS, 1e-6)
+    ratios = hypot(north, east) / sd[0], abs(down) / sd[1]
+    far, high = (ratio > CONTRADICTION_SDS for ratio in ratios)
+    if not (far or high):
         return None
-    vector = (north if beyond[0] else 0.0, east if beyond[0] else 0.0, down if beyond[1] else 0.0)
-    sd = far / ratios[0] if beyond[0] else 0.0, high / ratios[1] if beyond[1] else 0.0
-    return Contradiction(vector, sd, max(ratios))
-
-
-def separation(apart_n: Vector, covariance: FloatArray) -> float | None:
-    """Horizontal difference squared over its covariance [m²]; None of a covariance that is none."""
-    S = covariance[:2, :2]
-    determinant = float(S[0, 0] * S[1, 1] - S[0, 1] ** 2)
-    if not determinant > 0.0:
-        return None
-    north, east, _ = apart_n
-    value = (north**2 * S[1, 1] - 2.0 * north * east * S[0, 1] + east**2 * S[0, 0]) / determinant
-    return float(value) if isfinite(value) else None
+    vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)
+    return Contradiction(vector, (sd[0] if far else 0.0, sd[1] if high else 0.0), max(ratios))
 
 
 class Conflict:
@@ -327,7 +309,7 @@ class Verdicts:
             conflict.apart_n = apart
             far_h, far_v = conflict.farthest_m
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
-            found = contradiction_of(apart, without.filter.P[em.POSITION, em.POSITION])
+            found = contradiction_of(apart, conflict.levels_m)
             known = conflict.contradiction
             if found is not None and (known is None or found.ratio > known.ratio):
                 conflict.contradiction = found
