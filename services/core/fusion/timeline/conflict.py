@@ -7,7 +7,6 @@ GNSS is published only if core.trust excludes GNSS and if that solution is good:
 """
 
 from math import hypot
-from typing import NamedTuple
 
 from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.explanation import Explanation, explain
@@ -25,7 +24,6 @@ from .log import Log
 PART = 40  # samples that are used again for each new one: two minutes take 3 s
 CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
 EARLIER_NS = 40_000_000_000  # than the suspect time of a monitor, which sees a slow error late
-CONTRADICTION_SDS = 3.0  # of their difference, from which two solutions contradict each other
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
@@ -57,41 +55,6 @@ def distance_n(one: Engine, other: Engine) -> Vector | None:
     return ned_from_geodetic_difference(one.filter.position, other.filter.position)
 
 
-class Contradiction(NamedTuple):
-    """A difference of two solutions that is more than its spread; an axis that is not is zero."""
-
-    apart_n: Vector  # [m, NED] position with GNSS minus the one without it
-    sd: Pair  # [m] of the difference, horizontal and vertical
-    ratio: float  # [-] difference over its standard deviation
-
-    @property
-    def slack(self) -> Pair:
-        """Spread of the difference, which the level holds beside its length [m]."""
-        return CLOSURE_SDS * self.sd[0], CLOSURE_SDS * self.sd[1]
-
-
-def contradiction_of(apart_n: Vector, levels_m: Pair) -> Contradiction | None:
-    """Compare a difference with its spread; None where it is within three standard deviations on both axes.
-
-    Parameters
-    ----------
-    apart_n : tuple of float
-        [m, NED] Of the two positions.
-    levels_m : tuple of float
-        [m] Protection levels of the position without GNSS: three standard deviations, of what its covariance has and of
-        what lever arm and delay may be off by. The other position has the same errors of sensors and start, and some of
-        its own that are small beside it, so that this is the spread of the difference.
-    """
-    north, east, down = apart_n
-    sd = max(levels_m[0] / CONTRADICTION_SDS, 1e-6), max(levels_m[1] / CONTRADICTION_SDS, 1e-6)
-    ratios = hypot(north, east) / sd[0], abs(down) / sd[1]
-    far, high = (ratio > CONTRADICTION_SDS for ratio in ratios)
-    if not (far or high):
-        return None
-    vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)
-    return Contradiction(vector, (sd[0] if far else 0.0, sd[1] if high else 0.0), max(ratios))
-
-
 class Conflict:
     """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it.
 
@@ -117,9 +80,9 @@ class Conflict:
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
-        # The same with the standard deviation of the difference, when it was largest against that deviation: later
-        # growth of the spread takes nothing back. None while the two do not contradict each other.
-        self.contradiction: Contradiction | None = earlier.contradiction if earlier else None
+        # The same while its levels decided, or while the two were farther apart than these: None if it has never
+        # contradicted GNSS, so that there is nothing to hold.
+        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None
         # Newest: published minus other position, and the levels of the other.
         self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
         self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
@@ -141,6 +104,12 @@ class Conflict:
         self.replay.outcomes()  # all were reported before
         self.cursor, self.replay = self.replay, None
         return True
+
+
+def _contradicts(apart_n: Vector, conflict: Conflict) -> bool:
+    """Whether the solution without GNSS is farther away than its levels."""
+    horizontal_m, vertical_m = conflict.levels_m
+    return hypot(apart_n[0], apart_n[1]) > horizontal_m or abs(apart_n[2]) > vertical_m
 
 
 class Verdicts:
@@ -215,10 +184,10 @@ class Verdicts:
     def held(self) -> Disagreement:
         """What the level holds, for a later process: with the difference of an open conflict."""
         held, conflict = self.engine.aids.error_monitor.held, self.conflict
-        found = None if conflict is None else conflict.contradiction
-        if found is None:
+        if conflict is None or conflict.apart_n is None or conflict.good is None:
             return held
-        return held.after(found.apart_n, found.sd, self.engine.time_ns, grew=False, slack=found.slack)
+        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+        return held.after(conflict.apart_n, spread, self.engine.time_ns, grew=False, slack=conflict.levels_m)
 
     def _levels(self, engine: Engine) -> Pair:
         """Protection levels of an engine with a filter."""
@@ -309,12 +278,13 @@ class Verdicts:
             conflict.apart_n = apart
             far_h, far_v = conflict.farthest_m
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
-            found = contradiction_of(apart, conflict.levels_m)
-            known = conflict.contradiction
-            if found is not None and (known is None or found.ratio > known.ratio):
-                conflict.contradiction = found
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
+        if apart is not None and (share <= MOST_LIMITS or (conflict.good is None and _contradicts(apart, conflict))):
+            conflict.good = (
+                apart,
+                (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
+            )
         if share > LAST_LIMITS:
             self._leave(explain(Code.WITHOUT_GNSS_OF_NO_USE, level_m=horizontal_m))
         elif share > MOST_LIMITS:
@@ -326,17 +296,18 @@ class Verdicts:
         conflict.published = self.wanted[1] and not conflict.declined
 
     def _leave(self, why: Explanation) -> None:
-        """Give the solution without GNSS up: the level holds by what the two contradicted each other, with its spread.
+        """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
 
-        What was within its spread has contradicted nothing, and leaves nothing to hold. What the solution with GNSS did
-        since then shows when it comes back.
+        Later differences are its own drift, and one that was never good and always within its level from the solution
+        with GNSS has contradicted nothing. What the solution with GNSS did since then shows when it comes back.
         """
         conflict, self.conflict, self.unresolved = self.conflict, None, why
-        found = None if conflict is None else conflict.contradiction
-        if found is not None:
+        if conflict is not None and conflict.good is not None:
             main = self.main.engine
             before = main.aids.error_monitor.held
-            self._hold(before.after(found.apart_n, found.sd, main.time_ns, grew=False, slack=found.slack))
+            apart, levels = conflict.good
+            spread = levels[0] / CLOSURE_SDS, levels[1] / CLOSURE_SDS
+            self._hold(before.after(apart, spread, main.time_ns, grew=False, slack=levels))
 
     def _end(self, now_ns: int) -> None:
         """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
@@ -353,8 +324,7 @@ class Verdicts:
         ratio = conflict.cursor.engine.exclusions.test_ratio
         # GNSS agrees with the solution without it.
         came_back = conflict.published and ratio is not None and ratio <= 1.0
-        contradicted = conflict.contradiction is not None
-        left = None if apart is None or came_back or not contradicted else self._left(apart, conflict)
+        left = None if apart is None or came_back or conflict.good is None else self._left(apart, conflict)
         spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         if conflict.published or main.engine.counts.resets > conflict.resets:
             conflict.cursor.carry(main)

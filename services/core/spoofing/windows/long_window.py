@@ -7,6 +7,7 @@ velocity: the way since the start of a propagation adds it up.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +68,18 @@ class _Passed:
     rows: dict[int, int]  # of each anchor whose propagation knows that time
     nodes: FloatArray  # shape (n, 6) [m/s, m; NED] velocity of the antenna, and its way since the anchor
     P: FloatArray  # shape (n, 3, 3) [m²/s²] covariances of velocity, at most 1 s older
+
+
+Found = TypeVar("Found", LongResult, WayResult)
+
+
+def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
+    """The first of two results, unless the second one agrees with GNSS: then the smaller one; None without both."""
+    first, *others = found or [None]
+    if first is None or None in others:
+        return None
+    agreeing = [one for one in others if one is not None and one.statistic <= agrees]
+    return agreeing[0] if agreeing and agreeing[0].statistic < first.statistic else first
 
 
 class LongWindow:
@@ -209,10 +222,8 @@ class LongWindow:
         return [row, beside] if beside >= 0 else [row] if self.suspect_since_ns is not None else []
 
     def way(self, length_s: int) -> WayResult | None:
-        """Test the way with two propagations of about a length: the smaller statistic; None without them."""
-        found = [self._way(row) for row in self._pair(length_s)]
-        known = [one for one in found if one is not None]
-        return min(known, key=lambda one: one.statistic) if known and len(known) == len(found) else None
+        """Test the way with the youngest propagation of at least a length, and the one beside it; None without them."""
+        return _beside([self._way(row) for row in self._pair(length_s)], self.way_doubt)
 
     def _way(self, row: int) -> WayResult | None:
         """Test the way with one propagation, as the mean of the last 5 s; None without enough fixes.
@@ -244,10 +255,8 @@ class LongWindow:
         return WayResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), anchor_ns)
 
     def result(self, length_s: int) -> LongResult | None:
-        """Test with two propagations of about a length: the smaller statistic; None without them."""
-        found = [self._of(row) for row in self._pair(length_s)]
-        known = [one for one in found if one is not None]
-        return min(known, key=lambda one: one.statistic) if known and len(known) == len(found) else None
+        """Test with the youngest propagation of at least a length, and the one beside it; None without them."""
+        return _beside([self._of(row) for row in self._pair(length_s)], self.release_threshold)
 
     def _of(self, row: int) -> LongResult | None:
         """Test with one propagation; None with too few fixes."""
