@@ -10,7 +10,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
 from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.settings import Settings as MotionSettings
-from services.core.motion_conflict.verdicts import MotionVerdicts, State
 from services.core.spoofing.grade import Grade
 from services.core.spoofing.process import Config as SpoofingConfig
 from services.core.spoofing.process import In as SpoofingIn
@@ -103,14 +102,12 @@ def motion_at(seed: int, seconds: int, rate: float | None) -> list[Count]:
         drives_and_stops(seed, float(seconds)), MotionMonitor(settings), seed,
         scale=rng.uniform(0.95, 1.05), delay_s=rng.uniform(0.0, 1.5),
     )  # fmt: skip
-    names = [field.name for field in fields(MotionVerdicts)]
 
     def epochs() -> Iterator[list[Result]]:
         for verdicts in world.run(float(seconds)):
-            found = [(name, getattr(verdicts, name)) for name in names]
             yield [
-                (name, v.false_alarm_rate, None if v.state is State.NOT_EVALUATED else v.state is State.ACCUSES)
-                for name, v in found
+                (name, test.false_alarm_rate, test.accuses if test.evaluated else None)
+                for name, test in verdicts.named().items()
             ]
 
     return counted(epochs())

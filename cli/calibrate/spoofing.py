@@ -78,7 +78,7 @@ def calibrate_spoofing(
             long += statistics
             origins.append(origin)
             learned.append(drive)
-            if different := origins[0].differences(origin):
+            if different := origins[0].differences(origin).values():
                 raise UserError(
                     f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn one for "
                     "each"

@@ -57,14 +57,17 @@ class Explanation(Message):
     """Why something is as it is: a code, its values by name, and what it is about."""
 
     code: Code
-    values: Annotated[dict[ValueName, Value], Field(default_factory=dict, max_length=VALUES_MAXIMUM)]
+    values: Annotated[
+        dict[ValueName, Value],
+        Field(default_factory=dict, max_length=VALUES_MAXIMUM, exclude_if=lambda value: not value),
+    ]
     subject: Reference | None = None
 
 
 Explanations = Annotated[tuple[Explanation, ...], Field(max_length=EXPLANATIONS_MAXIMUM)]
 
 
-def explain(code: str, subject: Reference | None = None, **values: object) -> Explanation:
+def explain(code: str, subject: Reference | None = None, /, **values: object) -> Explanation:
     """Make an explanation; enumerations become their words, and floats are rounded to what the contract holds.
 
     A value of None, and one that is not a number, is left out.

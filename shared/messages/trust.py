@@ -28,6 +28,9 @@ from .explanation import Explanation, Explanations
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
+UNSAID = Field(exclude_if=lambda value: not value)  # is not encoded: tests are half of the traffic of a verdict
+
+
 class Outcome(StrEnum):
     """Result of a test or of a monitor: "not evaluated" is neither passed nor failed."""
 
@@ -41,11 +44,11 @@ class MonitorTest(Message):
 
     name: Name
     outcome: Outcome
-    reason: Reason = ""  # for people, where there is no code
+    reason: Annotated[Reason, UNSAID] = ""  # for people, where there is no code
     reason_code: Explanation | None = None
     statistic: Annotated[Statistic, unit("of the test")] | None = None
     threshold: Annotated[Statistic, unit("of the test")] | None = None
-    unit: Name = "-"
+    unit: Annotated[Name, Field(exclude_if=lambda value: value == "-")] = "-"
     false_alarm_rate: Ratio | None = None  # by design, of one evaluation; None where a rule fixes the threshold
     window_s: Seconds | None = None
     since_ns: Nanoseconds | None = None  # when this outcome was reached
@@ -59,15 +62,15 @@ class TrustMonitor(Message):
     outcome: Outcome
     reason: Reason
     reason_code: Explanation | None = None  # of `reason`, where the monitor has codes
-    accused: tuple[Name, ...] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
+    accused: Annotated[tuple[Name, ...], UNSAID] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
-    doubtful: bool = False  # it passes, but by little: the position deserves caution
+    doubtful: Annotated[bool, UNSAID] = False  # it passes, but by little: the position deserves caution
     since_ns: Nanoseconds | None = None  # when this outcome was reached
     statistic: Annotated[Statistic, unit("of the test")] | None = None
     threshold: Annotated[Statistic, unit("of the test")] | None = None
     false_alarm_rate: Ratio | None = None
     window_s: Seconds | None = None
-    tests: tuple[MonitorTest, ...] = ()
+    tests: Annotated[tuple[MonitorTest, ...], UNSAID] = ()
 
 
 class LearnedGrade(Message):

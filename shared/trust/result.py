@@ -1,13 +1,16 @@
 """Result of one test of an integrity monitor, since when it lasts, and the messages that publish it."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import ClassVar
 
 from ..messages.explanation import Explanation
 from ..messages.trust import MonitorTest, Outcome, TrustMonitor
-from ..words.words import reason
+from ..words.words import reason, said
 
+GNSS, IMU, ODOMETER = "gnss", "imu", "odometer"  # accused by name; satellites and neighbours by theirs
+SATELLITE_LEFT_OUT = "cooperative.left_out"  # code of the test of one that the others are evaluated without
 ORDER = (Outcome.NOT_EVALUATED, Outcome.PASS, Outcome.ACCUSES)
 
 
@@ -51,14 +54,56 @@ class Test:
         return ORDER.index(self.outcome), ratio
 
 
+NOTHING: Mapping[str, Test] = MappingProxyType({})
+
+
+def judged(base: Test, statistic: float, threshold: float, *, accuses: bool | None = None) -> Test:
+    """Complete a test that has been evaluated; without `accuses` it accuses above its threshold."""
+    above = statistic > threshold if accuses is None else accuses
+    return replace(
+        base, outcome=Outcome.ACCUSES if above else Outcome.PASS, statistic=statistic, threshold=threshold
+    )  # fmt: skip
+
+
+def lasting(new: Test, old: Test | None, time_ns: int) -> Test:
+    """Carry over since when an outcome lasts."""
+    lasts = old is not None and new.outcome is old.outcome and old.since_ns is not None
+    return replace(new, since_ns=old.since_ns if lasts and old is not None else time_ns)
+
+
 def dated(new: Test, old: Test | None, time_ns: int) -> Test:
     """Carry over since when an outcome lasts and, while a test accuses, the earliest suspect time."""
-    if old is None or new.outcome is not old.outcome or old.since_ns is None:
-        return replace(new, since_ns=time_ns)
+    found = lasting(new, old, time_ns)
+    if old is None or not (new.accuses and old.accuses):
+        return found
     suspect = [t for t in (old.suspect_since_ns, new.suspect_since_ns) if t is not None]
-    if new.accuses and suspect:
-        return replace(new, suspect_since_ns=min(suspect), since_ns=old.since_ns)
-    return replace(new, since_ns=old.since_ns)
+    return replace(found, suspect_since_ns=min(suspect, default=None))
+
+
+def deciding(tests: Collection[Test]) -> Test:
+    """Sum up tests of which each may accuse: the one of the largest weight, accused as narrowly as one of them does."""
+    first = max(tests, key=lambda one: one.weight)
+    same = [one.since_ns for one in tests if one.outcome is first.outcome and one.since_ns is not None]
+    accusing = [one for one in tests if one.accuses]
+    suspect = [one.suspect_since_ns for one in accusing if one.suspect_since_ns is not None]
+    return replace(
+        first, since_ns=min(same, default=None), suspect_since_ns=min(suspect, default=None),
+        accused=min((one.accused for one in accusing), key=len, default=()),
+        doubtful=any(one.doubtful for one in tests),
+    )  # fmt: skip
+
+
+def complete(why: Explanation, of: Test | MonitorTest | TrustMonitor) -> Explanation:
+    """Add the statistic, the threshold and the window of a test, which are not repeated in its explanation."""
+    figures = {"statistic": of.statistic, "threshold": of.threshold, "window_s": of.window_s}
+    known = {name: value for name, value in figures.items() if value is not None}
+    return why.model_copy(update={"values": {**known, **why.values}})
+
+
+def told(message: MonitorTest | TrustMonitor) -> str:
+    """Say why a test or a monitor has its outcome: by its code, and by its own text where it has none."""
+    code = message.reason_code
+    return said(message.reason, None if code is None else complete(code, message))
 
 
 def published(name: str, test: Test) -> MonitorTest:
@@ -69,15 +114,12 @@ def published(name: str, test: Test) -> MonitorTest:
     )  # fmt: skip
 
 
-def statement(
-    monitor: str, deciding: Test, time_ns: int, tests: Mapping[str, Test] | tuple[MonitorTest, ...] = ()
-) -> TrustMonitor:
+def statement(monitor: str, decides: Test, time_ns: int, tests: Mapping[str, Test] = NOTHING) -> TrustMonitor:
     """Message of a monitor: its deciding test, and all of them by name."""
-    each = tuple(published(name, test) for name, test in tests.items()) if isinstance(tests, Mapping) else tests
     return TrustMonitor(
-        sampled_ns=time_ns, monitor=monitor, outcome=deciding.outcome, reason=reason(deciding.why),
-        reason_code=deciding.why, accused=deciding.accused if deciding.accuses else (), doubtful=deciding.doubtful,
-        suspect_since_ns=deciding.suspect_since_ns if deciding.accuses else None, since_ns=deciding.since_ns,
-        statistic=deciding.statistic, threshold=deciding.threshold, false_alarm_rate=deciding.false_alarm_rate,
-        window_s=deciding.window_s, tests=each,
+        sampled_ns=time_ns, monitor=monitor, outcome=decides.outcome, reason=reason(complete(decides.why, decides)),
+        reason_code=decides.why, accused=decides.accused if decides.accuses else (), doubtful=decides.doubtful,
+        suspect_since_ns=decides.suspect_since_ns if decides.accuses else None, since_ns=decides.since_ns,
+        statistic=decides.statistic, threshold=decides.threshold, false_alarm_rate=decides.false_alarm_rate,
+        window_s=decides.window_s, tests=tuple(published(name, test) for name, test in tests.items()),
     )  # fmt: skip

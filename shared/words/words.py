@@ -22,12 +22,16 @@ FOLDER = Path(__file__).parent
 OWNERS = {
     "trust": "services/core/trust",
     "fusion": "services/core/fusion",
+    "spoofing": "services/core/spoofing",
+    "motion": "services/core/motion_conflict",
+    "evidence": "services/core/evidence",
+    "cooperative": "services/core/cooperative",
     "banner": "services/monitoring/status/views",
 }
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")
 REASON_LENGTH = 400  # of a message
-PLACEHOLDER = re.compile(r"\{(\w+)(?::(\w+))?(?::(and|or))?\}")
+PLACEHOLDER = re.compile(r"\{(\w+)(?::(?!(?:and|or)\})(\w+))?(?::(and|or))?\}")
 SUBJECT, TEXT = "subject", "text"
 Tables = dict[str, dict[str, str]]
 Names = Mapping[str, Mapping[str, str]]
@@ -38,9 +42,9 @@ class Row:
     """Words of one code.
 
     A placeholder is `{name:quantity}` for a number, `{name:table}` for a word of an enumeration or several of them
-    (joined by "or", as `{name:table:and}` by "and"),
-    `{name}` for references and quotations, `{subject}` for the subject, and `{name:text}` for a text of another
-    message that has no code.
+    (joined by "or", as `{name:table:and}` by "and"), `{name}` or `{name:and}` for references, `{name}` for quotations,
+    `{subject}` for the subject, and `{name:text}` for a text of another message that has no code. `statistic`,
+    `threshold` and `window_s` may be those of the test that an explanation belongs to (`shared/trust`).
     """
 
     sentence: str = ""  # one line for a driver, without figures
@@ -50,25 +54,36 @@ class Row:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.0f} s" if isinstance(value, int) or abs(value) >= 60.0 else f"{value:.1f} s"
+    return f"{value:.0f} s" if value == round(value) or abs(value) >= 60.0 else f"{value:.1f} s"
 
 
 def _plain_number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
+def _speed(value: float) -> str:
+    return f"{value:z.1f} m/s" if abs(value) >= 1.0 else f"{value:z.2f} m/s"
+
+
 # A number's quantity: end of the names of its values, and how it is written. Angles are in radians or degrees.
 QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
-    "distance": (("_m",), lambda value: f"{value:.1f} m"),
-    "speed": (("_m_s",), lambda value: f"{value:.1f} m/s"),
+    "distance": (("_m",), lambda value: f"{value:z.1f} m"),
+    "length": (("_m",), lambda value: f"{value:z.2f} m"),
+    "speed": (("_m_s",), _speed),
+    "acceleration": (("_m_s2",), lambda value: f"{value:z.3f} m/s²"),
     "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
-    "acceleration": (("_m_s2",), lambda value: f"{value:.2f} m/s²"),
-    "rate": (("_deg_s",), lambda value: f"{value:.2f} °/s"),
+    "turn_rate": (("_deg_s",), lambda value: f"{value:z.2f}°/s"),
     "duration": (("_s",), _seconds),
-    "delay": (("_s",), lambda value: f"{value:.2f} s"),
+    "time_offset": (("_s",), lambda value: f"{value:z.3f} s"),
+    "clock_offset": (("_s",), lambda value: f"{1e9 * value:z.0f} ns"),
+    "clock_drift": (("_ratio",), lambda value: f"{1e9 * value:z.0f} ns/s"),
+    "ratio": (("_ratio",), lambda value: f"{value:.3f}"),
+    "carrier_to_noise": (("_db_hz",), lambda value: f"{value:.1f} dB-Hz"),
+    "level_difference": (("_db",), lambda value: f"{value:.1f} dB"),
+    "delay": (("_s",), lambda value: f"{value:z.2f} s"),
     "factor": (("ratio",), lambda value: f"{value:.3g}"),
     "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
-    "number": (("statistic", "threshold", "count"), _plain_number),
+    "number": (("statistic", "threshold", "count", "number"), _plain_number),
 }
 INSTANT = "instant"  # a stamp, shown as time of day
 INSTANT_ENDING = "_ns"
@@ -163,6 +178,11 @@ class Words:
         if not names:
             return self.format["nothing"]
         return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
+def said(text: str, code: Explanation | None, zone: tzinfo = UTC) -> str:
+    """Say why, of a message: by the words of its code, else by its own text as it is, else by the code itself."""
+    return text if code is None else words().detail(code, zone) or text or code.code
 
 
 def reason(*explanations: Explanation) -> str:

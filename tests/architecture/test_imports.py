@@ -37,6 +37,7 @@ PURE_SHARED |= {"shared.chosen"}  # which of several devices is used
 PURE_SHARED |= {"shared.missing_sensors"}  # words of the verdict without a sensor
 PURE_SHARED |= {"shared.load"}  # which work is paused while a computer is too slow
 PURE_SHARED |= {"shared.words"}  # rows of data, read once
+PURE_SHARED |= {"shared.trust"}  # the result of a test of a monitor
 PURE_SHARED |= {"shared.copies"}  # shallow copies of objects
 PURE_SHARED |= {"shared.maths.compiled"}  # it changes how fast mathematics runs, and not what comes of it
 

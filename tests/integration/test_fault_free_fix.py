@@ -5,6 +5,7 @@ from math import degrees, radians
 
 import pytest
 
+from services.core.cooperative.codes import Code
 from services.sensors.simulator.world import messages
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.base import Message
@@ -97,4 +98,6 @@ def test_gnss_is_accused_where_raw_measurements_end_while_a_satellite_is_exclude
 
     found = [one for one in OfflineUnit(parse_vehicle(""), CORE).run(cut()) if isinstance(one, TrustMonitor)]
     satellites = [one for one in found if one.monitor == "satellites"]
-    assert satellites[-1].accused == ("gnss",) and "a satellite was excluded before" in satellites[-1].reason
+    why = satellites[-1].reason_code
+    assert satellites[-1].accused == ("gnss",)
+    assert why is not None and why.code == Code.SILENT_AFTER_EXCLUSION

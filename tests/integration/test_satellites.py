@@ -5,8 +5,10 @@ from typing import Any
 
 import pytest
 
+from services.core.cooperative.codes import Code
 from services.core.cooperative.process import Config, Process
 from services.sensors.simulator.world import messages
+from shared.messages.explanation import explain
 from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRawEpoch
 from shared.messages.trust import Outcome, TrustMonitor
 from shared.runtime.config import parse_vehicle
@@ -33,7 +35,8 @@ def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_complete(scen
     assert {one.monitor for one in found} == {"satellites"} and len(found) > 55
     begin, later = found[0], found[EPHEMERIDES_S + 2 :]
     assert begin.outcome is Outcome.NOT_EVALUATED and begin.reason
-    assert "ephemerides of 0 of" in found[10].reason
+    why = found[10].reason_code
+    assert why is not None and (why.code, why.values["known_count"]) == (Code.EPHEMERIDES_MISSING, 0)
     assert {one.outcome for one in later} == {Outcome.PASS} and len(later) > 20
     assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in later)
 
@@ -41,7 +44,7 @@ def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_complete(scen
 def test_in_a_tunnel_the_monitor_is_not_evaluated_with_a_reason() -> None:
     found = statements("tunnel", 1, 80.0)
     assert found[-1].outcome is Outcome.NOT_EVALUATED
-    assert found[-1].reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
+    assert found[-1].reason_code == explain(Code.NO_MEASUREMENTS)
 
 
 def pushed(epoch: GnssRawEpoch, row: int) -> GnssRawEpoch:

@@ -8,11 +8,15 @@ from collections.abc import Iterator
 from math import isclose
 
 import pytest
+from pydantic_core import to_json
 
 from services.parsers.gnss.protocols import FRAMINGS
 from shared.messages.base import Message
+from shared.messages.trust import MonitorTest, TrustMonitor
 from shared.protocols.framing.framer import Framer
 from shared.runtime.offline import OfflineUnit
+from shared.trust.result import complete
+from shared.words.words import words
 from tests.support.drives.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
 from tests.support.gnss.ublox import parse_nmea, parse_ubx
 
@@ -77,6 +81,19 @@ def test_every_stored_byte_is_replayed() -> None:
     for message in device_bytes():
         replayed[type(message)] += len(message.data)
     assert replayed == {kind: (FOLDER / name).stat().st_size for name, kind in FILES.items()}
+
+
+def test_every_explanation_of_a_monitor_has_words(computed: list[Row]) -> None:
+    monitors = [
+        TrustMonitor.model_validate_json(to_json({name: value for name, value in row.items() if name != "type"}))
+        for row in computed
+        if row["type"] == "TrustMonitor"
+    ]
+    explained: list[TrustMonitor | MonitorTest] = [*monitors, *(test for one in monitors for test in one.tests)]
+    assert len(explained) > 60
+    for one in explained:
+        assert one.reason_code is not None
+        assert words().detail(complete(one.reason_code, one)), one.reason_code
 
 
 TEXTS = frozenset(("reason", "reasons", "findings", "missing", "exclusion_declined", "held_reason", "sentence"))

@@ -83,7 +83,7 @@ def _monitored(drive: Drive, begin_ns: int) -> tuple[InertialSpeed, tuple[int, i
         for time_ns, value in zip(drive.odometer_ns[wheels].tolist(), drive.odometer[wheels].tolist(), strict=True):
             monitor.odometer(time_ns, value)
         verdict = monitor.verdict(end_ns)
-        if verdict.accused and verdict.suspect_since_ns is not None and first is None:
+        if verdict.accuses and verdict.suspect_since_ns is not None and first is None:
             first = (end_ns, verdict.suspect_since_ns)
     return monitor, first
 

@@ -5,10 +5,14 @@ from math import degrees, hypot, sqrt
 from shared.maths.earth import geodetic_from_ecef
 from shared.maths.quantiles import chi_square_limit, circle_factor, line_factor
 from shared.messages.base import Symmetric3
+from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
+from shared.words.words import reason
 
+from .codes import Code
 from .measurements import FloatArray
 from .satellites.leave_out import LeftOut, solutions_without
+from .satellites.monitor import no_redundancy
 from .satellites.solution import PositionFit
 
 SOURCE = "core.cooperative"
@@ -20,7 +24,7 @@ SPEED_MAXIMUM_M_S = 1e4  # above that of a satellite
 
 
 def satellite_hypotheses(
-    position: PositionFit | None, why_not: str | None, time_ns: int, *, false_alarm_rate: float, risk: float
+    position: PositionFit | None, why_not: Explanation | None, time_ns: int, *, false_alarm_rate: float, risk: float
 ) -> TrustHypotheses:
     """Give the positions without each satellite and each constellation.
 
@@ -28,7 +32,7 @@ def satellite_hypotheses(
     ----------
     position : PositionFit or None
         All in view, suspected satellites included; None without a solution.
-    why_not : str or None
+    why_not : Explanation or None
         Why there is none.
     time_ns : int
         [ns, OBU time line] Of the epoch.
@@ -48,18 +52,16 @@ def satellite_hypotheses(
     if position is not None:
         shown = [one for left in found if (one := _solution(position, left, time_ns, rate, risk)) is not None]
     if not shown:
-        why = why_not or _why_none(position)
-        return TrustHypotheses(sampled_ns=time_ns, source=SOURCE, missing=((Hypothesis.SATELLITES, why[:400]),))
+        why = reason(why_not or _why_none(position))
+        return TrustHypotheses(sampled_ns=time_ns, source=SOURCE, missing=((Hypothesis.SATELLITES, why),))
     shown.sort(key=_ratio, reverse=True)
     return TrustHypotheses(sampled_ns=time_ns, source=SOURCE, solutions=tuple(shown[:SOLUTIONS_MAXIMUM]))
 
 
-def _why_none(position: PositionFit | None) -> str:
+def _why_none(position: PositionFit | None) -> Explanation:
     if position is None:
-        return "no solution from the usable satellites"
-    if position.fit.dof < 1:
-        return f"no redundancy: {len(position.satellites)} satellites, {len(position.clocks)} clocks"
-    return "no position is determined without one of the satellites, or too few range-rates are received"
+        return explain(Code.NO_SOLUTION, usable_count=0)
+    return no_redundancy(position) if position.fit.dof < 1 else explain(Code.NOT_DETERMINED)
 
 
 def _ratio(solution: HypothesisSolution) -> float:

@@ -4,9 +4,10 @@ Times are integer nanoseconds of GPS time since 1980-01-06; Galileo system time 
 the clock of each constellation absorbs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import islice
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -14,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.rotation import Vector
-from shared.messages.trust import Outcome
+from shared.messages.explanation import Reference, ReferenceKind
+from shared.trust.result import Test
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -39,6 +41,19 @@ class SatelliteId(NamedTuple):
     def __str__(self) -> str:
         """As RINEX names it: G05, E11."""
         return f"{'G' if self.constellation == Constellation.GPS else 'E'}{self.number:02d}"
+
+    @property
+    def reference(self) -> Reference:
+        """Reference of an explanation."""
+        return Reference(kind=ReferenceKind.SATELLITE, name=str(self))
+
+
+MOST_NAMED = 16  # satellites or neighbours in an explanation; more at once are a fault of all
+
+
+def references(found: "Iterable[SatelliteId | NeighbourFinding]") -> tuple[Reference, ...]:
+    """References of satellites or neighbours, the first ones of many."""
+    return tuple(one.reference for one in islice(found, MOST_NAMED))
 
 
 @dataclass(frozen=True)
@@ -92,28 +107,29 @@ class SatelliteSolution:
 class NeighbourFinding:
     """Test of one neighbour's range-rate."""
 
-    name: str
+    name: str  # ID of its station
     innovation_m_s: float
     t: float  # innovation over its standard deviation
     threshold: float
     excluded: bool
 
+    @property
+    def reference(self) -> Reference:
+        """Reference of an explanation."""
+        return Reference(kind=ReferenceKind.NEIGHBOUR, name=self.name)
+
 
 @dataclass(frozen=True)
-class SatelliteVerdict:
-    """The verdict of one epoch, with its evidence.
+class SatelliteVerdict(Test):
+    """The result of the test of one epoch, with its evidence.
 
     `outcome` accuses while a satellite is excluded or a fault is detected; `fault_free` says whether the solution is
     free of it. An accusation without satellites is a fault that could not be attributed; `suspects` are satellites
-    that explain the fault as well as those that were excluded, in which case nothing says that it is gone.
+    that explain the fault as well as those that were excluded, in which case nothing says that it is gone. The
+    statistic is T of the satellites that remain.
     """
 
-    outcome: Outcome
-    reason: str | None = None
-    statistic: float | None = None  # T of the satellites that remain
-    threshold: float | None = None
     dof: int = 0
-    false_alarm_rate: float = 0.0
     excluded: tuple[SatelliteId, ...] = ()
     suspects: tuple[SatelliteId, ...] = ()
     fault_free: bool = False

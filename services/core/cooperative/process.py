@@ -12,6 +12,7 @@ from pydantic import Field
 from shared.chosen import ChosenSource, receiver_choice
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.base import Symmetric3, Tick
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.neighbours import Neighbour, NeighbourStates
 from shared.messages.operation import ModeState
@@ -19,13 +20,14 @@ from shared.messages.trust import Outcome, TrustHypotheses, TrustMonitor
 from shared.runtime.config import VehicleSettings
 
 from .broadcast.store import EphemerisStore
+from .codes import Code
 from .fault_free import fault_free_fix
 from .hypotheses import satellite_hypotheses
 from .measurements import Constellation, Measurement, RawEpoch, SatelliteId, SatelliteVerdict
 from .satellites.model import ErrorModel
 from .satellites.monitor import RaimSettings, SatelliteMonitor
 from .satellites.solution import PositionFit
-from .statements import NEIGHBOUR, Since, after, silent, statement, why_not
+from .statements import SatelliteStatements, why_not, why_silent
 from .v2x.bank import BankSettings
 from .v2x.monitor import CooperativeMonitor, CooperativeSettings
 from .v2x.neighbours import NeighbourReport
@@ -79,7 +81,6 @@ class Process:
         self._rate, self._risk = config.false_alarm_rate, config.integrity_risk
         model = replace(ErrorModel(), elevation_mask_rad=radians(config.elevation_mask_deg))
         self._plain = SatelliteMonitor(RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model))
-        self._alert_limit_m = config.vehicle.alert_limit_horizontal_m
         self._cooperative: CooperativeMonitor | None = None
         if config.method != "plain":
             self._cooperative = CooperativeMonitor(
@@ -90,7 +91,7 @@ class Process:
                     paper_construction=config.method == "paper",
                 )
             )
-            self._cooperative.alert_limit_m = self._alert_limit_m
+            self._cooperative.alert_limit_m = config.vehicle.alert_limit_horizontal_m
         self._plainly_excluded: frozenset[SatelliteId] = frozenset()  # by plain RAIM, in the epoch before
         self._neighbours: deque[NeighbourStates] = deque()
         self._radio: str | None = None
@@ -101,7 +102,7 @@ class Process:
         self._gps_minus_obu_ns: int | None = None
         self._receivers = ChosenSource(receiver_choice)
         self._epoch_ns: int | None = None  # stamp of the newest epoch that was evaluated
-        self._since = Since()
+        self._statements = SatelliteStatements(config.vehicle.alert_limit_horizontal_m)
 
     @property
     def rejects(self) -> Counter[str]:
@@ -125,9 +126,8 @@ class Process:
             case Tick():
                 self._now(message.now_ns)
                 if self._is_silent(message.now_ns):
-                    why = self._why_silent(message.now_ns)
-                    yield self._remembered(silent(why, message.now_ns, self._epoch_ns, self._since))
-                    yield self._hypotheses(None, why, message.now_ns)
+                    yield self._statements.silent(message.now_ns, self._epoch_ns)
+                    yield self._hypotheses(None, why_silent(message.now_ns, self._epoch_ns), message.now_ns)
 
     def _use_epoch(self, message: GnssRawEpoch) -> Iterator[Out]:
         if not self._receivers.takes(message.source, message.received_ns):
@@ -144,15 +144,13 @@ class Process:
         plain, cooperative = self._evaluate(epoch, reports)
         counted = {**(cooperative.rejected if cooperative else {}), **plain.rejected}
         self._rejected.update({reason: n for reason, n in counted.items() if reason not in ORDINARY})
-        yield self._remembered(
-            statement(plain, cooperative, epoch, message.sampled_ns, self._since, self._alert_limit_m)
-        )
+        yield self._statements.of_epoch(plain, cooperative, epoch, message.sampled_ns)
         if (fix := fault_free_fix(plain, message)) is not None:
             yield fix
         all_in_view = self._plain.all_in_view()
         yield self._hypotheses(all_in_view, None if all_in_view else why_not(plain, epoch), message.sampled_ns)
 
-    def _hypotheses(self, all_in_view: PositionFit | None, why: str | None, time_ns: int) -> TrustHypotheses:
+    def _hypotheses(self, all_in_view: PositionFit | None, why: Explanation | None, time_ns: int) -> TrustHypotheses:
         return satellite_hypotheses(all_in_view, why, time_ns, false_alarm_rate=self._rate, risk=self._risk)
 
     def _evaluate(
@@ -177,13 +175,13 @@ class Process:
         restarts = len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store)
         if restarts:
             cooperative.restart()
-            reason = "all satellites contradict the filters and agree with one another: the filters start anew"
             helped = SatelliteVerdict(
-                Outcome.NOT_EVALUATED, reason, neighbours=helped.neighbours, rejected=helped.rejected
-            )
+                Outcome.NOT_EVALUATED, explain(Code.FILTERS_RESTART), neighbours=helped.neighbours,
+                rejected=helped.rejected,
+            )  # fmt: skip
         plain = plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded))
         if restarts:
-            plain = replace(plain, outcome=Outcome.ACCUSES, fault_free=False, reason=helped.reason)
+            plain = replace(plain, outcome=Outcome.ACCUSES, fault_free=False, why=helped.why)
         if plain.fault_free:
             excluded = frozenset(plain.excluded)
             cooperative.exclude(excluded - self._plainly_excluded)
@@ -236,15 +234,6 @@ class Process:
     def _is_silent(self, now_ns: int) -> bool:
         return self._epoch_ns is None or abs(now_ns - self._epoch_ns) > self._silent_ns
 
-    def _why_silent(self, now_ns: int) -> str:
-        if self._epoch_ns is None:
-            return "no raw measurements: the receiver has sent none"
-        return f"no raw measurements for {abs(now_ns - self._epoch_ns) / 1e9:.0f} s"
-
-    def _remembered(self, published: TrustMonitor) -> TrustMonitor:
-        self._since = after(published, self._since)
-        return published
-
 
 def _measurement(one: RawMeasurement) -> Measurement | None:
     """Measurement of a signal on L1 or E1 with a valid pseudorange; None of any other."""
@@ -259,7 +248,7 @@ def _report(one: Neighbour, gps_time_ns: int) -> NeighbourReport:
     place = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), one.height_ellipsoid_m)
     vx, vy, vz = (ned_from_ecef(place.latitude, place.longitude).T @ np.array(one.velocity_ned_m_s)).tolist()
     return NeighbourReport(
-        f"{NEIGHBOUR} {one.station_id}", ecef_from_geodetic(place), (vx, vy, vz),
+        str(one.station_id), ecef_from_geodetic(place), (vx, vy, vz),
         largest_sd(one.position_cov_ned_m2), largest_sd(one.velocity_cov_ned_m2_s2),
         one.cfo_hz, one.oscillator_offset, one.cfo_sd_hz, gps_time_ns,
     )  # fmt: skip

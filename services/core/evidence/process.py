@@ -1,21 +1,24 @@
 """Judges what the GNSS receiver says of jamming, spoofing, its signals and its clock."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from shared.chosen import ChosenSource, receiver_choice, receiver_of
 from shared.messages.base import Tick
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import GnssFix, GnssSatellites, GnssSignalQuality
 from shared.messages.operation import HostClock, ModeState
-from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
+from shared.messages.trust import Outcome, TrustMonitor
+from shared.trust.result import Test, statement
 
+from .codes import Code
 from .monitor import EvidenceMonitor
 from .settings import Settings
 
 In = GnssSignalQuality | GnssSatellites | GnssFix | HostClock | ModeState | Tick
 RESTART_NS = 5_000_000_000  # by which an arrival is earlier than the newest one where a time line starts again
 OWN_TESTS = ("spoofing_flag", "jamming_flag", "gain", "cn0_level", "cn0_spread", "clock")
-NOTHING = "the receiver states nothing of its status, clock, satellites, radio paths or signal security"
 
 
 class Config(Settings):
@@ -64,37 +67,33 @@ class Process:
 
     def _statement(self, now_ns: int) -> TrustMonitor:
         tests = self._monitor.results(now_ns)
-        newest_ns = self._monitor.newest_ns
-        outcome = _outcome(tests)
-        deciding = max((test for test in tests if test.outcome is outcome), key=_ratio, default=None)
-        accuses = outcome is Outcome.ACCUSES
-        return TrustMonitor(
-            sampled_ns=now_ns if newest_ns is None or accuses else min(newest_ns, now_ns), monitor="evidence",
-            outcome=outcome, reason=_reason(tests, outcome, never=newest_ns is None),
-            accused=("gnss",) if accuses else (), suspect_since_ns=self._monitor.suspect_since_ns(now_ns),
-            since_ns=None if deciding is None else deciding.since_ns,
-            statistic=None if deciding is None else deciding.statistic,
-            threshold=None if deciding is None else deciding.threshold, tests=tuple(tests),
+        newest_ns, outcome = self._monitor.newest_ns, _outcome(tests)
+        decides = max((test for test in tests.values() if test.outcome is outcome), key=lambda test: test.weight)
+        suspect = [test.suspect_since_ns for test in tests.values() if test.accuses]
+        decides = replace(
+            decides, why=_why(tests, decides, never=newest_ns is None),
+            suspect_since_ns=min((since_ns for since_ns in suspect if since_ns is not None), default=None),
         )  # fmt: skip
+        current = newest_ns is None or decides.accuses
+        return statement("evidence", decides, now_ns if current else min(newest_ns or now_ns, now_ns), tests)
 
 
-def _outcome(tests: list[MonitorTest]) -> Outcome:
+def _outcome(tests: Mapping[str, Test]) -> Outcome:
     """Accuses if any test does; passes if any test of what the receiver says of itself does."""
-    if any(test.outcome is Outcome.ACCUSES for test in tests):
+    if any(test.accuses for test in tests.values()):
         return Outcome.ACCUSES
-    passed = any(test.outcome is Outcome.PASS and test.name in OWN_TESTS for test in tests)
+    passed = any(tests[name].outcome is Outcome.PASS for name in OWN_TESTS)
     return Outcome.PASS if passed else Outcome.NOT_EVALUATED
 
 
-def _reason(tests: list[MonitorTest], outcome: Outcome, *, never: bool) -> str:
-    if outcome is Outcome.NOT_EVALUATED:
-        return NOTHING if never else "; ".join(test.reason for test in tests if test.name in OWN_TESTS)[:400]
-    if outcome is Outcome.ACCUSES:
-        return "; ".join(test.reason for test in tests if test.outcome is outcome)[:400]
-    missing = [test.name for test in tests if test.outcome is Outcome.NOT_EVALUATED]
-    count = f"{len(tests) - len(missing)} of {len(tests)} tests pass"
-    return f"{count}; not evaluated: {', '.join(missing)}" if missing else count
-
-
-def _ratio(test: MonitorTest) -> float:
-    return test.statistic / test.threshold if test.statistic is not None and test.threshold else 0.0
+def _why(tests: Mapping[str, Test], decides: Test, *, never: bool) -> Explanation:
+    """Why the monitor has its outcome: an accusation by the test that decides."""
+    if decides.accuses:
+        return decides.why
+    missing = tuple(name for name, test in tests.items() if not test.evaluated)
+    if not decides.evaluated:
+        return explain(Code.NOTHING_STATED) if never else explain(Code.NOTHING_EVALUATED, missing=missing)
+    passed = len(tests) - len(missing)
+    if not missing:
+        return explain(Code.PASSES, passed_count=passed, tests_count=len(tests))
+    return explain(Code.PASSES_PARTLY, passed_count=passed, tests_count=len(tests), missing=missing)

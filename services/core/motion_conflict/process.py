@@ -14,13 +14,14 @@ from shared.messages.operation import ModeState
 from shared.messages.trust import LearnedScale, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import VehicleFile, vehicle_in
+from shared.trust.result import statement
 
 from .calibration import LEARNED_DELAY_SD_S
 from .inertial_speed.monitor import InertialSpeed, geometry_of
 from .inertial_speed.scale_change import LEAST_BENDS, Learned
 from .monitor import MotionMonitor
 from .settings import Settings
-from .statements import ScaleStatement, statements
+from .statements import statements
 
 In = ImuSamples | GnssFix | VehicleSpeed | TrustState | LearnedScale | ModeState | Tick
 Out = TrustMonitor | LearnedScale
@@ -66,7 +67,6 @@ class Process:
             geometry=geometry_of(facts.rear_axle_body_m, facts.gnss.lever_arm_body_m),
             common_sd=config.inertial_scale_sd, rejected=self._monitor.rejected,
         )  # fmt: skip
-        self._statement = ScaleStatement()
         self._newest_ns, self._odometer = 0, config.odometer
         self._speed, self._imu, self._fix = (ChosenSource(one) for one in (speed_choice, imu_choice, gnss_choice))
         self._imu_source = ""  # of the newest samples
@@ -99,7 +99,7 @@ class Process:
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
                 yield from statements(self._monitor.verdicts(time_ns), time_ns)
-                yield self._statement.of(self.inertial.verdict(time_ns), time_ns)
+                yield statement("coherent_scale", self.inertial.verdict(time_ns), time_ns)
                 yield from self._lesson(time_ns)
 
     def _lesson(self, time_ns: int) -> Iterator[LearnedScale]:

@@ -9,8 +9,10 @@ from collections import deque
 from collections.abc import Iterable
 
 from shared.inertial.increments import SECOND_NS
+from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import LearnedGrade, Outcome, TrustState
 
+from .codes import Code
 from .profile import LearnedDrive, Origin, Profile, learn
 from .windows.metrics import Metric
 from .windows.short_window import Window
@@ -53,18 +55,13 @@ class Lesson:
             self._long += long_statistics
 
     @property
-    def progress(self) -> str:
-        """How far the lesson is, for people."""
-        minutes = len(self._windows) / 60.0
-        if minutes >= NEEDED_S / 60.0:
-            return f"learning: {minutes:.0f} min are learned, used from the next start on"
-        what = f"learning the grade of this IMU: {minutes:.0f} of {NEEDED_S // 60} min"
-        if not self._vouched:
-            what += (
-                "; this needs an odometer or raw measurements that vouch for GNSS, or `grade` in [core.spoofing], or "
-                "`obu calibrate spoofing`"
-            )
-        return what
+    def progress(self) -> Explanation:
+        """How far the lesson is."""
+        learned_s = len(self._windows)  # one a second
+        if learned_s >= NEEDED_S:
+            return explain(Code.LEARNED, learned_s=learned_s)
+        code = Code.LEARNING if self._vouched else Code.LEARNING_UNVOUCHED
+        return explain(code, learned_s=learned_s, needed_s=NEEDED_S)
 
     def is_due(self, time_ns: int) -> bool:
         """Whether there is enough, and a minute has passed since the last result."""

@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import degrees
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -11,13 +12,16 @@ import numpy.typing as npt
 from shared.inertial.increments import SECOND_NS, Decimator, Increment
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import Outcome
+from shared.trust.inputs import Input, absent
+from shared.trust.result import GNSS, IMU, Test, dated, judged
 
+from .codes import Code
 from .inertial.anchors import anchor_of, filter_anchor_of
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
-from .verdicts import EITHER, GNSS, Verdict, dated
 from .windows.long_window import LENGTHS_S, WAYS_S, LongResult, LongWindow, WayResult
 from .windows.metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .windows.position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
@@ -34,6 +38,7 @@ class Limits(NamedTuple):
     accuse: float
 
 
+BY_GNSS, BY_EITHER = (GNSS,), (GNSS, IMU)  # one difference of the two says the same of both
 Published = TypeVar("Published", NavigationSolution, FilterState)
 
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
@@ -67,7 +72,7 @@ class InertialMonitor:
         self._resolution = 0.0
         self.long = LongWindow(s)
         self.window: Window | None = None  # newest one of 5 s
-        self._window_missing = ""
+        self._window_missing = explain(Code.FEW_VELOCITIES)
         self._step: PositionStep | None = None  # over the same 5 s
         self._decided = False  # the odometer agrees with the inertial sensors, and not with GNSS
         self._fix_ns: int | None = None  # newest stamp, before the delay
@@ -76,11 +81,11 @@ class InertialMonitor:
         self._ways: dict[int, WayResult | None] = {}
         self._doubts: Counter[int] = Counter()  # successive evaluations of each way above the threshold of doubt
         self._inconspicuous_ns: dict[str, int] = {}  # newest evaluation of each long window below the median
-        self._known: dict[str, Verdict] = {}
+        self._known: dict[str, Test] = {}
         self._differences = PositionDifferences()
         self._in_conflict = False  # of GNSS with other sensors, by core.trust
         self._aligned_ns: int | None = None  # since when there have been solutions without a break
-        self.learning = ""  # why nothing is evaluated, although everything could be compared
+        self.learning: Explanation | None = None  # why nothing is evaluated, although everything could be compared
         self.long_statistics: dict[str, float] = {}  # newest of each test of the long windows, over its threshold
 
     def inertial(self, times_ns: Sequence[int], forces_b: Sequence[Vector], rates_b: Sequence[Vector]) -> None:
@@ -178,7 +183,7 @@ class InertialMonitor:
         if not self._states or state.sampled_ns > self._states[-1].sampled_ns:
             self._states.append(state)
 
-    def verdicts(self, time_ns: int) -> Mapping[str, Verdict]:
+    def verdicts(self, time_ns: int) -> Mapping[str, Test]:
         """Evaluate everything received; give the six metrics by name, `position_step`, `long_30` and `long_60`.
 
         A fix counts when the increments have passed it. While a window accuses, propagations start only from solutions
@@ -186,16 +191,14 @@ class InertialMonitor:
         """
         self._integrate()
         self._propagate()
-        found: dict[str, Verdict] = {**self._short(time_ns)}
+        found: dict[str, Test] = {**self._short(time_ns)}
         found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
         found |= {f"way_{length}": self._way(time_ns, length) for length in WAYS_S}
         if self.learning and self._missing(time_ns) is None:
-            found = {name: _withheld(verdict, self.learning) for name, verdict in found.items()}
-        self._known = {name: dated(verdict, self._known.get(name), time_ns) for name, verdict in found.items()}
+            found = {name: _withheld(test, self.learning) for name, test in found.items()}
+        self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in found.items()}
         suspect = [
-            verdict.suspect_since_ns
-            for verdict in self._known.values()
-            if verdict.outcome is Outcome.ACCUSES and verdict.suspect_since_ns is not None
+            test.suspect_since_ns for test in self._known.values() if test.accuses and test.suspect_since_ns is not None
         ]
         if suspect:
             self.long.accuse(min(suspect))
@@ -270,13 +273,13 @@ class InertialMonitor:
         if self.window is not None and newest_ns // SECOND_NS == self.window.end_ns // SECOND_NS:
             return
         chosen = window_of_fixes(list(self._fixes))
-        if isinstance(chosen, str):
+        if isinstance(chosen, Explanation):
             self._no_window(chosen)
             return
         known = [s for s in self._solutions if s.sampled_ns <= chosen[0].time_ns]
         run = [] if not known else [i for i in self._increments if i.start_ns >= known[-1].sampled_ns - MATCH_NS]
         if not run or abs(run[0].start_ns - known[-1].sampled_ns) > MATCH_NS or run[-1].end_ns < newest_ns:
-            self._no_window("no attitude, or a gap in the inertial samples, at the start of the window")
+            self._no_window(explain(Code.NO_START))
             return
         window = compare(
             chosen, run, anchor_of(known[-1]), lever_arm_b=self._lever_arm, height_rate=self._heights.rate
@@ -343,122 +346,125 @@ class InertialMonitor:
         agreed_ns = self._inconspicuous_ns.get(key, anchor_ns)
         return max(anchor_ns, agreed_ns - round(2.0 * WINDOW_S * SECOND_NS))
 
-    def _no_window(self, reason: str) -> None:
-        self.window, self._window_missing = None, reason
+    def _no_window(self, why: Explanation) -> None:
+        self.window, self._window_missing = None, why
         self._exceeded.clear()
 
-    def _missing(self, time_ns: int) -> str | None:
+    def _missing(self, time_ns: int) -> Explanation | None:
         """Why nothing can be compared now."""
-        stale_s = self.settings.stale_after_s
         newest = {
-            "inertial samples": self._increments[-1].end_ns if self._increments else None,
-            "solution with attitude and heading": self._solutions[-1].sampled_ns if self._solutions else None,
-            "GNSS velocity": self._fixes[-1].time_ns if self._fixes else None,
+            Input.INERTIAL_SAMPLES: self._increments[-1].end_ns if self._increments else None,
+            Input.ATTITUDE: self._solutions[-1].sampled_ns if self._solutions else None,
+            Input.GNSS_VELOCITY: self._fixes[-1].time_ns if self._fixes else None,
         }
-        for name, newest_ns in newest.items():
-            if newest_ns is None:
-                return f"no {name} received yet"
-            if time_ns - newest_ns > stale_s * SECOND_NS:
-                return f"no {name} for {(time_ns - newest_ns) / SECOND_NS:.0f} s"
+        limit_s = self.settings.stale_after_s
+        missing = absent(newest, time_ns, limit_s, never=Code.NO_INPUT, silent=Code.INPUT_SILENT)
+        if missing is not None:
+            return missing
         warm_s, needed_s = self._warm_for_s(time_ns), min(SHORT_WARM_UP_S, self.settings.warm_up_s)
         if warm_s < needed_s:
-            return f"warming up: {warm_s:.0f} of {needed_s:.0f} s after the alignment"
+            return explain(Code.WARMING_UP, elapsed_s=round(warm_s), needed_s=round(needed_s))
         return None if self.window is not None else self._window_missing
 
-    def _short(self, time_ns: int) -> dict[str, Verdict]:
+    def _short(self, time_ns: int) -> dict[str, Test]:
         missing = self._missing(time_ns)
         return {metric.value: self._metric(metric, missing) for metric in Metric} | {NAME: self._position(missing)}
 
-    def _position(self, missing: str | None) -> Verdict:
-        base = Verdict(
-            Outcome.NOT_EVALUATED, missing or "fixes without a position or a velocity of their own", UNIT,
-            false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
-        )  # fmt: skip
+    def _position(self, missing: Explanation | None) -> Test:
         step = self._step
+        base = Test(
+            Outcome.NOT_EVALUATED, missing or explain(Code.NO_POSITIONS), UNIT, false_alarm_rate=FALSE_ALARM_RATE,
+            window_s=WINDOW_S,
+        )  # fmt: skip
         if missing is not None or step is None:
             return base
-        reason = f"GNSS position {step.size:.1f} m from the integral of its velocity over 5 s, limit {step.limit:.1f} m"
-        accuses = self._exceeded[NAME] >= CONSECUTIVE
-        base = base._replace(reason=reason, accused=GNSS)
-        return judged(base, step.size, step.limit, accuses=accuses, suspect_since_ns=step.suspect_ns)
+        base = replace(base, why=explain(Code.POSITION_STEP), accused=BY_GNSS, suspect_since_ns=step.suspect_ns)
+        return judged(base, step.size, step.limit, accuses=self._exceeded[NAME] >= CONSECUTIVE)
 
-    def _metric(self, metric: Metric, missing: str | None) -> Verdict:
-        profile, window, unit = self.settings.profile, self.window, UNITS[metric]
-        base = Verdict(
-            Outcome.NOT_EVALUATED, missing or "", unit,
+    def _metric(self, metric: Metric, missing: Explanation | None) -> Test:
+        profile, window = self.settings.profile, self.window
+        base = Test(
+            Outcome.NOT_EVALUATED, missing or self._window_missing, UNITS[metric],
             false_alarm_rate=profile.false_alarm_rate, window_s=WINDOW_S,
         )  # fmt: skip
         if missing is not None or window is None:
             return base
         sigma, difference = profile.sigma_of(metric, window), window.difference.get(metric)
         if difference is None or sigma is None:
-            reason = window.missing.get(metric, "the profile has no standard deviation of this metric")
-            return base._replace(reason=reason)
+            return replace(base, why=window.missing.get(metric, explain(Code.NOT_IN_PROFILE)))
         limit = profile.threshold * sigma
-        reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
         # A slow error shows in 5 s late: suspect is what the longer windows have not found inconspicuous since.
         suspect_ns = min([window.start_ns - (CONSECUTIVE - 1) * SECOND_NS, *self._inconspicuous_ns.values()])
-        return judged(
-            base._replace(reason=reason, accused=GNSS if self._decided else EITHER),
-            abs(difference),
-            limit,
-            accuses=self._exceeded[metric] >= CONSECUTIVE,
+        base = replace(
+            base, why=_compared(metric, difference, limit), accused=BY_GNSS if self._decided else BY_EITHER,
             suspect_since_ns=suspect_ns,
-        )
+        )  # fmt: skip
+        return judged(base, abs(difference), limit, accuses=self._exceeded[metric] >= CONSECUTIVE)
 
-    def _long(self, time_ns: int, length: int) -> Verdict:
-        missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
-        base = Verdict(Outcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
-        if missing is not None:
-            return base
+    def _long(self, time_ns: int, length: int) -> Test:
+        missing, key = self._missing(time_ns), f"long_{length}"
         result = self.long.result(length)
-        if result is None:
-            reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
-            return base._replace(reason=reason)
-        north, east, down = result.difference_n.tolist()
-        reason = (
-            f"GNSS minus free propagation of {length} s: {north:+.2f} north, {east:+.2f} east, {down:+.2f} down m/s; "
-            f"chi-square {result.statistic:.1f}, limit {self.long.threshold:.1f}, a drag of "
-            f"{_least_drag(result, self.long.threshold, length):.2g} m/s2 is the least that exceeds it"
-        )
-        if self.long.odometer_rejected:
-            reason += "; the odometer contradicts the inertial sensors and is not used"
-        base = base._replace(reason=reason, accused=GNSS if result.decided else EITHER)
-        return judged(
-            base,
-            result.statistic,
-            self.long.threshold,
-            accuses=self._accusing.get(f"long_{length}", False),
-            suspect_since_ns=self._suspect_since_ns(f"long_{length}", result.anchor_ns),
-        )
-
-    def _way(self, time_ns: int, length: int) -> Verdict:
-        missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
-        base = Verdict(Outcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
-        if missing is not None:
+        base = Test(
+            Outcome.NOT_EVALUATED, missing or self._young(),
+            false_alarm_rate=self.settings.long.false_alarm_rate, window_s=float(length),
+        )  # fmt: skip
+        if missing is not None or result is None:
             return base
-        way, key = self._ways.get(length), f"way_{length}"
-        if way is None:
-            reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
-            return base._replace(reason=reason)
+        north, east, down = result.difference_n.tolist()
+        why = explain(
+            Code.VELOCITY_WITHOUT_ODOMETER if self.long.odometer_rejected else Code.VELOCITY,
+            north_m_s=north, east_m_s=east, down_m_s=down,
+            drag_m_s2=_least_drag(result, self.long.threshold, length),
+        )  # fmt: skip
+        base = replace(
+            base, why=why, accused=BY_GNSS if result.decided else BY_EITHER,
+            suspect_since_ns=self._suspect_since_ns(key, result.anchor_ns),
+        )  # fmt: skip
+        return judged(base, result.statistic, self.long.threshold, accuses=self._accusing.get(key, False))
+
+    def _way(self, time_ns: int, length: int) -> Test:
+        missing, way, key = self._missing(time_ns), self._ways.get(length), f"way_{length}"
+        base = Test(
+            Outcome.NOT_EVALUATED, missing or self._young(),
+            false_alarm_rate=self.settings.long.false_alarm_rate, window_s=float(length), accused=BY_EITHER,
+        )  # fmt: skip
+        if missing is not None or way is None:
+            return base
         north, east = way.difference_n.tolist()
-        reason = (
-            f"GNSS went {north:+.1f} m north and {east:+.1f} m east of the free propagation of {length} s; chi-square "
-            f"{way.statistic:.1f}, limit {self.long.way_threshold:.1f}, in doubt from {self.long.way_doubt:.1f} on"
-        )
-        base = base._replace(reason=reason, doubtful=self._doubts[length] >= CONSECUTIVE)
-        return judged(
-            base, way.statistic, self.long.way_threshold, accuses=self._accusing.get(key, False),
+        why = explain(
+            Code.WAY, north_m=north, east_m=east, doubt_statistic=self.long.way_doubt
+        )  # fmt: skip
+        base = replace(
+            base, why=why, doubtful=self._doubts[length] >= CONSECUTIVE,
             suspect_since_ns=self._suspect_since_ns(key, way.anchor_ns),
         )  # fmt: skip
+        return judged(base, way.statistic, self.long.way_threshold, accuses=self._accusing.get(key, False))
+
+    def _young(self) -> Explanation:
+        """Say that no propagation is old enough for a window."""
+        return explain(Code.PROPAGATION_YOUNG, age_s=round(self.long.oldest_s))
 
 
-def _withheld(verdict: Verdict, why: str) -> Verdict:
-    """Verdict of a test whose threshold is not known yet; one that needs none of the inertial sensors stands."""
-    if verdict.outcome is Outcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT:
-        return verdict
-    return verdict._replace(outcome=Outcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None,
-        suspect_since_ns=None, doubtful=False,
+def _compared(metric: Metric, difference: float, limit: float) -> Explanation:
+    """Difference of a metric [rad/s, m/s², m/s] and its limit."""
+    match metric:
+        case Metric.HEADING_RATE:
+            return explain(
+                Code.HEADING_RATE, difference_deg_s=degrees(difference), limit_deg_s=degrees(limit)
+            )  # fmt: skip
+        case Metric.ALTITUDE_RATE:
+            return explain(Code.ALTITUDE_RATE, difference_m_s=difference)
+        case _:
+            return explain(Code.ACCELERATION, difference_m_s2=difference)
+
+
+def _withheld(test: Test, why: Explanation) -> Test:
+    """A test whose threshold is not known yet; one that needs none of the inertial sensors stands."""
+    if test.accuses and test.accused == BY_GNSS and test.unit == UNIT:
+        return test
+    return replace(
+        test, outcome=Outcome.NOT_EVALUATED, why=why, statistic=None, threshold=None, suspect_since_ns=None,
+        doubtful=False,
     )  # fmt: skip
 
 
@@ -479,12 +485,3 @@ def _at(published: deque[Published], time_ns: int) -> Published | None:
 
 def _ends_second(increment: Increment) -> bool:
     return increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS
-
-
-def judged(base: Verdict, statistic: float, threshold: float, *, accuses: bool, suspect_since_ns: int) -> Verdict:
-    """Complete a verdict that has been evaluated."""
-    if accuses:
-        base = base._replace(outcome=Outcome.ACCUSES, suspect_since_ns=suspect_since_ns)
-    else:
-        base = base._replace(outcome=Outcome.PASS)
-    return base._replace(statistic=statistic, threshold=threshold)

@@ -12,9 +12,9 @@ from pydantic import ValidationError, ValidationInfo, model_validator
 from shared.bounded import TooMuch, read_bytes
 from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.errors import ConfigError
-from shared.load import PAUSED
 from shared.maths.earth import Geodetic
 from shared.messages.base import Tick, Vector3
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingUpdate, FilterState, NavigationPhase, NavigationSolution
@@ -22,7 +22,9 @@ from shared.messages.operation import ModeState, ProcessLoad, Work
 from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.runtime.config import Table, VehicleFile, vehicle_in
+from shared.trust.result import deciding, statement
 
+from .codes import Code
 from .drift.monitor import DriftMonitor
 from .grade import LONG, UNKNOWN, Grade, profile_of
 from .gyroscope.monitor import GyroscopeMonitor
@@ -32,7 +34,7 @@ from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
 from .profile import Origin, Profile
 from .settings import LongSettings, Settings
-from .statements import paused_statements, statement, statements
+from .statements import paused_statements, statements
 from .windows.position_step import UNKNOWN_SD_M
 
 Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
@@ -173,7 +175,8 @@ class Process:
         self._solution: NavigationSolution | None = None  # newest with a heading
         self._imu, self._gnss = Rate(), Rate()
         self._paused = False
-        self._warning: str | None = None  # of a profile for another unit; None until it has been compared
+        self._compared = False  # the profile with this unit
+        self._warning: Explanation | None = None  # of a profile for another unit
 
     @property
     def rejects(self) -> Counter[str]:
@@ -187,7 +190,7 @@ class Process:
         elif not self._paused:
             yield from self._use(message)
         elif isinstance(message, Tick):
-            yield from paused_statements(message.now_ns, PAUSED)
+            yield from paused_statements(message.now_ns)
         else:
             self._heed(message)
 
@@ -258,13 +261,15 @@ class Process:
 
     def _evaluated(self, time_ns: int) -> Iterator[Out]:
         """Publish both statements, and once a minute what this drive has taught."""
-        if self._warning is None:
-            self._warning = self._compare_profile()
+        if not self._compared:
+            self._compare_profile()
         self.monitor.learning = self._learning()
-        yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
-        yield statement("gyroscope", self.gyroscope.verdicts(time_ns, self.monitor.taken), time_ns)
+        yield from statements(self.monitor.verdicts(time_ns), time_ns, self._warning)
+        rates = self.gyroscope.verdicts(time_ns, self.monitor.taken)
+        yield statement("gyroscope", deciding(rates.values()), time_ns, rates)
         self.monitor.taken.clear()
-        yield statement("drift", self.drift.verdicts(time_ns), time_ns)
+        sums = self.drift.verdicts(time_ns)
+        yield statement("drift", deciding(sums.values()), time_ns, sums)
         self._lesson.add(time_ns, self.monitor.window, self.monitor.long_statistics.values())
         if self._lesson.is_due(time_ns) and (origin := self.origin) is not None:
             yield self._lesson.result(time_ns, origin)
@@ -279,23 +284,26 @@ class Process:
             configuration=self._settings.digest(), code="", drives=(),
         )  # fmt: skip
 
-    def _compare_profile(self) -> str | None:
+    def _compare_profile(self) -> None:
         """Warn once where the profile was learned for another device or configuration."""
         learned = self._settings.profile.origin
         present = None if learned is None else self.origin
         if learned is None or present is None:
-            return None
+            return
+        self._compared = True
         different = learned.differences(present)
         if not different:
-            return ""
+            return
+        what, code = "the profile", Code.PROFILE_OF_ANOTHER_UNIT
         if self._adopted is not None:  # what another device has taught is worth nothing
+            what, code = "what was learned", Code.LEARNED_OF_ANOTHER_UNIT
             self._adopted = None
             self._settings = self._settings.model_copy(update={"profile": profile_of(self._settings.grade or UNKNOWN)})
             self._restart_monitor()
-            return f"what was learned is of another unit: {'; '.join(different)}"
-        warning = f"the profile was learned for another unit: {'; '.join(different)}"
-        log.warning("%s; learn one with `obu calibrate spoofing`", warning)
-        return warning
+        self._warning = explain(code, differences=tuple(different))
+        log.warning(
+            "%s is of another unit: %s; learn one with `obu calibrate spoofing`", what, "; ".join(different.values())
+        )  # fmt: skip
 
     def _adopt(self, learned: LearnedGrade) -> None:
         """Take the thresholds that an earlier drive has taught, unless the vehicle's file names a profile."""
@@ -310,10 +318,10 @@ class Process:
         self._settings = self._settings.model_copy(update={"profile": profile})
         self._restart_monitor()
 
-    def _learning(self) -> str:
-        """Why nothing is evaluated yet; empty where grade or profile are known."""
+    def _learning(self) -> Explanation | None:
+        """Why nothing is evaluated yet; None where grade or profile are known."""
         known = self._settings.grade is not None or self._settings.profile.origin is not None
-        return "" if known else self._lesson.progress
+        return None if known else self._lesson.progress
 
     def _restart_monitor(self) -> None:
         self.monitor = InertialMonitor(self._settings, self.rejects)

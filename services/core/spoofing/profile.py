@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
 from itertools import chain, pairwise
 from math import hypot, sqrt
 
@@ -25,6 +26,20 @@ MAD = 1.4826  # standard deviation over median magnitude of a normal variable
 SPEED_METRICS = (Metric.HEADING_RATE, Metric.ALTITUDE_RATE)
 
 
+class Trait(StrEnum):
+    """What a profile depends on."""
+
+    IMU = "imu"
+    GNSS = "gnss"
+    IMU_RATE = "imu_rate"
+    GNSS_RATE = "gnss_rate"
+    CONFIGURATION = "configuration"
+
+
+TRAITS = {Trait.IMU: "IMU", Trait.GNSS: "GNSS receiver", Trait.IMU_RATE: "IMU rate", Trait.GNSS_RATE: "GNSS rate",
+          Trait.CONFIGURATION: "configuration"}  # fmt: skip
+
+
 class LearnedDrive(Section):
     """One drive that a profile was learned from."""
 
@@ -46,18 +61,19 @@ class Origin(Section):
     code: str = Field(max_length=64, description="version of the unit that learned it")
     drives: tuple[LearnedDrive, ...] = Field(description="recordings, in order")
 
-    def differences(self, present: "Origin") -> tuple[str, ...]:
-        """Say in what a unit differs from the one that the profile was learned for; rates may differ by a fifth."""
+    def differences(self, present: "Origin") -> dict[Trait, str]:
+        """In what a unit differs from the one that the profile was learned for, and how; rates may by a fifth."""
         pairs = (
-            ("IMU", self.imu, present.imu, self.imu != present.imu),
-            ("GNSS receiver", self.gnss, present.gnss, self.gnss != present.gnss),
-            ("IMU rate", f"{self.imu_rate_hz:.3g} Hz", f"{present.imu_rate_hz:.3g} Hz",
+            (Trait.IMU, self.imu, present.imu, self.imu != present.imu),
+            (Trait.GNSS, self.gnss, present.gnss, self.gnss != present.gnss),
+            (Trait.IMU_RATE, f"{self.imu_rate_hz:.3g} Hz", f"{present.imu_rate_hz:.3g} Hz",
              not 0.8 < present.imu_rate_hz / self.imu_rate_hz < 1.25),
-            ("GNSS rate", f"{self.gnss_rate_hz:.3g} Hz", f"{present.gnss_rate_hz:.3g} Hz",
+            (Trait.GNSS_RATE, f"{self.gnss_rate_hz:.3g} Hz", f"{present.gnss_rate_hz:.3g} Hz",
              not 0.8 < present.gnss_rate_hz / self.gnss_rate_hz < 1.25),
-            ("configuration", self.configuration, present.configuration, self.configuration != present.configuration),
+            (Trait.CONFIGURATION, self.configuration, present.configuration,
+             self.configuration != present.configuration),
         )  # fmt: skip
-        return tuple(f"{name} {learned}, now {now}" for name, learned, now, differs in pairs if differs)
+        return {trait: f"{TRAITS[trait]} {learned}, now {now}" for trait, learned, now, differs in pairs if differs}
 
 
 class Profile(Section):

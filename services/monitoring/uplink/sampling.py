@@ -133,7 +133,8 @@ def event_of(message: Message, topic: str, utc_ms: int, *, places: bool) -> Even
             content = message.model_dump(mode="json", exclude_none=True, exclude={"monitors"})
             accusing = [one for one in message.monitors if one.outcome is Outcome.ACCUSES]
             content["monitors"] = [
-                one.model_dump(mode="json", include={"monitor", "outcome", "reason", "accused"}) for one in accusing
+                one.model_dump(mode="json", include={"monitor", "outcome", "reason", "reason_code", "accused"})
+                for one in accusing
             ]
         case Outage() | TollTransaction() | Origin():
             content = message.model_dump(mode="json", exclude_none=True)

@@ -18,7 +18,7 @@ from shared.attacks import BY_NAME as ATTACK_ROWS
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, Tick, Vector3
-from shared.messages.explanation import explain
+from shared.messages.explanation import Reference, ReferenceKind, explain
 from shared.messages.gnss import (
     CarrierSolution,
     Constellation,
@@ -81,6 +81,7 @@ from shared.messages.trust import (
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
 from shared.topics import TOPICS, topic_of
+from shared.trust.result import SATELLITE_LEFT_OUT
 from shared.words.words import reason
 from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
@@ -90,10 +91,17 @@ LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
 METRES_PER_DEG = 111_200.0
 LIFE = 1_795_000_000 * 10**9
 VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
-SATELLITE_TESTS = (
-    MonitorTest(name="G05", outcome=Outcome.ACCUSES, reason="excluded, residual 31.2 m", statistic=9.1,
-                threshold=4.2),
-    MonitorTest(name="E02", outcome=Outcome.PASS, reason="used, residual 0.4 m", statistic=0.3, threshold=4.2),
+SATELLITE_TESTS = tuple(
+    MonitorTest(
+        name=name, outcome=outcome, statistic=statistic, threshold=4.2,
+        reason_code=explain(
+            code, Reference(kind=ReferenceKind.SATELLITE, name=name), residual_m=residual_m
+        ),
+    )
+    for name, outcome, statistic, code, residual_m in (
+        ("G05", Outcome.ACCUSES, 9.1, SATELLITE_LEFT_OUT, 31.2),
+        ("E02", Outcome.PASS, 0.3, "cooperative.used_without_bias", 0.4),
+    )
 )  # fmt: skip
 EVIDENCE_TESTS = tuple(
     MonitorTest(name=name, outcome=Outcome.PASS, reason="nothing indicated", statistic=0.0, threshold=1.0)

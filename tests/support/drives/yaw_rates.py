@@ -11,12 +11,12 @@ from services.core.spoofing.grade import Grade
 from services.core.spoofing.gyroscope.monitor import GyroscopeMonitor
 from services.core.spoofing.process import Config
 from services.core.spoofing.settings import Settings
-from services.core.spoofing.verdicts import Verdict
 from shared.inertial.increments import Increment
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.messages.trust import Outcome
 from shared.messages.vehicle import WheelSpeeds
+from shared.trust.result import Test
 
 NS = 1_000_000_000
 STEP_NS = NS // 10
@@ -31,7 +31,7 @@ class Run:
     """What the monitor said once a second."""
 
     monitor: GyroscopeMonitor
-    verdicts: list[Mapping[str, Verdict]] = field(default_factory=list)
+    verdicts: list[Mapping[str, Test]] = field(default_factory=list)
 
     def accusing(self, second: int) -> set[tuple[str, ...]]:
         """Names by the windows that accuse after a number of seconds."""

@@ -6,9 +6,11 @@ from math import isfinite
 import numpy as np
 
 from shared.maths.quantiles import chi_square_limit
+from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome
 
 from ..broadcast.store import EphemerisStore
+from ..codes import Code
 from ..detection import (
     horizontal_levels,
     innovation_test,
@@ -16,7 +18,7 @@ from ..detection import (
     minimal_identifiable_biases,
     noncentrality,
 )
-from ..measurements import FloatArray, RawEpoch, SatelliteFinding, SatelliteId, SatelliteVerdict
+from ..measurements import FloatArray, RawEpoch, SatelliteFinding, SatelliteId, SatelliteVerdict, references
 from .model import ErrorModel, Sight, Sky, usable_sights
 from .solution import PositionFit, fit_velocity, masked, solution_of
 
@@ -82,8 +84,8 @@ class SatelliteMonitor:
         for reason, count in tested.rejected.items():
             rejected[reason] = rejected.get(reason, 0) + count
         if tested.position is None:
-            reason = f"no solution from {len(sights)} usable satellites"
-            return SatelliteVerdict(Outcome.NOT_EVALUATED, reason, rejected=rejected)
+            why = explain(Code.NO_SOLUTION, usable_count=len(sights))
+            return SatelliteVerdict(Outcome.NOT_EVALUATED, why, rejected=rejected)
         return self._verdict(tested.position, tested, left_out, rejected)
 
     def all_in_view(self) -> PositionFit | None:
@@ -130,27 +132,27 @@ class SatelliteMonitor:
             unknown = left_out - self._healthy_epochs.keys()
             self._readmit(tuple(finding for finding in excluded if finding.satellite not in unknown))
         if dof < 1:
-            reason = f"no redundancy: {len(position.satellites)} satellites, {len(position.clocks)} clocks"
             return SatelliteVerdict(
-                Outcome.NOT_EVALUATED, reason, rejected=rejected, solution=solution_of(position, None)
+                Outcome.NOT_EVALUATED, no_redundancy(position), rejected=rejected, solution=solution_of(position, None)
             )
         rate = settings.false_alarm_rate
         lambda_ = noncentrality(dof, rate, settings.missed_detection_rate)
         findings = _findings(position, lambda_, settings.missed_detection_rate)
         levels = [finding.hpl_m for finding in findings]
         bounded = [level for level in levels if level is not None]
+        level_m = max(bounded) if len(bounded) == len(levels) else None
         return SatelliteVerdict(
             Outcome.ACCUSES if tested.excluded or not tested.passes else Outcome.PASS,
-            _reason(tested),
-            position.fit.statistic,
-            chi_square_limit(dof, rate),
-            dof,
-            rate,
-            tuple(sight.satellite for sight in tested.excluded),
-            tested.suspects,
+            _why(tested, position, level_m),
+            statistic=position.fit.statistic,
+            threshold=chi_square_limit(dof, rate),
+            false_alarm_rate=rate,
+            dof=dof,
+            excluded=tuple(sight.satellite for sight in tested.excluded),
+            suspects=tested.suspects,
             fault_free=tested.passes and not tested.suspects,
             solution=solution_of(position, fit_velocity(position, rate)),
-            hpl_m=max(bounded) if len(bounded) == len(levels) else None,
+            hpl_m=level_m,
             findings=(*findings, *excluded),
             rejected=rejected,
         )
@@ -206,12 +208,24 @@ def _finding(satellite: SatelliteId, measured: list[float], bounds: list[float])
     return SatelliteFinding(satellite, elevation, azimuth, sd, residual, w, mdb, mib, level)
 
 
-def _reason(tested: _Tested) -> str | None:
-    """What the exclusion came to, in words; None where nothing is excluded or detected."""
+def no_redundancy(position: PositionFit) -> Explanation:
+    """Say that the satellites of a solution determine it, and no more."""
+    return explain(
+        Code.NO_REDUNDANCY, satellites_count=len(position.satellites), clocks_count=len(position.clocks)
+    )  # fmt: skip
+
+
+def _why(tested: _Tested, position: PositionFit, level_m: float | None) -> Explanation:
+    """What the exclusion came to."""
+    used = len(position.satellites)
     if not tested.passes:
-        return "a fault is detected, but no satellite can be singled out"
+        return explain(Code.UNRESOLVED, satellites_count=used)
     if not tested.excluded:
-        return None
-    excluded = "excluded " + ", ".join(str(sight.satellite) for sight in tested.excluded)
-    suspects = ", ".join(str(satellite) for satellite in tested.suspects)
-    return f"{excluded}, but the fault may be in {suspects}" if suspects else excluded
+        code = Code.AGREE_WITHOUT_LEVEL if level_m is None else Code.AGREE
+        return explain(code, satellites_count=used, redundancy_count=position.fit.dof, level_m=level_m)
+    excluded = references(sight.satellite for sight in tested.excluded)
+    if not tested.suspects:
+        return explain(Code.EXCLUDED, satellites=excluded, satellites_count=used)
+    return explain(
+        Code.EXCLUDED_OR, satellites=excluded, suspected_satellites=references(tested.suspects), satellites_count=used
+    )  # fmt: skip

@@ -9,9 +9,11 @@ import numpy as np
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
 from shared.maths.frequency_offset import CARRIER_FREQUENCY, MAX_OFFSET, range_rate_from_cfo
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
+from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
 
 from ..broadcast.store import EphemerisStore
+from ..codes import Code
 from ..measurements import (
     Constellation,
     FloatArray,
@@ -21,6 +23,7 @@ from ..measurements import (
     SatelliteId,
     SatelliteSolution,
     SatelliteVerdict,
+    references,
 )
 from ..satellites.model import ErrorModel, Geometry, Sight, Sky, usable_sights, virtual_sights
 from .bank import BankSettings, BankTest, LeaveOneOutBank, Pseudoranges
@@ -137,9 +140,7 @@ class CooperativeMonitor:
         if not self.runs_until(epoch.gps_time_ns):
             self._bank = None
             if start is None:
-                return SatelliteVerdict(
-                    Outcome.NOT_EVALUATED, "no fault-free position to start from", rejected=rejected
-                )
+                return SatelliteVerdict(Outcome.NOT_EVALUATED, explain(Code.NO_START), rejected=rejected)
             self._start(start)
             self._time_ns = epoch.gps_time_ns
             neighbours = ()  # their directions are not known before satellites have corrected the start
@@ -156,7 +157,7 @@ class CooperativeMonitor:
         sky = Sky(sights, epoch.gps_time_ns, store.ionosphere, settings.model)
         above, geometry = self._above_mask(sky, estimate, rejected)
         if geometry is None:
-            return SatelliteVerdict(Outcome.NOT_EVALUATED, "no usable satellite", rejected=rejected)
+            return SatelliteVerdict(Outcome.NOT_EVALUATED, explain(Code.NO_SATELLITE), rejected=rejected)
         self._arrange(above, epoch.gps_time_ns)
         ranges = self._pseudoranges(above, geometry)
         predicted = self._without_clock_jump(ranges)
@@ -166,9 +167,9 @@ class CooperativeMonitor:
         else:
             test = bank.advance(predicted, ranges)
         if test is None or not (helped or road):
-            reason = "no usable neighbour and no road" if test else "too few virtual satellites"
+            why = explain(Code.NO_NEIGHBOUR if test else Code.FEW_VIRTUAL)
             return SatelliteVerdict(
-                Outcome.NOT_EVALUATED, reason, rejected=rejected, solution=self._solution(), neighbours=tested
+                Outcome.NOT_EVALUATED, why, rejected=rejected, solution=self._solution(), neighbours=tested
             )
         return self._verdict(test, above, geometry, tested, rejected)
 
@@ -372,13 +373,19 @@ class CooperativeMonitor:
         solution = self._solution()
         if np.linalg.norm(np.array(solution.position_e) - self._origin_e) > self._settings.farthest_from_origin_m:
             self._bank = None  # the next epoch starts in a new local frame
-        reason = "excluded " + ", ".join(str(satellite) for satellite in excluded) if excluded else None
+        helping = sum(not finding.excluded for finding in neighbours)
+        if excluded:
+            why = explain(
+                Code.EXCLUDED_WITH_NEIGHBOURS, satellites=references(excluded), neighbours_count=helping
+            )  # fmt: skip
+        else:
+            why = explain(Code.AGREE_WITH_NEIGHBOURS, satellites_count=len(used), neighbours_count=helping)
         level = max(self._level(), self.construction_level_m) if used and self._bank is not None else None
         return SatelliteVerdict(
             Outcome.ACCUSES if excluded else Outcome.PASS,
-            reason,
-            max(used) if used else None,
-            test.threshold,
+            why,
+            statistic=max(used) if used else None,
+            threshold=test.threshold,
             false_alarm_rate=self._settings.bank.false_alarm_rate,
             excluded=excluded,
             fault_free=bool(used),

@@ -2,35 +2,26 @@
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from shared.inertial.increments import SECOND_NS, Decimator, Increment
 from shared.maths.rotation import Vector
+from shared.messages.explanation import Explanation, explain
+from shared.messages.trust import Outcome
+from shared.trust.inputs import Input, absent
+from shared.trust.result import GNSS, IMU, ODOMETER, Test, lasting
 
+from ..codes import Code
 from .bend_fit import ARM_SD, Arm
 from .bends import Bend, BendRecorder, Geometry
 from .levelling import Levelling
-from .scale_change import ALIKE, LEAST_BENDS, LIMIT, Change, ScaleChange
+from .scale_change import ALIKE, FALSE_ALARM_RATE, LEAST_BENDS, LIMIT, Change, ScaleChange
 
 LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S = 80.0, 20.0  # of each axis, as in core.spoofing: beyond every vehicle's motion
 WAIT_NS = 4 * SECOND_NS  # for a speed that covers an increment; odometers are up to 3 s late
 MOST_WAITING = 100  # increments, 10 s between two verdicts
-SILENT_NS = 5 * SECOND_NS  # without inertial samples or speeds
+SILENT_S = 5.0  # without inertial samples or speeds
 STALE_NS = 600 * SECOND_NS  # since the last bend: a motorway has none for so long
 RESTART_NS = 5 * SECOND_NS  # by which a stamp is earlier than the newest one where a time line starts again
-
-
-@dataclass(frozen=True)
-class ScaleVerdict:
-    """What the bends say; `accused` is empty unless it accuses."""
-
-    evaluated: bool
-    reason: str
-    accused: tuple[str, ...] = ()
-    difference: float | None = None  # [-] magnitude of the change of scale
-    limit: float | None = None  # [-]
-    suspect_since_ns: int | None = None
-    window_s: float | None = None
 
 
 def geometry_of(rear_axle_body_m: Vector | None, antenna_body_m: Vector) -> Geometry:
@@ -44,7 +35,7 @@ def geometry_of(rear_axle_body_m: Vector | None, antenna_body_m: Vector) -> Geom
 
 
 class InertialSpeed:
-    """Takes inertial samples and speeds, and gives a verdict on the scale of the speeds."""
+    """Takes inertial samples and speeds, and tests the scale of the speeds."""
 
     def __init__(
         self, *, geometry: Geometry | None = None, common_sd: float = 0.02, rejected: Counter[str] | None = None
@@ -53,6 +44,7 @@ class InertialSpeed:
         self._geometry = geometry or Geometry()
         self.change = ScaleChange(common_sd)
         self.bends: deque[Bend] = deque(maxlen=256)  # of this drive, newest last
+        self._known: Test | None = None
         self._start()
 
     def _start(self) -> None:
@@ -104,52 +96,57 @@ class InertialSpeed:
             self.bends.append(bend)
             self.change.add(bend)
 
-    def verdict(self, time_ns: int) -> ScaleVerdict:
-        """Give the verdict at a time."""
+    def verdict(self, time_ns: int) -> Test:
+        """Test the scale at a time."""
         self.advance()
+        self._known = lasting(self._tested(time_ns), self._known, time_ns)
+        return self._known
+
+    def _tested(self, time_ns: int) -> Test:
         change = self.change.change
         if change is not None and self.change.accusing:
             return self._judged(change)
         missing = self._missing(time_ns)
-        if missing is not None or change is None:
-            return ScaleVerdict(evaluated=False, reason=missing or f"{len(self.change.window)} of {LEAST_BENDS} bends")
-        return self._judged(change)
+        if missing is None and change is not None:
+            return self._judged(change)
+        few = explain(Code.FEW_BENDS, bends_count=len(self.change.window), needed_count=LEAST_BENDS)
+        return Test(Outcome.NOT_EVALUATED, missing or few, false_alarm_rate=FALSE_ALARM_RATE)
 
-    def _missing(self, time_ns: int) -> str | None:
+    def _missing(self, time_ns: int) -> Explanation | None:
         """Why the scale cannot be judged now."""
-        newest_ns = {"inertial samples": self._imu_ns, "GNSS speed": self._recorder.gnss.newest_ns}
-        for name, stamp_ns in newest_ns.items():
-            if stamp_ns is None:
-                return f"no {name} received yet"
-            if time_ns - stamp_ns > SILENT_NS:
-                return f"no {name} for {(time_ns - stamp_ns) / SECOND_NS:.0f} s"
+        newest_ns = {Input.INERTIAL_SAMPLES: self._imu_ns, Input.GNSS_SPEED: self._recorder.gnss.newest_ns}
+        missing = absent(newest_ns, time_ns, SILENT_S, never=Code.NO_INPUT, silent=Code.INPUT_SILENT)
+        if missing is not None:
+            return missing
         if not self._levelling.ready:
-            return "no standstill of 2 s yet: tilt and gyroscope bias are not known"
+            return explain(Code.NO_STANDSTILL)
         if self.bends and time_ns - self.bends[-1].end_ns > STALE_NS:
-            return f"no bend for {(time_ns - self.bends[-1].end_ns) / SECOND_NS:.0f} s"
+            return explain(Code.NO_BEND, age_s=round((time_ns - self.bends[-1].end_ns) / SECOND_NS))
         return None
 
-    def _judged(self, change: Change) -> ScaleVerdict:
-        accused = _falsified(change) if self.change.accusing else ()
-        limit, both = LIMIT * change.sd, change.odometer is not None
-        size = f"{100.0 * change.difference:+.1f} +- {100.0 * change.sd:.1f} %"
-        against = f"against the centripetal speed of {change.bends} bends, limit {100.0 * limit:.1f} %"
-        if not accused:
-            reason = f"scale of GNSS{' and odometer' if both else ''} differs by {size} {against}"
-        elif "odometer" in accused:
-            reason = f"GNSS and odometer both scaled alike by {size} {against}"
-        elif both:
-            reason = f"GNSS scaled, the odometer not, by {size} {against}"
-        else:
-            reason = f"GNSS scaled, or the inertial sensors, by {size} {against}"
-        if accused and change.size <= LIMIT:
-            reason += "; accused until ten bends have the former scale"
-        window = list(self.change.window)[-change.bends :]
-        return ScaleVerdict(
-            evaluated=True, reason=reason, accused=accused, difference=abs(change.difference), limit=limit,
-            suspect_since_ns=change.suspect_since_ns if accused else None,
-            window_s=(window[-1].end_ns - window[0].start_ns) / SECOND_NS,
+    def _judged(self, change: Change) -> Test:
+        accusing, limit = self.change.accusing, LIMIT * change.sd
+        why = explain(
+            _found(change, accusing=accusing), difference_share=change.difference, sd_share=change.sd,
+            bends_count=change.bends,
         )  # fmt: skip
+        window = list(self.change.window)[-change.bends :]
+        return Test(
+            Outcome.ACCUSES if accusing else Outcome.PASS, why, statistic=abs(change.difference), threshold=limit,
+            false_alarm_rate=FALSE_ALARM_RATE, window_s=(window[-1].end_ns - window[0].start_ns) / SECOND_NS,
+            accused=_falsified(change), suspect_since_ns=change.suspect_since_ns,
+        )  # fmt: skip
+
+
+def _found(change: Change, *, accusing: bool) -> Code:
+    """What the bends show; an accusation outlasts the change that it was made for."""
+    if not accusing:
+        return Code.SCALE_OF_GNSS if change.odometer is None else Code.SCALE_OF_BOTH
+    if change.size <= LIMIT:
+        return Code.SCALED_BEFORE
+    if ODOMETER in _falsified(change):
+        return Code.BOTH_SCALED
+    return Code.GNSS_OR_IMU_SCALED if change.odometer is None else Code.GNSS_SCALED
 
 
 def _falsified(change: Change) -> tuple[str, ...]:
@@ -158,5 +155,5 @@ def _falsified(change: Change) -> tuple[str, ...]:
     Without an odometer one difference says the same of GNSS and of the inertial sensors.
     """
     if change.odometer is None:
-        return ("gnss", "imu")
-    return ("gnss", "odometer") if change.odometer * change.difference > ALIKE * change.difference**2 else ("gnss",)
+        return (GNSS, IMU)
+    return (GNSS, ODOMETER) if change.odometer * change.difference > ALIKE * change.difference**2 else (GNSS,)

@@ -12,18 +12,22 @@ are this project's.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from enum import StrEnum
 from math import sqrt
 from typing import NamedTuple
 
 from shared.inertial.increments import SECOND_NS
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution
 from shared.messages.trust import Outcome
+from shared.trust.result import GNSS, IMU, ODOMETER, Test, dated
 
+from ..codes import Code
 from ..grade import Grade
 from ..settings import Settings
-from ..verdicts import EITHER, Verdict, dated
 from .innovations import KINDS, InnovationSeconds, Second
-from .spread import Spread, f_limit
+from .spread import LEAST_BLOCKS, Spread, f_limit
 
 LENGTHS_S = (30, 100, 300)
 CONSECUTIVE = 2  # evaluations above the limit that accuse
@@ -39,8 +43,20 @@ RECOVERED_S, RECOVERED_RATE = 10, 0.01
 ODOMETER_NS = 3 * SECOND_NS  # age of a speed that the prediction may rest on
 ALONG_RATE = 1e-3  # of a sum along the vehicle, below which the odometer may be what is wrong
 NORTH, EAST, DOWN, ALONG, ACROSS = range(5)
-# Axes that are tested together: a drag keeps its direction on Earth, an error of the odometer that of the vehicle.
-PARTS = {"north and east": (NORTH, EAST), "along and across": (ALONG, ACROSS), "down": (DOWN,)}
+
+
+class Part(StrEnum):
+    """Axes that are tested together.
+
+    A drag keeps its direction on Earth, an error of the odometer that of the vehicle.
+    """
+
+    NORTH_AND_EAST = "north_and_east"
+    ALONG_AND_ACROSS = "along_and_across"
+    DOWN = "down"
+
+
+PARTS = {Part.NORTH_AND_EAST: (NORTH, EAST), Part.ALONG_AND_ACROSS: (ALONG, ACROSS), Part.DOWN: (DOWN,)}
 NAMES = {AidingKind.GNSS_VELOCITY: "velocity", AidingKind.GNSS_POSITION: "position"}
 
 
@@ -57,7 +73,7 @@ class Result(NamedTuple):
 
     ratio: float
     limit: float
-    part: str
+    part: Part
     sums: Sums
     along: bool  # the odometer would explain it
 
@@ -78,7 +94,7 @@ class DriftMonitor:
         self._odometer_ns: int | None = None
         self._exceeded: Counter[str] = Counter()
         self._inconspicuous_ns: dict[str, int] = {}
-        self._known: dict[str, Verdict] = {}
+        self._known: dict[str, Test] = {}
         self._recovered_s = 0
         self._along = False  # in this episode the odometer would explain a window that accuses
         self._seen_short = False  # a window of 30 s has accused in this episode
@@ -105,7 +121,7 @@ class DriftMonitor:
         if innovations is not None and update.sampled_ns - self._aligned_ns >= SETTLING_NS:
             innovations.add(update, self._heading)
 
-    def verdicts(self, time_ns: int) -> Mapping[str, Verdict]:
+    def verdicts(self, time_ns: int) -> Mapping[str, Test]:
         """Test every window."""
         now_s = time_ns // SECOND_NS
         found, doubtful, recovered = {}, False, True
@@ -115,7 +131,7 @@ class DriftMonitor:
                 spread, sums = self._spreads[kind, length], summed(innovations.seconds, length)
                 result = self._result(spread, sums) if sums is not None else None
                 name = f"{NAMES[kind]}_{length}"
-                found[name] = self._verdict(name, length, result, spread, sums, time_ns)
+                found[name] = self._verdict(name, kind, length, result, sums, time_ns)
                 if result is not None:
                     share = result.ratio / result.limit
                     doubtful = doubtful or share > self._share_of(DOUBT_RATE, result, spread)
@@ -139,37 +155,36 @@ class DriftMonitor:
         limits = {part: spread.limit(len(axes), self._rate) for part, axes in PARTS.items()}
         part = max(tests, key=lambda one: tests[one] / limits[one])
         along = spread.ratio(sums.sums, sums.seconds, (ALONG,)) > spread.limit(1, ALONG_RATE)
-        return Result(tests[part], limits[part], part, sums, along and part != "down")
+        return Result(tests[part], limits[part], part, sums, along and part is not Part.DOWN)
 
     def _verdict(
-        self, name: str, length: int, result: Result | None, spread: Spread, sums: Sums | None, time_ns: int
-    ) -> Verdict:
-        base = Verdict(Outcome.NOT_EVALUATED, "", "-", false_alarm_rate=self._rate, window_s=float(length))
+        self, name: str, kind: AidingKind, length: int, result: Result | None, sums: Sums | None, time_ns: int
+    ) -> Test:
+        spread = self._spreads[kind, length]
+        base = Test(
+            Outcome.NOT_EVALUATED, missing(spread, sums), false_alarm_rate=self._rate, window_s=float(length)
+        )  # fmt: skip
         if result is None:
             self._exceeded[name] = 0
-            return base._replace(reason=missing(length, spread, sums))
+            return base
         above = result.ratio > result.limit
         self._exceeded[name] = self._exceeded[name] + 1 if above else 0
         if result.ratio < f_limit(len(PARTS[result.part]), spread.blocks, 0.5):
             self._inconspicuous_ns[name] = time_ns
-        base = base._replace(
-            statistic=result.ratio, threshold=result.limit, reason=reason(name, length, result, spread)
-        )
+        base = replace(base, statistic=result.ratio, threshold=result.limit, why=summed_up(kind, result, spread))
         if self._exceeded[name] < CONSECUTIVE:
-            return base._replace(outcome=Outcome.PASS)
+            return replace(base, outcome=Outcome.PASS)
         begin_ns = result.sums.begin_s * SECOND_NS
         quiet_ns = self._inconspicuous_ns.get(name)
         since_ns = begin_ns if quiet_ns is None else min(begin_ns, quiet_ns - length * SECOND_NS)
         used = self._odometer_ns is not None and time_ns - self._odometer_ns <= ODOMETER_NS
         self._along = self._along or (result.along and used)
-        return base._replace(
-            outcome=Outcome.ACCUSES, suspect_since_ns=since_ns,
-            accused=(*EITHER, "odometer") if self._along else EITHER,
-        )  # fmt: skip
+        accused = (GNSS, IMU, ODOMETER) if self._along else (GNSS, IMU)
+        return replace(base, outcome=Outcome.ACCUSES, suspect_since_ns=since_ns, accused=accused)
 
     def _recover(self, recovered: bool) -> None:
         """Forget what is older than the shortest window when that has been inconspicuous for as long."""
-        accusing = [one for one in self._known.values() if one.outcome is Outcome.ACCUSES]
+        accusing = [one for one in self._known.values() if one.accuses]
         self._along = self._along and bool(accusing)
         self._seen_short = bool(accusing) and (
             self._seen_short or any(one.window_s == LENGTHS_S[0] for one in accusing)
@@ -210,18 +225,22 @@ def sums_of(seconds: Sequence[Second]) -> tuple[float, ...]:
     return tuple(map(sum, zip(*(one.mean for one in seconds), strict=True)))
 
 
-def missing(length: int, spread: Spread, sums: Sums | None) -> str:
+def missing(spread: Spread, sums: Sums | None) -> Explanation:
     """Why a window is not evaluated."""
     if sums is None:
-        return f"fewer than {length} s of GNSS innovations since the alignment or an episode"
-    return f"learning the spread of sums over {length} s: {spread.blocks} of 10 blocks"
+        return explain(Code.FEW_INNOVATIONS)
+    return explain(
+        Code.LEARNING_SPREAD, blocks_count=spread.blocks, needed_count=LEAST_BLOCKS
+    )  # fmt: skip
 
 
-def reason(name: str, length: int, result: Result, spread: Spread) -> str:
-    """What was compared."""
-    axes = PARTS[result.part]
-    sigmas = " and ".join(
-        f"{result.sums.sums[axis] / sqrt(result.sums.seconds * spread.variance(axis)):+.1f}" for axis in axes
-    )
-    what = name.split("_", maxsplit=1)[0]
-    return f"sum of GNSS {what} innovations over {length} s, {result.part}: {sigmas} standard deviations"
+def summed_up(kind: AidingKind, result: Result, spread: Spread) -> Explanation:
+    """What was compared: the sums over their standard deviations."""
+    sums = result.sums
+    sds = [sums.sums[axis] / sqrt(sums.seconds * spread.variance(axis)) for axis in PARTS[result.part]]
+    if result.part is Part.DOWN:
+        return explain(Code.INNOVATIONS_DOWN, what=NAMES[kind], sum_statistic=sds[0])
+    return explain(
+        Code.INNOVATIONS, what=NAMES[kind], part=result.part, first_statistic=sds[0],
+        second_statistic=sds[1],
+    )  # fmt: skip

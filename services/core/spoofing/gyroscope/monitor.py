@@ -2,19 +2,22 @@
 
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import atan2, degrees, hypot, sqrt
 
 from shared.inertial.increments import SECOND_NS, Increment
 from shared.inertial.strapdown import rotate
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution
 from shared.messages.trust import Outcome
 from shared.messages.vehicle import WheelSpeeds
+from shared.trust.result import Test, dated
 
+from ..codes import Code
 from ..settings import UNKNOWN_AXLE_M, Settings
-from ..verdicts import Verdict, dated
 from .axle import Axle, AxleSecond, combined
 from .bias import Bias, ReferenceBias
 from .sources import Headings, Reading, Second, WheelSeconds
@@ -59,7 +62,7 @@ class GyroscopeMonitor:
         self._field_s = 0  # second of the newest magnetic heading
         self._exceeded: Counter[int] = Counter()
         self._inconspicuous_ns: dict[int, int] = {}
-        self._known: dict[str, Verdict] = {}
+        self._known: dict[str, Test] = {}
         self._suspected = False
         self._acquitted: set[str] = set()  # by an earlier evaluation of this episode
         self._quiet_s = 0  # since a window accused
@@ -122,7 +125,7 @@ class GyroscopeMonitor:
         ahead, right, _ = rotate(tilt, field_b)
         self._headings[Source.COMPASS].add(time_ns, -atan2(right, ahead), COMPASS_SD**2)
 
-    def verdicts(self, time_ns: int, increments: Sequence[Increment]) -> Mapping[str, Verdict]:
+    def verdicts(self, time_ns: int, increments: Sequence[Increment]) -> Mapping[str, Test]:
         """Take the increments since the last call, and test every window."""
         if not self.track.add(increments):
             self._clear()
@@ -271,9 +274,9 @@ class GyroscopeMonitor:
             return None
         return Difference(mean - share * rate, variance), mean
 
-    def _verdict(self, time_ns: int, length: int, ballot: Vote | None) -> Verdict:
-        base = Verdict(
-            Outcome.NOT_EVALUATED, self._missing(time_ns), "-", window_s=float(length),
+    def _verdict(self, time_ns: int, length: int, ballot: Vote | None) -> Test:
+        base = Test(
+            Outcome.NOT_EVALUATED, self._missing(time_ns), window_s=float(length),
             false_alarm_rate=self.settings.gyroscope.false_alarm_rate,
         )  # fmt: skip
         if ballot is None:
@@ -284,36 +287,47 @@ class GyroscopeMonitor:
         if not ballot.exceeds(0.5):
             self._inconspicuous_ns[length] = time_ns
         left = tuple(name for name in ballot.suspects if name not in self._acquitted)
-        base = base._replace(
-            statistic=ballot.statistic, threshold=ballot.threshold, accused=left or ballot.suspects,
-            reason=self._reason(length, ballot, time_ns),
+        base = replace(
+            base, statistic=ballot.statistic, threshold=ballot.threshold, accused=left or ballot.suspects,
+            why=self._why(ballot, time_ns),
         )  # fmt: skip
         if self._exceeded[length] < CONSECUTIVE:
-            return base._replace(outcome=Outcome.PASS)
+            return replace(base, outcome=Outcome.PASS)
         since_ns = self._inconspicuous_ns.get(length, time_ns - length * SECOND_NS) - length * SECOND_NS
-        return base._replace(outcome=Outcome.ACCUSES, suspect_since_ns=since_ns)
+        return replace(base, outcome=Outcome.ACCUSES, suspect_since_ns=since_ns)
 
-    def _missing(self, time_ns: int) -> str:
+    def _missing(self, time_ns: int) -> Explanation:
         """Why a window cannot be evaluated."""
         if self._reference.newest is None or self.track.newest_ns is None:
-            return "no tilt and gyroscope bias of fusion, or no inertial samples"
-        return f"no GNSS course above {LEAST_COURSE_M_S:.0f} m/s over the window; {self._without_wheels(time_ns)}"
+            return explain(Code.NO_GYROSCOPE)
+        if not self._has_wheels(time_ns):
+            return explain(Code.NO_YAW_RATE, limit_m_s=LEAST_COURSE_M_S)
+        track_sd_m, ratio_sd = self.rear.sds
+        return explain(
+            Code.NO_YAW_RATE_YET, limit_m_s=LEAST_COURSE_M_S, track_sd_m=track_sd_m, wheels_sd_share=ratio_sd
+        )  # fmt: skip
 
-    def _without_wheels(self, time_ns: int) -> str:
-        """Why there is no yaw rate by the wheels."""
+    def _has_wheels(self, time_ns: int) -> bool:
         newest_ns = self.wheels.newest_ns
-        if newest_ns is None or time_ns - newest_ns > 3 * SECOND_NS:
-            return "no wheel speeds"
-        track_sd, ratio_sd = self.rear.sds
-        return f"learning (track width to {track_sd:.2f} m, ratio of the wheels to {100.0 * ratio_sd:.2f} %)"
+        return newest_ns is not None and time_ns - newest_ns <= 3 * SECOND_NS
 
-    def _reason(self, length: int, ballot: Vote, time_ns: int) -> str:
-        parts = (
-            f"{source.value} {degrees(one.rate):+.2f} +- {degrees(sqrt(one.variance)):.2f}"
-            for source, one in ballot.differences.items()
-        )
-        text = f"gyroscope minus {', '.join(parts)} deg/s over {length} s"
-        return text if Source.WHEELS in ballot.differences else f"{text}; {self._without_wheels(time_ns)}"
+    def _why(self, ballot: Vote, time_ns: int) -> Explanation:
+        """What was compared: the sources, and the one that differs by the most standard deviations."""
+        worst = max(
+            ballot.differences, key=lambda source: ballot.differences[source].rate ** 2
+            / ballot.differences[source].variance,
+        )  # fmt: skip
+        difference = ballot.differences[worst]
+        compared = {
+            "sources": tuple(ballot.differences), "worst": worst,
+            "difference_deg_s": degrees(difference.rate), "sd_deg_s": degrees(sqrt(difference.variance)),
+        }  # fmt: skip
+        if Source.WHEELS in ballot.differences:
+            return explain(Code.YAW_RATES, **compared)
+        if not self._has_wheels(time_ns):
+            return explain(Code.YAW_RATES_WITHOUT_WHEELS, **compared)
+        track_sd_m, ratio_sd = self.rear.sds
+        return explain(Code.YAW_RATES_LEARNING, **compared, track_sd_m=track_sd_m, wheels_sd_share=ratio_sd)
 
 
 def mean_second(seconds: Sequence[AxleSecond]) -> AxleSecond:
@@ -322,10 +336,10 @@ def mean_second(seconds: Sequence[AxleSecond]) -> AxleSecond:
     return AxleSecond(sum(one.difference for one in seconds) / n, sum(one.speed for one in seconds) / n)
 
 
-def agreed(found: Mapping[str, Verdict]) -> dict[str, Verdict]:
-    """Verdicts with the names of all where two windows accuse different sensors."""
-    accusing = [set(one.accused) for one in found.values() if one.outcome is Outcome.ACCUSES]
+def agreed(found: Mapping[str, Test]) -> dict[str, Test]:
+    """Tests with the names of all where two windows accuse different sensors."""
+    accusing = [set(one.accused) for one in found.values() if one.accuses]
     if not accusing or set.intersection(*accusing):
         return dict(found)
     names = tuple(sorted(set.union(*accusing)))
-    return {name: one._replace(accused=names) if one.outcome is Outcome.ACCUSES else one for name, one in found.items()}
+    return {name: replace(one, accused=names) if one.accuses else one for name, one in found.items()}

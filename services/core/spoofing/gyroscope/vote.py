@@ -5,8 +5,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from shared.maths.quantiles import chi_square_limit
-
-IMU, GNSS, ODOMETER = "imu", "gnss", "odometer"
+from shared.trust.result import GNSS, IMU, ODOMETER
 
 
 class Source(StrEnum):
@@ -14,7 +13,7 @@ class Source(StrEnum):
 
     WHEELS = "wheels"
     COURSE = "course"  # of the GNSS velocity
-    ANTENNA = "second antenna"
+    ANTENNA = "second_antenna"
     COMPASS = "magnetometer"  # decides between others, and accuses nobody
 
 

@@ -11,7 +11,10 @@ import numpy.typing as npt
 from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import STANDARD_GRAVITY, wrap_angle
 from shared.maths.rotation import skew
+from shared.messages.explanation import Explanation, explain
+from shared.trust.inputs import Input
 
+from ..codes import Code
 from ..inertial.anchors import Anchor
 from ..inertial.propagation import MOTION, QUATERNION, RATE, VELOCITY, carried, matrices, table_of
 from ..inertial.tracks import VelocityFix
@@ -36,21 +39,21 @@ class Window:
     noise: dict[Metric, float] = field(default_factory=dict)
     speed_m_s: tuple[float, float] = (0.0, 0.0)  # least and largest
     force_m_s2: float = 0.0  # largest | |f| - g |
-    missing: dict[Metric, str] = field(default_factory=dict)  # why a metric was not evaluated
+    missing: dict[Metric, Explanation] = field(default_factory=dict)  # why a metric was not evaluated
     speed_change_m_s: tuple[float, float] = (0.0, 0.0)  # of the horizontal speed over the window: GNSS, inertial
 
 
-def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | str:
+def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | Explanation:
     """Fixes of the 5 s before the newest one, it included; or why there is no such window."""
     if not fixes:
-        return "no GNSS velocity received yet"
+        return explain(Code.NO_INPUT, input=Input.GNSS_VELOCITY)
     limit_ns = fixes[-1].time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
     begin = next((i for i in range(len(fixes) - 1, -1, -1) if fixes[i].time_ns <= limit_ns), None)
     if begin is None or fixes[-1].time_ns - fixes[begin].time_ns > LONGEST_S * SECOND_NS:
-        return "fewer than 5 s of GNSS velocities"
+        return explain(Code.FEW_VELOCITIES)
     chosen = list(fixes[begin:])
     if any(b.time_ns - a.time_ns > GAP_S * SECOND_NS for a, b in pairwise(chosen)):
-        return f"more than {GAP_S} s between two GNSS velocities"
+        return explain(Code.VELOCITY_GAP, limit_s=GAP_S)
     return chosen
 
 
@@ -106,7 +109,7 @@ def compare(
         Metric.ACCELERATION_UP: float(sd[2]),
         Metric.ACCELERATION: horizontal,
     }
-    missing: dict[Metric, str] = {}
+    missing: dict[Metric, Explanation] = {}
     slowest = min(fix.speed for fix in fixes)
     inertial_speeds = np.hypot(free[:, 0], free[:, 1]).tolist()
     inertial_speed = min(inertial_speeds)
@@ -115,10 +118,10 @@ def compare(
         difference[Metric.HEADING_RATE] = (_course_change(fixes) - turned) / duration
         noise[Metric.HEADING_RATE] = horizontal / max(slowest, LEAST_SPEED)  # of two courses, over the window
     else:
-        missing[Metric.HEADING_RATE] = "speed is not above 1 m/s in the whole window"
+        missing[Metric.HEADING_RATE] = explain(Code.TOO_SLOW, limit_m_s=LEAST_SPEED)
     rate = height_rate(start_ns, end_ns)
     if rate is None:
-        missing[Metric.ALTITUDE_RATE] = "no barometric height"
+        missing[Metric.ALTITUDE_RATE] = explain(Code.NO_BAROMETER)
     else:
         difference[Metric.ALTITUDE_RATE] = _climb_rate(fixes) - rate
         noise[Metric.ALTITUDE_RATE] = float(max(fix.sd[2] for fix in fixes)) / sqrt(len(fixes))

@@ -25,11 +25,12 @@ from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 from shared.trust.accused import reference
-from shared.words.words import ENGLISH, LANGUAGES, Words, reason, words
+from shared.trust.result import told
+from shared.words.words import ENGLISH, LANGUAGES, Words, reason, said, words
 
 from .geometry import vertical_sd
 from .hypotheses import figures
-from .plain_words import label_of, said
+from .plain_words import label_of
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 GATE_LIMIT = 1.0  # by definition of the test ratio
@@ -345,7 +346,7 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         earlier = explain(Code.CHECK_RESTARTED) if statement.monitor in e.earlier_monitors else None
         nothing = explain(Code.CHECK_NO_POSITION) if e.trust.state is TrustLevel.NO_FIX else None
         missing = no_verdict(e.trust_age_s) or earlier or nothing
-        text = said(statement.reason, statement.reason_code)
+        text = told(statement)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
             accused = tuple(reference(name) for name in statement.accused[:ACCUSED_MAXIMUM])

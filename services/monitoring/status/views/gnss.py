@@ -6,10 +6,10 @@ from math import degrees
 from shared.messages.corrections import CorrectionsState
 from shared.messages.gnss import Constellation, GnssSignal, Satellite, SignalQuality
 from shared.messages.trust import MonitorTest, Outcome, TrustState
+from shared.trust.result import SATELLITE_LEFT_OUT, told
 
 from ..history.gnss_history import ReceiverHistory
 from ..state import State
-from .plain_words import said
 
 Json = dict[str, object]
 PARSER = "parsers.gnss"
@@ -132,7 +132,7 @@ def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mas
     for satellite in receiver.satellites.satellites if receiver.satellites else _satellites_of(stated):
         name = name_of(satellite.constellation, satellite.number)
         test = tests.get(name)
-        excluded = test is not None and test.reason.startswith("excluded")
+        excluded = test is not None and _is_excluded(test)
         rows.append({
             "name": name,
             "constellation": satellite.constellation,
@@ -145,9 +145,14 @@ def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mas
             "excluded": excluded,
             "suspect": test is not None and test.outcome is Outcome.ACCUSES and not excluded,
             "reason": why_not_used(satellite, mask_rad),
-            "integrity": None if test is None else said(test.reason, test.reason_code),
+            "integrity": None if test is None else told(test),
         })  # fmt: skip
     return rows
+
+
+def _is_excluded(test: MonitorTest) -> bool:
+    """Whether a satellite is left out of the test of the others; of a message without codes it is not known."""
+    return test.reason_code is not None and test.reason_code.code == SATELLITE_LEFT_OUT
 
 
 def _stated_signals(receiver: ReceiverHistory) -> dict[str, list[GnssSignal]]:

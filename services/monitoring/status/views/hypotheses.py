@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 from math import hypot
 
 from shared.messages.trust import Belief, Hypothesis, HypothesisSolution, TrustHypotheses
-from shared.words.words import words
+from shared.words.words import said, words
 
 from ..history.alternatives import Line, separation_ratio, worst
-from .plain_words import said, who
+from .plain_words import who
 
 Json = dict[str, object]
 Stated = tuple[str, TrustHypotheses]  # process and its newest message, while that is live

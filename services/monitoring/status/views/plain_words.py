@@ -1,8 +1,7 @@
-"""What a message says, in the words of the page."""
+"""Names of the integrity monitors, and of what they suspect."""
 
 from collections.abc import Sequence
 
-from shared.messages.explanation import Explanation
 from shared.trust.accused import reference
 from shared.words.words import words
 
@@ -12,11 +11,6 @@ LABELS = words().names["monitor"]
 def label_of(monitor: str) -> str:
     """Name a monitor."""
     return LABELS.get(monitor) or monitor.replace("_", " ").capitalize()
-
-
-def said(reason: str, code: Explanation | None) -> str:
-    """Put a reason into words: by its code, else as the message has it."""
-    return reason if code is None else words().detail(code) or reason
 
 
 def who(accused: Sequence[str]) -> str:

@@ -35,7 +35,7 @@ def simulation(state: State, now_ns: int) -> Json | None:
     found = state.truth_check.newest
     return {
         "request_id": message.request_id if message else None,
-        "refused": message.refused if message and message.refused else None,
+        "refused": message.refused or None if message else None,
         "attacks": [run.model_dump(mode="json") for run in message.attacks] if message else [],
         "verdict": trust.state if trust else None,
         "error_horizontal_m": None if found is None else round(found.horizontal_m, 2),

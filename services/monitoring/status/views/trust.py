@@ -1,9 +1,10 @@
 """The verdict, the monitors and the events of `core.trust` as JSON for the page Trust."""
 
 from shared.messages.trust import MonitorTest, TrustEvent, TrustMonitor, TrustState
+from shared.trust.result import told
 
 from .banner import MONITORS_MAXIMUM, details, ratio_of
-from .plain_words import label_of, said, who
+from .plain_words import label_of, who
 
 Json = dict[str, object]
 TESTS_MAXIMUM = 64  # shown of one monitor
@@ -58,5 +59,8 @@ def _test(test: MonitorTest) -> Json:
 def _common(shown: TrustMonitor | MonitorTest, name: str) -> Json:
     ratio = ratio_of(shown.outcome, shown.statistic, shown.threshold)
     label = label_of(name) if isinstance(shown, TrustMonitor) else name.replace("_", " ")
-    text = said(shown.reason, shown.reason_code if isinstance(shown, TrustMonitor) else None)
-    return {"label": label, "reason": text, "ratio": None if ratio is None else round(ratio, 4)}
+    return {
+        "label": label,
+        "reason": told(shown),
+        "ratio": None if ratio is None else round(ratio, 4),
+    }

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from services.core.cooperative.broadcast.store import EphemerisStore
+from services.core.cooperative.codes import Code
 from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteSolution, SatelliteVerdict
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from services.core.cooperative.v2x.forward import Estimate, Neighbours, range_rates
@@ -14,6 +15,7 @@ from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMon
 from services.core.cooperative.v2x.neighbours import NeighbourReport, NeighbourTest
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
+from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
 from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
 
@@ -68,7 +70,7 @@ def test_a_clean_drive_passes_and_is_where_the_vehicle_is() -> None:
     rng, monitor = np.random.default_rng(1), CooperativeMonitor()
     for k in range(40):
         verdict = judged(monitor, epoch(k, rng), k, rng)
-        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
+        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.why}"
     assert verdict.solution is not None and verdict.solution.velocity_e is not None and verdict.hpl_m is not None
     error = float(np.linalg.norm(np.array(verdict.solution.position_e) - truth(39)))
     assert error < 5.0 and error < verdict.hpl_m < 60.0
@@ -87,7 +89,7 @@ def test_a_ramp_of_1_m_s_is_excluded_before_it_is_40_m_and_nothing_else_is() -> 
         assert set(verdict.excluded) <= {satellite}
         if verdict.excluded and excluded_at is None:
             excluded_at = k
-            assert verdict.outcome == Outcome.ACCUSES and str(satellite) in str(verdict.reason)
+            assert verdict.outcome == Outcome.ACCUSES and verdict.why.values["satellites"] == (satellite.reference,)
     assert excluded_at is not None and excluded_at - 15 < 40
     assert verdict.solution is not None and np.linalg.norm(np.array(verdict.solution.position_e) - truth(69)) < 8.0
 
@@ -110,17 +112,17 @@ def test_a_jump_of_the_receivers_clock_is_no_fault() -> None:
         clock = 45.0 if k < 10 else 45.0 + 299_792.458
         one = epoch(k, clock_m=clock, galileo_clock_m=clock + 6.0)
         verdict = judged(monitor, one, k)
-        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
+        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.why}"
 
 
 def test_without_a_start_nothing_is_evaluated() -> None:
     verdict = CooperativeMonitor().evaluate(epoch(0), STORE, neighbours(0), road_e=ROAD_E, start=None)
-    assert verdict.outcome == Outcome.NOT_EVALUATED and "start" in str(verdict.reason)
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.why == explain(Code.NO_START)
 
 
 def test_without_neighbours_and_road_nothing_is_evaluated() -> None:
     verdict = CooperativeMonitor().evaluate(epoch(0), STORE, (), road_e=None, start=start())
-    assert verdict.outcome == Outcome.NOT_EVALUATED and "neighbour" in str(verdict.reason)
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.why == explain(Code.NO_NEIGHBOUR)
     assert verdict.solution is not None
 
 
@@ -129,7 +131,7 @@ def test_a_gap_or_a_step_back_in_time_starts_again() -> None:
     assert judged(monitor, epoch(0), 0).outcome == Outcome.PASS
     for k in (9, 8):
         verdict = monitor.evaluate(epoch(k), STORE, neighbours(k), road_e=ROAD_E, start=None)
-        assert verdict.outcome == Outcome.NOT_EVALUATED and "start" in str(verdict.reason)
+        assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.why == explain(Code.NO_START)
         assert monitor.evaluate(epoch(9), STORE, neighbours(9), road_e=ROAD_E, start=start(9)).outcome == Outcome.PASS
 
 
@@ -223,7 +225,7 @@ def test_two_strangers_that_contradict_each_other_are_both_excluded() -> None:
     first, second, _ = lying(1, rng, 1, 30.0)
     verdict = monitor.evaluate(epoch(1), STORE, (first, second), road_e=None, start=None)
     assert [finding.excluded for finding in verdict.neighbours] == [True, True]
-    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.reason == "no usable neighbour and no road"
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.why == explain(Code.NO_NEIGHBOUR)
 
 
 def test_honest_neighbours_are_excluded_at_the_design_rate() -> None:
@@ -250,7 +252,7 @@ def test_bad_satellites_are_counted_too() -> None:
     verdict = CooperativeMonitor().evaluate(bad, STORE, neighbours(0), road_e=ROAD_E, start=start())
     assert verdict.rejected == {"implausible_pseudorange": 1} and verdict.outcome == Outcome.PASS
     empty = CooperativeMonitor().evaluate(replace(one, measurements=()), STORE, (), road_e=ROAD_E, start=start())
-    assert empty.outcome == Outcome.NOT_EVALUATED and empty.reason == "no usable satellite"
+    assert empty.outcome == Outcome.NOT_EVALUATED and empty.why == explain(Code.NO_SATELLITE)
 
 
 def test_satellites_that_come_and_go_do_not_disturb_the_others() -> None:
@@ -259,7 +261,7 @@ def test_satellites_that_come_and_go_do_not_disturb_the_others() -> None:
         full = epoch(k)
         part = full.measurements if k % 7 < 3 else full.measurements[k % 3 :: 2]
         verdict = judged(monitor, replace(full, measurements=part), k)
-        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
+        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.why}"
         assert len(verdict.findings) == len(part)
 
 
@@ -322,4 +324,4 @@ def test_without_virtual_satellites_the_construction_is_not_evaluated() -> None:
             store.add(ephemeris)
     monitor = CooperativeMonitor(CooperativeSettings(paper_construction=True))
     verdict = monitor.evaluate(one, store, neighbours(0), road_e=ROAD_E, start=start())
-    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.reason == "too few virtual satellites"
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.why == explain(Code.FEW_VIRTUAL)

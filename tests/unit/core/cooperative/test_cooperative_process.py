@@ -6,11 +6,13 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from services.core.cooperative.codes import Code
 from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteId
 from services.core.cooperative.process import MAX_LISTS, Config, Process, largest_sd
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
 from shared.messages.base import Tick
+from shared.messages.explanation import Reference, ReferenceKind, Value, explain
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.runtime.config import Vehicle
@@ -50,6 +52,13 @@ def by_name(statement: TrustMonitor, name: str) -> MonitorTest:
     return next(test for test in statement.tests if test.name == name)
 
 
+def help_of(statement: TrustMonitor) -> Value:
+    """Give the number of neighbours that the test with their help has used."""
+    code = by_name(statement, "cooperative").reason_code
+    assert code is not None and code.code == Code.AGREE_WITH_NEIGHBOURS
+    return code.values["neighbours_count"]
+
+
 def run(process: Process, seconds: range, epoch: object = at, **changes: object) -> list[TrustMonitor]:
     found: list[TrustMonitor] = []
     for second in seconds:
@@ -64,7 +73,7 @@ def test_neighbours_make_the_cooperative_test_from_the_second_epoch_on() -> None
     for statement in others:
         cooperative = by_name(statement, "cooperative")
         assert statement.outcome is cooperative.outcome is Outcome.PASS
-        assert cooperative.reason == "with 3 neighbours"
+        assert help_of(statement) == 3
         assert {test.name for test in statement.tests} >= {"neighbour 0", "neighbour 1", "neighbour 2"}
     assert not process.rejects
 
@@ -107,7 +116,12 @@ def test_four_satellites_are_evaluated_with_neighbours_and_a_step_is_attributed(
     assert {one.outcome for one in clean} == {Outcome.PASS}
     (accusing,) = run(process, range(20, 21), lambda k: four(k, (victim, 150.0)))
     assert accusing.accused == (str(victim),)
-    assert accusing.reason.startswith(f"excluded {victim}; 3 satellites, horizontal protection level")
+    assert accusing.reason_code == explain(
+        Code.EXCLUDED_WITH_NEIGHBOURS, satellites=(victim.reference,), neighbours_count=3
+    )
+
+
+LIAR = Reference(kind=ReferenceKind.NEIGHBOUR, name="0")
 
 
 def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on_passing() -> None:
@@ -116,7 +130,9 @@ def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on
     statements = run(process, range(10, 13), lie=-15.0)
     for one in statements:
         assert (one.outcome, one.accused) == (Outcome.ACCUSES, ("neighbour 0",))
-        assert "neighbour 0 contradicted by the others" in one.reason
+        assert one.reason_code == explain(Code.NEIGHBOURS_CONTRADICTED, neighbours=(LIAR,))
+        code = by_name(one, "neighbour 0").reason_code
+        assert code is not None and (code.subject, code.code) == (LIAR, Code.NEIGHBOUR_LEFT_OUT)
         assert by_name(one, "cooperative").outcome is Outcome.PASS
         assert by_name(one, "neighbour 0").outcome is Outcome.ACCUSES
     (faulty,) = run(process, range(13, 14), lambda k: at(k, push=(at(1).measurements[3].satellite, 80.0)), lie=-15.0)
@@ -158,7 +174,7 @@ def test_a_bad_neighbour_is_refused_with_a_counted_reason_and_the_others_are_use
     process = informed()
     *_, last = run(process, range(1, 5), **change)
     assert process.rejects == {reason: 3}, "from the second epoch on"
-    assert by_name(last, "cooperative").reason == "with 2 neighbours" and last.outcome is Outcome.PASS
+    assert help_of(last) == 2 and last.outcome is Outcome.PASS
 
 
 def test_lists_out_of_order_of_a_second_radio_or_without_end_are_counted() -> None:
@@ -182,9 +198,8 @@ def test_when_all_satellites_jump_together_gnss_is_accused_once_and_the_filters_
         return raw_epoch(place, gps_time_ns=NOW_NS + second * NS, rng=np.random.default_rng((7, second)))
 
     statements = run(process, range(12, 30), jumped)
-    assert by_name(statements[0], "cooperative").reason == (
-        "all satellites contradict the filters and agree with one another: the filters start anew"
-    )
+    assert by_name(statements[0], "cooperative").reason_code == explain(Code.FILTERS_RESTART)
+    assert statements[0].reason_code == explain(Code.FILTERS_RESTART)
     assert statements[0].accused[0] == "gnss"
     assert not any(one.startswith(("g", "G", "E")) for later in statements[1:] for one in later.accused)
     assert by_name(statements[-1], "cooperative").outcome is not Outcome.ACCUSES
@@ -197,7 +212,7 @@ def test_another_radio_is_used_when_the_first_one_is_silent() -> None:
     for second, states in zip(range(9, 13), others, strict=True):
         (*_, last) = said(process, states, message(at(second), float(second)))
     assert "second_radio" not in process.rejects
-    assert by_name(last, "cooperative").reason == "with 3 neighbours"
+    assert help_of(last) == 3
 
 
 @pytest.mark.parametrize("tick_first", [True, False])
@@ -207,7 +222,7 @@ def test_a_list_of_the_future_does_not_keep_out_those_of_now(tick_first: bool) -
     said(process, *((tick, ahead) if tick_first else (ahead, tick)))
     *_, last = run(process, range(1, 5))
     assert process.rejects == {"neighbour_from_the_future": 3}
-    assert by_name(last, "cooperative").reason == "with 3 neighbours"
+    assert help_of(last) == 3
 
 
 def test_when_neighbours_stop_plain_raim_goes_on_and_says_why_they_do_not_help() -> None:
@@ -216,7 +231,7 @@ def test_when_neighbours_stop_plain_raim_goes_on_and_says_why_they_do_not_help()
     (statement,) = said(process, message(at(5), 5.0))
     assert statement.outcome is Outcome.PASS
     assert by_name(statement, "cooperative").outcome is Outcome.NOT_EVALUATED
-    assert by_name(statement, "cooperative").reason == "no usable neighbour and no road"
+    assert by_name(statement, "cooperative").reason_code == explain(Code.NO_NEIGHBOUR)
 
 
 @pytest.mark.parametrize(
@@ -249,4 +264,4 @@ def test_while_ephemerides_are_collected_after_a_gap_nobody_is_accused(seed: int
         statements += run(process, range(second, second + 1), epoch)
     assert not [one for one in statements if one.accused]
     assert statements[7].outcome is Outcome.NOT_EVALUATED
-    assert by_name(statements[-1], "cooperative").reason == "with 3 neighbours"
+    assert help_of(statements[-1]) == 3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from services.core.evidence.baselines import ClockPrediction, SlowMean, TimeOffset
+from services.core.evidence.codes import Code
 from services.core.evidence.monitor import EvidenceMonitor
 from services.core.evidence.process import Config, Process
 from services.parsers.gnss.process import Config as ParserConfig
@@ -15,6 +16,7 @@ from services.parsers.gnss.process import Process as Parser
 from services.sensors.simulator.world import DEFAULT_START_NS, messages
 from shared.attacks import schedule
 from shared.messages.base import Tick
+from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import (
     Constellation,
     FixType,
@@ -175,7 +177,7 @@ def test_each_cause_alone_accuses_gnss_by_exactly_its_own_test(cause: str) -> No
 def test_a_quiet_receiver_passes_by_all_tests_once_the_means_are_learned() -> None:
     last = list(statements(100, unchanged, 1))[-1]
     assert last.outcome is PASS and {test.outcome for test in last.tests} == {PASS}
-    assert last.reason == "8 of 8 tests pass"
+    assert last.reason_code == explain(Code.PASSES, passed_count=8, tests_count=8)
 
 
 def host_time(found: Iterator[TrustMonitor]) -> list[MonitorTest]:
@@ -188,7 +190,10 @@ def test_a_time_that_is_wrong_from_the_start_on_is_accused_by_the_clock_of_the_h
     accusing = [s for s in found if s.outcome is ACCUSES]
     assert accusing[0].sampled_ns / NS == 6.5, "two evaluations of at least five arrivals"
     assert {test.name for s in accusing for test in s.tests if test.outcome is ACCUSES} == {"host_time"}
-    assert f"GNSS time minus the host's clock is {ahead_s - 0.08:+.3f} s, limit 2.100" in accusing[-1].reason
+    why = accusing[-1].reason_code
+    assert why is not None and why.code == Code.HOST_TIME
+    assert why.values["ahead_s"] == pytest.approx(ahead_s - 0.08, rel=1e-6, abs=5e-4)
+    assert accusing[-1].threshold == pytest.approx(2.1)
 
 
 def test_a_time_that_is_pushed_slowly_is_accused_by_the_clock_of_the_host_alone() -> None:
@@ -215,17 +220,19 @@ def test_messages_that_are_a_second_late_do_not_contradict_the_clock_of_the_host
 
 
 @pytest.mark.parametrize(
-    "read_clock",
+    ("read_clock", "why"),
     [
-        lambda second: None,
-        lambda second: host_clock(second, synchronised=False, maximum_error_s=None),
-        lambda second: host_clock(second) if second == 1 else None,
+        (lambda second: None, explain(Code.NO_HOST_TIME)),
+        (lambda second: host_clock(second, synchronised=False, maximum_error_s=None), explain(Code.NO_HOST_TIME)),
+        (lambda second: host_clock(second) if second == 1 else None, explain(Code.SILENT, test="host_time", age_s=10)),
     ],
     ids=["never", "nothing holds it", "61 s old"],
 )
-def test_without_a_clock_that_is_held_the_time_is_not_compared(read_clock: Callable[[int], HostClock | None]) -> None:
+def test_without_a_clock_that_is_held_the_time_is_not_compared(
+    read_clock: Callable[[int], HostClock | None], why: Explanation
+) -> None:
     last = host_time(statements(70, pushed(3600.0), 1, Process(Config(hold_s=0.0)), read_clock))[-1]
-    assert last.outcome is NOT_EVALUATED and "nothing holds the clock of the host" in last.reason
+    assert last.outcome is NOT_EVALUATED and last.reason_code == why
 
 
 def test_the_error_that_the_host_states_widens_the_limit() -> None:
@@ -249,7 +256,9 @@ def test_a_detector_that_cannot_tell_is_not_evaluated(state: InterferenceState |
     last = list(statements(100, silent, 1))[-1]
     tests = by_name(last)
     assert tests["spoofing_flag"].outcome is tests["jamming_flag"].outcome is NOT_EVALUATED
-    assert last.outcome is PASS and "not evaluated: spoofing_flag, jamming_flag" in last.reason
+    assert last.outcome is PASS and last.reason_code is not None
+    assert last.reason_code.code == Code.PASSES_PARTLY
+    assert last.reason_code.values["missing"] == ("spoofing_flag", "jamming_flag")
 
 
 def test_a_receiver_that_sends_no_evidence_is_not_evaluated_with_a_current_stamp() -> None:
@@ -258,7 +267,7 @@ def test_a_receiver_that_sends_no_evidence_is_not_evaluated_with_a_current_stamp
         list(process.handle(fix(k, source="gnss0/nmea")))
         (statement,) = process.handle(Tick(now_ns=k * NS))
         assert statement.outcome is NOT_EVALUATED and statement.sampled_ns == k * NS
-        assert statement.reason.startswith("the receiver states nothing of its status")
+        assert statement.reason_code == explain(Code.NOTHING_STATED)
 
 
 def test_evidence_that_stops_keeps_its_last_stamp_so_that_it_becomes_stale() -> None:
@@ -268,9 +277,9 @@ def test_evidence_that_stops_keeps_its_last_stamp_so_that_it_becomes_stale() -> 
         list(process.handle(fix(k)))
         (statement,) = process.handle(Tick(now_ns=k * NS))
         assert statement.sampled_ns == 30 * NS
-    assert statement.outcome is NOT_EVALUATED and "the receiver states nothing of spoofing for 29 s" in (
-        statement.reason
-    )
+    assert statement.outcome is NOT_EVALUATED and statement.reason_code is not None
+    assert statement.reason_code.code == Code.NOTHING_EVALUATED
+    assert by_name(statement)["spoofing_flag"].reason_code == explain(Code.SILENT, test="spoofing_flag", age_s=29)
 
 
 def test_a_second_receiver_is_rejected_and_counted() -> None:
@@ -359,5 +368,5 @@ def test_a_recorded_receiver_is_not_accused(folder: str, name: str, least: int) 
                 case GnssSatellites():
                     seconds += 1
                     monitor.satellites(message.model_copy(update={"sampled_ns": seconds * NS}))
-                    accused += any(test.outcome is ACCUSES for test in monitor.results(seconds * NS))
+                    accused += any(test.outcome is ACCUSES for test in monitor.results(seconds * NS).values())
     assert seconds >= least and accused == 0

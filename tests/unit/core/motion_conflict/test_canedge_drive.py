@@ -12,7 +12,6 @@ import pytest
 
 from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.tachograph import KM_H
-from services.core.motion_conflict.verdicts import State
 from tests.support.data import recording
 
 pytestmark = pytest.mark.recording
@@ -56,7 +55,7 @@ def drive(*, invalid_too: bool = False, gnss: Change | None = None, odometer: Ch
                 statistic = getattr(verdicts, name).statistic
                 if statistic is not None:
                     result.largest[name] = max(result.largest.get(name, 0.0), statistic)
-                if getattr(verdicts, name).state is State.ACCUSES:
+                if getattr(verdicts, name).accuses:
                     result.first_s.setdefault(name, time_s)
     return result
 

@@ -9,10 +9,14 @@ import pytest
 from scipy.stats import binom
 
 from services.core.motion_conflict.calibration import Calibration
+from services.core.motion_conflict.codes import Code
 from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.settings import Settings
 from services.core.motion_conflict.tachograph import KM_H, WindowMode
-from services.core.motion_conflict.verdicts import Accused, MotionVerdicts, State
+from services.core.motion_conflict.verdicts import MotionVerdicts
+from shared.messages.explanation import explain
+from shared.messages.trust import Outcome
+from shared.trust.inputs import Input
 from tests.support.drives.motion import SECOND_NS, World, drives_and_stops
 
 NAMES = [field.name for field in fields(MotionVerdicts)]
@@ -61,7 +65,7 @@ def test_a_frozen_estimator_learns_nothing() -> None:
 
 def test_a_scale_beyond_tyres_is_not_learned_and_is_a_finding() -> None:
     world = known(steady(90.0), scale=1.12)
-    assert world.after(400.0).scale_range.state is State.ACCUSES
+    assert world.after(400.0).scale_range.outcome is Outcome.ACCUSES
     assert world.monitor.calibration.calibration.scale <= 1.08
 
 
@@ -69,9 +73,9 @@ def test_false_alarms_of_the_fast_test_on_drives_do_not_exceed_the_design_rate()
     rate, windows, episodes, alarmed = 1e-3, 0, 0, False
     monitor = MotionMonitor(Settings(fast_false_alarm_rate=rate))
     for verdicts in World(drives_and_stops(5, 6000.0), monitor=monitor).run(6000.0):
-        windows += verdicts.fast.state is not State.NOT_EVALUATED
-        episodes += verdicts.fast.state is State.ACCUSES and not alarmed
-        alarmed = verdicts.fast.state is State.ACCUSES
+        windows += verdicts.fast.outcome is not Outcome.NOT_EVALUATED
+        episodes += verdicts.fast.outcome is Outcome.ACCUSES and not alarmed
+        alarmed = verdicts.fast.outcome is Outcome.ACCUSES
     assert windows > 5000
     assert episodes <= binom.ppf(0.9995, windows, rate)
 
@@ -80,13 +84,13 @@ def test_normal_drives_accuse_nobody_and_every_speed_test_is_evaluated() -> None
     world = World(drives_and_stops(8, 900.0))
     assert world.accusing(899.0) == set()
     last = world.after(1.0)
-    assert {name for name in NAMES if getattr(last, name).state is State.NOT_EVALUATED} == {"distance"}
+    assert {name for name in NAMES if getattr(last, name).outcome is Outcome.NOT_EVALUATED} == {"distance"}
 
 
 def test_before_any_speed_nothing_is_evaluated() -> None:
     verdicts = MotionMonitor().verdicts(SECOND_NS)
-    assert all(getattr(verdicts, name).state is State.NOT_EVALUATED for name in NAMES)
-    assert verdicts.trimmed_mean.reason == "no GNSS speed received yet"
+    assert all(getattr(verdicts, name).outcome is Outcome.NOT_EVALUATED for name in NAMES)
+    assert verdicts.trimmed_mean.why == explain(Code.NO_INPUT, input=Input.GNSS_SPEED)
 
 
 def test_each_test_raised_alone_changes_exactly_its_own_verdict() -> None:
@@ -139,10 +143,10 @@ def test_a_spoofed_speed_is_accused_by_the_fast_test_within_seconds_and_by_the_r
 def test_the_suspect_time_of_a_slow_drift_is_not_after_its_beginning_by_more_than_a_window() -> None:
     world = known(steady(90.0), gnss=lambda t, v: v + min(8.0, max(0.0, 0.1 * (t - 100.0))))
     for verdicts in world.run(300.0):
-        if verdicts.fast.state is State.ACCUSES:
+        if verdicts.fast.outcome is Outcome.ACCUSES:
             assert verdicts.fast.suspect_since_ns is not None
             assert 90.0 < verdicts.fast.suspect_since_ns / SECOND_NS < 110.0
-            assert verdicts.fast.accused == (Accused.GNSS, Accused.ODOMETER)
+            assert verdicts.fast.accused == ("gnss", "odometer")
             return
     raise AssertionError("the drift was not detected")
 
@@ -156,12 +160,12 @@ def test_the_scale_before_a_step_stays_the_reference() -> None:
 
 def test_no_fix_makes_a_verdict_not_evaluated_and_never_a_conflict() -> None:
     world = known(steady(90.0), gnss=lambda t, v: None if 350.0 <= t < 600.0 else v)
-    assert world.after(350.0).trimmed_mean.state is State.PASS
+    assert world.after(350.0).trimmed_mean.outcome is Outcome.PASS
     assert world.accusing(249.0) == set()
     verdicts = world.after(1.0)
-    assert verdicts.trimmed_mean.state is State.NOT_EVALUATED
-    assert verdicts.trimmed_mean.reason.startswith("no GNSS speed for 25")
-    assert verdicts.fast.state is State.NOT_EVALUATED
+    assert verdicts.trimmed_mean.outcome is Outcome.NOT_EVALUATED
+    assert verdicts.trimmed_mean.why.code == Code.INPUT_SILENT and verdicts.trimmed_mean.why.values["age_s"] == 250
+    assert verdicts.fast.outcome is Outcome.NOT_EVALUATED
     assert verdicts.trimmed_mean.since_ns == pytest.approx(365 * SECOND_NS, abs=2 * SECOND_NS)
 
 
@@ -170,7 +174,7 @@ def test_a_silent_odometer_makes_every_comparison_not_evaluated() -> None:
     world.after(400.0)
     verdicts = world.monitor.verdicts(420 * SECOND_NS)
     assert verdicts.accusing() == ()
-    assert verdicts.median.state is State.NOT_EVALUATED
+    assert verdicts.median.outcome is Outcome.NOT_EVALUATED
 
 
 def test_a_speed_held_for_ten_seconds_after_a_loss_is_not_used() -> None:
@@ -189,26 +193,26 @@ def test_a_speed_held_for_ten_seconds_after_a_loss_is_not_used() -> None:
     world.after(405.0)
     assert world.monitor.held.since_ns is not None
     for verdicts in world.run(100.0):
-        assert verdicts.fast.state is not State.ACCUSES
-        assert verdicts.held_speed.state is not State.ACCUSES
+        assert verdicts.fast.outcome is not Outcome.ACCUSES
+        assert verdicts.held_speed.outcome is not Outcome.ACCUSES
     assert max(world.monitor.raw.differences) < 2.0 * KM_H
 
 
 def test_a_steady_receiver_at_steady_speed_is_not_taken_for_a_held_one() -> None:
     world = known(lambda _: 25.0, gnss=lambda _, v: round(v))
     for verdicts in world.run(300.0):
-        assert verdicts.held_speed.state is State.PASS or world.time_s < 2.0
+        assert verdicts.held_speed.outcome is Outcome.PASS or world.time_s < 2.0
     assert world.monitor.held.since_ns is None
 
 
 def test_a_wall_window_is_incomplete_after_a_loss_and_complete_again_after_five_minutes() -> None:
     monitor = MotionMonitor(Settings(window=WindowMode.WALL), start=KNOWN)
     world = World(steady(90.0), monitor=monitor, gnss=lambda t, v: None if 400.0 <= t < 430.0 else v)
-    assert world.after(390.0).trimmed_mean.state is State.PASS
+    assert world.after(390.0).trimmed_mean.outcome is Outcome.PASS
     verdicts = world.after(60.0)
-    assert verdicts.trimmed_mean.state is State.NOT_EVALUATED
-    assert verdicts.trimmed_mean.reason == "warming up: 27 of 30 samples with both speeds"
-    assert world.after(300.0).trimmed_mean.state is State.PASS
+    assert verdicts.trimmed_mean.outcome is Outcome.NOT_EVALUATED
+    assert verdicts.trimmed_mean.why == explain(Code.WARMING_UP, samples_count=27, needed_count=30)
+    assert world.after(300.0).trimmed_mean.outcome is Outcome.PASS
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -0.1, 151.0])

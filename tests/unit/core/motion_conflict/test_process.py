@@ -5,13 +5,16 @@ from math import pi, sin
 import numpy as np
 import pytest
 
+from services.core.motion_conflict.codes import Code
 from services.core.motion_conflict.process import Config, Process, forbids_learning
 from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.base import Tick
+from shared.messages.explanation import explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import LearnedScale, Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import VehicleFile
+from shared.trust.inputs import Input
 from tests.support.drives.spoofing import inputs
 
 SECOND_NS = 1_000_000_000
@@ -73,7 +76,7 @@ def test_a_difference_above_ten_km_h_accuses_either_sensor() -> None:
 def test_no_velocity_is_no_evaluation_and_never_standstill() -> None:
     last = drive(Process(Config()), range(1, 331), None, 14.0)
     assert last["motion"].outcome is Outcome.NOT_EVALUATED
-    assert "no GNSS speed" in last["motion"].reason
+    assert last["motion"].reason_code == explain(Code.NO_INPUT, input=Input.GNSS_SPEED)
 
 
 def trust(level: TrustLevel, *accusing: TrustMonitor, odometer_excluded: bool = False) -> TrustState:
@@ -108,7 +111,7 @@ def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixT
         for message in (reported, odometer(k * SECOND_NS, 14.0), Tick(now_ns=k * SECOND_NS)):
             last |= {one.monitor: one for one in process.handle(message) if isinstance(one, TrustMonitor)}
     assert last["motion"].outcome is Outcome.NOT_EVALUATED
-    assert "no GNSS speed" in last["motion"].reason
+    assert last["motion"].reason_code == explain(Code.NO_INPUT, input=Input.GNSS_SPEED)
 
 
 @pytest.mark.parametrize(("level", "learned"), [(TrustLevel.CAUTION, True), (TrustLevel.UNSAFE, False)])

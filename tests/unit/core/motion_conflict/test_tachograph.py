@@ -5,7 +5,6 @@ from math import radians
 import pytest
 
 from cli.papers.motion_conflict.sweeps import statistics
-from services.core.motion_conflict.monitor import judged
 from services.core.motion_conflict.tachograph import (
     EVENT_S,
     KM_H,
@@ -16,7 +15,9 @@ from services.core.motion_conflict.tachograph import (
     WindowMode,
     distance_limit,
 )
-from services.core.motion_conflict.verdicts import Accused, State, Verdict
+from shared.messages.explanation import explain
+from shared.messages.trust import Outcome
+from shared.trust.result import Test, judged
 
 SECOND_NS = 1_000_000_000
 PERIOD_NS = 10 * SECOND_NS
@@ -71,8 +72,8 @@ def test_exactly_10_km_h_is_not_above_the_limit(monkeypatch: pytest.MonkeyPatch,
         window.add(k * PERIOD_NS, 0.0, difference)
     assert window.exceeded_s == (10.0 if above else 0.0)
     assert (window.suspect_since_ns is not None) == above
-    base = Verdict(State.NOT_EVALUATED, "", "m/s", 300.0, accused=(Accused.GNSS,))
-    assert (judged(difference, THRESHOLD_M_S, base).state is State.ACCUSES) == above
+    base = Test(Outcome.NOT_EVALUATED, explain("motion.trimmed_mean"), "m/s")
+    assert judged(base, difference, THRESHOLD_M_S).accuses == above
     swept = statistics([(10.0 * k, 0.0, scale * 10.0) for k in range(30)])
     assert (swept.mean_above, swept.median_above) == ((1, 1) if above else (0, 0))
     assert (swept.first_s is not None) == above

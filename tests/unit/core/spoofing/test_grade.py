@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from services.core.spoofing.codes import Code
 from services.core.spoofing.grade import LONG, Grade, profile_of
 from services.core.spoofing.lesson import NEEDED_S, Lesson, profile_of_learned
 from services.core.spoofing.process import Config, Process
@@ -13,6 +14,7 @@ from services.core.spoofing.profile import UNIT_IMU, Origin
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.short_window import Window
 from services.sensors.simulator.drive import Drive, simulate
+from shared.messages.explanation import explain
 from shared.messages.trust import LearnedGrade, Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import load_vehicle
 from tests.support.drives.spoofing import GRADED, SECOND_NS, Fused, fused, process_of, watched
@@ -73,8 +75,9 @@ def test_without_grade_or_profile_nothing_is_evaluated_and_the_reason_says_what_
     result = watched(process_of(drive, Config(warm_up_s=0.0)), received)
     for monitor in ("inertial_short", "inertial_long"):
         last = result.statements[monitor][-1]
-        assert last.outcome is Outcome.NOT_EVALUATED and "learning the grade of this IMU" in last.reason
-        assert "obu calibrate spoofing" in last.reason
+        assert last.outcome is Outcome.NOT_EVALUATED and last.reason_code is not None
+        assert last.reason_code == explain(Code.LEARNING_UNVOUCHED, learned_s=0, needed_s=NEEDED_S)
+        assert "obu calibrate spoofing" in last.reason, "what to do"
 
 
 def test_free_propagations_wait_for_a_minute_after_the_alignment_and_short_windows_for_less(

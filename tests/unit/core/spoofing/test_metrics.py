@@ -20,12 +20,15 @@ from cli.papers.spoofing.method import (
     sensor_rates,
     turned_by_course,
 )
+from services.core.spoofing.codes import Code
 from services.core.spoofing.inertial.compass import barometric_pressure
 from services.core.spoofing.inertial.tracks import Heights, Series, VelocityFix
 from services.core.spoofing.profile import UNIT_IMU, Profile, exceeding, learn
 from services.core.spoofing.windows.metrics import Metric, acceleration_differences, consecutive
 from services.core.spoofing.windows.short_window import Window, window_of_fixes
 from shared.inertial.increments import SECOND_NS
+from shared.messages.explanation import explain
+from shared.trust.inputs import Input
 
 FloatArray = npt.NDArray[np.float64]
 RATE_HZ = 10
@@ -147,13 +150,13 @@ def fix(time_s: float) -> VelocityFix:
 
 
 def test_a_window_holds_5_s_of_fixes_or_says_why_there_is_none() -> None:
-    assert window_of_fixes([]) == "no GNSS velocity received yet"
-    assert window_of_fixes([fix(t) for t in range(5)]) == "fewer than 5 s of GNSS velocities"
+    assert window_of_fixes([]) == explain(Code.NO_INPUT, input=Input.GNSS_VELOCITY)
+    assert window_of_fixes([fix(t) for t in range(5)]) == explain(Code.FEW_VELOCITIES)
     whole = window_of_fixes([fix(t) for t in range(9)])
-    assert not isinstance(whole, str) and [f.time_ns // SECOND_NS for f in whole] == [3, 4, 5, 6, 7, 8]
-    assert window_of_fixes([fix(t) for t in (0, 1, 3, 4, 5)]) == "more than 1.6 s between two GNSS velocities"
+    assert isinstance(whole, list) and [f.time_ns // SECOND_NS for f in whole] == [3, 4, 5, 6, 7, 8]
+    assert window_of_fixes([fix(t) for t in (0, 1, 3, 4, 5)]) == explain(Code.VELOCITY_GAP, limit_s=1.6)
     dense = window_of_fixes([fix(t / 4) for t in range(60)])
-    assert not isinstance(dense, str) and dense[-1].time_ns - dense[0].time_ns == 5 * SECOND_NS
+    assert isinstance(dense, list) and dense[-1].time_ns - dense[0].time_ns == 5 * SECOND_NS
 
 
 def test_a_series_interpolates_between_neighbours_only() -> None:

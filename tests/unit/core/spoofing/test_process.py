@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
+from services.core.spoofing.codes import Code
 from services.core.spoofing.inertial import propagation
 from services.core.spoofing.inertial.anchors import filter_anchor_of
 from services.core.spoofing.process import Config, Process, velocity_of
@@ -17,12 +18,14 @@ from services.core.spoofing.windows.position_step import FALSE_ALARM_RATE, NAME
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
 from shared.messages.base import Tick
+from shared.messages.explanation import explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.operation import ProcessLoad, Work
 from shared.messages.trust import Outcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
+from shared.trust.inputs import Input as Compared
 from tests.support.drives.spoofing import GRADED, Input, Result, drag_off, inputs, monitored, run
 
 BEGIN_S, END_S = 75.0, 120.0
@@ -111,7 +114,7 @@ def test_at_standstill_accelerations_are_compared_and_the_heading_rate_is_not(cl
     assert len(still) > 5
     for window in still:
         assert Metric.ACCELERATION_EAST in window.difference and Metric.ALTITUDE_RATE in window.difference
-        assert window.missing[Metric.HEADING_RATE] == "speed is not above 1 m/s in the whole window"
+        assert window.missing[Metric.HEADING_RATE] == explain(Code.TOO_SLOW, limit_m_s=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -174,14 +177,16 @@ def without(drive: Drive, kind: type, after_s: float, end_s: float) -> Result:
     return run(fusion, process, kept())
 
 
-@pytest.mark.parametrize(
-    ("kind", "reason"), [(ImuSamples, "no inertial samples for"), (GnssFix, "no GNSS velocity for")]
-)
-def test_without_an_input_nothing_is_evaluated_and_the_reason_names_it(drive: Drive, kind: type, reason: str) -> None:
+@pytest.mark.parametrize(("kind", "name"), [(ImuSamples, Compared.INERTIAL_SAMPLES), (GnssFix, Compared.GNSS_VELOCITY)])
+def test_without_an_input_nothing_is_evaluated_and_the_reason_names_it(
+    drive: Drive, kind: type, name: Compared
+) -> None:
     result = without(drive, kind, 75.0, 95.0)
     for monitor in (SHORT, LONG):
         assert outcomes(result.statements[monitor], 80.0) == {Outcome.NOT_EVALUATED}
-        assert result.statements[monitor][-1].reason.startswith(reason)
+        why = result.statements[monitor][-1].reason_code
+        assert why is not None and (why.code, why.values["input"]) == (Code.INPUT_SILENT, name)
+        assert isinstance(why.values["age_s"], int) and why.values["age_s"] > 10
         assert result.episodes(monitor) == 0
 
 
@@ -195,10 +200,12 @@ def test_without_a_heading_nothing_is_evaluated() -> None:
     found = [s for s in process.handle(Tick(now_ns=10**9)) if isinstance(s, TrustMonitor)]
     assert [s.monitor for s in found] == [SHORT, LONG, "gyroscope", "drift"]
     assert {s.outcome for s in found} == {Outcome.NOT_EVALUATED}
-    assert found[0].reason == "no inertial samples received yet" and found[0].statistic is None
+    assert (
+        found[0].reason_code == explain(Code.NO_INPUT, input=Compared.INERTIAL_SAMPLES) and found[0].statistic is None
+    )
     standing = simulate("urban", 1, 15.0)  # fusion gets its heading when the vehicle drives
     last = monitored(standing).statements
-    assert all(last[m][-1].reason == "no solution with attitude and heading received yet" for m in (SHORT, LONG))
+    assert all(last[m][-1].reason_code == explain(Code.NO_INPUT, input=Compared.ATTITUDE) for m in (SHORT, LONG))
     waiting = NavigationSolution.model_construct(phase=NavigationPhase.WAITING_FOR_HEADING)
     assert list(process.handle(waiting)) == []
 
@@ -315,9 +322,8 @@ def test_a_paused_process_evaluates_nothing_says_so_and_begins_again(drive: Driv
             list(process.handle(message))
     stated = [one for one in process.handle(Tick(now_ns=now_ns)) if isinstance(one, TrustMonitor)]
     assert {one.monitor for one in stated} == {SHORT, LONG, "gyroscope", "drift"}
-    assert {(one.outcome, one.reason) for one in stated} == {
-        (Outcome.NOT_EVALUATED, "paused: this computer is too slow")
-    }
+    assert all(one.outcome is Outcome.NOT_EVALUATED for one in stated)
+    assert all(one.reason_code == explain(Code.PAUSED) for one in stated)
     assert not process.monitor.taken and not process._newest_ns
     monitor = process.monitor
     list(process.handle(told.model_copy(update={"paused": ()})))

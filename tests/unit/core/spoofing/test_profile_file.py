@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from services.core.spoofing.codes import Code
 from services.core.spoofing.process import Config, Process
-from services.core.spoofing.profile import UNIT_IMU, LearnedDrive, Origin, Profile, learn
+from services.core.spoofing.profile import UNIT_IMU, LearnedDrive, Origin, Profile, Trait, learn
 from services.core.spoofing.settings import UNKNOWN_AXLE_M
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.short_window import Window
 from shared.errors import ConfigError
 from shared.messages.base import Tick
+from shared.messages.explanation import explain
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.trust import TrustMonitor
@@ -128,8 +130,8 @@ def test_a_profile_that_was_learned_with_the_lever_arm_in_another_section_stays_
     assert vehicle(tmp_path, delays).digest() != config.digest()
 
 
-def reason_after(config: Config, seconds: int = 15) -> str:
-    """Reason of the last statement `inertial_short` of a unit with imu0 at 100 Hz and gnss0 at 1 Hz."""
+def stated_after(config: Config, seconds: int = 15) -> TrustMonitor:
+    """Give the last statement `inertial_short` of a unit with imu0 at 100 Hz and gnss0 at 1 Hz."""
     process, last = Process(config), list[TrustMonitor]()
     for k in range(1, seconds * 10):
         now_ns = k * SECOND_NS // 10
@@ -143,23 +145,32 @@ def reason_after(config: Config, seconds: int = 15) -> str:
                           velocity_ned_m_s=(0.0, 0.0, 0.0))  # fmt: skip
             list(process.handle(fix))
             last = [s for s in process.handle(Tick(now_ns=now_ns)) if isinstance(s, TrustMonitor)]
-    return last[0].reason
+    return last[0]
 
 
 def test_a_profile_of_the_same_unit_gives_no_warning() -> None:
-    assert "another unit" not in reason_after(Config(profile=profile(origin())))
+    stated = stated_after(Config(profile=profile(origin())))
+    assert stated.reason_code is not None and stated.reason_code.code == Code.NO_INPUT
 
 
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"imu": "mti-3"}, "IMU mti-3, now imu0"),
-        ({"gnss": "neo-m8"}, "GNSS receiver neo-m8, now gnss0"),
-        ({"imu_rate_hz": 50.0}, "IMU rate 50 Hz, now 100 Hz"),
-        ({"gnss_rate_hz": 4.0}, "GNSS rate 4 Hz, now 1 Hz"),
-        ({"configuration": "f" * 16}, f"configuration {'f' * 16}, now {Config().digest()}"),
+        ({"imu": "mti-3"}, {Trait.IMU: "IMU mti-3, now imu0"}),
+        ({"gnss": "neo-m8"}, {Trait.GNSS: "GNSS receiver neo-m8, now gnss0"}),
+        ({"imu_rate_hz": 50.0}, {Trait.IMU_RATE: "IMU rate 50 Hz, now 100 Hz"}),
+        ({"gnss_rate_hz": 4.0}, {Trait.GNSS_RATE: "GNSS rate 4 Hz, now 1 Hz"}),
+        ({"configuration": "f" * 16}, {Trait.CONFIGURATION: f"configuration {'f' * 16}, now {Config().digest()}"}),
+        (
+            {"imu": "mti-3", "gnss": "neo-m8"},
+            {Trait.IMU: "IMU mti-3, now imu0", Trait.GNSS: "GNSS receiver neo-m8, now gnss0"},
+        ),
     ],
 )
-def test_a_profile_of_another_unit_is_warned_of_in_the_statement(changes: dict[str, object], named: str) -> None:
-    reason = reason_after(Config(profile=profile(origin(**changes))))
-    assert f"the profile was learned for another unit: {named}" in reason
+def test_a_profile_of_another_unit_is_warned_of_in_the_statement_and_how_it_differs_in_the_log(
+    changes: dict[str, object], named: dict[Trait, str], caplog: pytest.LogCaptureFixture
+) -> None:
+    stated = stated_after(Config(profile=profile(origin(**changes))))
+    assert stated.reason_code == explain(Code.PROFILE_OF_ANOTHER_UNIT, differences=tuple(named))
+    (logged,) = [record.getMessage() for record in caplog.records if "another unit" in record.getMessage()]
+    assert "; ".join(named.values()) in logged

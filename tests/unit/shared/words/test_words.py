@@ -1,5 +1,7 @@
 """The words of codes: complete in every language, short enough, data alone, and what is shown where they do not fit."""
 
+import ast
+from collections.abc import Iterable, Iterator
 from datetime import timedelta, timezone
 from enum import StrEnum
 from pathlib import Path
@@ -9,14 +11,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from services.core.cooperative.codes import Code as SatelliteCode
+from services.core.evidence.codes import Code as EvidenceCode
+from services.core.evidence.monitor import EvidenceMonitor, Part
 from services.core.fusion.codes import Code as FusionCode
 from services.core.fusion.codes import Direction, HeadingMethod
+from services.core.motion_conflict.codes import Code as MotionCode
+from services.core.spoofing.codes import Code as InertialCode
+from services.core.spoofing.drift.monitor import NAMES
+from services.core.spoofing.drift.monitor import Part as Axes
+from services.core.spoofing.gyroscope.vote import Source
+from services.core.spoofing.profile import Trait
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
 from services.monitoring.status.views.banner import Code as BannerCode
 from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain
+from shared.messages.gnss import InterferenceState
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
+from shared.trust.inputs import Input
 from shared.words import words as words_module
 from shared.words.words import (
     INSTANT,
@@ -32,12 +45,23 @@ from shared.words.words import (
     Row,
     Words,
     reason,
+    said,
     words,
 )
 from tests.support.words import FIELDS, FILE, lines, texts
 
 ENGLISH = words()
-CODES: dict[str, type[StrEnum]] = {"trust": Code, "fusion": FusionCode, "banner": BannerCode}
+CODES: dict[str, type[StrEnum]] = {
+    "trust": Code,
+    "fusion": FusionCode,
+    "banner": BannerCode,
+    "spoofing": InertialCode,
+    "motion": MotionCode,
+    "evidence": EvidenceCode,
+    "cooperative": SatelliteCode,
+}
+FIGURES = {"statistic", "threshold", "window_s"}  # of the test that an explanation belongs to, in its unit
+MONITORS = ("spoofing", "motion", "evidence", "cooperative")
 SENTENCE_MAXIMUM = {"en": 90}  # and 110 in all others: two lines on a phone
 ROWS = [(language, code) for language in LANGUAGES for code in ENGLISH.rows]
 
@@ -88,7 +112,7 @@ def test_a_placeholder_names_a_quantity_that_fits_its_value_or_a_table_that_exis
     for field in FIELDS:
         for name, kind, _ in PLACEHOLDER.findall(getattr(spoken.row(code), field)):
             if kind in QUANTITIES:
-                assert name.endswith(QUANTITIES[kind][0]), f"{code}: {name} is not {kind}"
+                assert name in FIGURES or name.endswith(QUANTITIES[kind][0]), f"{code}: {name} is not {kind}"
             elif kind == INSTANT:
                 assert name.endswith(INSTANT_ENDING)
             elif kind and kind != TEXT:
@@ -98,19 +122,78 @@ def test_a_placeholder_names_a_quantity_that_fits_its_value_or_a_table_that_exis
             )
 
 
+@pytest.mark.parametrize("owner", MONITORS)
+def test_every_code_is_made_with_the_values_that_its_words_name(owner: str) -> None:
+    made = {str(CODES[owner][name]): values for name, values in explained(REPOSITORY / OWNERS[owner])}
+    assert made.keys() == {str(code) for code in CODES[owner]}, "a code that nothing makes"
+    for name, values in explained(REPOSITORY / OWNERS[owner]):
+        row = ENGLISH.row(CODES[owner][name])
+        named = {found[1] for field in FIELDS for found in PLACEHOLDER.finditer(getattr(row, field))}
+        assert values is None or named <= values | FIGURES, f"{CODES[owner][name]}: {named - values} are not given"
+
+
 def test_all_rendered_sentences_are_those_that_were_reviewed() -> None:
     assert FILE.read_text(encoding="utf-8").splitlines() == list(lines()), "`make golden`, and review the difference"
 
 
-@pytest.mark.parametrize(
-    ("table", "words_of"),
-    [("monitor", Monitor), ("source", [one for one in Hypothesis if one is not Hypothesis.NOTHING]),
-     ("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING]), ("phase", NavigationPhase),
-     ("direction", Direction), ("heading_method", HeadingMethod)],
-    ids=["monitor", "source", "hypothesis", "phase", "direction", "heading_method"],
-)  # fmt: skip
-def test_every_word_of_an_enumeration_has_a_name(table: str, words_of: list[str]) -> None:
-    assert set(ENGLISH.names[table]) == {str(word) for word in words_of}
+ENUMERATIONS: dict[str, Iterable[str]] = {
+    "monitor": Monitor,
+    "source": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
+    "hypothesis": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
+    "phase": NavigationPhase,
+    "direction": Direction,
+    "heading_method": HeadingMethod,
+    "input": Input,
+    "origin": Trait,
+    "yaw_source": Source,
+    "axes": [Axes.NORTH_AND_EAST, Axes.ALONG_AND_ACROSS],
+    "innovation": NAMES.values(),
+    "evidence_test": EvidenceMonitor().tests,
+    "receiver_part": Part,
+    "interference": [one for one in InterferenceState if one is not InterferenceState.UNKNOWN],
+}
+
+
+@pytest.mark.parametrize("table", ENUMERATIONS)
+def test_every_word_of_an_enumeration_has_a_name(table: str) -> None:
+    assert set(ENGLISH.names[table]) == {str(word) for word in ENUMERATIONS[table]}
+
+
+def explained(folder: Path) -> Iterator[tuple[str, set[str] | None]]:
+    """Yield each code that the processes of a folder make, with the names of its values; None where others give them.
+
+    A code is an argument of `explain`, of what makes the message of a missing input, or chosen before by a name.
+    """
+    for path in sorted(folder.rglob("*.py")):
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            given = [call for call in ast.walk(function) if isinstance(call, ast.Call) and name_of(call) == "explain"]
+            of_calls = set()
+            for call in given:
+                codes = codes_in(call.args[0]) or {
+                    code
+                    for one in ast.walk(function)
+                    if isinstance(one, ast.Assign) and ast.dump(call.args[0]) in ast.dump(one).replace("Store", "Load")
+                    for code in codes_in(one.value)
+                }
+                values = {word.arg for word in call.keywords if word.arg} | ({SUBJECT} if len(call.args) > 1 else set())
+                of_calls |= codes
+                yield from ((code, None if any(not word.arg for word in call.keywords) else values) for code in codes)
+            yield from ((code, None) for code in codes_in(function) - of_calls)
+
+
+def name_of(call: ast.Call) -> str:
+    return call.func.id if isinstance(call.func, ast.Name) else ""
+
+
+def codes_in(tree: ast.AST) -> set[str]:
+    """Find the members of an enumeration `Code`."""
+    return {
+        one.attr
+        for one in ast.walk(tree)
+        if isinstance(one, ast.Attribute) and isinstance(one.value, ast.Name) and one.value.id == "Code"
+    }
 
 
 def row(**changes: str) -> Words:
@@ -122,11 +205,24 @@ def row(**changes: str) -> Words:
     [
         ("{a_m:distance}", {"a_m": 12.34}, "12.3 m"),
         ("{a_m_s:speed}", {"a_m_s": -3.25}, "-3.2 m/s"),
+        ("{a_m_s:speed}", {"a_m_s": -0.034}, "-0.03 m/s"),
+        ("{a_m_s:speed}", {"a_m_s": -0.0004}, "0.00 m/s"),
+        ("{a_m_s2:acceleration}", {"a_m_s2": 0.0123}, "0.012 m/s²"),
+        ("{a_m:length}", {"a_m": 0.123}, "0.12 m"),
+        ("{a_deg_s:turn_rate}", {"a_deg_s": -0.317}, "-0.32°/s"),
+        ("{a_s:time_offset}", {"a_s": -0.00125}, "-0.001 s"),
+        ("{a_s:clock_offset}", {"a_s": 2e-7}, "200 ns"),
+        ("{a_ratio:clock_drift}", {"a_ratio": -1e-10}, "0 ns/s"),
+        ("{a_ratio:ratio}", {"a_ratio": 1.0123}, "1.012"),
+        ("{a_db_hz:carrier_to_noise}", {"a_db_hz": 44.06}, "44.1 dB-Hz"),
+        ("{a_db:level_difference}", {"a_db": 2.04}, "2.0 dB"),
+        ("{path_number:number}", {"path_number": 1}, "1"),
         ("{a_rad:angle}", {"a_rad": 0.5}, "28.6°"),
         ("{a_deg:angle}", {"a_deg": 0.5}, "0.5°"),
         ("{a_s:duration}", {"a_s": 6.24}, "6.2 s"),
         ("{a_s:duration}", {"a_s": 612.4}, "612 s"),
         ("{a_s:duration}", {"a_s": 6}, "6 s"),
+        ("{a_s:duration}", {"a_s": 5.0}, "5 s"),
         ("{probability:share}", {"probability": 0.625}, "62.5 %"),
         ("{a_ns:instant}", {"a_ns": 1_795_000_000_500_000_000}, "11:06:40 UTC"),
         ("{a:monitor}", {"a": "motion"}, "Motion conflict"),
@@ -134,6 +230,16 @@ def row(**changes: str) -> Words:
         ("{a:source}", {"a": ("gnss", "imu", "odometer")}, "GNSS, the inertial sensors or the odometer"),
         ("{a:source:and}", {"a": ("gnss", "imu")}, "GNSS and the inertial sensors"),
         ("{a}", {"a": (Reference(kind=ReferenceKind.NEIGHBOUR, name="17"),)}, "neighbour 17"),
+        (
+            "{a:and}",
+            {
+                "a": (
+                    Reference(kind=ReferenceKind.SATELLITE, name="G05"),
+                    Reference(kind=ReferenceKind.SATELLITE, name="E11"),
+                )
+            },
+            "G05 and E11",
+        ),
         ("{a}", {"a": Reference(kind=ReferenceKind.LANE, name="n1")}, "lane n1"),
         ("{a}", {"a": Reference(kind=ReferenceKind.PROCESS, name="core.trust")}, "core.trust"),
         ("{a}", {"a": ()}, "no source by name"),
@@ -206,8 +312,8 @@ def test_whatever_the_values_are_rendering_ends_in_text_or_in_none(code: str, da
     made = Explanation(code=code, values=values)
     assert Explanation.model_validate_json(made.model_dump_json()) == made
     for language in LANGUAGES:
-        for said in (words(language).sentence(made, cause="c"), words(language).detail(made)):
-            assert said is None or "{" not in PLACEHOLDER.sub("", said) or "“" in said
+        for text in (words(language).sentence(made, cause="c"), words(language).detail(made)):
+            assert text is None or "{" not in PLACEHOLDER.sub("", text) or "“" in text
 
 
 def test_a_file_with_an_unknown_owner_or_field_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,3 +322,20 @@ def test_a_file_with_an_unknown_owner_or_field_is_refused(tmp_path: Path, monkey
         file.write_text(text)
         with pytest.raises(ValueError, match=error):
             words_module._read(file, ENGLISH)
+
+
+@pytest.mark.parametrize(
+    ("code", "shown"),
+    [
+        (None, "statistic since 1795000000.5 s of gnss"),
+        (explain(Code.CONFLICT), "GNSS has not agreed for long enough after a conflict"),
+        (explain("future.code", a=1), "statistic since 1795000000.5 s of gnss"),
+    ],
+    ids=["without a code", "with one", "with one that has no row"],
+)
+def test_a_message_is_shown_by_its_code_else_by_its_text_as_it_is(code: Explanation | None, shown: str) -> None:
+    assert said("statistic since 1795000000.5 s of gnss", code) == shown
+
+
+def test_a_code_without_row_and_text_is_shown_itself() -> None:
+    assert said("", explain("future.code")) == "future.code"

@@ -118,7 +118,7 @@ function Sky({ satellites, tracks, mask, trails }) {
   </svg>`;
 }
 
-const reasonOf = (s) => [s.excluded ? w.excludedBy : null, s.reason, s.integrity].filter(Boolean).join(", ");
+const reasonOf = (s) => [s.reason, s.integrity].filter(Boolean).join(", ");
 
 function SatelliteTable({ satellites }) {
   const [order, setOrder] = useState("name");

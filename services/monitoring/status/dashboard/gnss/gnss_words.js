@@ -15,7 +15,6 @@ export const gnssWords = {
   satellites: "Satellites",
   columns: { name: "Satellite", elevation: "Elevation", azimuth: "Azimuth", cn0: "C/N0, dBHz", residual: "Residual, m", use: "Use", why: "Reason" },
   use: { used: "used", tracked: "not used", excluded: "excluded" },
-  excludedBy: "excluded by core.cooperative",
   mask: (deg) => `elevation mask ${deg}°`,
   trails: "Trails of the last hour",
   constellation: { gps: "GPS", galileo: "Galileo", glonass: "GLONASS", beidou: "BeiDou", qzss: "QZSS", sbas: "SBAS", navic: "NavIC", unknown: "Other" },

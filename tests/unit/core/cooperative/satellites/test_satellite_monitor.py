@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from services.core.cooperative.codes import Code
 from services.core.cooperative.measurements import Constellation, Measurement, RawEpoch, SatelliteId
 from services.core.cooperative.satellites.monitor import RaimSettings, SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
+from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
 from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch, sight_of
 
@@ -84,7 +86,8 @@ def test_a_push_of_50_m_is_excluded_within_one_epoch_wherever_it_can_be_attribut
                 tried += 1
                 assert verdict.outcome == Outcome.ACCUSES and verdict.excluded == (finding.satellite,)
                 assert verdict.statistic is not None and verdict.threshold is not None
-                assert verdict.statistic <= verdict.threshold and str(finding.satellite) in str(verdict.reason)
+                assert verdict.statistic <= verdict.threshold
+                assert verdict.why.values["satellites"] == (finding.satellite.reference,)
     assert tried > 30
 
 
@@ -123,7 +126,9 @@ def of_gps(count: int) -> RawEpoch:
 
 def test_without_redundancy_nothing_is_evaluated_but_there_is_a_position() -> None:
     verdict = SatelliteMonitor().evaluate(of_gps(4), STORE)
-    assert verdict.outcome == Outcome.NOT_EVALUATED and "no redundancy" in str(verdict.reason)
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.why == explain(
+        Code.NO_REDUNDANCY, satellites_count=4, clocks_count=1
+    )
     assert verdict.statistic is None and not verdict.fault_free and verdict.solution is not None
 
 

@@ -5,14 +5,17 @@ from math import radians
 import numpy as np
 import pytest
 
+from services.core.cooperative.codes import Code
 from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteId
 from services.core.cooperative.process import Config, In, Process
 from services.core.cooperative.statements import MAX_TESTS
 from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.base import Tick
+from shared.messages.explanation import Reference, ReferenceKind, explain
 from shared.messages.gnss import Constellation as System
 from shared.messages.gnss import FixType, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.trust import Outcome, TrustMonitor
+from shared.trust.result import SATELLITE_LEFT_OUT
 from tests.support.gnss.constellation import NOW_NS, constellation, inav_pages, lnav_subframes, pushed, raw_epoch
 
 NS = 1_000_000_000
@@ -71,7 +74,7 @@ def test_before_raw_measurements_arrive_the_satellites_are_not_evaluated() -> No
     process = Process(Config())
     first, second = said(process, Tick(now_ns=NS), Tick(now_ns=2 * NS))
     assert (first.monitor, first.outcome) == ("satellites", Outcome.NOT_EVALUATED)
-    assert "no raw measurements: the receiver has sent none" in first.reason
+    assert first.reason_code == explain(Code.NO_RECEIVER)
     assert (first.since_ns, second.since_ns, second.sampled_ns) == (NS, NS, 2 * NS)
     assert first.statistic is None and first.threshold is None and not first.tests
 
@@ -85,7 +88,10 @@ def test_satellites_that_agree_pass_with_one_test_each() -> None:
     *satellites, cooperative, level = statement.tests
     assert level.threshold == 10.0, "the alert limit of a vehicle that states none"
     assert 10 < len(satellites) <= MAX_TESTS
-    assert all(test.outcome is Outcome.PASS and "minimal detectable bias" in test.reason for test in satellites)
+    for test in satellites:
+        assert test.outcome is Outcome.PASS and test.reason_code is not None and not test.reason
+        assert test.reason_code.subject == Reference(kind=ReferenceKind.SATELLITE, name=test.name)
+        assert test.reason_code.code == Code.USED and test.reason_code.values.keys() == {"residual_m", "bias_m"}
     assert (cooperative.name, cooperative.outcome) == ("cooperative", Outcome.NOT_EVALUATED)
 
 
@@ -96,7 +102,10 @@ def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_
     assert before.outcome is Outcome.PASS
     assert (accusing.outcome, accusing.accused) == (Outcome.ACCUSES, (str(victim),))
     assert (accusing.since_ns, accusing.suspect_since_ns) == (2 * NS, NS)
-    assert accusing.tests[0].name == str(victim) and accusing.tests[0].reason.startswith("excluded")
+    assert accusing.reason_code is not None and accusing.reason_code.values["satellites"] == (victim.reference,)
+    first = accusing.tests[0]
+    assert first.name == str(victim) and first.reason_code is not None
+    assert (first.reason_code.subject, first.reason_code.code) == (victim.reference, SATELLITE_LEFT_OUT)
     later = said(process, *(message(at(k), float(k)) for k in range(3, 13)))
     assert [one.outcome for one in later[:7]] == [Outcome.ACCUSES] * 7, "re-admission takes eight epochs"
     assert {one.since_ns for one in later[:7]} == {2 * NS}
@@ -110,14 +119,14 @@ def test_a_fault_that_cannot_be_attributed_accuses_gnss() -> None:
     five = RawEpoch(at(1).gps_time_ns, tuple(gps))
     (statement,) = said(process, message(pushed(five, gps[0].satellite, 500.0), 1.0))
     assert (statement.outcome, statement.accused) == (Outcome.ACCUSES, ("gnss",))
-    assert "no satellite can be singled out" in statement.reason
+    assert statement.reason_code == explain(Code.UNRESOLVED, satellites_count=5)
 
 
 def test_four_satellites_are_not_evaluated() -> None:
     gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
     (statement,) = said(informed(), message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
     assert statement.outcome is Outcome.NOT_EVALUATED
-    assert statement.reason == "no redundancy: 4 satellites, 1 clocks"
+    assert statement.reason_code == explain(Code.NO_REDUNDANCY, satellites_count=4, clocks_count=1)
 
 
 def test_missing_ephemerides_are_the_reason() -> None:
@@ -125,7 +134,7 @@ def test_missing_ephemerides_are_the_reason() -> None:
     process = informed(tuple(str(one.satellite) for one in gps[:2]))
     (statement,) = said(process, message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
     assert statement.outcome is Outcome.NOT_EVALUATED
-    assert statement.reason.startswith("ephemerides of 2 of 4 satellites")
+    assert statement.reason_code == explain(Code.EPHEMERIDES_MISSING, known_count=2, measured_count=4)
     assert not process.rejects
 
 
@@ -133,7 +142,7 @@ def test_measurements_that_stop_are_not_evaluated_after_three_seconds() -> None:
     process = informed()
     assert not said(process, message(at(1), 1.0), Tick(now_ns=3 * NS))[1:]
     (statement,) = said(process, Tick(now_ns=5 * NS))
-    assert (statement.outcome, statement.reason) == (Outcome.NOT_EVALUATED, "no raw measurements for 4 s")
+    assert (statement.outcome, statement.reason_code) == (Outcome.NOT_EVALUATED, explain(Code.SILENT, age_s=4))
     assert statement.since_ns == 5 * NS
 
 
@@ -154,7 +163,7 @@ def test_epochs_that_follow_faster_than_one_a_second_are_not_evaluated() -> None
 @pytest.mark.parametrize("signal", ["2L", "7Q", "5I"])
 def test_other_frequencies_are_not_used(signal: str) -> None:
     (statement,) = said(informed(), message(at(1), 1.0, signal=signal))
-    assert statement.reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
+    assert statement.reason_code == explain(Code.NO_MEASUREMENTS)
 
 
 def test_an_implausible_pseudorange_is_refused_with_its_reason() -> None:

@@ -8,10 +8,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.core.motion_conflict.inertial_speed.monitor import InertialSpeed, ScaleVerdict, geometry_of
+from services.core.motion_conflict.codes import Code
+from services.core.motion_conflict.inertial_speed.monitor import InertialSpeed, geometry_of
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import STANDARD_GRAVITY
 from shared.maths.rotation import ned_from_body
+from shared.messages.explanation import explain
+from shared.trust.inputs import Input
+from shared.trust.result import Test
 from tests.support.data import recording
 
 FloatArray = npt.NDArray[np.float64]
@@ -49,7 +53,7 @@ class Samples:
     def run(
         self, monitor: InertialSpeed, factor: float = 1.0, attack_s: float = 0.0, *, wheels_too: bool = True,
         rise_s: float = RISE_S,
-    ) -> list[ScaleVerdict]:  # fmt: skip
+    ) -> list[Test]:  # fmt: skip
         """Give a verdict a second; speeds are multiplied by a factor from a time on."""
         start_ns, found, i, k, j = int(self.t_ns[0]), [], 0, 0, 0
 
@@ -83,8 +87,8 @@ def monitor_of(drive: Drive) -> InertialSpeed:
 def test_a_clean_drive_through_town_accuses_nobody(town: Drive) -> None:
     monitor = monitor_of(town)
     verdicts = Samples.of(town).run(monitor)
-    assert not any(verdict.accused for verdict in verdicts)
-    assert verdicts[-1].evaluated and "limit" in verdicts[-1].reason
+    assert not any(verdict.accuses for verdict in verdicts)
+    assert verdicts[-1].evaluated and verdicts[-1].why.code == Code.SCALE_OF_BOTH
     scales = np.array([bend.scale for bend in monitor.bends])
     assert len(scales) >= 20
     assert float(scales.mean()) == pytest.approx(1.0, abs=0.01)
@@ -97,30 +101,31 @@ def test_a_clean_drive_through_town_accuses_nobody(town: Drive) -> None:
 def test_gnss_and_odometer_scaled_alike_are_accused_both(town: Drive, factor: float, most_bends: int) -> None:
     monitor = monitor_of(town)
     verdicts = Samples.of(town).run(monitor, factor, ATTACK_S)
-    accusing = [k for k, verdict in enumerate(verdicts) if verdict.accused]
+    accusing = [k for k, verdict in enumerate(verdicts) if verdict.accuses]
     assert accusing and accusing[0] > ATTACK_S
     first = verdicts[accusing[0]]
-    assert first.accused == ("gnss", "odometer") and "both scaled alike" in first.reason
+    assert first.accused == ("gnss", "odometer") and first.why.code == Code.BOTH_SCALED
     start_ns = int(town.t_ns[0])
     assert first.suspect_since_ns is not None
     assert first.suspect_since_ns < start_ns + ATTACK_S * SECOND_NS, "before the attack"
     since_ns, until_ns = start_ns + ATTACK_S * SECOND_NS, start_ns + (accusing[0] + 1) * SECOND_NS
     assert sum(since_ns < bend.end_ns < until_ns for bend in monitor.bends) <= most_bends
-    assert all(verdict.accused for verdict in verdicts[accusing[0] :]), "no time ends it"
+    assert all(verdict.accuses for verdict in verdicts[accusing[0] :]), "no time ends it"
     assert verdicts[-1].accused == ("gnss", "odometer")
 
 
 def test_gnss_scaled_alone_is_accused_alone_and_without_an_odometer_the_inertial_sensors_with_it(town: Drive) -> None:
     alone = Samples.of(town).run(monitor_of(town), 1.1, ATTACK_S, wheels_too=False)
-    assert alone[-1].accused == ("gnss",)
+    assert alone[-1].accuses and alone[-1].accused == ("gnss",) and alone[-1].why.code == Code.GNSS_SCALED
     without = Samples.of(town, odometer=False).run(monitor_of(town), 1.1, ATTACK_S)
-    assert without[-1].accused == ("gnss", "imu")
+    assert without[-1].accuses and without[-1].accused == ("gnss", "imu")
+    assert without[-1].why.code == Code.GNSS_OR_IMU_SCALED
 
 
 def test_wide_bends_of_a_motorway_are_measured_too() -> None:
     drive = simulate("highway", 1, 420.0)
     monitor = monitor_of(drive)
-    assert not any(verdict.accused for verdict in Samples.of(drive).run(monitor))
+    assert not any(verdict.accuses for verdict in Samples.of(drive).run(monitor))
     scales = np.array([bend.scale for bend in monitor.bends])
     assert len(scales) >= 5
     assert float(scales.mean()) == pytest.approx(1.0, abs=0.01)
@@ -128,16 +133,18 @@ def test_wide_bends_of_a_motorway_are_measured_too() -> None:
 
 def test_what_is_missing_is_named() -> None:
     monitor = InertialSpeed()
-    assert monitor.verdict(SECOND_NS).reason == "no inertial samples received yet"
+    assert monitor.verdict(SECOND_NS).why == explain(Code.NO_INPUT, input=Input.INERTIAL_SAMPLES)
     drive = simulate("urban", 1, 60.0)
     samples = Samples.of(drive)
-    assert samples.run(monitor)[-1].reason == "0 of 5 bends"
+    assert samples.run(monitor)[-1].why == explain(Code.FEW_BENDS, bends_count=0, needed_count=5)
     late_ns = int(drive.t_ns[-1]) + 30 * SECOND_NS
-    assert monitor.verdict(late_ns).reason.startswith("no inertial samples for 3")
+    silent = monitor.verdict(late_ns).why
+    assert (silent.code, silent.values["input"]) == (Code.INPUT_SILENT, Input.INERTIAL_SAMPLES)
+    assert silent.values["age_s"] in range(30, 40)
     moving = InertialSpeed()
     driving = np.hypot(*drive.velocity_n[:, :2].T) > 1.0
     while_driving = Samples(drive.t_ns[driving], drive.force_b[driving], drive.rate_b[driving], samples.gnss, None)
-    assert "no standstill" in while_driving.run(moving)[-1].reason
+    assert while_driving.run(moving)[-1].why == explain(Code.NO_STANDSTILL)
 
 
 def test_bad_input_is_counted_and_memory_is_bounded() -> None:
@@ -164,7 +171,7 @@ def test_a_gap_in_the_inertial_samples_hides_bends_and_makes_none(town: Drive) -
     samples = Samples.of(town)
     monitor = monitor_of(town)
     gappy = Samples(town.t_ns[kept], town.force_b[kept], town.rate_b[kept], samples.gnss, samples.odometer)
-    assert not any(verdict.accused for verdict in gappy.run(monitor))
+    assert not any(verdict.accuses for verdict in gappy.run(monitor))
     assert all(abs(bend.scale - 1.0) < 0.1 for bend in monitor.bends)
 
 
@@ -195,7 +202,7 @@ def rtkexp() -> Samples:
 def test_the_recorded_drive_passes_and_its_speeds_scaled_by_ten_percent_are_found() -> None:
     """Car park and streets, 549 s: 25 bends, 1.006 +- 0.028, without any learning from an earlier drive."""
     samples, monitor = rtkexp(), InertialSpeed()
-    assert not any(verdict.accused for verdict in samples.run(monitor))
+    assert not any(verdict.accuses for verdict in samples.run(monitor))
     scales = np.array([bend.scale for bend in monitor.bends])
     assert len(scales) >= 20
     assert float(np.median(scales)) == pytest.approx(1.0, abs=0.015)
@@ -203,7 +210,7 @@ def test_the_recorded_drive_passes_and_its_speeds_scaled_by_ten_percent_are_foun
     whole = samples.run(InertialSpeed(), 1.1, 0.0, rise_s=0.0)
     assert whole[-1].accused == ("gnss", "imu"), "the whole drive is falsified: beyond the inertial sensors' own scale"
     within = samples.run(InertialSpeed(), 1.1, 270.0, rise_s=0.0)
-    first = next(k for k, verdict in enumerate(within) if verdict.accused)
+    first = next(k for k, verdict in enumerate(within) if verdict.accuses)
     assert 270 < first < 270 + 150
     suspect_ns = within[first].suspect_since_ns
     assert suspect_ns is not None and suspect_ns < int(samples.t_ns[0]) + 270 * SECOND_NS

@@ -7,22 +7,23 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f
 
+from services.core.spoofing.codes import Code
 from services.core.spoofing.drift.innovations import CLIP, InnovationSeconds
 from services.core.spoofing.drift.monitor import DriftMonitor
 from services.core.spoofing.drift.spread import LARGEST, STATED_BLOCKS, Spread, f_limit
 from services.core.spoofing.grade import Grade
 from services.core.spoofing.process import Config
 from services.core.spoofing.settings import Settings
-from services.core.spoofing.verdicts import Verdict
 from shared.messages.navigation import AidingKind, AidingUpdate
 from shared.messages.trust import Outcome
+from shared.trust.result import Test
 from tests.support.drives.yaw_rates import NS, solution_of
 
 INDUSTRIAL: Settings = Config(grade=Grade.INDUSTRIAL)
 CONSUMER: Settings = Config(grade=Grade.CONSUMER)
 KIND = {"velocity": AidingKind.GNSS_VELOCITY, "position": AidingKind.GNSS_POSITION}
 Noise = Callable[[int], list[float]]  # normalised innovation of a second, NED
-Rows = list[dict[str, Verdict]]
+Rows = list[dict[str, Test]]
 
 
 def update(kind: AidingKind, second: float, z: list[float], sd: float = 0.05) -> AidingUpdate:
@@ -60,7 +61,7 @@ def first(rows: Rows) -> int | None:
     return next((k for k, row in enumerate(rows, 1) if accusing(row)), None)
 
 
-def accusing(row: dict[str, Verdict]) -> list[Verdict]:
+def accusing(row: dict[str, Test]) -> list[Test]:
     return [one for one in row.values() if one.outcome is Outcome.ACCUSES]
 
 
@@ -130,7 +131,7 @@ def test_a_low_cost_sensor_is_not_evaluated_before_its_spread_is_learned_and_pas
     rows = run(correlated(6, 10.0), 900, CONSUMER)
     assert first(rows) is None
     early, late = rows[200]["velocity_30"], rows[-1]["velocity_30"]
-    assert early.outcome is Outcome.NOT_EVALUATED and "learning" in early.reason
+    assert early.outcome is Outcome.NOT_EVALUATED and early.why.code == Code.LEARNING_SPREAD
     assert late.outcome is Outcome.PASS and late.statistic is not None
 
 

@@ -6,6 +6,7 @@ from math import radians
 import numpy as np
 import pytest
 
+from services.core.spoofing.codes import Code
 from services.core.spoofing.gyroscope.monitor import GyroscopeMonitor
 from shared.inertial.increments import Decimator, Increment
 from shared.messages.gnss import FixType, GnssFix
@@ -31,7 +32,8 @@ def test_a_drive_without_a_fault_accuses_nobody_and_learns_the_wheels(seed: int)
     last = run.verdicts[-1]
     assert {one.outcome for one in last.values()} == {Outcome.PASS}
     assert all(one.statistic is not None and one.threshold is not None for one in last.values())
-    assert "wheels" in last["yaw_rate_30"].reason and "course" in last["yaw_rate_30"].reason
+    assert last["yaw_rate_30"].why.code == Code.YAW_RATES
+    assert last["yaw_rate_30"].why.values["sources"] == ("course", "wheels")
 
 
 @pytest.mark.parametrize(("bias_deg_s", "within_s"), [(0.5, 10), (-0.5, 10), (0.1, 60)])
@@ -73,18 +75,19 @@ def test_a_wheel_of_another_radius_is_the_odometers() -> None:
 def test_without_wheel_speeds_two_remain_and_both_are_named() -> None:
     run = driven(ONSET_S + 15, Faults(rate=after(radians(0.5)), wheels=False))
     assert run.first(ONSET_S) is not None and run.names() == {("gnss", "imu")}
-    assert "no wheel speeds" in run.verdicts[-1]["yaw_rate_5"].reason
+    assert run.verdicts[-1]["yaw_rate_5"].why.code == Code.YAW_RATES_WITHOUT_WHEELS
 
 
 def test_a_second_antenna_is_one_more_yaw_rate_by_gnss() -> None:
     run = driven(ONSET_S + 15, Faults(rate=after(radians(0.5)), wheels=False, antenna=True))
     assert run.first(ONSET_S) is not None and run.names() == {("gnss", "imu")}
-    assert "second antenna" in run.verdicts[-1]["yaw_rate_5"].reason
+    assert run.verdicts[-1]["yaw_rate_5"].why.values["sources"] == ("course", "second_antenna")
 
 
 def test_until_the_wheels_are_learned_they_are_not_evaluated() -> None:
     run = driven(30)
-    assert "learning" in run.verdicts[-1]["yaw_rate_5"].reason
+    why = run.verdicts[-1]["yaw_rate_5"].why
+    assert why.code == Code.YAW_RATES_LEARNING and why.values["track_sd_m"] == pytest.approx(0.25, abs=0.05)
 
 
 def test_a_bias_that_the_filter_has_learned_and_all_agree_with_ends_the_accusation() -> None:

@@ -18,6 +18,7 @@ from services.monitoring.status.history.history_file import HistoryFile
 from services.monitoring.status.state import State
 from services.monitoring.status.views.gnss import gnss, why_not_used
 from shared.messages.corrections import CorrectionsState
+from shared.messages.explanation import explain
 from shared.messages.gnss import (
     CarrierSolution,
     Constellation,
@@ -31,7 +32,10 @@ from shared.messages.gnss import (
     Satellite,
     SignalQuality,
 )
+from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
+from shared.trust.result import SATELLITE_LEFT_OUT
 from tests.support.bus.envelopes import sent
+from tests.support.dashboard.status_world import trust
 
 NS = 1_000_000_000
 TRACKED = Satellite(
@@ -182,3 +186,28 @@ def test_the_source_of_corrections_is_shown_while_its_statement_is_fresh() -> No
     shown = from_json(to_json(gnss(state, 2 * NS)))["corrections"]
     assert (shown["active"], shown["types"]) == ("ntrip://caster/M", types)
     assert gnss(state, 60 * NS)["corrections"] is None
+
+
+@pytest.mark.parametrize(
+    ("test", "shown"),
+    [
+        ({"outcome": Outcome.ACCUSES, "reason_code": explain(SATELLITE_LEFT_OUT, residual_m=31.2)},
+         (True, False, "excluded by core.cooperative, residual 31.2 m")),
+        ({"outcome": Outcome.PASS, "reason_code": explain("cooperative.used_without_bias", residual_m=0.4)},
+         (False, False, "used, residual 0.4 m")),
+        ({"outcome": Outcome.ACCUSES, "reason": "excluded, residual 31.2 m"},
+         (False, True, "excluded, residual 31.2 m")),
+    ],
+    ids=["excluded", "used", "of release 0.1.0, whose text decides nothing"],
+)  # fmt: skip
+def test_whether_a_satellite_is_excluded_is_the_code_of_its_test(
+    test: dict[str, object], shown: tuple[bool, bool, str]
+) -> None:
+    state = State("bench", (), 0, 900.0)
+    stamps = {"sampled_ns": NS, "received_ns": NS, "source": "gnss0"}
+    state.gnss.note(GnssSatellites.model_validate({**stamps, "satellites": (TRACKED,)}), NS)
+    tests = (MonitorTest(name="G07", **test),)  # type: ignore[arg-type]
+    monitor = TrustMonitor(sampled_ns=NS, monitor="satellites", outcome=Outcome.PASS, reason="", tests=tests)
+    state.receive(sent(trust(NS).model_copy(update={"monitors": (monitor,)}), NS, "core.trust", 1))
+    (row,) = from_json(to_json(gnss(state, NS)))["receivers"][0]["satellites"]
+    assert (row["excluded"], row["suspect"], row["integrity"]) == shown
