@@ -70,7 +70,7 @@ class _Passed:
     P: FloatArray  # shape (n, 3, 3) [m²/s²] covariances of velocity, at most 1 s older
 
 
-Found = TypeVar("Found", LongResult, WayResult)
+Found = TypeVar("Found", "LongResult", "WayResult")
 
 
 def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
@@ -78,8 +78,11 @@ def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
     first, *others = found or [None]
     if first is None or None in others:
         return None
-    agreeing = [one for one in others if one is not None and one.statistic <= agrees]
-    return agreeing[0] if agreeing and agreeing[0].statistic < first.statistic else first
+    least: Found = first
+    for one in others:
+        if one is not None and one.statistic <= min(agrees, least.statistic):
+            least = one
+    return least
 
 
 class LongWindow:
