@@ -69,6 +69,7 @@ class Process:
         self._imus = ChosenSource(imu_choice, SILENT_NS)
         self._imu: str | None = None  # source in use
         self._without_imu = WithoutImu(config)
+        self._begun_ns: int | None = None  # arrival of the first measurement
         self._gnss_excluded = False  # as core.trust has decided
         self._innovations_paused = False
 
@@ -85,7 +86,7 @@ class Process:
             case GnssFix() | FaultFreeFix():
                 yield from self._fix(message)
             case LastPosition():
-                self._navigator.use_prior(messages.prior_from_last_position(message))
+                self._use_last_position(message)
             case TrustState():
                 self._gnss_excluded = message.gnss_excluded
                 messages.use_trust_state(self._navigator, message)
@@ -95,6 +96,11 @@ class Process:
                 self._saved = message
             case _:
                 self._aid(message)
+
+    def _use_last_position(self, message: LastPosition) -> None:
+        """Use the last position of an earlier drive; one that is newer than the first measurement is of this drive."""
+        if self._begun_ns is None or message.sampled_ns < self._begun_ns:
+            self._navigator.use_prior(messages.prior_from_last_position(message))
 
     def _follow_load(self, load: ProcessLoad) -> None:
         """Pause work, or resume it, as the lag of this process demands."""
@@ -109,6 +115,7 @@ class Process:
         if not self._imus.takes(batch.source, batch.received_ns):
             self.rejects["samples of a second imu"] += 1
             return
+        self._begun_ns = self._begun_ns or batch.received_ns
         if self._saved is not None:
             messages.restore(self._navigator, self._saved, batch)
             self._saved = None
@@ -146,6 +153,7 @@ class Process:
         if without.is_far_ahead(received_ns):
             self.rejects["fix from the future"] += 1
             return
+        self._begun_ns = self._begun_ns or received_ns
         measurements = self._aid(fix, keep=not without.is_abandoned(received_ns))
         if not measurements:
             self.rejects["fix without position"] += 1

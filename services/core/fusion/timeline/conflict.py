@@ -80,7 +80,9 @@ class Conflict:
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
-        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None  # the same while its levels decided
+        # The same while its levels decided, or while the two were farther apart than these: None if it has never
+        # contradicted GNSS, so that there is nothing to hold.
+        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None
         # Newest: published minus other position, and the levels of the other.
         self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
         self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
@@ -102,6 +104,12 @@ class Conflict:
         self.replay.outcomes()  # all were reported before
         self.cursor, self.replay = self.replay, None
         return True
+
+
+def _contradicts(apart_n: Vector, conflict: Conflict) -> bool:
+    """Whether the solution without GNSS is farther away than its levels."""
+    horizontal_m, vertical_m = conflict.levels_m
+    return hypot(apart_n[0], apart_n[1]) > horizontal_m or abs(apart_n[2]) > vertical_m
 
 
 class Verdicts:
@@ -176,7 +184,7 @@ class Verdicts:
     def held(self) -> Disagreement:
         """What the level holds, for a later process: with the difference of an open conflict."""
         held, conflict = self.engine.aids.error_monitor.held, self.conflict
-        if conflict is None or conflict.apart_n is None:
+        if conflict is None or conflict.apart_n is None or conflict.good is None:
             return held
         spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         return held.after(conflict.apart_n, spread, self.engine.time_ns, grew=False, slack=conflict.levels_m)
@@ -272,7 +280,7 @@ class Verdicts:
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
-        if apart is not None and (share <= MOST_LIMITS or conflict.good is None):
+        if apart is not None and (share <= MOST_LIMITS or (conflict.good is None and _contradicts(apart, conflict))):
             conflict.good = (
                 apart,
                 (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
@@ -290,7 +298,8 @@ class Verdicts:
     def _leave(self, why: Explanation) -> None:
         """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
 
-        Later differences are its own drift. What the solution with GNSS did since then shows when it comes back.
+        Later differences are its own drift, and one that was never good and always within its level from the solution
+        with GNSS has contradicted nothing. What the solution with GNSS did since then shows when it comes back.
         """
         conflict, self.conflict, self.unresolved = self.conflict, None, why
         if conflict is not None and conflict.good is not None:
@@ -315,7 +324,7 @@ class Verdicts:
         ratio = conflict.cursor.engine.exclusions.test_ratio
         # GNSS agrees with the solution without it.
         came_back = conflict.published and ratio is not None and ratio <= 1.0
-        left = None if apart is None or came_back else self._left(apart, conflict)
+        left = None if apart is None or came_back or conflict.good is None else self._left(apart, conflict)
         spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
         if conflict.published or main.engine.counts.resets > conflict.resets:
             conflict.cursor.carry(main)

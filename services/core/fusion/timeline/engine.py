@@ -407,6 +407,8 @@ class Engine:
     def _aside(self, first: GnssPosition, prior: Prior, started: ErrorStateFilter) -> Disagreement:
         """Compare the first position with the saved one; a vehicle that moves already may have left its place."""
         moving_s = (started.time_ns - first.time_ns) * 1e-9
+        if not prior.parked:  # it drove on, or where it stood is not known
+            return NOTHING
         if hypot(*started.velocity[:2]) > PARKED_M_S and moving_s < PARKED_S:
             return NOTHING
         vehicle, axes = self._settings.vehicle, first.axes

@@ -41,6 +41,7 @@ STANDSTILL_SD = 0.02  # [m/s]
 # [m/s] of the forward speed, above which the non-holonomic constraint is not used: the products of the errors of speed
 # and direction, which its linear form leaves out, are then as large as its own noise.
 LARGEST_SPEED_SD = 2.0
+FASTEST_REVERSE_M_S = 2.0  # forward speed below its negative is that of a run which has lost its direction
 LEAST_ODOMETER = 10  # speeds that aid a propagation, before it speaks for the odometer
 ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses it
 NODES = 30  # increments, 3 s, in which the fixes lie that are compared
@@ -76,6 +77,7 @@ class FreePropagations:
         self.end_ns = 0  # of the newest increment
         self._nodes_ns = np.zeros(NODES, np.int64)
         self._gate = chi_square_limit(1, s.odometer_gate)
+        self._constraint_gate = chi_square_limit(2, s.odometer_gate)
         sds = [s.velocity_sd_m_s, s.attitude_sd_rad, s.accelerometer_bias_sd_m_s2, s.gyroscope_bias_sd_rad_s]
         self._added = np.diag(np.r_[np.repeat(sds, 3), s.odometer_scale_sd, s.mounting_sd_rad, s.mounting_sd_rad] ** 2)
 
@@ -179,7 +181,12 @@ class FreePropagations:
             H of v_b: [C', C' sk(v)]
 
         Their errors are correlated over `correlation_s`; R is multiplied by it, for one update a second. The constraint
-        is used while the standard deviation of v_bx is at most `LARGEST_SPEED_SD`.
+        is used while the standard deviation of v_bx is at most `LARGEST_SPEED_SD` and its innovation is within the
+        gate. Its linear form leaves out the product of the errors of speed and direction, whose variance is part of R::
+
+            var(v_bx) (var(direction of the mounting) + var(attitude))
+
+        Without an odometer the mounting is considered and not estimated (Schmidt): only a speed tells it from tilt.
         """
         s = self._settings
         if odometer is not None:
@@ -188,14 +195,19 @@ class FreePropagations:
             return
         velocity, H, _ = self.body_velocities()
         forward = H[:, 0]
-        known = np.vecdot(np.vecmat(forward, self.runs["P"]), forward) <= LARGEST_SPEED_SD**2
-        rows = np.flatnonzero(known)
+        variance = np.vecdot(np.vecmat(forward, self.runs["P"]), forward)
+        rows = np.flatnonzero(variance <= LARGEST_SPEED_SD**2)
         (ahead, *across), H = velocity[rows].T, H[rows, 1:]
         yaw, pitch = self.runs["mounting"][rows, 1:].T
         H[:, 0, YAW], H[:, 1, PITCH] = -ahead, ahead
         z = np.stack([yaw * ahead, -pitch * ahead], axis=-1) - np.stack(across, axis=-1)
-        variances = [s.lateral_sd_m_s**2 + (self._axle_m * yaw_rate) ** 2, s.vertical_sd_m_s**2]
-        self._correct(rows, z, H, np.diag(variances) * s.correlation_s)
+        R = np.zeros((len(rows), 2, 2))
+        spread = np.diagonal(self.runs["P"][rows], axis1=1, axis2=2)
+        attitude = spread[:, ATTITUDE].mean(axis=1)
+        fixed = s.lateral_sd_m_s**2 + (self._axle_m * yaw_rate) ** 2, s.vertical_sd_m_s**2
+        for k, place in enumerate((YAW, PITCH)):
+            R[:, k, k] = (fixed[k] + variance[rows] * (spread[:, place] + attitude)) * s.correlation_s
+        self._correct(rows, z, H, R, self._constraint_gate, considered=None if odometer is not None else MOUNTING)
 
     def _use_speed(self, odometer: OdometerSpeed) -> None:
         s, runs = self._settings, self.runs
@@ -218,6 +230,11 @@ class FreePropagations:
         velocity = self.runs["state"][:, propagation.VELOCITY]
         self._correct(np.arange(len(velocity)), -velocity, np.eye(3, SIZE), UNIT * STANDSTILL_SD**2)
 
+    def lost(self) -> list[int]:
+        """Rows of propagations that drive backwards faster than a vehicle does: they have lost their direction."""
+        velocity, _, _ = self.body_velocities()
+        return np.flatnonzero(velocity[:, 0] < -FASTEST_REVERSE_M_S).tolist()
+
     def body_velocities(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Velocities [m/s, body], shape (n, 3), their derivatives by the error states, (n, 3, 21), and attitudes C."""
         C, v = matrices(self.runs["state"][:, propagation.QUATERNION]), self.runs["state"][:, propagation.VELOCITY]
@@ -226,12 +243,32 @@ class FreePropagations:
         H[..., ATTITUDE] = C.mT @ _skews(v)
         return np.vecmat(v, C), H, C
 
-    def _correct(self, rows: Rows, z: FloatArray, H: FloatArray, R: FloatArray, gate: float = inf) -> Rows:
-        """Add the errors that a measurement shows to the nominal values; give the propagations that have used it."""
-        found = correct(self.runs["P"][rows], z, H, R)
+    def _correct(
+        self,
+        rows: Rows,
+        z: FloatArray,
+        H: FloatArray,
+        R: FloatArray,
+        gate: float = inf,
+        considered: slice | None = None,
+    ) -> Rows:
+        """Add the errors that a measurement shows to the nominal values; give the propagations that have used it.
+
+        States that are `considered` keep their values and their covariance.
+        """
+        P = self.runs["P"][rows]
+        found = correct(P, z, H, R)
         used = np.asarray(found.distance2 <= gate)
-        rows, error = rows[used], found.x[used]
-        self.runs["P"][rows] = found.P[used]
+        error, after = found.x, found.P
+        if considered is not None:
+            K = found.K.copy()
+            K[:, considered] = 0.0
+            error = np.matvec(K, z)
+            A = UNIT_STATES - K @ H
+            after = A @ P @ A.mT + K @ R @ K.mT
+            after = 0.5 * (after + after.mT)
+        rows, error = rows[used], error[used]
+        self.runs["P"][rows] = after[used]
         state = self.runs["state"][rows]
         state[:, propagation.VELOCITY] += error[:, VELOCITY]
         turned = [

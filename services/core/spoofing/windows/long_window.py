@@ -7,6 +7,7 @@ velocity: the way since the start of a propagation adds it up.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +68,21 @@ class _Passed:
     rows: dict[int, int]  # of each anchor whose propagation knows that time
     nodes: FloatArray  # shape (n, 6) [m/s, m; NED] velocity of the antenna, and its way since the anchor
     P: FloatArray  # shape (n, 3, 3) [m²/s²] covariances of velocity, at most 1 s older
+
+
+Found = TypeVar("Found", "LongResult", "WayResult")
+
+
+def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
+    """The first of two results, unless the second one agrees with GNSS: then the smaller one; None without both."""
+    first, *others = found or [None]
+    if first is None or None in others:
+        return None
+    least: Found = first
+    for one in others:
+        if one is not None and one.statistic <= min(agrees, least.statistic):
+            least = one
+    return least
 
 
 class LongWindow:
@@ -165,6 +181,8 @@ class LongWindow:
         elif self._anchors_ns:
             used = self._settings.long.odometer and not self.odometer_excluded
             self.free.aid(odometer if used else None, yaw_rate)
+            if lost := set(self.free.lost()):
+                self._keep([row for row in range(len(self._anchors_ns)) if row not in lost])
 
     def compare(self, fix: VelocityFix, passed_ns: int) -> None:
         """Take the differences of every propagation from a fix that the increment which ends at a time has passed."""
@@ -193,8 +211,25 @@ class LongWindow:
         """Row of the youngest propagation of at least a length."""
         return max((row for row, age in enumerate(self._ages_s()) if age >= length_s), default=None)
 
+    def _pair(self, length_s: int) -> list[int]:
+        """Rows of the youngest propagation of at least a length, and of the one beside it; empty without the first.
+
+        One run that contradicts GNSS while one from another anchor agrees is a wrong run, of a bad anchor. The second
+        one is that from the next anchor, or where there is none the one before. None is beside a run that is the only
+        one left of the time before an accusation.
+        """
+        row = self._youngest(length_s)
+        if row is None:
+            return []
+        beside = row + 1 if row + 1 < len(self._anchors_ns) else row - 1
+        return [row, beside] if beside >= 0 else [row] if self.suspect_since_ns is not None else []
+
     def way(self, length_s: int) -> WayResult | None:
-        """Test the way with the youngest propagation of at least a length, as the mean of the last 5 s; None without.
+        """Test the way with the youngest propagation of at least a length, and the one beside it; None without them."""
+        return _beside([self._way(row) for row in self._pair(length_s)], self.way_doubt)
+
+    def _way(self, row: int) -> WayResult | None:
+        """Test the way with one propagation, as the mean of the last 5 s; None without enough fixes.
 
         Notes
         -----
@@ -203,9 +238,6 @@ class LongWindow:
 
             d = mean(p_k - r_k) - (p_0 - r_0),    T = d' S^-1 d,    S = f² (P + (s_0² + s_k²) I + s_t² dv dv')
         """
-        row = self._youngest(length_s)
-        if row is None:
-            return None
         anchor_ns = self._anchors_ns[row]
         first, places = self._first.get(anchor_ns), [one for one in self._places if anchor_ns in one.rows]
         if first is None or len(places) < LEAST_FIXES:
@@ -226,10 +258,11 @@ class LongWindow:
         return WayResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), anchor_ns)
 
     def result(self, length_s: int) -> LongResult | None:
-        """Test with the youngest propagation of at least a length; None without one, or with too few fixes."""
-        row = self._youngest(length_s)
-        if row is None:
-            return None
+        """Test with the youngest propagation of at least a length, and the one beside it; None without them."""
+        return _beside([self._of(row) for row in self._pair(length_s)], self.release_threshold)
+
+    def _of(self, row: int) -> LongResult | None:
+        """Test with one propagation; None with too few fixes."""
         anchor_ns = self._anchors_ns[row]
         compared = [one for one in self._compared if anchor_ns in one.rows]
         if len(compared) < LEAST_FIXES:

@@ -290,13 +290,18 @@ def test_the_non_holonomic_constraint_is_used_while_the_forward_speed_is_known(
 def test_a_fix_is_compared_with_the_increments_until_the_one_that_passes_it(
     drive: Drive, ahead_ns: int, known: bool
 ) -> None:
-    """Whatever is propagated at once; a position that is true later than these is not compared."""
+    """Whatever is propagated at once; a position that is true later than these is not compared.
+
+    A second propagation begins 5 s later: the test is made of two.
+    """
     increments, found = increments_of(drive, ideal=True), []
     for parts in (1, 10):
         long = LongWindow(Settings())
         long.start(anchor_at(drive, START_S))
         for k in range(0, len(increments), parts):
             part = increments[k : k + parts]
+            if k == 50:
+                long.start(anchor_at(drive, START_S + 5))
             long.advance(part)
             for one in part:
                 at = int(np.searchsorted(drive.t_ns, one.end_ns - 90_000_000))

@@ -23,12 +23,12 @@ def drive() -> Drive:
     return simulate("urban", 3, END_S)
 
 
-def started(drive: Drive, aside_m: float) -> Navigator:
-    """A navigator that was switched off where the drive begins, or aside of it."""
+def started(drive: Drive, aside_m: float, *, parked: bool = True) -> Navigator:
+    """A navigator that was switched off where the drive begins, or aside of it, at standstill or in motion."""
     settings = Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive.lever_arm_b)))
     navigator = Navigator(settings)
     saved = geodetic_from_ned_difference((0.0, -aside_m, 0.0), Geodetic(*drive.position[0].tolist()))
-    navigator.use_prior(Prior(saved, (1.0, 1.0, 2.0), float(drive.attitude[0, 2]), radians(1.0)))
+    navigator.use_prior(Prior(saved, (1.0, 1.0, 2.0), float(drive.attitude[0, 2]), radians(1.0), parked))
     readings = np.hstack([drive.force_b, drive.rate_b])
     for _ in solve(navigator, drive.t_ns, readings, fixes_of(drive, settings), every_ns=10**9):
         pass
@@ -41,6 +41,10 @@ def test_a_first_fix_50_m_aside_is_held_by_the_level_and_both_are_stated(drive: 
     assert held.at_start and held.bound[0] == pytest.approx(50.0, abs=6.0)
     assert held.why is not None and held.why.code == Code.HELD_AT_START and held.why.values["needed_m"] == 2000.0
     assert solution is not None and solution.protection_level_horizontal > 44.0
+
+
+def test_a_first_fix_aside_of_the_last_position_of_a_vehicle_in_motion_holds_nothing(drive: Drive) -> None:
+    assert not started(drive, 50.0, parked=False).engine.aids.error_monitor.held.is_open
 
 
 def test_a_first_fix_where_the_vehicle_was_parked_holds_nothing(drive: Drive) -> None:

@@ -327,17 +327,29 @@ def test_a_solution_without_gnss_that_outgrows_its_bound_is_not_published_and_th
     assert solution.protection_level_horizontal >= hypot(*difference[0][:2]) + difference[1][0] - 1e-9 > 15.0
 
 
-def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_their_last_useful_difference() -> None:
+def test_a_solution_without_gnss_that_never_contradicted_it_leaves_nothing_to_hold() -> None:
     nav = without_aiding(3.0)
     run(nav, 0.0, VERDICT_S)
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 110.0)
     assert nav.verdicts.conflict is None and nav.verdicts.unresolved is not None
+    assert not nav.verdicts.held.is_open and not nav.engine.aids.error_monitor.held.is_open
+    nav.apply_exclusions(None, odometer_excluded=False)
+    run(nav, 110.0, 112.0)
+    assert not nav.engine.aids.error_monitor.held.is_open
+
+
+def test_a_solution_without_gnss_of_no_use_is_given_up_and_the_level_holds_their_last_useful_difference() -> None:
+    nav = without_aiding(3.0)
+    run(nav, 0.0, SUSPECT_S)
+    run(nav, SUSPECT_S, VERDICT_S, moved_m=40.0)
+    nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
+    run(nav, VERDICT_S, 110.0, moved_m=40.0)
+    assert nav.verdicts.conflict is None and nav.verdicts.unresolved is not None
     assert nav.verdicts.unresolved.code == Code.WITHOUT_GNSS_OF_NO_USE
     held_m = nav.engine.aids.error_monitor.held.bound[0]
     solution = nav.solution()
-    good = conflicts.MOST_LIMITS * nav.settings.vehicle.alert_limit_horizontal_m
-    assert 5.0 < held_m < 2.0 * good and solution is not None and solution.protection_level_horizontal > held_m
+    assert held_m > 40.0 and solution is not None and solution.protection_level_horizontal > held_m
     assert solution.gnss_excluded_since_ns is None and solution.gnss_age_s is not None and solution.gnss_age_s < 2.0
     nav.apply_exclusions(None, odometer_excluded=False)
     run(nav, 110.0, 119.0)
