@@ -7,7 +7,7 @@ velocity: the way since the start of a propagation adds it up.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -70,19 +70,24 @@ class _Passed:
     P: FloatArray  # shape (n, 3, 3) [m²/s²] covariances of velocity, at most 1 s older
 
 
-Found = TypeVar("Found", "LongResult", "WayResult")
+class _Result(Protocol):
+    """What a test has found."""
+
+    @property
+    def statistic(self) -> float:
+        """Chi-square [-]."""
+        ...
+
+
+Found = TypeVar("Found", bound=_Result)
 
 
 def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
     """The first of two results, unless the second one agrees with GNSS: then the smaller one; None without both."""
-    first, *others = found or [None]
-    if first is None or None in others:
+    known = [one for one in found if one is not None]
+    if not known or len(known) < len(found):
         return None
-    least: Found = first
-    for one in others:
-        if one is not None and one.statistic <= min(agrees, least.statistic):
-            least = one
-    return least
+    return min([known[0], *(one for one in known[1:] if one.statistic <= agrees)], key=lambda one: one.statistic)
 
 
 class LongWindow:
