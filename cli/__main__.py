@@ -44,8 +44,8 @@ def main() -> None:
 
 
 def _fail(error: Exception, code: int) -> NoReturn:
-    reports.tell(error=str(error))
     print(f"obu: {error}", file=sys.stderr)  # this is the command line
+    reports.tell(error=str(error))
     sys.exit(code)
 
 

@@ -18,7 +18,6 @@ SHRINKS_S = 0.3  # lag by which a process that catches up is less far behind wit
 SKIP_UNTIL_S = 0.2  # age of the oldest input that is not skipped then
 ORDER = tuple(Work)  # in which work is paused
 CHECKS = (Work.HYPOTHESES, Work.INERTIAL_WINDOWS)  # without which no position is SAFE
-PAUSED = "paused: this computer is too slow"
 
 
 class Load:

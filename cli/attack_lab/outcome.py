@@ -7,8 +7,10 @@ import numpy as np
 
 from shared.attacks import BY_NAME, AttackRow
 from shared.maths.earth import FloatArray
+from shared.messages.explanation import ReferenceKind
 from shared.messages.simulation import AttackName
 from shared.messages.trust import TrustLevel
+from shared.trust.accused import reference
 
 from .cases import Case
 from .score import VERDICT, Run, binomial_interval, by_attack, detected_after_s, safe_again_s
@@ -187,9 +189,9 @@ def _is_right(row: AttackRow, accused: Sequence[str]) -> bool:
 def _names(name: str, source: str) -> bool:
     """Whether an accused name is of a kind of source; satellites are named as RINEX does."""
     if source == NEIGHBOUR:
-        return name.startswith(NEIGHBOUR)
+        return reference(name).kind is ReferenceKind.NEIGHBOUR
     if source == SATELLITE:
-        return name not in (GNSS, ODOMETER, IMU) and not name.startswith(NEIGHBOUR)
+        return reference(name).kind is ReferenceKind.SATELLITE
     return name == source
 
 

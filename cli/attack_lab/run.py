@@ -81,7 +81,7 @@ def _parked(truth: TruthState) -> LastPosition:
         sampled_ns=saved_ns, utc_ns=saved_ns,
         latitude_deg=truth.latitude_deg, longitude_deg=truth.longitude_deg,
         height_ellipsoid_m=truth.height_ellipsoid_m, yaw_rad=truth.yaw_rad or 0.0,
-        position_sd_ned_m=PARKED_SD_M, yaw_sd_rad=radians(PARKED_YAW_SD_DEG),
+        position_sd_ned_m=PARKED_SD_M, yaw_sd_rad=radians(PARKED_YAW_SD_DEG), stationary=True,
     )  # fmt: skip
 
 

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from shared.attacks import BY_NAME
+from shared.messages.explanation import ReferenceKind
 from shared.messages.simulation import AttackName, AttackRun
 from shared.messages.trust import Outcome, TrustLevel, TrustState
+from shared.trust.accused import reference
 
 NS = 1_000_000_000
 LONGEST_GAP_S = 2.0  # between two states; beyond it nothing is known about the verdict
@@ -33,7 +35,7 @@ def signs(state: TrustState, attack: AttackName) -> tuple[str, ...]:
     found = [f"{name} excluded" for name, is_so in excluded if is_so]
     found += [f"verdict {state.state}"] if state.state in ALARMS else []
     for monitor in state.monitors:
-        accused = [one for one in monitor.accused if one.startswith("neighbour") == by_neighbours]
+        accused = [one for one in monitor.accused if (reference(one).kind is ReferenceKind.NEIGHBOUR) == by_neighbours]
         if monitor.outcome is Outcome.ACCUSES and accused:
             found.append(f"{monitor.monitor} suspects {', '.join(accused)}")
     return tuple(found)

@@ -101,7 +101,7 @@ class Repeated:
     def code(self) -> int:
         """Exit code: 0 if all is identical and something was compared."""
         verdicts = {one.verdict for one in self.findings}
-        if not self.can or verdicts - {Verdict.IDENTICAL} == {Verdict.OTHER_RELEASE}:
+        if not self.can or (Verdict.OTHER_RELEASE in verdicts and Verdict.DIFFERENT not in verdicts):
             return OTHER_RELEASE
         return 0 if verdicts == {Verdict.IDENTICAL} and any(one.compared for one in self.findings) else DIFFERENT
 

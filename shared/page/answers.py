@@ -9,7 +9,7 @@ from typing_extensions import TypedDict
 
 REFERENCE = "#/components/schemas/{model}"
 Stamp = int  # [ns] on the OBU time line, which is UTC as nanoseconds since 1970
-Object = dict[str, Any]  # described by asyncapi.json, or by no contract
+Object = dict[str, Any]  # described by /asyncapi.json, or by no contract
 Responses = dict[int | str, dict[str, Any]]  # of a route, by status, as FastAPI takes them
 T = TypeVar("T")
 

@@ -4,12 +4,15 @@ The starter names the file in an environment variable, which the command takes o
 children do not write there. What is printed is for people, and read by nothing.
 """
 
+import logging
 import os
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..bounded import read_bytes
+
+log = logging.getLogger(__name__)
 
 VARIABLE = "OBU_REPORT"
 MAXIMUM_BYTES = 100_000
@@ -36,13 +39,16 @@ def begin() -> None:
 
 
 def tell(*, error: str = "", finding: str = "", port: int | None = None) -> None:
-    """Write the report, if somebody wants one; raises `OSError`."""
+    """Write the report, if somebody wants one; where that fails, as on a full disk, the exit code alone tells."""
     if _Place.path is None:
         return
     report = Report(error=error[:LENGTH], finding=finding[:LENGTH], port=port)
     fresh = _Place.path.with_name(f"{_Place.path.name}.new")
-    fresh.write_text(report.model_dump_json(), encoding="utf-8")
-    fresh.replace(_Place.path)
+    try:
+        fresh.write_text(report.model_dump_json(), encoding="utf-8")
+        fresh.replace(_Place.path)
+    except OSError as error:
+        log.warning("what was found cannot be told to the program that waits for it: %s", error)
 
 
 def read_report(path: Path) -> Report:

@@ -9,7 +9,6 @@ from ..messages.explanation import Explanation
 from ..messages.trust import MonitorTest, Outcome, TrustMonitor
 from ..words.words import reason, said
 
-GNSS, IMU, ODOMETER = "gnss", "imu", "odometer"  # accused by name; satellites and neighbours by theirs
 SATELLITE_LEFT_OUT = "cooperative.left_out"  # code of the test of one that the others are evaluated without
 ORDER = (Outcome.NOT_EVALUATED, Outcome.PASS, Outcome.ACCUSES)
 

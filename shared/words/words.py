@@ -78,11 +78,15 @@ def _reject(kind: str) -> str | None:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.0f} s" if value == round(value) or abs(value) >= 60.0 else f"{value:.1f} s"
+    for unit, length_s in (("h", 3600.0), ("min", 60.0)):
+        if abs(value) >= 10.0 * length_s:
+            return f"{value / length_s:.0f} {unit}"
+    return f"{value:z.0f} s" if value == round(value) or abs(value) >= 60.0 else f"{value:z.1f} s"
 
 
 def _plain_number(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+    """Three digits, and never as a power of ten but for what is very small."""
+    return f"{value:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
 
 
 def _speed(value: float) -> str:
@@ -99,7 +103,7 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "length": (("_m",), lambda value: f"{value:z.2f} m"),
     "speed": (("_m_s",), _speed),
     "acceleration": (("_m_s2",), lambda value: f"{value:z.3f} m/s²"),
-    "angle": (("_rad", "_deg"), lambda value: f"{value:.1f}°"),
+    "angle": (("_rad", "_deg"), lambda value: f"{value:z.1f}°"),
     "turn_rate": (("_deg_s",), lambda value: f"{value:z.2f}°/s"),
     "duration": (("_s",), _seconds),
     "time_offset": (("_s",), lambda value: f"{value:z.3f} s"),
@@ -108,11 +112,11 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "ratio": (("_ratio",), lambda value: f"{value:.3f}"),
     "carrier_to_noise": (("_db_hz",), lambda value: f"{value:.1f} dB-Hz"),
     "level_difference": (("_db",), lambda value: f"{value:.1f} dB"),
-    "factor": (("ratio",), lambda value: f"{value:.3g}"),
+    "factor": (("ratio",), _plain_number),
     "delay": (("_s",), lambda value: f"{value:.3f} s"),
-    "accuracy": (("_m",), lambda value: f"{value:.3g} m"),
+    "accuracy": (("_m",), lambda value: f"{_plain_number(value)} m"),
     "size": (("_bytes",), _size),
-    "share": (("probability", "share"), lambda value: f"{100.0 * value:.3g} %"),
+    "share": (("probability", "share"), lambda value: f"{_plain_number(100.0 * value)} %"),
     "number": (("statistic", "threshold", "count", "number"), _plain_number),
 }
 INSTANT = "instant"  # a stamp, shown as time of day
@@ -252,7 +256,8 @@ def words(language: str = ENGLISH) -> Words:
     if language != ENGLISH:
         return _read(FOLDER / f"{language}.toml", Words(language, {}, {}, {}, words()))
     found = _read(FOLDER / "en.toml", Words(ENGLISH, {}, {}, {}))
-    for owner, folder in OWNERS.items():
+    present = {owner: folder for owner, folder in OWNERS.items() if (REPOSITORY / folder).is_dir()}
+    for owner, folder in present.items():  # a wheel of the unit has no control centre
         found = _read(REPOSITORY / folder / "words.toml", found, owner)
     return found
 

@@ -95,7 +95,7 @@ def test_without_beliefs_and_positions_the_page_trust_says_what_is_missing(
 @pytest.mark.parametrize(
     ("locale", "language", "sentence"),
     [
-        ("de-DE", "de", "Position nicht verwenden: möglicher Fehler von GNSS oder Inertialsensoren."),
+        ("de-DE", "de", "Position nicht verwenden, möglicher Fehler: GNSS oder Inertialsensoren."),
         ("fr-FR", "fr", "Ne pas utiliser la position, erreur possible : GNSS ou capteurs inertiels."),
         ("ja-JP", "en", "The position must not be used: GNSS or the inertial sensors may be wrong."),
     ],

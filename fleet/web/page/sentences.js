@@ -31,7 +31,7 @@ const SENTENCES = {
   "trust/event": ({ before, after, reasons, monitors }) => {
     if (!text(after)) return null;
     const because = list(reasons).map(text).filter(Boolean);
-    const against = list(monitors).map(accused).filter((one) => one && !because.some((reason) => one.endsWith(reason)));
+    const against = list(monitors).map(accused).filter(Boolean);
     return [`The verdict became ${verdict(after)}${text(before) ? `, before ${verdict(before)}` : ""}.`, ...because.map(ended), ...against.map((one) => `Accusing: ${ended(one)}`)].join(" ");
   },
   "outage/event": ({ what, cause, until_ns: until, since_ns: since, affected }) => {

@@ -148,7 +148,9 @@ class Process:
         if (fix := fault_free_fix(plain, message)) is not None:
             yield fix
         all_in_view = self._plain.all_in_view()
-        yield self._hypotheses(all_in_view, None if all_in_view else why_not(plain, epoch), message.sampled_ns)
+        yield self._hypotheses(
+            all_in_view, None if all_in_view or plain.evaluated else why_not(plain, epoch), message.sampled_ns
+        )
 
     def _hypotheses(self, all_in_view: PositionFit | None, why: Explanation | None, time_ns: int) -> TrustHypotheses:
         return satellite_hypotheses(all_in_view, why, time_ns, false_alarm_rate=self._rate, risk=self._risk)

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome, TrustMonitor
-from shared.trust.result import GNSS, NOTHING, Test, judged, lasting, statement
+from shared.trust.accused import GNSS
+from shared.trust.result import NOTHING, Test, judged, lasting, statement
 
 from .codes import Code
 from .detection import local_threshold

@@ -15,7 +15,8 @@ from shared.messages.explanation import Explanation, explain
 from shared.messages.gnss import GnssSatellites, GnssSignalQuality, InterferenceState, RadioPath, ReceiverClock
 from shared.messages.operation import HostClock
 from shared.messages.trust import Outcome
-from shared.trust.result import GNSS, Test, judged, lasting
+from shared.trust.accused import GNSS
+from shared.trust.result import Test, judged, lasting
 
 from .baselines import NS, RECENT_S, ClockPrediction, SlowMean, TimeOffset
 from .codes import Code

@@ -8,8 +8,9 @@ from scipy.special import ndtri
 from shared.maths.quantiles import chi_square_limit
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome
+from shared.trust.accused import GNSS, ODOMETER
 from shared.trust.inputs import Input, absent
-from shared.trust.result import GNSS, ODOMETER, Test, dated, judged
+from shared.trust.result import Test, dated, judged
 
 from . import fast
 from .aligned import SECOND_NS

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass, fields
 
-from shared.trust.result import GNSS, ODOMETER, Test
+from shared.trust.accused import GNSS, ODOMETER
+from shared.trust.result import Test
 
 EITHER = (GNSS, ODOMETER)  # a test that cannot tell which
 

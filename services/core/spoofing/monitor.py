@@ -15,8 +15,9 @@ from shared.maths.rotation import Vector
 from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import Outcome
+from shared.trust.accused import GNSS, IMU
 from shared.trust.inputs import Input, absent
-from shared.trust.result import GNSS, IMU, Test, dated, judged
+from shared.trust.result import Test, dated, judged
 
 from .codes import Code
 from .inertial.anchors import anchor_of, filter_anchor_of

@@ -53,9 +53,10 @@ class Overload:
             self.problem = Problem(what=COMPUTER, text=reason(why), text_code=why, since_ns=self._since_ns)
 
     def _why(self, load: float, late_s: float, behind_s: float | None) -> Explanation:
+        """The later of the two is stated: messages of the bus, or core.fusion behind its samples."""
         is_busy = load >= self._processors
         alone, fusion = (Code.OVERLOADED, Code.OVERLOADED_FUSION) if is_busy else (Code.SLOW, Code.SLOW_FUSION)
-        return explain(
-            alone if behind_s is None else fusion, load_count=load, processor_count=self._processors, late_s=late_s,
-            behind_s=behind_s,
-        )  # fmt: skip
+        given = {"load_count": load, "processor_count": self._processors}
+        if behind_s is None or behind_s <= late_s:
+            return explain(alone, **given, late_s=late_s)
+        return explain(fusion, **given, behind_s=behind_s)

@@ -1,6 +1,8 @@
 """What the wheel holds: everything that commands read, and the licences of what it gives away."""
 
+import os
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -44,6 +46,17 @@ def test_it_holds_nothing_of_tests_tools_or_the_libraries_that_the_page_does_not
 def test_the_page_is_complete_from_the_wheel(unpacked: Path) -> None:
     here, there = read_pages(REPOSITORY / wheel.DASHBOARD), read_pages(unpacked / wheel.DASHBOARD)
     assert there.version == here.version
+
+
+def test_words_are_there_without_the_control_centre(unpacked: Path) -> None:
+    said = (
+        "from shared.words.words import words; print(words.__globals__['__file__'], words('de').names['state']['safe'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", said], cwd=unpacked, env={**os.environ, "PYTHONPATH": str(unpacked)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == [str(unpacked / "shared/words/words.py"), "SAFE"]
 
 
 def test_every_library_and_what_is_bundled_in_it_has_its_licence(unpacked: Path) -> None:

@@ -7,8 +7,9 @@ from shared.inertial.increments import SECOND_NS, Decimator, Increment
 from shared.maths.rotation import Vector
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome
+from shared.trust.accused import GNSS, IMU, ODOMETER
 from shared.trust.inputs import Input, absent
-from shared.trust.result import GNSS, IMU, ODOMETER, Test, lasting
+from shared.trust.result import Test, lasting
 
 from ..codes import Code
 from .bend_fit import ARM_SD, Arm

@@ -21,7 +21,8 @@ from shared.inertial.increments import SECOND_NS
 from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution
 from shared.messages.trust import Outcome
-from shared.trust.result import GNSS, IMU, ODOMETER, Test, dated
+from shared.trust.accused import GNSS, IMU, ODOMETER
+from shared.trust.result import Test, dated
 
 from ..codes import Code
 from ..grade import Grade

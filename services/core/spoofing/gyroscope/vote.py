@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from shared.maths.quantiles import chi_square_limit
-from shared.trust.result import GNSS, IMU, ODOMETER
+from shared.trust.accused import GNSS, IMU, ODOMETER
 
 
 class Source(StrEnum):

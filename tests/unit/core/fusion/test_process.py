@@ -172,6 +172,17 @@ def test_with_a_saved_heading_the_solution_begins_at_standstill() -> None:
     assert first(standard_run()) < drives_off_s < first(unprepared_run())
 
 
+def test_a_last_position_of_this_drive_is_no_saved_position() -> None:
+    """As the controller stores it while fixes alone are published, because the inertial unit begins later."""
+    aside_deg = saved().latitude_deg + 0.02
+    own = saved().model_copy(update={"sampled_ns": EPOCH_NS + 10**9, "latitude_deg": aside_deg, "stationary": True})
+    out = run([fix(0), own, *samples()[:4000], *fixes()[1:40]])
+    assert not [m for m in out if isinstance(m, NavigationState) and m.held_horizontal_m]
+    first = next(m for m in out if isinstance(m, NavigationSolution) and m.phase is NavigationPhase.NAVIGATING)
+    without = next(m for m in unprepared_run() if isinstance(m, NavigationSolution))
+    assert first.sampled_ns >= without.sampled_ns, "nor a heading to start with"
+
+
 def test_solutions_are_published_every_0_1_s_and_states_every_second() -> None:
     out = standard_run()
     solutions = [m.sampled_ns for m in out if isinstance(m, NavigationSolution)]

@@ -8,8 +8,9 @@ import pytest
 from shared.bus.codec import encode
 from shared.messages.explanation import explain
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
+from shared.trust.accused import GNSS, IMU
 from shared.trust.inputs import SECOND_NS, Input, absent
-from shared.trust.result import GNSS, IMU, Test, dated, deciding, judged, lasting, published, statement, told
+from shared.trust.result import Test, dated, deciding, judged, lasting, published, statement, told
 
 WHY = explain("motion.fast")
 BASE = Test(

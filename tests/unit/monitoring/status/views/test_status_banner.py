@@ -94,7 +94,7 @@ def test_the_banner_speaks_every_language() -> None:
         changed(trust=trust(START_NS, TrustLevel.CAUTION, explain("trust.suspected", suspects=("gnss", "imu"))))
     )
     assert {name: line.sentence for name, line in shown.lines.items()} == {
-        "de": "Position mit Vorsicht verwenden: möglicher Fehler von GNSS oder Inertialsensoren.",
+        "de": "Position mit Vorsicht verwenden, möglicher Fehler: GNSS oder Inertialsensoren.",
         "fr": "Position à utiliser avec prudence, erreur possible : GNSS ou capteurs inertiels.",
     }
     assert all(line.action for line in shown.lines.values())
