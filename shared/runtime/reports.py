@@ -47,8 +47,8 @@ def tell(*, error: str = "", finding: str = "", port: int | None = None) -> None
     try:
         fresh.write_text(report.model_dump_json(), encoding="utf-8")
         fresh.replace(_Place.path)
-    except OSError as error:
-        log.warning("what was found cannot be told to the program that waits for it: %s", error)
+    except OSError as failed:
+        log.warning("what was found cannot be told to the program that waits for it: %s", failed)
 
 
 def read_report(path: Path) -> Report:

@@ -175,8 +175,12 @@ def test_with_a_saved_heading_the_solution_begins_at_standstill() -> None:
 def test_a_last_position_of_this_drive_is_no_saved_position() -> None:
     """As the controller stores it while fixes alone are published, because the inertial unit begins later."""
     aside_deg = saved().latitude_deg + 0.02
-    own = saved().model_copy(update={"sampled_ns": EPOCH_NS + 10**9, "latitude_deg": aside_deg, "stationary": True})
-    out = run([fix(0), own, *samples()[:4000], *fixes()[1:40]])
+    own_ns = fix(0).received_ns + 10**9
+    own = saved().model_copy(update={"sampled_ns": own_ns, "latitude_deg": aside_deg, "stationary": True})
+    made = Process(Config(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=drive().lever_arm_b))))
+    for message in (fix(0), own):
+        list(made.handle(message))
+    out = run([*samples()[:4000], *fixes()[1:40]], made)
     assert not [m for m in out if isinstance(m, NavigationState) and m.held_horizontal_m]
     first = next(m for m in out if isinstance(m, NavigationSolution) and m.phase is NavigationPhase.NAVIGATING)
     without = next(m for m in unprepared_run() if isinstance(m, NavigationSolution))
