@@ -71,7 +71,9 @@ class ProblemRow(TypedDict):
     "broker": True,
     "position": {"state": "safe", "word": "SAFE", "sentence": SENTENCE, "since_ns": EXAMPLE_NS - 7 * 10**9},
     "problems": [{"what": "sensors.can", "text": "sensors.can is lost", "since_ns": EXAMPLE_NS - 4 * 10**9,
-                  "affected": ["can/raw"]}],
+                  "text_code": {"code": "health.lost", "values": {},
+                                "subject": {"kind": "process", "name": "sensors.can"}},
+                  "affected": ["can/raw"], "languages": {"de": "sensors.can ist ausgefallen"}}],
     "processes": {"core.fusion": {"status": "ready", "ok": True, "heartbeat_age_s": 0.21}},
     "topics": {"can/raw": {"freshness": "stale", "age_s": 4.1, "cause": "sensors.can"}},
 })  # fmt: skip
