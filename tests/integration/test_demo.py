@@ -130,7 +130,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         expect(job).to_contain_text("runs")
         report = short.get_by_role("link", name="Report")
         expect(report).to_be_visible(timeout=60_000)
-        expect(job).to_contain_text(re.compile("has ended.*Wrote .*report.html"))
+        expect(job).to_contain_text(re.compile("has ended.*the next fix is predicted"))
         with page.expect_popup() as popup:
             report.click()
         expect(popup.value.get_by_role("heading", level=1)).to_be_visible()
