@@ -84,7 +84,7 @@ def test_the_pages_cannot_change_evidence_or_the_audit(running: RunningWeb, unit
 def test_a_tenant_watches_its_share_of_vehicles_and_leaves_the_others_theirs(
     running: RunningWeb, units: list[Unit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gate, "LINGER_S", 1.0)
+    monkeypatch.setattr(gate, "LINGER_S", HANGS_S)
     anna, olga = running.visitor("anna"), running.visitor("olga")
     for number in range(gate.MOST_OF_TENANT + 1):
         Unit(f"share-{number}", 50 + number).enter(running.dsn)

@@ -77,7 +77,10 @@ def test_a_program_reads_the_stream_of_events_of_a_watched_vehicle_for_as_long_a
     with watched_unit(running, "watch-5", tmp_path), otto.http.stream("GET", address) as answer:
         assert answer.status_code == 200 and answer.headers["x-accel-buffering"] == "no"
         lines = answer.iter_lines()
-        assert events_of(lines, 6).count("solution") >= 3, "more than the first frame"
+        solutions = 0  # on a busy machine verdicts and outages come between them
+        while solutions < 3:
+            (event,) = events_of(lines, 1)
+            solutions += event == "solution"
         with second.http.stream("GET", address) as beside:
             assert len(events_of(beside.iter_lines(), 4)) == 4, "a second one reads as well"
         assert len(events_of(lines, 4)) == 4
