@@ -10,13 +10,13 @@ from shared.maths.earth import FloatArray
 from shared.messages.explanation import ReferenceKind
 from shared.messages.simulation import AttackName
 from shared.messages.trust import TrustLevel
-from shared.trust.accused import reference
+from shared.trust.accused import GNSS, ODOMETER, reference
 
 from .cases import Case
 from .score import VERDICT, Run, binomial_interval, by_attack, detected_after_s, safe_again_s
 from .timeline import Interval, Timeline
 
-GNSS, ODOMETER, IMU, SATELLITE, NEIGHBOUR = "gnss", "odometer", "imu", "satellite", "neighbour"
+KINDS = (ReferenceKind.SATELLITE, ReferenceKind.NEIGHBOUR)  # of sources that are accused by an ID of their own
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION)
 TRACK_EVERY_S = 10.0
 Pair = tuple[float | None, float | None]  # [m] horizontal and vertical; None where it is unknown
@@ -169,7 +169,7 @@ def _answer(attack: str, group: Sequence[Run]) -> Answer:
 
 def attacked_sources(row: AttackRow) -> tuple[str, ...]:
     """Sources with an exclusion that are not healthy during an attack; GNSS too where satellites or signals are."""
-    own = GNSS if row.accused in (SATELLITE, "") else row.accused
+    own = GNSS if row.accused in (ReferenceKind.SATELLITE, "") else row.accused
     return tuple(name for name in (own, *row.also) if name in (GNSS, ODOMETER))
 
 
@@ -188,11 +188,7 @@ def _is_right(row: AttackRow, accused: Sequence[str]) -> bool:
 
 def _names(name: str, source: str) -> bool:
     """Whether an accused name is of a kind of source; satellites are named as RINEX does."""
-    if source == NEIGHBOUR:
-        return reference(name).kind is ReferenceKind.NEIGHBOUR
-    if source == SATELLITE:
-        return reference(name).kind is ReferenceKind.SATELLITE
-    return name == source
+    return reference(name).kind == source if source in KINDS else name == source
 
 
 def _accused(timeline: Timeline, begin_s: float, end_s: float) -> tuple[str, ...]:

@@ -104,6 +104,35 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     return Correction(x, after, distance2, z, H, K, S, S_inverse)
 
 
+def consider(P: FloatArray, found: Correction, R: FloatArray, states: slice) -> Correction:
+    """Leave some states out of a correction, and their uncertainty in: they keep their values and their covariance.
+
+    Parameters
+    ----------
+    P, R : ndarray, shape (..., n, n) and (..., m, m)
+        As given to `correct`.
+    found : Correction
+        What that has computed.
+    states : slice
+        Those that are considered and not estimated.
+
+    Notes
+    -----
+    The rows of the gain that belong to them are zero, and Joseph's form holds for any gain::
+
+        x = K z,  P+ = (I - K H) P (I - K H)^T + K R K^T
+
+    References
+    ----------
+    S. Schmidt, "Application of State-Space Methods to Navigation Problems", Advances in Control Systems 3, 1966.
+    """
+    K = found.K.copy()
+    K[..., states, :] = 0.0
+    A = np.eye(P.shape[-1]) - K @ found.H
+    after = A @ P @ A.mT + K @ R @ K.mT
+    return found._replace(x=np.matvec(K, found.z), P=0.5 * (after + after.mT), K=K)
+
+
 def _joseph(
     P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:

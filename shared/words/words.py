@@ -113,7 +113,6 @@ QUANTITIES: dict[str, tuple[tuple[str, ...], Callable[[float], str]]] = {
     "carrier_to_noise": (("_db_hz",), lambda value: f"{value:.1f} dB-Hz"),
     "level_difference": (("_db",), lambda value: f"{value:.1f} dB"),
     "factor": (("ratio",), _plain_number),
-    "delay": (("_s",), lambda value: f"{value:.3f} s"),
     "accuracy": (("_m",), lambda value: f"{_plain_number(value)} m"),
     "size": (("_bytes",), _size),
     "share": (("probability", "share"), lambda value: f"{_plain_number(100.0 * value)} %"),
@@ -229,7 +228,7 @@ class Words:
 
 def said(text: str, code: Explanation | None, zone: tzinfo = UTC) -> str:
     """Say why, of a message: by the words of its code, else by its own text as it is, else by the code itself."""
-    return text if code is None else words().detail(code, zone) or text or code.code
+    return words().told(Told(text, code), zone) or (code.code if code else "")
 
 
 def reason(*explanations: Explanation) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome, TrustMonitor
-from shared.trust.accused import GNSS
+from shared.trust.accused import GNSS, NEIGHBOUR
 from shared.trust.result import NOTHING, Test, judged, lasting, statement
 
 from .codes import Code
@@ -14,7 +14,6 @@ from .measurements import NeighbourFinding, RawEpoch, SatelliteFinding, Satellit
 
 MONITOR = "satellites"
 UNRESOLVED_NS = 60_000_000_000
-NEIGHBOUR = "neighbour"  # begins the name by which one is accused, and that of its test
 COOPERATIVE, LEVEL = "cooperative", "horizontal protection level"
 MAX_TESTS = 64  # one a satellite: GPS and Galileo have 68 numbers
 MAX_ACCUSED = 16  # more satellites at once are a fault of GNSS as a whole

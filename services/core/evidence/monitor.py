@@ -137,9 +137,8 @@ class EvidenceMonitor:
         cn0 = np.array([one.cn0_db_hz for one in known], dtype=float)
         level, mean = float(np.median(cn0)), self._level.value
         limit = s.level_limit_db_hz if mean is None else min(s.level_limit_db_hz, mean + s.level_rise_db)
-        why = explain(
-            Code.LEVEL if mean is None else Code.LEVEL_AND_MEAN, satellites_count=len(cn0), mean_db_hz=mean
-        )  # fmt: skip
+        code = Code.LEVEL if mean is None else Code.LEVEL_AND_MEAN
+        why = explain(code, satellites_count=len(cn0), mean_db_hz=mean)
         self.tests["cn0_level"].evaluated(time_ns, evaluation(level, limit, "dB-Hz", why))
         if not self.tests["cn0_level"].accuses(time_ns):
             self._level.update(time_ns, level)

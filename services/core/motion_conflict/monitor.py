@@ -81,9 +81,7 @@ class MotionMonitor(SpeedComparison):
     def _event(self, missing: Explanation | None) -> Test:
         window = self.raw
         missing = missing or _warming(window)
-        why = missing or explain(
-            Code.EVENT, speed_limit_m_s=THRESHOLD_M_S
-        )  # fmt: skip
+        why = missing or explain(Code.EVENT, speed_limit_m_s=THRESHOLD_M_S)
         base = _test(why, "s", WINDOW_S, suspect_since_ns=window.suspect_since_ns)
         return base if missing is not None else judged(base, window.exceeded_s, EVENT_S)
 
@@ -121,9 +119,7 @@ class MotionMonitor(SpeedComparison):
         if missing is not None or recent is None:
             return _test(missing or explain(Code.SCALE_NOT_LEARNED), "-", STEP_WINDOW_S, rate)
         step, limit = abs(recent.scale / recent.reference - 1.0), self._scale_limit(STEP_LIMIT, recent)
-        why = explain(
-            Code.SCALE_STEP, scale_ratio=recent.scale, reference_ratio=recent.reference
-        )  # fmt: skip
+        why = explain(Code.SCALE_STEP, scale_ratio=recent.scale, reference_ratio=recent.reference)
         return judged(_test(why, "-", STEP_WINDOW_S, rate, suspect_since_ns=recent.oldest_ns), step, limit)
 
     def _scale_range(self, missing: Explanation | None) -> Test:

@@ -92,6 +92,12 @@ class Conflict:
         """Cursors without GNSS that read the log."""
         return tuple(one for one in (self.cursor, self.replay) if one is not None)
 
+    @property
+    def contradicts(self) -> bool:
+        """Whether the solution without GNSS is farther from the other one than its levels."""
+        north, east, down = self.apart_n or (0.0, 0.0, 0.0)
+        return hypot(north, east) > self.levels_m[0] or abs(down) > self.levels_m[1]
+
     def advance(self, log: Log, horizon_ns: int, samples: int) -> bool:
         """Follow the horizon, which went on by so many samples; returns whether a replay is over."""
         if self.cursor is not None:
@@ -104,12 +110,6 @@ class Conflict:
         self.replay.outcomes()  # all were reported before
         self.cursor, self.replay = self.replay, None
         return True
-
-
-def _contradicts(apart_n: Vector, conflict: Conflict) -> bool:
-    """Whether the solution without GNSS is farther away than its levels."""
-    horizontal_m, vertical_m = conflict.levels_m
-    return hypot(apart_n[0], apart_n[1]) > horizontal_m or abs(apart_n[2]) > vertical_m
 
 
 class Verdicts:
@@ -280,7 +280,7 @@ class Verdicts:
             conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
-        if apart is not None and (share <= MOST_LIMITS or (conflict.good is None and _contradicts(apart, conflict))):
+        if apart is not None and (share <= MOST_LIMITS or (conflict.good is None and conflict.contradicts)):
             conflict.good = (
                 apart,
                 (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),

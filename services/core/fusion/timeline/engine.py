@@ -397,11 +397,11 @@ class Engine:
         started = measurement.align(self._alignment)
         if started is None:
             return
-        why = self._with_loss(explain(Code.STARTED, method=self._alignment.method))
+        why, lost = explain(Code.STARTED, method=self._alignment.method), self._lost
         self._start(started, measurement.time_ns, self._alignment.comparison)
         self.counts = self.counts.with_position(used=True)
         self.accepted_ns = measurement.time_ns
-        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, *why)
+        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, why, lost)
         self.exclusions = replace(self.exclusions, readmitted_after_s=None)
 
     def _aside(self, first: GnssPosition, prior: Prior, started: ErrorStateFilter) -> Disagreement:
@@ -473,13 +473,11 @@ class Engine:
             return explain(Code.POSITIONS_AGAIN)
         return explain(Code.NO_POSITION_LATELY if self.exclusions.gnss_since_ns is None else Code.GNSS_EXCLUDED)
 
-    def _with_loss(self, why: Explanation) -> tuple[Explanation, ...]:
-        """Add why the last solution ended."""
-        return (why,) if self._lost is None else (why, self._lost)
-
-    def _enter(self, phase: NavigationPhase, time_ns: int, *why: Explanation) -> None:
+    def _enter(self, phase: NavigationPhase, time_ns: int, why: Explanation, lost: Explanation | None = None) -> None:
+        """Enter a phase; `lost` is why the solution before it ended, if the engine has forgotten it."""
+        lost = lost or self._lost
         self.phase, self.since_ns = phase, time_ns
-        self.why = why if len(why) > 1 else self._with_loss(*why)
+        self.why = (why,) if lost is None else (why, lost)
 
     def _reset(self, why: Explanation, kept: Heading | None) -> None:
         """End the solution and count a reset; `kept` is the heading correction if the attitude is kept."""

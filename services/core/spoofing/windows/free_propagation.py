@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from shared.inertial.increments import Increment
 from shared.maths.earth import STANDARD_GRAVITY
-from shared.maths.kalman import correct, predict
+from shared.maths.kalman import consider, correct, predict
 from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import quaternion_from_rotation_vector, quaternion_product, skew
 
@@ -232,8 +232,9 @@ class FreePropagations:
 
     def lost(self) -> list[int]:
         """Rows of propagations that drive backwards faster than a vehicle does: they have lost their direction."""
-        velocity, _, _ = self.body_velocities()
-        return np.flatnonzero(velocity[:, 0] < -FASTEST_REVERSE_M_S).tolist()
+        state = self.runs["state"]
+        ahead_n = matrices(state[:, propagation.QUATERNION])[..., 0]
+        return np.flatnonzero(np.vecdot(ahead_n, state[:, propagation.VELOCITY]) < -FASTEST_REVERSE_M_S).tolist()
 
     def body_velocities(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Velocities [m/s, body], shape (n, 3), their derivatives by the error states, (n, 3, 21), and attitudes C."""
@@ -259,16 +260,10 @@ class FreePropagations:
         P = self.runs["P"][rows]
         found = correct(P, z, H, R)
         used = np.asarray(found.distance2 <= gate)
-        error, after = found.x, found.P
         if considered is not None:
-            K = found.K.copy()
-            K[:, considered] = 0.0
-            error = np.matvec(K, z)
-            A = UNIT_STATES - K @ H
-            after = A @ P @ A.mT + K @ R @ K.mT
-            after = 0.5 * (after + after.mT)
-        rows, error = rows[used], error[used]
-        self.runs["P"][rows] = after[used]
+            found = consider(P, found, R, considered)
+        rows, error = rows[used], found.x[used]
+        self.runs["P"][rows] = found.P[used]
         state = self.runs["state"][rows]
         state[:, propagation.VELOCITY] += error[:, VELOCITY]
         turned = [

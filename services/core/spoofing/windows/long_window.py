@@ -223,11 +223,12 @@ class LongWindow:
         one is that from the next anchor, or where there is none the one before. None is beside a run that is the only
         one left of the time before an accusation.
         """
-        row = self._youngest(length_s)
-        if row is None:
+        row, number = self._youngest(length_s), len(self._anchors_ns)
+        if row is None or (number == 1 and self.suspect_since_ns is None):
             return []
-        beside = row + 1 if row + 1 < len(self._anchors_ns) else row - 1
-        return [row, beside] if beside >= 0 else [row] if self.suspect_since_ns is not None else []
+        if number == 1:
+            return [row]
+        return [row, row + 1 if row + 1 < number else row - 1]
 
     def way(self, length_s: int) -> WayResult | None:
         """Test the way with the youngest propagation of at least a length, and the one beside it; None without them."""

@@ -169,7 +169,7 @@ def show(evidence: Evidence) -> Verdict:
 
 
 def _lines(
-    explanation: Explanation, state: TrustLevel | None = None, reason: str = "", cause: Told | None = None
+    explanation: Explanation, state: TrustLevel | None = None, text: str = "", cause: Told | None = None
 ) -> dict[str, Line]:
     """Put a code into words in every language.
 
@@ -179,17 +179,17 @@ def _lines(
         What is to be said.
     state : TrustLevel, optional
         Whose words are used for what the code has none.
-    reason : str
+    text : str
         The message's own text of this code, shown where the code has no words.
     cause : Told, optional
         What the sentence names as its cause.
     """
-    return {language: _line(words(language), explanation, state, reason, cause) for language in LANGUAGES}
+    return {language: _line(words(language), explanation, state, text, cause) for language in LANGUAGES}
 
 
-def _line(spoken: Words, explanation: Explanation, state: TrustLevel | None, reason: str, cause: Told | None) -> Line:
+def _line(spoken: Words, explanation: Explanation, state: TrustLevel | None, text: str, cause: Told | None) -> Line:
     general = None if state is None else explain(OF_STATE[state])
-    sentence = spoken.sentence(explanation, **({"cause": cause} if cause else {})) or reason
+    sentence = spoken.sentence(explanation, **({"cause": cause} if cause else {})) or text
     action = spoken.action(explanation)
     if general is not None:
         sentence, action = sentence or spoken.sentence(general) or "", action or spoken.action(general)
@@ -214,12 +214,12 @@ def no_verdict(age_s: float | None) -> Explanation | None:
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
     """Show what decided, by its code; without one, as in recordings of earlier releases, by its reason as it is."""
     deciding = trust.reason_codes[0] if trust.reason_codes else explain(OF_STATE[trust.state])
-    reason = trust.reasons[0] if trust.reasons else ""
+    text = trust.reasons[0] if trust.reasons else ""
     known = _cause(e, trust)
-    if known is None and not trust.reason_codes and reason:
-        lines = {language: replace(line, sentence=reason) for language, line in _lines(deciding).items()}
+    if known is None and not trust.reason_codes and text:
+        lines = {language: replace(line, sentence=text) for language, line in _lines(deciding).items()}
     else:
-        lines = _lines(known or deciding, trust.state, reason, e.cause)
+        lines = _lines(known or deciding, trust.state, text, e.cause)
     return _spoken(
         Trust(words().row(deciding.code).level or trust.state.value),
         lines,

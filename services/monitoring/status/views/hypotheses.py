@@ -79,8 +79,8 @@ def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]
 
 def _missing(hypothesis: Hypothesis, message: TrustHypotheses) -> list[str]:
     """Why a process has no solution of a hypothesis: by codes, else by the texts of an earlier release."""
-    codes = {name: words().detail(why) for name, why in message.missing_codes}
-    return [codes.get(name) or text for name, text in message.missing if name is hypothesis]
+    codes = dict(message.missing_codes)
+    return [said(text, codes.get(name)) for name, text in message.missing if name is hypothesis]
 
 
 def satellites(stated: Sequence[Stated]) -> list[SatelliteSolution]:

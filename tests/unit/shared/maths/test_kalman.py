@@ -3,7 +3,7 @@ import numpy.typing as npt
 import pytest
 
 from shared.errors import FilterDiverged
-from shared.maths.kalman import correct, predict, root_of
+from shared.maths.kalman import consider, correct, predict, root_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -48,6 +48,24 @@ def test_a_stack_of_filters_is_predicted_and_corrected_as_each_of_them() -> None
         assert together.P[place] == pytest.approx(alone.P, abs=1e-12)
         assert np.asarray(together.distance2)[place] == pytest.approx(alone.distance2, rel=1e-12)
         assert together.innovation_sd[place] == pytest.approx(alone.innovation_sd, rel=1e-12)
+
+
+def test_considered_states_keep_value_and_covariance_and_the_others_count_them_as_noise() -> None:
+    """A state that is considered and has no correlation is a further noise of the measurement."""
+    rng = np.random.default_rng(5)
+    P = np.zeros((5, 5))
+    P[:3, :3], P[3:, 3:] = random_covariance(rng, 3), random_covariance(rng, 2)
+    R, H, z = random_covariance(rng, 2), rng.standard_normal((2, 5)), rng.random(2)
+    found = consider(P, correct(P, z, H, R), R, slice(3, 5))
+    assert np.array_equal(found.x[3:], np.zeros(2))
+    assert found.P[3:, 3:] == pytest.approx(P[3:, 3:], abs=1e-12)
+    noisier = correct(P[:3, :3].copy(), z, H[:, :3], R + H[:, 3:] @ P[3:, 3:] @ H[:, 3:].T)
+    assert found.x[:3] == pytest.approx(noisier.x, abs=1e-12)
+    assert found.P[:3, :3] == pytest.approx(noisier.P, abs=1e-12)
+    assert np.array_equal(found.P, found.P.T) and np.linalg.eigvalsh(found.P)[0] > 0.0
+    stacked = consider(np.array([P, P]), correct(np.array([P, P]), np.array([z, z]), H, R), R, slice(3, 5))
+    assert stacked.P[1] == pytest.approx(found.P, abs=1e-12)
+    assert pytest.approx(correct(P, z, H, R).P, abs=1e-12) == consider(P, correct(P, z, H, R), R, slice(0, 0)).P
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
