@@ -1,6 +1,5 @@
 """A host whose clock jumps by ten years: every process is back at once, and no recording is lost."""
 
-import os
 import shutil
 import signal
 import struct
@@ -38,7 +37,7 @@ def clock_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def demo(clock_file: Path, tmp_path: Path) -> Iterator[Demo]:
     made = start_demo(tmp_path / "state")
     try:
-        made.wait(made.all_ready, 60.0, "every process is ready")
+        made.wait(made.all_ready, "every process is ready")
         yield made
     finally:
         made.process.terminate()
@@ -56,13 +55,13 @@ def test_after_a_jump_every_process_is_back_and_every_recording_there(demo: Demo
         file.write(struct.pack("q", sign * TEN_YEARS_S))
     shown = subprocess.run([sys.executable, "-c", "import time; print(time.time())"], capture_output=True, check=True)
     assert abs(abs(float(shown.stdout) - time.time()) - TEN_YEARS_S) < 60.0, "the programs of the demo see the jump"
-    demo.wait(demo.all_ready, 20.0, "a jump under way disturbs nobody")
+    demo.wait(demo.all_ready, "a jump under way disturbs nobody")
 
     old = [child for child in psutil.Process(demo.process.pid).children() if child.is_running()]
     for child in old:
         child.send_signal(signal.SIGKILL)
     psutil.wait_procs(old, timeout=HANGS_S)
-    demo.wait(demo.all_ready, 20.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), "back within 20 s")
+    demo.wait(demo.all_ready, "every process is ready again")
 
     now = {path.name: path.stat().st_size for path in recordings.glob("*.mcap")}
     assert earlier.name in now and now[first.name] > 1000

@@ -50,7 +50,7 @@ class Demo:
     def get(self, path: str) -> dict[str, object]:
         """Request from the API; an empty answer while it is not reachable."""
         try:
-            return dict(httpx.get(f"http://127.0.0.1:{self.port}{path}", timeout=20.0).json())
+            return dict(httpx.get(f"http://127.0.0.1:{self.port}{path}", timeout=HANGS_S).json())
         except (httpx.HTTPError, json.JSONDecodeError):
             return {}
 
@@ -61,11 +61,11 @@ class Demo:
                 return process
         raise AssertionError(f"no child with {mark!r}")
 
-    def wait(self, condition: Callable[[], bool], limit_s: float, what: str) -> float:
+    def wait(self, condition: Callable[[], bool], what: str) -> float:
         """Wait for a condition; return the seconds that it took."""
         started = time.monotonic()
         while not condition():
-            assert time.monotonic() - started < limit_s, f"not within {limit_s} s: {what}"
+            assert time.monotonic() - started < HANGS_S, f"not within {HANGS_S} s: {what}"
             time.sleep(0.1)
         return time.monotonic() - started
 
@@ -97,7 +97,7 @@ def start_demo(folder: Path, *arguments: str) -> Demo:
 @pytest.fixture
 def demo(tmp_path: Path) -> Iterator[Demo]:
     running = start_demo(tmp_path, "--broker", "mosquitto")
-    running.wait(running.all_ready, 40.0, "every process is ready")
+    running.wait(running.all_ready, "every process is ready")
     yield running
     running.process.terminate()
     running.process.communicate(timeout=HANGS_S)

@@ -14,6 +14,7 @@ from shared.processes import PROCESSES, Kind, Role
 from shared.runtime.config import BrokerAddress
 from shared.topics import BY_NAME
 from tests.support.bus import simulated
+from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).resolve().parents[2]
 IN_A_NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-ec"]
@@ -76,7 +77,7 @@ def test_with_a_full_state_disk_every_process_starts_and_says_so(tmp_path: Path)
         for process in started.values():
             process.terminate()
         for process in started.values():
-            process.wait(30.0)
+            process.wait(HANGS_S)
         bus.close()
         broker.stop()
 

@@ -51,7 +51,7 @@ def gpsd(device: str) -> Iterator[socket.socket]:
             yield client
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(HANGS_S)
 
 
 def connect(port: int) -> socket.socket:

@@ -24,6 +24,7 @@ from shared.runtime.config import BrokerAddress, broker_address
 from shared.topics import TOPICS, subscriptions
 from tests.support.bus import brokers
 from tests.support.bus.envelopes import sent, sent_bytes
+from tests.support.patience import HANGS_S
 
 VEHICLE = '[vehicle]\nname = "car"\n[monitoring.recorder]\nminimum_free_bytes = 0\n'
 LIMIT_S = 15.0
@@ -97,7 +98,7 @@ class Unit:
             if process.poll() is None:
                 process.terminate()
         for process in self.processes:
-            process.wait(5.0)
+            process.wait(HANGS_S)
         for bus in self.buses:
             bus.close()
 

@@ -85,7 +85,7 @@ def test_gpxlogger_writes_a_track(tmp_path: Path) -> None:
         logger = subprocess.Popen(["gpxlogger", "-f", str(track), "-i", "1", f"127.0.0.1:{port}"])
         time.sleep(3.0)
         logger.terminate()
-        logger.wait(5)
+        logger.wait(HANGS_S)
     points = [node for node in ET.parse(track).iter() if node.tag.endswith("trkpt")]  # its own output
     assert points
     assert float(points[0].get("lat", "nan")) == pytest.approx(LATITUDE_DEG, abs=1e-7)
@@ -105,7 +105,7 @@ def test_cgps_shows_the_position() -> None:
                     shown += os.read(master, 65536)
         finally:
             cgps.terminate()
-            cgps.wait(5)
+            cgps.wait(HANGS_S)
             os.close(master)
             os.close(slave)
     assert str(LATITUDE_DEG)[:8].encode() in shown
@@ -123,7 +123,7 @@ def test_gpsd_itself_reads_nmea_over_tcp(kind: OriginKind, status: int | None) -
             position = first_position(port)
         finally:
             gpsd.terminate()
-            gpsd.wait(10)
+            gpsd.wait(HANGS_S)
     assert position["mode"] == 3
     assert position.get("status") == status
     assert position["lat"] == pytest.approx(LATITUDE_DEG, abs=1e-7)

@@ -130,7 +130,7 @@ def test_fusion_with_half_of_the_processor_time_it_needs_keeps_a_position_and_is
     demo = start_demo(tmp_path, "--broker", "mosquitto")
     observer: Observer | None = None
     try:
-        demo.wait(demo.all_ready, HANGS_S, "every process is ready")
+        demo.wait(demo.all_ready, "every process is ready")
         observer = Observer(demo)
         assert observer.until(lambda: observer.level is TrustLevel.SAFE)
         fusion = demo.child("core.fusion")

@@ -38,7 +38,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     eventually(lambda: "replayed at" in log.read_text())
     yield log.read_text().split("replayed at ")[1].split()[0]
     process.send_signal(signal.SIGTERM)
-    assert process.wait(15.0) == 0
+    assert process.wait(HANGS_S) == 0
     assert not list((folder / "replays").iterdir()), "it leaves nothing behind"
     assert [path.name for path in (folder / "recordings").iterdir()] == [f"drive.mcap{SUFFIX}"], "but the summary"
 

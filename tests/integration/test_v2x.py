@@ -18,6 +18,7 @@ from shared.runtime.config import BrokerAddress
 from shared.topics import BY_NAME
 from shared.v2x import geonetworking, its_time
 from tests.support.bus import brokers
+from tests.support.patience import HANGS_S
 from tests.support.v2x import cams
 
 LIMIT_S = 20.0
@@ -53,7 +54,7 @@ def unit(tmp_path: Path, radio: socket.socket) -> Iterator[tuple[int, int]]:
     finally:
         for child in children:
             child.terminate()
-            child.wait(10.0)
+            child.wait(HANGS_S)
         broker.stop()
 
 

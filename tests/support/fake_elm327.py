@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
+from tests.support.patience import HANGS_S
+
 BANNER = "ELM327 v1.5 (a fake of the tests)"
 
 
@@ -113,7 +115,7 @@ class _Served:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
-        self._thread.join(5.0)
+        self._thread.join(HANGS_S)
 
     def _run(self) -> None:
         raise NotImplementedError
@@ -150,7 +152,7 @@ class SerialFake(_Served):
     def unplug(self) -> None:
         """Close the far end, as a port that is unplugged."""
         self._stop.set()
-        self._thread.join(5.0)
+        self._thread.join(HANGS_S)
         os.close(self._far)
 
 
@@ -160,7 +162,7 @@ class TcpFake(_Served):
     def __init__(self, habits: Habits | None = None) -> None:
         super().__init__(habits)
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(5.0)
+        self._listener.settimeout(HANGS_S)
         self.url = f"elm327+tcp://127.0.0.1:{self._listener.getsockname()[1]}"
 
     def _run(self) -> None:

@@ -67,7 +67,7 @@ def nginx(folder: Path, port: int, upstream: str) -> Iterator[str]:
             yield f"https://localhost:{port}"
         finally:
             process.terminate()
-            process.wait(timeout=10.0)
+            process.wait(timeout=HANGS_S)
 
 
 def _await_pid(path: Path, process: subprocess.Popen[str]) -> None:

@@ -27,6 +27,7 @@ from shared.fleet.topics import ALARM
 from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit, genuine
 from tests.support.fleet.web import bus
+from tests.support.patience import HANGS_S
 
 UNSAFE, SAFE = 5, 0
 HOUR_MS = 3_600_000
@@ -311,7 +312,7 @@ def test_what_is_judged_while_a_vehicle_is_erased_leaves_no_alarm(
         judging = threading.Thread(target=work)
         judging.start()
         eventually(lambda: not judging.is_alive() or bool(watching.execute(waiting).fetchall()))
-    judging.join(20.0)
+    judging.join(HANGS_S)
     assert told(db) == []
 
 

@@ -242,7 +242,7 @@ def test_a_day_is_dropped_while_ingest_inserts_into_others(dsn: str, owner: psyc
         owner.execute("SET statement_timeout = '5s'")
         owner.execute(INSERT, (TODAY, "car-3", 0, tenant_id, b"3"))  # another ingest goes on meanwhile
         inserting.commit()
-    removing.join(30.0)
+    removing.join(HANGS_S)
     assert not removing.is_alive()
     assert f"segment_{TODAY - timedelta(days=400):%Y%m%d}" not in days_of(owner)
     assert owner.execute("SELECT count(*) FROM segment").fetchone() == (3,)

@@ -203,7 +203,7 @@ def test_receipts_of_others_and_what_is_no_receipt_delete_nothing(
     centre = SmallCentre(nats, memory_of(unit))
     centre.is_storing = False
     unit.drive(40)
-    unit.work_until(lambda: unit.state_message().sent >= 4)
+    unit.work_until(lambda: centre.batches_seen >= 4)  # the server took its subscription before
     waiting = unit.state_message().backlog_batches
     epoch = unit.process._reporting.sending.outbox.epoch_ms  # type: ignore[union-attr]
 

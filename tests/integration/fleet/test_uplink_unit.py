@@ -42,6 +42,8 @@ def test_a_unit_reports_is_watched_and_loses_nothing_when_it_is_killed(outer: Br
     unit.drive_until(lambda: unit.states[-1].watchers == 1)
     centre.watch([], 0.0, 0)
     unit.drive_until(lambda: unit.states[-1].watchers == 0)
+    ended = centre.batches_seen
+    unit.drive_until(lambda: centre.batches_seen >= ended + 2)  # what was on the way of the watch has come before
     seen = len(centre.live)
 
     for _ in range(3):

@@ -52,10 +52,10 @@ def port_of(server: Running) -> int:
 
 
 def opened(port: int, source: str = "127.0.0.1") -> socket.socket:
-    return socket.create_connection(("127.0.0.1", port), timeout=5.0, source_address=(source, 0))
+    return socket.create_connection(("127.0.0.1", port), timeout=HANGS_S, source_address=(source, 0))
 
 
-def is_closed(connection: socket.socket, within_s: float = 5.0) -> bool:
+def is_closed(connection: socket.socket, within_s: float = HANGS_S) -> bool:
     """Whether the server closes a connection; what is still on the way of an answer is read."""
     connection.settimeout(within_s)
     try:
@@ -69,7 +69,7 @@ def is_closed(connection: socket.socket, within_s: float = 5.0) -> bool:
 
 
 def status_of(connection: socket.socket, request: bytes = REQUEST) -> bytes:
-    connection.settimeout(10.0)
+    connection.settimeout(HANGS_S)
     connection.sendall(request)
     return connection.recv(4096).split(b"\r\n", 1)[0]
 

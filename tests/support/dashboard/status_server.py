@@ -30,7 +30,7 @@ class Running:
     def stop(self) -> None:
         """End the process as SIGTERM would."""
         self.bus.stopping = True
-        self.thread.join(5.0)
+        self.thread.join(HANGS_S)
         assert not self.thread.is_alive(), "the process does not end"
 
 

@@ -9,6 +9,8 @@ import threading
 import time
 from dataclasses import dataclass
 
+from tests.support.patience import HANGS_S
+
 CHUNK_BYTES = 2048
 ACCEPT_S = 0.05
 
@@ -54,7 +56,7 @@ class BadNetwork:
         self._stopping.set()
         self.cut()
         for thread in self._threads:
-            thread.join(5.0)
+            thread.join(HANGS_S)
         self._server.close()
 
     def _accept(self) -> None:

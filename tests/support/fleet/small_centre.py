@@ -183,7 +183,7 @@ class MqttLine:
         self._client.reconnect_delay_set(1, 1)
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
-        assert ready.wait(5.0)
+        assert ready.wait(HANGS_S)
 
     def publish(self, noun: str, data: bytes) -> None:
         self._client.publish(self._prefix + noun, data)
@@ -237,6 +237,7 @@ class SmallCentre:
     def __init__(self, broker: Broker, memory: Memory, up: Courier | None = None, down: Courier | None = None) -> None:
         self.memory, self.live = memory, list[tuple[str, bytes]]()
         self.is_storing = True  # False: the database is away, and nothing is answered
+        self.batches_seen = 0  # stored or not
         self._up, self._down = up or Courier(), down or Courier()
         line = NatsLine if broker.kind == "nats" else MqttLine
         self._line = line(broker.inner_port, memory.vehicle, self._take)
@@ -256,7 +257,10 @@ class SmallCentre:
     def _take(self, noun: str, payload: bytes) -> None:
         if noun.startswith("live/"):
             self.live.append((noun.removeprefix("live/"), payload))
-        elif noun == "uplink/batch" and self.is_storing:
+        elif noun == "uplink/batch":
+            self.batches_seen += 1
+            if not self.is_storing:
+                return
             for data in self._up.carry(payload):
                 for answer in self._down.carry(self.memory.receive(data).encode()):
                     self.answer(answer)

@@ -19,6 +19,7 @@ from tests.support.bus import brokers
 from tests.support.data import REPOSITORY
 from tests.support.fleet.certificates import Authority
 from tests.support.outputs import fix, solution, verdict
+from tests.support.patience import HANGS_S
 
 WITHIN_S = 30.0
 
@@ -76,7 +77,7 @@ class UplinkProcess:
 
     def close(self) -> None:
         self.process.terminate()
-        self.ended_with = self.process.wait(10.0)
+        self.ended_with = self.process.wait(HANGS_S)
         for bus in (*self._buses.values(), self._observer):
             bus.close()
         self.broker.stop()

@@ -52,7 +52,7 @@ def bus() -> Iterator[str]:
         yield f"nats://127.0.0.1:{port}"
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(HANGS_S)
 
 
 def tenant(dsn: str, name: str = "demo", accounts: dict[str, str] | None = None) -> int:

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+from tests.support.patience import HANGS_S
+
 Answer = Callable[[socket.socket, bytes], None]
 
 
@@ -39,7 +41,7 @@ class FakeCaster:
         self.stopping = True
         self._server.close()
         for thread in self._threads:
-            thread.join(5.0)
+            thread.join(HANGS_S)
 
     def _accept(self) -> None:
         while not self.stopping:

@@ -35,7 +35,7 @@ def test_a_recording_without_a_summary_to_come_is_said_to_be_unreadable(tmp_path
         library.look(None)
         return library.entries[NAME].failed
 
-    eventually(failed, within_s=20.0)
+    eventually(failed)
 
 
 def test_a_job_that_cannot_start_is_answered_with_the_reason_and_what_to_do(tmp_path: Path) -> None:
