@@ -20,13 +20,17 @@ NEVER_NS = -(2**62)
 
 
 class Increment(NamedTuple):
-    """Means of specific force and angular rate over 100 ms; the first of a contiguous run follows a gap."""
+    """Means of specific force and angular rate over 100 ms; the first of a contiguous run follows a gap.
+
+    One that bridges a gap spans it, and has the means of the samples at its two ends.
+    """
 
     start_ns: int
     end_ns: int
     row: Sequence[float]  # mean force [m/s², body], mean rate [rad/s, body], duration [s]: 7 numbers
     excess_force: float  # [m/s²] magnitude of the mean specific force minus standard gravity
     after_gap: bool
+    bridges: bool = False
 
 
 class Decimator:
@@ -37,10 +41,12 @@ class Decimator:
     out.
     """
 
-    def __init__(self, largest_force: float, largest_rate: float, rejected: Counter[str]) -> None:
-        """Take limits [m/s², rad/s] of each axis, and where rejected samples are counted."""
+    def __init__(
+        self, largest_force: float, largest_rate: float, rejected: Counter[str], *, bridged_ns: int = 0
+    ) -> None:
+        """Take limits [m/s², rad/s] of each axis, where rejected samples are counted, and the longest gap to bridge."""
         self._limits = np.repeat([largest_force, largest_rate], 3)
-        self._rejected = rejected
+        self._rejected, self._bridged_ns = rejected, bridged_ns
         self._waiting: list[tuple[Sequence[int], Sequence[Vector], Sequence[Vector]]] = []
         self._times, self._rows = np.empty(0, np.int64), np.empty((0, 6))  # since the last end, its sample included
         self._newest_ns, self._after_gap = NEVER_NS, True
@@ -70,17 +76,20 @@ class Decimator:
         begins = np.concatenate([[0], ends[:-1]])
         sums = np.add.reduceat(rows[1 : last + 1] * (step_ns[:last, None] / SECOND_NS), begins)
         durations = (times[ends] - times[begins]) / SECOND_NS
+        bridged = gaps[ends - 1] & (step_ns[ends - 1] <= self._bridged_ns)
+        between = 0.5 * (rows[begins] + rows[ends]) * durations[:, None]  # trapezoidal rule
+        sums = np.where(bridged[:, None], between, sums)
         means = np.column_stack([sums / durations[:, None], durations])
         excess = np.sqrt((means[:, :3] ** 2).sum(axis=1)) - STANDARD_GRAVITY
         table = zip(
             times[begins].tolist(), times[ends].tolist(), means.tolist(), excess.tolist(), gaps[ends - 1].tolist(),
-            strict=True,
+            bridged.tolist(), strict=True,
         )  # fmt: skip
         found = []
-        for start_ns, end_ns, row, force, is_gap in table:
-            if not is_gap:
-                found.append(Increment(start_ns, end_ns, row, force, self._after_gap))
-            self._after_gap = is_gap
+        for start_ns, end_ns, row, force, is_gap, bridges in table:
+            if bridges or not is_gap:
+                found.append(Increment(start_ns, end_ns, row, force, self._after_gap, bridges))
+            self._after_gap = is_gap and not bridges
         return found
 
     def _usable(self, times_ns: npt.NDArray[np.int64], rows: FloatArray) -> npt.NDArray[np.bool_]:

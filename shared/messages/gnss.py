@@ -79,6 +79,7 @@ class GnssFix(Stamped):
     longitude_deg: Longitude | None = None
     height_ellipsoid_m: Height | None = None
     height_msl_m: Height | None = None
+    height_sign_assumed: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # a file of somebody's own
     velocity_ned_m_s: Velocity3 | None = None
     ground_speed_m_s: Speed | None = None
     course_rad: Quantity | None = None

@@ -86,6 +86,9 @@ def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> Non
     after = solved.time_s > found.since_ns * 1e-9 + 0.5
     assert after.sum() > 300 and (solved.vertical < solved.level_v)[after].all(), "all of them before"
     assert np.sqrt((solved.horizontal[after] ** 2).mean()) < 0.1 and solved.states[-1].resets == 0
+    before = solved.time_s < found.since_ns * 1e-9
+    changed = np.abs(solved.vertical - solved.vertical[0])[before]
+    assert changed.max() > 1.0 and (changed < solved.level_v[before]).all(), "twice the change since the start is held"
 
 
 @pytest.mark.parametrize("axes", [("y", "-x", "z"), ("-y", "x", "z"), ("-x", "-y", "z")])

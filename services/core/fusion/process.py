@@ -24,6 +24,7 @@ from . import messages
 from .aids.base import Measurement
 from .aids.kinds import measurements_of
 from .navigator import Navigator
+from .set_up.height_sign import HeightSign
 from .set_up.monitor import SetUpMonitor
 from .settings import Settings
 from .without_imu import SILENT_NS, WithoutImu
@@ -57,7 +58,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config)
-        self._set_up = SetUpMonitor(config)
+        self._set_up, self._height_sign = SetUpMonitor(config), HeightSign()
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample
@@ -154,6 +155,8 @@ class Process:
             self.rejects["fix from the future"] += 1
             return
         self._begun_ns = self._begun_ns or received_ns
+        if isinstance(fix, GnssFix):
+            self._height_sign.see(fix)
         measurements = self._aid(fix, keep=not without.is_abandoned(received_ns))
         if not measurements:
             self.rejects["fix without position"] += 1
@@ -234,4 +237,5 @@ class Process:
             self._last_solution = sampled_ns // self._solution_period_ns
             self._without_imu.end()
             self._published_ns = sampled_ns
+            solution = self._height_sign.widened(solution, known=self._set_up.height_known)
             yield messages.solution_message(solution, self._set_up.turn)

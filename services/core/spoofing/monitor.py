@@ -47,6 +47,7 @@ ODOMETER_GAP_S = 2.5
 RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
 # After the alignment, before the first window of 5 s: its limits hold the uncertainty of attitude and gyroscope biases.
 SHORT_WARM_UP_S = 20.0
+LONGEST_BRIDGED_NS = 1_000_000_000  # gap in the inertial samples over which free propagations go on
 BREAK_NS = 2_000_000_000  # without a solution, after which the filter has started again
 KEPT_S = 10  # of increments, fixes and solutions
 MOST_WAITING = 2000  # batches of samples, where nothing asks for verdicts
@@ -58,7 +59,9 @@ class InertialMonitor:
     def __init__(self, settings: Settings | None = None, rejected: Counter[str] | None = None) -> None:
         self.settings = s = settings or Settings()
         self.rejected: Counter[str] = Counter() if rejected is None else rejected
-        self._decimator = Decimator(s.largest_force_m_s2, s.largest_rate_rad_s, self.rejected)
+        self._decimator = Decimator(
+            s.largest_force_m_s2, s.largest_rate_rad_s, self.rejected, bridged_ns=LONGEST_BRIDGED_NS
+        )
         self._heights = Heights()
         self._heights.rejected = self.rejected
         self._lever_arm = np.array(s.vehicle.gnss.lever_arm_body_m)
@@ -77,6 +80,7 @@ class InertialMonitor:
         self._step: PositionStep | None = None  # over the same 5 s
         self._decided = False  # the odometer agrees with the inertial sensors, and not with GNSS
         self._fix_ns: int | None = None  # newest stamp, before the delay
+        self._evaluated_ns = -SECOND_NS  # fix with which everything was compared last
         self._exceeded: Counter[str] = Counter()  # successive evaluations above the threshold
         self._accusing: dict[str, bool] = {}  # by test of a long window
         self._ways: dict[int, WayResult | None] = {}
@@ -101,8 +105,11 @@ class InertialMonitor:
                 self._increments.clear()
                 self._new.clear()
                 self.long.clear()
-            self._increments.append(increment)
             self._new.append(increment)
+            if increment.bridges:  # too coarse for what compares rates and 5 s, which go on after the gap
+                self._increments.clear()
+                continue
+            self._increments.append(increment)
             self.taken.append(increment)
 
     def pressure(self, time_ns: int, pressure_pa: float) -> None:
@@ -234,7 +241,7 @@ class InertialMonitor:
     def _is_due(self, time_ns: int) -> bool:
         """Whether a fix before a time is to be evaluated."""
         passed = (fix.time_ns for fix in self._pending if fix.time_ns <= time_ns)
-        return any(self.window is None or ns // SECOND_NS != self.window.end_ns // SECOND_NS for ns in passed)
+        return any(ns // SECOND_NS != self._evaluated_ns // SECOND_NS for ns in passed)
 
     def _advance(self, part: list[Increment]) -> None:
         """Take increments of one second: fixes before its end are compared before the covariances are propagated."""
@@ -269,10 +276,16 @@ class InertialMonitor:
         self.long.aid(odometer, increment.row[5], stationary=stationary)
 
     def _evaluate(self) -> None:
-        """Compare the 5 s before the newest fix, at most once a second, and count successive exceedances."""
+        """Compare with the newest fix, at most once a second, and count successive exceedances."""
         newest_ns = self._fixes[-1].time_ns
-        if self.window is not None and newest_ns // SECOND_NS == self.window.end_ns // SECOND_NS:
+        if newest_ns // SECOND_NS == self._evaluated_ns // SECOND_NS:
             return
+        self._evaluated_ns = newest_ns
+        self._evaluate_short(newest_ns)
+        self._evaluate_long()
+
+    def _evaluate_short(self, newest_ns: int) -> None:
+        """Compare the 5 s before the newest fix."""
         chosen = window_of_fixes(list(self._fixes))
         if isinstance(chosen, Explanation):
             self._no_window(chosen)
@@ -296,6 +309,9 @@ class InertialMonitor:
             difference = window.difference.get(metric)
             above = sigma is not None and difference is not None and abs(difference) > profile.threshold * sigma
             self._exceeded[metric] = self._exceeded[metric] + 1 if above else 0
+
+    def _evaluate_long(self) -> None:
+        """Compare with the propagations, which go on over a gap of GNSS."""
         self.long_statistics = {}
         velocities = Limits(self.long.median, self.long.release_threshold, self.long.threshold)
         ways = Limits(self.long.way_median, self.long.way_doubt, self.long.way_threshold)
@@ -349,10 +365,11 @@ class InertialMonitor:
 
     def _no_window(self, why: Explanation) -> None:
         self.window, self._window_missing = None, why
-        self._exceeded.clear()
+        for key in (*Metric, NAME):
+            self._exceeded[key] = 0
 
     def _missing(self, time_ns: int) -> Explanation | None:
-        """Why nothing can be compared now."""
+        """Why nothing can be compared now, in a window of any length."""
         newest = {
             Input.INERTIAL_SAMPLES: self._increments[-1].end_ns if self._increments else None,
             Input.ATTITUDE: self._solutions[-1].sampled_ns if self._solutions else None,
@@ -365,10 +382,10 @@ class InertialMonitor:
         warm_s, needed_s = self._warm_for_s(time_ns), min(SHORT_WARM_UP_S, self.settings.warm_up_s)
         if warm_s < needed_s:
             return explain(Code.WARMING_UP, elapsed_s=round(warm_s), needed_s=round(needed_s))
-        return None if self.window is not None else self._window_missing
+        return None
 
     def _short(self, time_ns: int) -> dict[str, Test]:
-        missing = self._missing(time_ns)
+        missing = self._missing(time_ns) or (None if self.window is not None else self._window_missing)
         return {metric.value: self._metric(metric, missing) for metric in Metric} | {NAME: self._position(missing)}
 
     def _position(self, missing: Explanation | None) -> Test:
@@ -406,7 +423,7 @@ class InertialMonitor:
         missing, key = self._missing(time_ns), f"long_{length}"
         result = self.long.result(length)
         base = Test(
-            Outcome.NOT_EVALUATED, missing or self._young(),
+            Outcome.NOT_EVALUATED, missing or self._young(length),
             false_alarm_rate=self.settings.long.false_alarm_rate, window_s=float(length),
         )  # fmt: skip
         if missing is not None or result is None:
@@ -426,7 +443,7 @@ class InertialMonitor:
     def _way(self, time_ns: int, length: int) -> Test:
         missing, way, key = self._missing(time_ns), self._ways.get(length), f"way_{length}"
         base = Test(
-            Outcome.NOT_EVALUATED, missing or self._young(),
+            Outcome.NOT_EVALUATED, missing or self._young(length),
             false_alarm_rate=self.settings.long.false_alarm_rate, window_s=float(length), accused=BY_EITHER,
         )  # fmt: skip
         if missing is not None or way is None:
@@ -441,8 +458,10 @@ class InertialMonitor:
         )  # fmt: skip
         return judged(base, way.statistic, self.long.way_threshold, accuses=self._accusing.get(key, False))
 
-    def _young(self) -> Explanation:
-        """Say that no propagation is old enough for a window."""
+    def _young(self, length_s: int) -> Explanation:
+        """Say that no propagation is old enough for a window, or that there are too few fixes at its end."""
+        if self.long.oldest_s >= length_s:
+            return explain(Code.FEW_VELOCITIES, window_s=WINDOW_S)
         return explain(Code.PROPAGATION_YOUNG, age_s=round(self.long.oldest_s))
 
 

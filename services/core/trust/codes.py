@@ -45,6 +45,8 @@ class Code(StrEnum):
     MONITOR_SILENT = "trust.monitor_silent"
     MONITOR_AHEAD = "trust.monitor_ahead"  # by its stamp
     WINDOW_REACHES_BACK = "trust.window_reaches_back"
+    LEVEL_HAS_TO_FALL = "trust.level_has_to_fall"  # below a share of the limit, before it counts as below
+    HAS_TO_LAST = "trust.has_to_last"  # a better verdict, before it is given
     SAFE = "trust.safe"
     SAFE_WITHOUT_SATELLITES = "trust.safe_without_satellites"
     ACCUSED = "trust.accused"  # a satellite or a neighbour

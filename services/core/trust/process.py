@@ -30,7 +30,7 @@ from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, 
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
 from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
-from .verdict import verdict
+from .steady import Steady
 
 In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | ProcessLoad | Tick
 Out = TrustState | TrustEvent
@@ -79,6 +79,7 @@ class Process:
         self._odometer_excluded = False
         self._alike_since_ns: int | None = None  # since when solutions without both have shown that they are falsified
         self._beliefs = Beliefs()
+        self._steady = Steady()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._load: ProcessLoad | None = None  # of core.fusion
         self._published: TrustState | None = None
@@ -137,7 +138,7 @@ class Process:
         facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
         self._follow_alike(facts)
         facts, admission = self._admitted(facts)
-        found = verdict(facts)
+        found = self._steady.after(facts)
         before = self._published
         level = found.state
         horizontal_m, vertical_m = facts.solution.protection_levels_m if facts.solution else (None, None)

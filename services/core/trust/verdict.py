@@ -64,7 +64,7 @@ def solution_lost(facts: Facts) -> Explanations:
     return () if solution.navigating else (explain(Code.SOLUTION_LOST, phase=solution.phase),)
 
 
-def _axes(facts: Facts) -> tuple[tuple[str, float | None, float], ...]:
+def axes(facts: Facts) -> tuple[tuple[str, float | None, float], ...]:
     """Name, protection level and alert limit of each axis."""
     if facts.solution is None:
         return ()
@@ -81,7 +81,7 @@ def _above_alert_limit(facts: Facts) -> Explanations:
         explain(Code.LEVEL_MISSING, axis=axis)
         if level_m is None
         else explain(Code.LEVEL_ABOVE_LIMIT, axis=axis, level_m=level_m, limit_m=limit_m)
-        for axis, level_m, limit_m in _axes(facts)
+        for axis, level_m, limit_m in axes(facts)
         if level_m is None or not level_m <= limit_m
     ]
     return (*_cause_of_conflict(facts), *levels, *_both_sides(facts)) if levels else ()
@@ -275,7 +275,7 @@ def _near_alert_limit(facts: Facts) -> Explanations:
     share = facts.limits.near_share
     return tuple(
         explain(Code.LEVEL_NEAR_LIMIT, axis=axis, level_m=level_m, limit_m=limit_m, share=share)
-        for axis, level_m, limit_m in _axes(facts)
+        for axis, level_m, limit_m in axes(facts)
         if level_m is not None and share * limit_m < level_m <= limit_m
     )
 
@@ -351,7 +351,7 @@ def _consequence(name: str, facts: Facts) -> Code:
 
 def _safe(facts: Facts) -> Explanation:
     """Why the position can be used."""
-    (_, horizontal_m, horizontal_limit_m), (_, vertical_m, vertical_limit_m) = _axes(facts)
+    (_, horizontal_m, horizontal_limit_m), (_, vertical_m, vertical_limit_m) = axes(facts)
     without = any(one.acted_on for one in facts.surviving)  # what survives in a position that is SAFE is left out
     return explain(
         Code.SAFE_WITHOUT_SATELLITES if without else Code.SAFE, horizontal_m=horizontal_m, vertical_m=vertical_m,

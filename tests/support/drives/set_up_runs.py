@@ -156,6 +156,7 @@ def _fixes(drive: Drive, late_ns: int, with_velocity: bool, rtk: bool, height_si
                 latitude_deg=float(np.degrees(place.latitude)),
                 longitude_deg=float(np.degrees(place.longitude)),
                 height_ellipsoid_m=height_sign * place.height,
+                height_sign_assumed=height_sign < 0.0,
                 velocity_ned_m_s=tuple(drive.fix_velocity_n[k].tolist()) if with_velocity else None,
                 position_sd_ned_m=tuple(sd.tolist()),
                 velocity_sd_ned_m_s=tuple(drive.fix_velocity_sd_n[k].tolist()) if with_velocity else None,

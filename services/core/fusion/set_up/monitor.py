@@ -83,6 +83,11 @@ class SetUpMonitor:
         return any(check.verdict is Verdict.CONTRADICTS for check in self._known("gnss_height"))
 
     @property
+    def height_known(self) -> bool:
+        """Whether it has been seen which way heights of GNSS count."""
+        return bool(self._known("gnss_height"))
+
+    @property
     def delay_known(self) -> bool:
         """Whether stamps are known to agree with the settings, so that what turns show is of the lever arm."""
         return self._agreed(*DELAYS) is not None

@@ -44,6 +44,8 @@ LARGEST_SPEED_SD = 2.0
 FASTEST_REVERSE_M_S = 2.0  # forward speed below its negative is that of a run which has lost its direction
 LEAST_ODOMETER = 10  # speeds that aid a propagation, before it speaks for the odometer
 ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses it
+# Of a vehicle that is driven: how fast force and rate change, of which the trapezoidal rule over a gap knows the ends.
+JERK_M_S3, ANGULAR_ACCELERATION_RAD_S2 = 2.0, 0.2
 NODES = 30  # increments, 3 s, in which the fixes lie that are compared
 RUN = np.dtype(
     [
@@ -118,7 +120,16 @@ class FreePropagations:
         nodes = np.concatenate([velocity, moved], axis=-1)
         runs["nodes"] = np.concatenate([runs["nodes"][:, count:], nodes], axis=1)
         runs["moved_n"] = moved[:, -1]
+        for gap_s in (increment.row[propagation.DURATION] for increment in increments if increment.bridges):
+            self._bridge(gap_s)
         runs["state"][:, propagation.MOTION] = steps[:, -1, propagation.MOTION]
+
+    def _bridge(self, gap_s: float) -> None:
+        """Add what is not known of the motion over a gap [s] in the inertial samples."""
+        velocity_sd, attitude_sd = (0.5 * change * gap_s**2 for change in (JERK_M_S3, ANGULAR_ACCELERATION_RAD_S2))
+        self.runs["P"][:, VELOCITY, VELOCITY] += UNIT * velocity_sd**2
+        self.runs["P"][:, ATTITUDE, ATTITUDE] += UNIT * attitude_sd**2
+        self.runs["P"][:, MOVED, MOVED] += UNIT * (velocity_sd * gap_s) ** 2
 
     def nodes_at(self, time_ns: int, passed_ns: int) -> FloatArray:
         """Velocity of the antenna [m/s, NED] and way [m, NED] at a time, shape (n, 6).

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 from math import inf, nan, radians
 
 import numpy as np
@@ -159,6 +160,33 @@ def test_increments_end_at_multiples_of_100_ms_and_a_gap_starts_a_new_run(drive:
     decimator.add([times[-1]], [(0.0, 0.0, -9.8)], [(0.0, 0.0, 0.0)])
     assert not decimator.take()
     assert rejected == {"imu: stamp is not after the one before": 1}
+
+
+def test_a_short_gap_is_bridged_by_the_mean_of_its_ends_and_a_longer_one_is_not() -> None:
+    decimator = Decimator(80.0, 20.0, Counter(), bridged_ns=1_000_000_000)
+    times = [*range(0, 310_000_000, 10_000_000), *range(900_000_000, 1_110_000_000, 10_000_000), 2_200_000_000]
+    forces = [(0.0 if time_ns < 500_000_000 else 2.0, 0.0, -9.8) for time_ns in times]
+    decimator.add(times, forces, [(0.0, 0.0, 0.1)] * len(times))
+    found = decimator.take()
+    assert [one.bridges for one in found] == [False, False, False, True, False, False]
+    assert [one.after_gap for one in found] == [True, False, False, False, False, False]
+    assert all(one.end_ns == other.start_ns for one, other in pairwise(found)), "nothing is missing"
+    np.testing.assert_allclose(found[3].row, [1.0, 0.0, -9.8, 0.0, 0.0, 0.1, 0.6], rtol=1e-12)
+
+
+def test_the_error_over_a_bridged_gap_is_within_what_it_adds_to_the_spread(drive: Drive) -> None:
+    kept = (drive.t_ns <= 52.3 * 1e9) | (drive.t_ns >= 53.1 * 1e9)
+    whole, bridged = (Decimator(80.0, 20.0, Counter(), bridged_ns=1_000_000_000) for _ in range(2))
+    whole.add(drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist())
+    bridged.add(drive.t_ns[kept].tolist(), drive.force_b[kept].tolist(), drive.rate_b[kept].tolist())
+    runs = []
+    for decimator in (whole, bridged):
+        free = started(LongSettings(), anchor_at(drive, 50.0))
+        free.advance([one for one in decimator.take() if 50.0e9 <= one.start_ns < 53.4e9][:30])
+        runs.append(free.runs[0])
+    difference = (runs[1]["state"] - runs[0]["state"])[propagation.VELOCITY]
+    added = np.sqrt((runs[1]["P"] - runs[0]["P"]).diagonal()[:3])
+    assert (added > 0.1).all() and (np.abs(difference) < 3.0 * added).all()
 
 
 def test_increments_are_the_means_of_their_samples_however_these_are_batched(drive: Drive) -> None:

@@ -198,7 +198,7 @@ def test_every_code_is_a_reason_or_a_finding_of_some_case() -> None:
     others = {
         Code.WINDOW_REACHES_BACK, Code.MONITOR_AHEAD, Code.NOT_COMPARABLE, Code.HARDLY_MOVES, Code.SOLUTIONS_COMPARED,
         Code.NO_TWO_AGREE, Code.NO_ACCUSATION, Code.FALSE_ALARMS, Code.NO_EVIDENCE, Code.SUPPORTED, Code.CONTRADICTED,
-        Code.DISPUTED,
+        Code.DISPUTED, Code.HAS_TO_LAST, Code.LEVEL_HAS_TO_FALL,
     }  # fmt: skip
     facts = replace(with_(SAFE, accuses(Monitor.EVIDENCE, "gnss", "odometer")), odometer_excluded=True)
     found |= {one.code for one in verdict(facts).findings}
