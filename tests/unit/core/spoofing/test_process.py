@@ -160,8 +160,8 @@ def outcomes(statements: list[TrustMonitor], after_s: float) -> set[Outcome]:
     return {s.outcome for s in statements if s.sampled_ns > after_s * 1e9}
 
 
-def without(drive: Drive, kind: type, after_s: float, end_s: float) -> Result:
-    """Both processes on a drive whose messages of a kind end before it does."""
+def without(drive: Drive, kind: type, after_s: float, end_s: float, until_s: float = 1e9) -> Result:
+    """Both processes on a drive whose messages of a kind end, or have a gap."""
     fusion = Fusion(FusionConfig().with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
     process = Process(GRADED.with_values({"vehicle.gnss.lever_arm_body_m": drive.lever_arm_b}))
 
@@ -171,7 +171,7 @@ def without(drive: Drive, kind: type, after_s: float, end_s: float) -> Result:
             now_ns = message.now_ns if isinstance(message, Tick) else message.received_ns
             if now_ns > end_s * 1e9:
                 return
-            if now_ns <= after_s * 1e9 or not isinstance(message, kind):
+            if not after_s * 1e9 < now_ns <= until_s * 1e9 or not isinstance(message, kind):
                 yield message
 
     return run(fusion, process, kept())
@@ -188,6 +188,13 @@ def test_without_an_input_nothing_is_evaluated_and_the_reason_names_it(
         assert why is not None and (why.code, why.values["input"]) == (Code.INPUT_SILENT, name)
         assert isinstance(why.values["age_s"], int) and why.values["age_s"] > 10
         assert result.episodes(monitor) == 0
+
+
+@pytest.mark.parametrize(("kind", "gap_s"), [(GnssFix, 8.0), (ImuSamples, 0.8)])
+def test_over_a_short_gap_the_long_windows_go_on(drive: Drive, kind: type, gap_s: float) -> None:
+    result = without(drive, kind, 85.0, 100.0, 85.0 + gap_s)
+    assert outcomes(result.statements[LONG], 85.0 + gap_s + 4.0) == {Outcome.PASS}, "not 30 s later"
+    assert result.episodes(LONG) == result.episodes(SHORT) == 0
 
 
 def test_without_odometer_and_after_it_ends_both_monitors_go_on(drive: Drive) -> None:
