@@ -7,6 +7,7 @@ arrivals with the minimum delay lie on a line, the lower envelope of the offsets
 from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
+from math import inf
 
 NS = 1_000_000_000
 Point = tuple[float, float]
@@ -22,7 +23,10 @@ class ClockMapping:
     window_s : float
         [s] Length of the sliding window. The arrival with the smallest offset in each second is kept.
     maximum_drift : float
-        [s/s] Bound of the relative drift of the two clocks.
+        [s/s] Bound of the relative drift of the two clocks. An envelope that would rise faster is one of arrivals whose
+        delay has grown, and does not.
+    longest_delay_s : float
+        [s] Delay up to which arrivals are only late; the device clock has stepped where it lasts beyond.
 
     Notes
     -----
@@ -30,7 +34,7 @@ class ClockMapping:
     the points it has the least sum of vertical distances. If the points span less than a quarter of the window,
     the slope is 0, since jitter over a short time is indistinguishable from drift. The mapping is reset when the
     device clock steps back, forward by more than `STEP_S`, or when all arrivals over `STEP_S` · 10 are delayed by
-    more than `STEP_S`.
+    more than `longest_delay_s`.
 
     References
     ----------
@@ -40,11 +44,15 @@ class ClockMapping:
 
     STEP_S = 0.5
 
-    def __init__(self, minimum_delay_s: float = 0.0, window_s: float = 60.0, maximum_drift: float = 200e-6) -> None:
+    def __init__(
+        self, minimum_delay_s: float = 0.0, window_s: float = 60.0, maximum_drift: float = 200e-6,
+        longest_delay_s: float = STEP_S,
+    ) -> None:  # fmt: skip
         self.resets = -1  # the first arrival is not a reset
+        self.late_s = 0.0  # of the last stamped sample, beyond the least delay
         self.step_s = 0.0  # by which the device clock jumped ahead at the last reset
         self._minimum_delay_ns = round(minimum_delay_s * NS)
-        self._window_s = window_s
+        self._window_s, self._longest_delay_s = window_s, longest_delay_s
         self._maximum_drift = maximum_drift
         self._points: deque[Point] = deque()  # one per second: (device time, offset), both [s] relative to the origin
         self._device_origin_ns = self._offset_origin_ns = 0
@@ -89,7 +97,8 @@ class ClockMapping:
     def _place(self, device_ns: int, received_ns: int) -> int:
         """Evaluate the mapping, bounded by the arrival time and the previous stamp."""
         time_s, offset_s = self._relative(device_ns, received_ns)
-        excess_ns = round((offset_s - self._intercept - self._slope * time_s) * NS)
+        self.late_s = offset_s - self._intercept - self._slope * time_s
+        excess_ns = round(self.late_s * NS)
         stamp_ns = received_ns - excess_ns - self._minimum_delay_ns
         stamp_ns = max(stamp_ns, self._last_stamp_ns + (device_ns - self._last_device_ns) // 2)
         stamp_ns = max(min(stamp_ns, received_ns), self._last_stamp_ns + 1)
@@ -112,7 +121,7 @@ class ClockMapping:
             return True
         if received_ns < self._last_stamp_ns - self.STEP_S * NS:
             return True  # the OBU time line stepped back: another recording
-        if excess_s < self.STEP_S:
+        if excess_s < self._longest_delay_s:
             self._late_since = None
             return False
         if self._late_since is None:
@@ -143,8 +152,13 @@ class ClockMapping:
         points.append(point)
         while points[0][0] < point[0] - self._window_s:
             points.popleft()
+        highest = inf  # of the line at this time
+        if len(points) > 1:
+            before_s = points[-2][0]
+            highest = self._intercept + self._slope * before_s + self._maximum_drift * (point[0] - before_s)
         self._slope = self._best_slope()
-        self._intercept = min(offset - self._slope * time for time, offset in points)
+        intercept = min(offset - self._slope * time for time, offset in points)
+        self._intercept = min(intercept, highest - self._slope * point[0])
 
     def _best_slope(self) -> float:
         points = self._points

@@ -71,6 +71,7 @@ class GnssFix(Stamped):
 
     gps_time_ns: Nanoseconds | None = None  # since 1980-01-06, GPS time
     utc_ns: Nanoseconds | None = None  # since 1970-01-01, UTC
+    late_s: Seconds | None = None  # by which it arrived later than the fastest ones, where this is much
     fix_type: FixType
     carrier_solution: CarrierSolution = CarrierSolution.NONE
     differential: bool = False

@@ -10,6 +10,7 @@ JUMP_S = 1e-3  # a receiver keeps its clock near GPS time by jumps of whole mill
 LONGEST_STEP_S = 2.5  # between two clock messages, over which the drift predicts the bias
 RECENT_S, EARLIER_S = 10, 60  # windows of the offset of GNSS time
 LEAST_OFFSETS = 5
+GROWN = 0.3  # share of a growth that shows before the last seconds
 
 
 class SlowMean:
@@ -81,7 +82,8 @@ class TimeOffset:
         Notes
         -----
         jump = min(arrival - UTC of the minute before) - min(arrival - UTC of the last 10 s): positive when GNSS time
-        jumped ahead. A jump ahead shows at once, one back when it is 10 s old.
+        jumped ahead. A jump ahead shows at once, one back when it is 10 s old; arrivals that become late little by
+        little look like time that runs back, and are none.
         """
         if self._offsets and received_ns < self._offsets[-1][0]:
             self._offsets.clear()
@@ -89,7 +91,18 @@ class TimeOffset:
         while self._offsets[0][0] < received_ns - (RECENT_S + EARLIER_S) * NS:
             self._offsets.popleft()
         recent, earlier = self.recent_ns(), self._least(lambda time_ns: time_ns <= received_ns - RECENT_S * NS)
-        return None if recent is None or earlier is None else (earlier - recent) / NS
+        if recent is None or earlier is None:
+            return None
+        step_ns = earlier - recent
+        if step_ns < 0 and self._grows(received_ns, -step_ns):
+            return 0.0
+        return step_ns / NS
+
+    def _grows(self, now_ns: int, by_ns: int) -> bool:
+        """Whether offsets had grown before the last seconds as well, by half of what they have in the end."""
+        begin_ns, end_ns = now_ns - 2 * RECENT_S * NS, now_ns - RECENT_S * NS
+        before, between = self._least(lambda ns: ns <= begin_ns), self._least(lambda ns: begin_ns < ns <= end_ns)
+        return before is not None and between is not None and between - before > GROWN * by_ns
 
     def recent_ns(self) -> int | None:
         """Least offset of the last seconds [ns], arrival minus UTC; None while there are too few."""

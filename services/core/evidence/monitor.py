@@ -149,12 +149,12 @@ class EvidenceMonitor:
             found = evaluation(1.0 / spread, 1.0 / s.least_spread_db, "1/dB", why)
             self.tests["cn0_spread"].evaluated(time_ns, found)
 
-    def time(self, received_ns: int, utc_ns: int) -> None:
-        """Use the arrival of a fix with the receiver's UTC."""
+    def time(self, received_ns: int, utc_ns: int, late_s: float = 0.0) -> None:
+        """Use the arrival of a fix with the receiver's UTC, and by how much that was late."""
         step_s = self._offset.step(received_ns, utc_ns)
         if step_s is not None:
             self._use_time(received_ns, step_s)
-        self._compare_with_host(received_ns)
+        self._compare_with_host(received_ns, late_s)
 
     def host_clock(self, message: HostClock) -> None:
         """Use a reading of the host's clock."""
@@ -209,14 +209,14 @@ class EvidenceMonitor:
         )  # fmt: skip
         self.tests["clock"].evaluated(time_ns, evaluation(statistic, 1.0, "-", why))
 
-    def _compare_with_host(self, time_ns: int) -> None:
+    def _compare_with_host(self, time_ns: int, late_s: float) -> None:
         """Compare the receiver's UTC with that of a host whose clock is held, by the arrival with the least delay."""
         s, host, offset_ns = self.settings, self._host, self._offset.recent_ns()
         if host is None or offset_ns is None or not host.synchronised or host.maximum_error_s is None:
             return
         if not -1.0 <= (time_ns - host.sampled_ns) / NS <= s.host_clock_age_s:
             return
-        ahead_s = -(offset_ns + host.utc_ns - host.sampled_ns) / NS
+        ahead_s = late_s - (offset_ns + host.utc_ns - host.sampled_ns) / NS
         limit_s = s.host_time_s + host.maximum_error_s
         why = explain(Code.HOST_TIME, ahead_s=ahead_s)
         self.tests["host_time"].evaluated(time_ns, evaluation(abs(ahead_s), limit_s, "s", why))

@@ -53,7 +53,7 @@ class Process:
                 case GnssSatellites():
                     self._monitor.satellites(message)
                 case GnssFix() if message.utc_ns is not None:
-                    self._monitor.time(message.received_ns, message.utc_ns)
+                    self._monitor.time(message.received_ns, message.utc_ns, message.late_s or 0.0)
 
     def _is_chosen(self, source: str, now_ns: int) -> bool:
         if not self._receivers.takes(source, now_ns):

@@ -73,6 +73,7 @@ class Process:
         self._begun_ns: int | None = None  # arrival of the first measurement
         self._gnss_excluded = False  # as core.trust has decided
         self._innovations_paused = False
+        self._late_s: float | None = None  # of the newest fix
 
     def handle(self, message: In) -> Iterator[Out]:
         """Handle one message; the clock is that of the inertial samples."""
@@ -157,6 +158,7 @@ class Process:
         self._begun_ns = self._begun_ns or received_ns
         if isinstance(fix, GnssFix):
             self._height_sign.see(fix)
+            self._late_s = fix.late_s
         measurements = self._aid(fix, keep=not without.is_abandoned(received_ns))
         if not measurements:
             self.rejects["fix without position"] += 1
@@ -213,6 +215,7 @@ class Process:
 
     def _state_message(self, time_ns: int, *, silent: bool = False) -> NavigationState:
         state = messages.state_message(self._navigator, time_ns, delay_known=self._set_up.delay_known)
+        state = state.model_copy(update={"fixes_late_s": self._late_s}) if self._late_s is not None else state
         without = self._without_imu
         if without.missing is not None:
             return messages.without_imu(state, without.missing, excluded=self._gnss_excluded)

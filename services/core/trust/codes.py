@@ -65,4 +65,5 @@ class Code(StrEnum):
     SUPPORTED = "trust.supported"
     CONTRADICTED = "trust.contradicted"
     DISPUTED = "trust.disputed"
+    FIXES_LATE = "trust.fixes_late"  # and taken as older
     SATELLITE_EXCLUDED = "trust.satellite_excluded"

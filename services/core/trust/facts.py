@@ -136,6 +136,7 @@ class Facts:
     beliefs: tuple[Posterior, ...] = ()  # most probable first
     alternatives: Mapping[Hypothesis, Alternative] = field(default_factory=dict)  # newest, of fusion
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
+    fixes_late_s: float | None = None  # by which positions arrive late, and are taken as older
     checks_paused: bool = False  # this computer is too slow for the checks beside the position
     limits: Limits = field(default_factory=Limits)
 

@@ -335,6 +335,8 @@ def findings(facts: Facts) -> Explanations:
     ]
     if facts.checks_paused:
         found.append(explain(Code.CHECKS_PAUSED))
+    if facts.fixes_late_s is not None:
+        found.append(explain(Code.FIXES_LATE, late_s=facts.fixes_late_s))
     found += _held(facts)
     if missing := _not_evaluated(facts):
         found.append(explain(Code.NOT_EVALUATED, monitors=missing))

@@ -9,6 +9,7 @@ from shared.messages.operation import MessageUse
 
 from ..dialect import Dialect, Output, Stream
 from ..gnss_time import Unwrapper
+from ..lateness import LATEST_S, with_lateness
 from .burst import POSITIONS, USED, NmeaAssembler, NmeaEpoch, kind_of
 from .epoch import fix_from_sentences
 from .satellites import satellites_of
@@ -27,7 +28,7 @@ class NmeaDialect(Dialect):
         super().__init__(stream)
         self._bursts = NmeaAssembler()
         self._day, self._steps = Unwrapper(DAY_NS), UtcSteps()
-        self._clock, self._resets = ClockMapping(stream.minimum_delay_s), 0
+        self._clock, self._resets = ClockMapping(stream.minimum_delay_s, longest_delay_s=LATEST_S), 0
         self._newest: tuple[NmeaEpoch, int] | None = None  # epoch, and the time stamp of its fix [ns]
 
     def kind(self, frame: bytes) -> str:
@@ -81,13 +82,14 @@ class NmeaDialect(Dialect):
             yield found
 
     def _fix(self, epoch: NmeaEpoch, device_ns: int) -> GnssFix:
-        return fix_from_sentences(
+        fix = fix_from_sentences(
             epoch,
             sampled_ns=self._clock.stamp(device_ns, epoch.first_received_ns),
             source=f"{self.stream.source}{SUFFIX}",
             rejects=self.stream.rejects,
             dates=self.stream.dates,
         )
+        return with_lateness(fix, self._clock)
 
 
 # Sentences of receivers that are known and give nothing: NMEA 0183 version 4.11, and what makers add.

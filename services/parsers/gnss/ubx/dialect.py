@@ -20,6 +20,7 @@ from shared.messages.vehicle import VehicleSpeed
 
 from ..dialect import Dialect, Output, Stream
 from ..gnss_time import MS, Unwrapper
+from ..lateness import LATEST_S, with_lateness
 from . import messages, raw, signal
 from .configuration import ANSWERS, UbxDialogue
 from .epoch import DECODERS, Epoch, EpochAssembler, fix_from_epoch
@@ -51,7 +52,7 @@ class UbxDialect(Dialect):
         self.dialogue = UbxDialogue(stream.source)
         self._epochs = EpochAssembler(stream.rejects)
         self._wheels = WheelTicks(stream.metres_per_wheel_tick)
-        self._week, self._clock = Unwrapper(WEEK_NS), ClockMapping(stream.minimum_delay_s)
+        self._week, self._clock = Unwrapper(WEEK_NS), ClockMapping(stream.minimum_delay_s, longest_delay_s=LATEST_S)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[OfEpoch], tuple[int, OfEpoch]] = {}
         self._signal: dict[str, tuple[int, signal.Part]] = {}  # of this epoch, each with its arrival [ns]
@@ -99,7 +100,8 @@ class UbxDialect(Dialect):
         stream.fix_ns = epoch.last_received_ns
         sampled_ns = self._clock.stamp(self._week.unwrap(epoch.itow_ms * MS), epoch.first_received_ns)
         self._last_stamp = epoch.itow_ms, sampled_ns
-        yield fix_from_epoch(epoch, told, sampled_ns=sampled_ns, source=stream.source, dates=stream.dates)
+        fix = fix_from_epoch(epoch, told, sampled_ns=sampled_ns, source=stream.source, dates=stream.dates)
+        yield with_lateness(fix, self._clock)
         yield from self._signal_quality(sampled_ns, epoch.last_received_ns, of_fix=True)
         for kind, (itow, message) in list(self._waiting.items()):
             if _same_epoch(itow, epoch.itow_ms):

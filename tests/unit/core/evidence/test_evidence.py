@@ -342,6 +342,20 @@ def test_the_offset_of_time_ignores_delays_and_sees_a_jump_ahead_at_once() -> No
     assert steps[149] is not None and steps[149] == pytest.approx(0.4, abs=0.1)
 
 
+def test_arrivals_that_become_late_little_by_little_are_no_jump_back_of_time() -> None:
+    offset, rng = TimeOffset(), np.random.default_rng(3)
+    for k in range(1, 300):
+        late_s = min(max(0.0, 0.02 * (k - 150)), 1.5)
+        step = offset.step(k * NS + round(1e9 * (late_s + 0.05 + rng.exponential(0.02))), UTC_NS + k * NS)
+        assert step is None or abs(step) < 0.3
+
+
+def test_a_jump_back_of_time_shows_when_it_is_ten_seconds_old() -> None:
+    offset = TimeOffset()
+    steps = [offset.step(k * NS, UTC_NS + k * NS - (800_000_000 if k >= 150 else 0)) for k in range(1, 200)]
+    assert steps[149] == 0.0 and steps[159] == pytest.approx(-0.8)
+
+
 @pytest.mark.recording
 @pytest.mark.parametrize(
     ("folder", "name", "least"),

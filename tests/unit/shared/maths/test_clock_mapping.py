@@ -106,12 +106,39 @@ def test_a_pause_of_the_device_clock_resets_the_mapping_once() -> None:
     assert stamp == pytest.approx(START_NS + 19_990 * MS + pause_ns, abs=1000)
 
 
-def test_a_longer_delay_is_estimated_within_the_window() -> None:
+def test_a_longer_delay_is_no_drift_of_a_clock() -> None:
     clock = ClockMapping(window_s=60.0)
     for k in range(200):
         late_ns = 100 * MS if k > 100 else 0
         stamp = clock.stamp(k * NS, START_NS + k * NS + late_ns)
-    assert stamp == pytest.approx(START_NS + 199 * NS + 100 * MS, abs=MS)
+    followed_ns = 99 * 200_000  # at the largest drift
+    assert START_NS + 199 * NS <= stamp <= START_NS + 199 * NS + followed_ns
+    assert clock.late_s == pytest.approx(0.1, abs=0.02)
+
+
+def test_arrivals_that_become_late_little_by_little_are_late_and_no_step_of_time() -> None:
+    clock = ClockMapping(longest_delay_s=2.0)
+    errors = []
+    for k in range(600):
+        late_ns = round(NS * min(max(0.0, 0.02 * (k - 100)), 1.5))
+        errors.append(clock.stamp(k * NS, START_NS + k * NS + late_ns) - START_NS - k * NS)
+    assert clock.resets == 0 and clock.late_s == pytest.approx(1.5, abs=0.11)
+    assert max(errors) <= 500 * 200_000, "followed at the largest drift of a clock"
+
+
+def test_what_lasts_beyond_the_longest_delay_is_a_step_of_the_device_clock() -> None:
+    clock = ClockMapping(longest_delay_s=2.0)
+    for k in range(100):
+        stamp = clock.stamp(k * NS, START_NS + k * NS + (2_500 * MS if k > 50 else 0))
+    assert clock.resets == 1 and stamp == START_NS + 99 * NS + 2_500 * MS
+
+
+def test_a_clock_that_drifts_by_the_most_is_followed() -> None:
+    clock, rng = ClockMapping(), np.random.default_rng(4)
+    for k in range(900):
+        true_ns = START_NS + round(k * NS * (1.0 + 190e-6))
+        stamp = clock.stamp(k * NS, true_ns + round(rng.exponential(0.02) * NS))
+        assert k < 60 or abs(stamp - true_ns) < 15 * MS
 
 
 def test_a_step_back_of_the_obu_time_line_resets_the_mapping() -> None:
