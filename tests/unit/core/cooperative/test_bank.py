@@ -115,3 +115,10 @@ def test_errors_that_are_correlated_in_time_are_no_fault() -> None:
             test = bank.advance(predict(bank.estimate, 1.0, FORWARD), ranges)
         found.append(float(test.excluded.any(axis=-1).mean()))
     assert found[0] < 0.01 < found[1]
+
+
+def test_means_of_innovations_are_less_than_standard_normal_by_what_the_filter_shares() -> None:
+    """Measurement noise averages out over m innovations, R/m, the error of the prediction does not."""
+    _, tests = drive(np.zeros((40, N)), 500, BankSettings(false_alarm_rate=1e-9), 2)
+    squares = np.array([test.mean**2 for test in tests[20:]])
+    assert 0.3 < squares.mean() < 1.05

@@ -5,12 +5,13 @@ from math import sqrt
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from scipy.stats import binom, chi2, ncx2
+from scipy.stats import binom, chi2, ncx2, norm
 
 from services.core.cooperative.detection import (
     Fit,
     horizontal_levels,
     innovation_test,
+    largest_correlations,
     local_threshold,
     minimal_detectable_biases,
     minimal_identifiable_biases,
@@ -143,3 +144,13 @@ def test_false_alarms_come_at_the_design_rate_in_100000_epochs(rate: float) -> N
     residuals = noise - noise @ (H @ fit.gain).T
     alarms = int((((residuals / sd) ** 2).sum(axis=1) > chi_square_limit(fit.dof, rate)).sum())
     assert binom.ppf(0.001, 100_000, rate) <= alarms <= binom.ppf(0.999, 100_000, rate)
+
+
+def test_a_bias_is_identifiable_where_two_local_statistics_are_apart_by_their_own_spread() -> None:
+    """w_i - w_j of a bias of d standard deviations of w_i: mean (1 - rho) d, variance 2 (1 - rho)."""
+    fit, lambda_ = fitted(), noncentrality(4, P_FA, P_MD)
+    apart, k = 1.0 - largest_correlations(fit), -norm.ppf(P_MD / (len(fit.sd) - 1))
+    factor = minimal_identifiable_biases(fit, lambda_, P_MD) / minimal_detectable_biases(fit, lambda_)
+    least = k * np.sqrt(2.0 / apart) / sqrt(lambda_)
+    np.testing.assert_allclose(factor, np.maximum(1.0, least), rtol=1e-9)
+    assert (factor > 1.0).any(), "the second term decides for some of them"

@@ -90,3 +90,12 @@ def test_the_false_alarm_rate_of_100_000_windows_lies_in_the_binomial_interval(r
         alarms += found > limit
     low, high = binom.interval(0.999, windows, rate)
     assert low <= alarms <= high
+
+
+def test_rounding_that_passes_several_steps_is_noise_of_independent_samples() -> None:
+    """A uniform error of width s has the variance s²/12, and the mean of n of them s²/12n."""
+    speeds = [10.0, 12.0, 14.0, 16.0]
+    pairs = [AlignedPair(k * SECOND_NS, v + 0.4, SD, v, 0.0, STEP) for k, v in enumerate(speeds)]
+    variance = mean_variance(np.arange(4.0), np.full(4, SD), CORRELATION_S) + STEP**2 / 12.0 / 4.0
+    found = fast_statistic(pairs, scale=1.0, calibration_variance=0.0, correlation_s=CORRELATION_S, dead_zone_m_s=0.8)
+    assert found == pytest.approx(0.16 / variance, rel=1e-9)

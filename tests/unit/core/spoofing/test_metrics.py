@@ -21,12 +21,15 @@ from cli.papers.spoofing.method import (
     turned_by_course,
 )
 from services.core.spoofing.codes import Code
+from services.core.spoofing.inertial import propagation
+from services.core.spoofing.inertial.anchors import Anchor
 from services.core.spoofing.inertial.compass import barometric_pressure
 from services.core.spoofing.inertial.tracks import Heights, Series, VelocityFix
 from services.core.spoofing.profile import UNIT_IMU, Profile, exceeding, learn
 from services.core.spoofing.windows.metrics import Metric, acceleration_differences, consecutive
-from services.core.spoofing.windows.short_window import Window, window_of_fixes
+from services.core.spoofing.windows.short_window import Window, _attitude_part, window_of_fixes
 from shared.inertial.increments import SECOND_NS
+from shared.maths.earth import STANDARD_GRAVITY
 from shared.messages.explanation import explain
 from shared.trust.inputs import Input
 
@@ -219,3 +222,10 @@ def test_too_few_windows_and_incomplete_profiles_are_errors() -> None:
         learn(windows(99, 1, 0.05), threshold=3.0, provenance="short")
     with pytest.raises(ValidationError, match="needs 4 positive"):
         Profile(sigma={Metric.ACCELERATION: (0.1,)}, threshold=3.0, false_alarm_rate=0.0, provenance="")
+
+
+def test_a_bias_of_the_gyroscope_tilts_gravity_in_proportion_to_time() -> None:
+    anchor = Anchor(0, np.zeros(propagation.STATE), np.zeros((3, 3)), np.array([1e-3, 2e-3, 0.0]))
+    for middle_s in (1.0, 4.0):
+        sd = _attitude_part(anchor, np.eye(3), np.zeros(3), middle_s)
+        np.testing.assert_allclose(sd, STANDARD_GRAVITY * middle_s * np.array([2e-3, 1e-3, 0.0]), rtol=1e-12)

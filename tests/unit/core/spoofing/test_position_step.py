@@ -59,3 +59,13 @@ def test_with_a_position_missing_there_is_no_comparison() -> None:
     for k in (0, 2, 5):
         bare = VelocityFix(given[k].time_ns, given[k].velocity_n, given[k].sd)
         assert position_step([*given[:k], bare, *given[k + 1 :]]) is None
+
+
+def test_the_limit_holds_what_an_inaccurate_velocity_moves_in_five_seconds() -> None:
+    """Straight ahead, so that the ages of position and velocity do not matter."""
+    exact, inaccurate = (
+        position_step([replace(fix, sd=np.full(3, sd)) for fix in fixes(turn_rate=1e-9)]) for sd in (0.0, 0.4)
+    )
+    assert exact is not None and inaccurate is not None
+    assert exact.limit == pytest.approx(THRESHOLD * LEAST_SD_M)
+    assert inaccurate.limit == pytest.approx(THRESHOLD * np.hypot(LEAST_SD_M, 5.0 * 0.4))

@@ -147,3 +147,16 @@ def test_vehicles_that_are_corrected_already_keep_their_lanes() -> None:
 @pytest.mark.parametrize("row", [1, 2, 3])
 def test_a_decided_lane_is_hardly_ever_wrong_in_the_other_rows(row: int) -> None:
     assert simulate(ROWS[row], 150, 2).decided_wrong <= 0.01
+
+
+def test_the_weights_of_fixes_sum_to_one_so_that_a_constant_error_is_no_bias() -> None:
+    for times in (np.arange(-30.0, 1.0), np.array([-30.0, -29.5, -3.0, 0.0])):
+        weights, variance = estimator()._weights(times)
+        assert isclose(weights.sum(), 1.0, rel_tol=1e-9) and variance > 0.0
+
+
+def test_a_vehicle_is_somewhere_in_its_lane_and_not_on_its_centre_line() -> None:
+    """Uniform within 0.3 m: with an exact position that much beside the centre is no surprise."""
+    left = np.array([[0.3]])
+    found = lane_likelihood(left, np.zeros_like(left), np.ones_like(left))[0, 0]
+    assert isclose(found, np.exp(-1.5) / sqrt(2.0 * np.pi * 0.03), rel_tol=1e-9)

@@ -10,7 +10,7 @@ from cli.papers.toll.trajectory import cam_of, mixed
 from services.core.toll.trackers.filters import MANOEUVRE, Estimates, Tracker, imm
 from services.core.toll.trackers.models import Cruise, Ctra, Ctrv, FourState, Linear, Model
 from services.core.toll.trackers.motion import arc, integrated_noise
-from services.core.toll.trackers.observation import ACCELERATION, YAW_RATE, Observation, cartesian
+from services.core.toll.trackers.observation import ACCELERATION, HEADING, YAW_RATE, Observation, cartesian
 from shared.maths.earth import wrap_angles
 
 MODELS: tuple[Model, ...] = (Linear(2, 1.5), Linear(3, 1.0), Ctrv(), Ctra(), Cruise(), FourState())
@@ -290,3 +290,13 @@ def test_a_vehicle_that_begins_to_reverse_is_tracked_on(tracker: Tracker) -> Non
     assert_allclose(estimates.mean[0, :2], 0.0, atol=0.3)
     assert abs(wrap_angles(estimates.mean[0, 2:3] - pi)[0]) < 0.02
     assert isclose(estimates.mean[0, 3], 2.0, abs_tol=0.3)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0])
+def test_noise_of_the_yaw_acceleration_is_integrated_into_yaw_rate_and_heading(dt: float) -> None:
+    """White noise of density q: q t of its integral, q t³/3 of the second one, q t²/2 between them."""
+    model = Ctra()
+    x = np.array([[3.0, 4.0, 0.4, 12.0, 0.5, 0.1]])
+    noise, q = model.transition(x, np.array([dt])).Q[0], model.yaw_acceleration_density
+    block = noise[np.ix_([HEADING, YAW_RATE], [HEADING, YAW_RATE])]
+    assert_allclose(block, q * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), rtol=1e-12)

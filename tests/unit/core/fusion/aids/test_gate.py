@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.base import Height, Outcome
-from services.core.fusion.aids.gate import FaultStatus, Gate
+from services.core.fusion.aids.gate import FaultStatus, Gate, _weight
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.codes import Code
@@ -357,3 +357,9 @@ def test_a_reset_after_rejected_positions_keeps_the_gyroscope_biases() -> None:
     assert solution is not None and found.navigator.counts.resets == 1
     assert solution.gyroscope_bias == pytest.approx(truth, abs=2e-4)
     assert found.navigator.why[0].code == Code.STARTED
+
+
+def test_the_weight_falls_as_the_square_of_what_is_left_to_the_limit() -> None:
+    assert _weight(0.3, 9.0) == _weight(1.0, 9.0) == 1.0
+    assert _weight(5.0, 9.0) == pytest.approx(0.25) and _weight(7.0, 9.0) == pytest.approx(0.0625)
+    assert 0.0 < _weight(9.0, 9.0) < 0.01

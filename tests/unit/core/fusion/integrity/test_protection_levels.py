@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from services.core.fusion.integrity.disagreement import Disagreement
 from services.core.fusion.integrity.error_monitor import ErrorMonitor
-from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, InnovationStatistics
+from services.core.fusion.integrity.innovation_statistics import ESTIMATED, MEMORY_S, RARE, Axis, InnovationStatistics
 from services.core.fusion.integrity.protection_levels import (
     FAULT_PROBABILITY,
     LARGEST_M,
@@ -240,3 +240,15 @@ def test_a_covariance_that_is_not_finite_or_not_positive_gives_the_largest_level
     assert levels(monitor(), cov=broken) == (LARGEST_M, LARGEST_M)
     endless = ((1e30, 0.0, 0.0), (0.0, 1e30, 0.0), (0.0, 0.0, 1e30))
     assert levels(monitor(), cov=endless) == (LARGEST_M, LARGEST_M)
+
+
+def test_what_lacks_to_the_variance_of_white_noise_counts_less_two_sampling_errors() -> None:
+    axis = Axis(mean_square=0.5, lag_1=0.3, variance=4.0, newest=4.0)
+    statistics = InnovationStatistics(interval_s=1.0, axes=(axis, axis, axis))
+    unseen = 1.0 - (0.5 - 0.3) - 2.0 * sqrt(3.0 / (2.0 * MEMORY_S))
+    assert statistics.correlated_variance(0) == pytest.approx(4.0 * min(unseen, 1.25 * 0.5, 4.0 * 0.3))
+    small = Axis(mean_square=0.7, lag_1=0.05, variance=4.0, newest=4.0)
+    unseen = 1.0 - 0.65 - 2.0 * sqrt(3.0 / (2.0 * MEMORY_S))
+    assert 0.0 < unseen < 0.2
+    found = InnovationStatistics(interval_s=1.0, axes=(small, small, small)).correlated_variance(0)
+    assert found == pytest.approx(4.0 * unseen)
