@@ -175,7 +175,7 @@ def _without_gnss(facts: Facts) -> Explanations:
 def _coasting(facts: Facts) -> Explanations:
     if facts.solution is None or facts.imu_exclusion_confirmed:  # the position without inertial sensors is of GNSS
         return ()
-    age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s
+    age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s + (facts.fixes_late_s or 0.0)
     if age_s is None:
         return (explain(Code.NO_GNSS_YET),)
     return () if age_s <= limit_s else (explain(Code.GNSS_MISSING, age_s=age_s, limit_s=limit_s),)

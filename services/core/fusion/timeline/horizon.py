@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 
-STEPS_NS = tuple(round(step_s * 1e9) for step_s in (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.5))
+STEPS_NS = tuple(round(step_s * 1e9) for step_s in (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 2.5))
 
 
 class Horizon:

@@ -205,6 +205,14 @@ def test_every_code_is_a_reason_or_a_finding_of_some_case() -> None:
     assert set(Code) - found - others == set()
 
 
+def test_late_fixes_are_waited_for_by_as_much_as_they_are_late() -> None:
+    assert SAFE.solution is not None
+    old = replace(SAFE, solution=replace(SAFE.solution, gnss_age_s=4.0))
+    assert verdict(old).row == 5 and verdict(replace(old, fixes_late_s=0.9)).row == 5
+    late = verdict(replace(old, fixes_late_s=1.1))
+    assert late.row == 9 and Code.FIXES_LATE in codes(late.findings)
+
+
 def test_every_row_of_the_table_has_a_case() -> None:
     assert {case.values[1] for case in CASES} == set(range(1, len(ROWS) + 2))
 
