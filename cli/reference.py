@@ -260,7 +260,6 @@ def pages() -> dict[str, str]:
 def blocks() -> dict[str, str]:
     """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
     return {
-        "README.md": f"```\n{diagram()}\n```\n",
         "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
         **{f"deploy/systemd/{role}.target": _wants(role) for role in Role},
     }

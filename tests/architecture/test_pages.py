@@ -1,0 +1,39 @@
+"""Every page is found from the index, every link leads somewhere, and the front page stays short."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]+)(?:#[^)]*)?\)")
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *(ROOT / "benchmarks").rglob("*.md")])
+
+
+def links(page: Path) -> set[Path]:
+    """Files of the repository that a page links."""
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return {(page.parent / found).resolve() for found in LINK.findall(text) if "://" not in found}
+
+
+def test_the_index_names_every_page() -> None:
+    pages = {
+        page for folder in ("tutorials", "how-to", "explanation", "reference") for page in (DOCS / folder).glob("*.md")
+    }
+    assert pages - links(DOCS / "README.md") == set()
+
+
+def test_the_list_of_decisions_is_complete_in_their_numbers() -> None:
+    numbers = sorted(int(page.name[:4]) for page in (DOCS / "decisions").glob("[0-9]*.md"))
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_every_link_leads_to_a_file() -> None:
+    broken = {
+        str(page.relative_to(ROOT)): {str(target) for target in links(page) if not target.exists()} for page in PAGES
+    }
+    assert {page: targets for page, targets in broken.items() if targets} == {}
+
+
+def test_the_front_page_is_short() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 70
