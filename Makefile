@@ -17,7 +17,7 @@ SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 # Each process of a unit would compile its sources anew: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check calculating types running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
+.PHONY: help setup demo test quick check calculating types running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -65,6 +65,14 @@ check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
 	@$(MAKE) --no-print-directory --jobs=3 calculating types running
+
+# What a change is compared with, beside what is not committed yet.
+BASE ?= HEAD
+
+quick: | $(VENV)/.testing ## lint, architecture, words and the unit tests beside what changed, in a minute (BASE=main: and since then)
+	@$(PYTHON) -m ruff check .
+	@$(PYTHON) -m ruff format --check .
+	@$(PYTHON) -m pytest -q -n auto -m "not slow" tests/architecture tests/unit/shared/words $$($(PYTHON) -m tests.support.changed $(BASE))
 
 # Tests that only calculate, and types, have the time that tests of running programs leave while they wait.
 LIVE := tests/integration tests/browser
