@@ -121,6 +121,9 @@ alarms: setup ## count false alarms of the monitors in fault-free epochs (11 min
 	@$(PYTHON) -m benchmarks.false_alarms $(CAMPAIGN)
 	@$(PYTHON) -m benchmarks.false_alarms_satellites $(CAMPAIGN)
 
+turns: setup ## find the smallest turn rate of a GNSS track that the observer of the gyroscope sees, by grade (10 minutes)
+	@$(PYTHON) -m benchmarks.turns $(CAMPAIGN)
+
 bench: $(VENV)/.testing $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks $(SIZE)
 

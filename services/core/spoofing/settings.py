@@ -127,6 +127,19 @@ class GyroscopeSettings(Section):
     )
 
 
+class ObserverSettings(Section):
+    """Yaw and gyroscope bias of standstills, which GNSS never touches."""
+
+    gyroscope_instability_rad_s: float = Field(
+        default=4e-5, ge=0.0, description="in-run instability of the gyroscope biases: 8 deg/h of an industrial sensor"
+    )
+    gyroscope_bias_walk_rad_s_sqrt_s: float = Field(
+        default=1e-6,
+        ge=0.0,
+        description="random walk of the gyroscope biases since the last standstill, changes of temperature included",
+    )
+
+
 class DriftSettings(Section):
     """Sums of GNSS innovations over 30, 100 and 300 s."""
 
@@ -151,6 +164,7 @@ class Settings(VehicleSettings):
     gnss: GnssSettings = GnssSettings()
     long: LongSettings = LongSettings()
     gyroscope: GyroscopeSettings = GyroscopeSettings()
+    observer: ObserverSettings = ObserverSettings()
     drift: DriftSettings = DriftSettings()
     profile: Profile = Field(default=UNIT_IMU, description="standard deviations of the 5 s metrics, and their origin")
     stale_after_s: float = Field(default=3.0, gt=0.0, description="age of GNSS or inertial data that ends a comparison")

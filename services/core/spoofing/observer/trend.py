@@ -1,0 +1,116 @@
+"""How fast a heading turns away from the gyroscope's over a window: the slope of their difference, and its variance."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.inertial.increments import SECOND_NS
+from shared.maths.rotation import Vector
+
+from ..gyroscope.sources import Reading
+
+FloatArray = npt.NDArray[np.float64]
+
+LEAST_SHARE = 0.8  # of the window, from its first to its last reading
+LEAST_READINGS = 0.4  # of its seconds
+LEAST_SD = 2e-3  # [rad] of one course: of the vehicle, which drifts across its lane
+# [rad] By which side wind and crossfall change the sideslip between the ends of a window.
+OFFSET_SD = 2e-3
+
+
+# Share of the squares that a slope leaves, below which those that a single step leaves are clearly fewer: a heading
+# that has jumped, or that jumped back when an error ended, does not turn away.
+STEP_SHARE = 0.6
+
+
+class Trend(NamedTuple):
+    """Slope of the difference heading minus gyroscope."""
+
+    rate: float  # [rad/s]
+    variance: float  # [rad²/s²] of the heading alone
+    turn_rate: float  # [rad/s] slope of the gyroscope's own yaw: times an error of its scale, an error of the slope
+    span_s: float
+    jumps: bool  # one step explains the difference better
+
+
+def trend(
+    readings: Sequence[Reading], bias: Vector, length_s: float, *, correlation_s: float, time_sd_s: float,
+    end_s: float = 0.0,
+) -> Trend | None:  # fmt: skip
+    """Slope over the newest readings.
+
+    Parameters
+    ----------
+    readings : sequence of Reading
+        About one a second, newest last.
+    bias : tuple of float
+        [rad/s, body] Of the gyroscope.
+    length_s, end_s : float
+        [s] Length of the window, and how long before the newest reading it ends.
+    correlation_s, time_sd_s : float
+        [s] Correlation time of the heading's errors, standard deviation of its stamps.
+
+    Returns
+    -------
+    Trend or None
+        None where readings are missing.
+
+    Notes
+    -----
+    Weighted least squares: with weights w and times t about their weighted mean, k = w t / sum(w t²), the slope is
+    sum(k d) and its variance c sum(k² v), c = (1 + p) / (1 - p) for errors that are correlated by p from one reading to
+    the next. One reading, that which moves the slope most, is left out: it may be a reflection.
+    """
+    chosen = _within(readings, length_s, end_s)
+    if len(chosen) < LEAST_READINGS * length_s:
+        return None
+    t = np.array([one.turn.time_ns - chosen[-1].turn.time_ns for one in chosen]) / SECOND_NS
+    if t[-1] - t[0] < LEAST_SHARE * length_s:
+        return None
+    yaw = np.array([one.turn.less(bias) for one in chosen])
+    off = np.array([one.angle for one in chosen]) - yaw
+    middle = np.angle(np.exp(1j * off).sum())
+    off = np.remainder(off - middle + np.pi, 2.0 * np.pi) - np.pi
+    rate = np.array([one.turn.rate for one in chosen])
+    v = np.array([one.variance for one in chosen]) + LEAST_SD**2 + (time_sd_s * rate) ** 2
+    return _without_the_worst(t, off, yaw, v, correlation_s)
+
+
+def _within(readings: Sequence[Reading], length_s: float, end_s: float) -> list[Reading]:
+    if not readings:
+        return []
+    last_ns = readings[-1].turn.time_ns - round(end_s * SECOND_NS)
+    first_ns = last_ns - round(length_s * SECOND_NS)
+    return [one for one in readings if first_ns <= one.turn.time_ns <= last_ns]
+
+
+def _without_the_worst(t: FloatArray, off: FloatArray, yaw: FloatArray, v: FloatArray, correlation_s: float) -> Trend:
+    k = _weights(t, v)
+    residual = off - off.mean() - float(k @ off) * (t - t.mean())
+    rest = np.arange(len(t)) != int(np.abs(k * residual).argmax())
+    t, off, yaw, v = t[rest], off[rest], yaw[rest], v[rest]
+    k = _weights(t, v)
+    span_s = float(t[-1] - t[0])
+    p = float(np.exp(-span_s / (len(t) - 1) / correlation_s))
+    variance = (1.0 + p) / (1.0 - p) * float(k**2 @ v) + (2.0 * OFFSET_SD / span_s) ** 2
+    rate = float(k @ off)
+    return Trend(rate, variance, float(k @ (yaw - yaw.mean())), span_s, _jumps(off, rate * t))
+
+
+def _jumps(off: FloatArray, line: FloatArray) -> bool:
+    """Whether two levels, the best that differ before and after a reading, fit clearly better than a line."""
+    n = len(off)
+    about, left = off - off.mean(), np.arange(1, n)
+    sums = np.cumsum(about)[:-1]
+    by_step = float(about @ about) - float((sums**2 * (1.0 / left + 1.0 / (n - left))).max())
+    residual = off - line
+    return by_step < STEP_SHARE * n * float(residual.var())
+
+
+def _weights(t: FloatArray, v: FloatArray) -> FloatArray:
+    w = 1.0 / v
+    about = t - float(w @ t) / float(w.sum())
+    k: FloatArray = w * about / float(w @ about**2)
+    return k
