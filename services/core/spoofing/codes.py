@@ -45,6 +45,8 @@ class Code(StrEnum):
     NO_COURSES = "spoofing.no_courses"
     OBSERVED_TURN = "spoofing.observed_turn"
     OBSERVED_BIAS = "spoofing.observed_bias"
+    NO_GRAVITY = "spoofing.no_gravity"
+    GRAVITY = "spoofing.gravity"
     # sums of innovations
     FEW_INNOVATIONS = "spoofing.few_innovations"
     LEARNING_SPREAD = "spoofing.learning_spread"

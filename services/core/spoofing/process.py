@@ -263,6 +263,7 @@ class Process:
             case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
                 self._stand(message.sampled_ns, turn=message.speed_m_s != 0.0)
+                self.observer.gravity.speed(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
                 self.drift.speed(message.sampled_ns)
             case WheelSpeeds() if self._wheels.takes(message.source, message.received_ns):
                 self.gyroscope.speeds(message)
@@ -271,7 +272,11 @@ class Process:
 
     def _stand(self, time_ns: int, *, turn: bool) -> None:
         """Tell the observer whether the wheels turn."""
-        self.observer.wheels(time_ns - round(self._settings.long.odometer_delay_s * 1e9), turn=turn)
+        self.observer.wheels(self._when_of_wheels(time_ns), turn=turn)
+
+    def _when_of_wheels(self, time_ns: int) -> int:
+        """When a speed with a stamp was true."""
+        return time_ns - round(self._settings.long.odometer_delay_s * 1e9)
 
     def _evaluated(self, time_ns: int) -> Iterator[Out]:
         """Publish both statements, and once a minute what this drive has taught."""
@@ -291,6 +296,8 @@ class Process:
         """Statement of the monitor `gyroscope`: windows of up to 30 s, and of up to 300 s against the observer."""
         self.observer.courses(self.gyroscope.new_courses())
         self.observer.advance(self.monitor.taken)
+        if self._solution is not None:
+            self.gyroscope.observed = self.observer.reference(self._solution.latitude_deg)
         rates = self.gyroscope.verdicts(time_ns, self.monitor.taken)
         turns = self.observer.verdicts(time_ns, self.gyroscope.of_wheels)
         tests = agreed({**rates, **turns})

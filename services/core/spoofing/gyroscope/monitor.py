@@ -62,6 +62,7 @@ class GyroscopeMonitor:
         self._inconspicuous_ns: dict[int, int] = {}
         self._known: dict[str, Test] = {}
         self._suspected = False
+        self.observed: Bias | None = None  # by standstills, which no attack has taught
         self._acquitted: set[str] = set()  # by an earlier evaluation of this episode
         self._quiet_s = 0  # since a window accused
         self._agreed_s = 0
@@ -143,6 +144,7 @@ class GyroscopeMonitor:
         for headings in self._headings.values():
             headings.advance(self.track)
         bias = self._reference.advance(time_ns, suspected=self._suspected)
+        bias = self._better(bias)
         votes = {} if bias is None else self._votes(bias)
         self._acquit(votes)
         found = {f"yaw_rate_{length}": self._verdict(time_ns, length, votes.get(length)) for length in LENGTHS_S}
@@ -151,6 +153,14 @@ class GyroscopeMonitor:
         self._release(votes)
         self._learn()
         return self._known
+
+    def _better(self, of_filter: Bias | None) -> Bias | None:
+        """The bias of standstills, unless that of the filter of a minute ago is known better."""
+        observed = self.observed
+        if observed is None or of_filter is None:
+            return of_filter
+        sd = hypot(*of_filter.sd, self.settings.long.gyroscope_bias_sd_rad_s)
+        return observed if hypot(*observed.sd) < sd else of_filter
 
     def _acquit(self, votes: Mapping[int, Vote]) -> None:
         """Remember who cannot be wrong in this episode, which ends when nothing has accused for the longest window."""

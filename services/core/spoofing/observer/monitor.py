@@ -20,6 +20,8 @@ from ..gyroscope.sources import Course, Headings
 from ..gyroscope.track import dot
 from ..gyroscope.vote import Difference, Source, vote
 from ..settings import Settings
+from .gravity import NAME as GRAVITY
+from .gravity import Gravity
 from .observer import Observer
 from .trend import Trend, trend
 
@@ -48,6 +50,7 @@ class ObserverMonitor:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.observer = Observer(settings)
+        self.gravity = Gravity(settings)
         self._courses = Headings()
         self._filter: NavigationSolution | None = None  # newest: what is compared with the observer
         self._exceeded: Counter[str] = Counter()
@@ -69,8 +72,11 @@ class ObserverMonitor:
 
     def advance(self, increments: Iterable[Increment]) -> None:
         """Integrate increments."""
+        increments = tuple(increments)
         if not self.observer.advance(increments):
             self._courses.clear()
+        if self.observer.bias is not None:
+            self.gravity.advance(increments, self.observer.bias.value)
         self._courses.advance(self.observer)
 
     def reference(self, latitude_deg: float) -> Bias | None:
@@ -99,6 +105,7 @@ class ObserverMonitor:
         bias, variance = self._bias()
         found = {name_of(length): self._turn(length, bias, variance, of_wheels) for length in LENGTHS_S}
         found[BIAS] = self._of_bias(bias, variance)
+        found[GRAVITY] = self.gravity.verdict(variance, self.settings.gyroscope.false_alarm_rate)
         self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in found.items()}
         return self._known
 
