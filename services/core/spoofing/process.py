@@ -261,9 +261,9 @@ class Process:
                 self.monitor.fix(message.sampled_ns, *velocity_of(message), *position_of(message))
                 self.gyroscope.fix(message, *velocity_of(message))
             case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
-                self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
-                self._stand(message.sampled_ns, turn=message.speed_m_s != 0.0)
-                self.observer.gravity.speed(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
+                if self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s):
+                    self._stand(message.sampled_ns, turn=message.speed_m_s != 0.0)
+                    self.observer.gravity.speed(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
                 self.drift.speed(message.sampled_ns)
             case WheelSpeeds() if self._wheels.takes(message.source, message.received_ns):
                 self.gyroscope.speeds(message)

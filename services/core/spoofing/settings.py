@@ -6,6 +6,7 @@ from math import hypot, radians
 from pydantic import Field
 
 from shared.runtime.config import Section, VehicleSettings
+from shared.trust.budget import rate_of
 
 from .grade import Grade
 from .profile import UNIT_IMU, Profile
@@ -44,7 +45,10 @@ class LongSettings(Section):
     """Free propagation over 30 and 60 s."""
 
     false_alarm_rate: float = Field(
-        default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+        default=rate_of("long"),
+        gt=0.0,
+        lt=0.5,
+        description="false-alarm rate of each window, per evaluation: its share of one false alarm in ten hours",
     )
     doubt_rate: float = Field(
         default=3e-3,
@@ -123,7 +127,7 @@ class GyroscopeSettings(Section):
     """Yaw rate of the gyroscope against wheels, GNSS course and headings."""
 
     false_alarm_rate: float = Field(
-        default=1e-6, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+        default=rate_of("gyroscope"), gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
     )
 
 
@@ -144,7 +148,10 @@ class DriftSettings(Section):
     """Sums of GNSS innovations over 30, 100 and 300 s."""
 
     false_alarm_rate: float = Field(
-        default=1e-6, gt=0.0, lt=0.5, description="false-alarm rate of each test of each window, per evaluation"
+        default=rate_of("drift"),
+        gt=0.0,
+        lt=0.5,
+        description="false-alarm rate of each test of each window, per evaluation",
     )
 
 
