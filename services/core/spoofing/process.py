@@ -28,7 +28,7 @@ from .codes import Code
 from .drift.monitor import DriftMonitor
 from .grade import LONG, OBSERVER, UNKNOWN, Grade, profile_of
 from .gyroscope.monitor import GyroscopeMonitor, agreed
-from .gyroscope.sources import turning
+from .gyroscope.sources import fastest
 from .inertial.anchors import is_readable
 from .inertial.tracks import UNKNOWN_VERTICAL_SD
 from .lesson import Lesson, profile_of_learned
@@ -262,17 +262,13 @@ class Process:
                 self.gyroscope.fix(message, *velocity_of(message))
             case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
                 if self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s):
-                    self._stand(message.sampled_ns, turn=message.speed_m_s != 0.0)
+                    self.observer.wheels(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
                     self.observer.gravity.speed(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
                 self.drift.speed(message.sampled_ns)
             case WheelSpeeds() if self._wheels.takes(message.source, message.received_ns):
                 self.gyroscope.speeds(message)
-                self._stand(message.sampled_ns, turn=turning(message))
+                self.observer.wheels(self._when_of_wheels(message.sampled_ns), fastest(message))
                 self.drift.speed(message.sampled_ns)
-
-    def _stand(self, time_ns: int, *, turn: bool) -> None:
-        """Tell the observer whether the wheels turn."""
-        self.observer.wheels(self._when_of_wheels(time_ns), turn=turn)
 
     def _when_of_wheels(self, time_ns: int) -> int:
         """When a speed with a stamp was true."""

@@ -132,7 +132,7 @@ class WheelSeconds:
         samples, self._open = self._open, []
         if len(samples) < LEAST_SAMPLES:
             return
-        turned = any(turning(speeds) for _, speeds in samples)
+        turned = any(fastest(speeds) > 0.0 for _, speeds in samples)
         since_ns = self.stationary_since_ns
         still = not turned and since_ns is not None and since_ns <= self._number * SECOND_NS
         n = len(samples)
@@ -153,9 +153,9 @@ def _wheels(speeds: WheelSpeeds) -> tuple[float | None, ...]:
     return speeds.rear_left_m_s, speeds.rear_right_m_s, speeds.front_left_m_s, speeds.front_right_m_s
 
 
-def turning(speeds: WheelSpeeds) -> bool:
-    """Whether a wheel turns."""
-    return any(_wheels(speeds))
+def fastest(speeds: WheelSpeeds) -> float:
+    """Speed of the fastest wheel [m/s]."""
+    return max((abs(value) for value in _wheels(speeds) if value is not None), default=0.0)
 
 
 def pair(speeds: WheelSpeeds, *, rear: bool) -> tuple[float, float] | None:

@@ -3,7 +3,10 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from itertools import islice
 from math import degrees, radians, sin, sqrt
+
+import numpy as np
 
 from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import EARTH_RATE
@@ -23,12 +26,15 @@ from ..settings import Settings
 from .gravity import NAME as GRAVITY
 from .gravity import Gravity
 from .observer import Observer
-from .trend import Trend, trend
+from .trend import Trend, row_of, trend
 
 LENGTHS_S = (60, 120, 300)
 # Part of a window at its end in which an error must still grow: what has ended is not accused again by long windows.
 RECENT_S = {60: 30, 120: 60, 300: 60}
 ENDED_SDS = 3.0  # by which the rate at the end of a window is smaller than that of the window
+EVERY_S = {60: 1, 120: 2, 300: 5}  # a long window changes little in a second
+COLUMNS, NEWEST = 8, 10  # of the table of courses; readings that may be new in it
+TURNING_M_S = 0.5  # speed of wheels that are sure to turn
 CONSECUTIVE = 2  # evaluations above the threshold that accuse
 SCALE_FLOOR = 1e-6  # [rad/s] least standard deviation of a rate
 BIAS = "observed_bias"
@@ -52,14 +58,17 @@ class ObserverMonitor:
         self.observer = Observer(settings)
         self.gravity = Gravity(settings)
         self._courses = Headings()
+        self._table, self._begin_ns = np.empty((0, COLUMNS)), 0  # of these, for the trends
+        self._turns: dict[str, Test] = {}  # newest of each window
         self._filter: NavigationSolution | None = None  # newest: what is compared with the observer
         self._exceeded: Counter[str] = Counter()
         self._largest = 0.0  # difference of the biases [rad/s] in the present episode
         self._known: dict[str, Test] = {}
 
-    def wheels(self, time_ns: int, *, turn: bool) -> None:
-        """Use whether the wheels turn."""
-        self.observer.standstills.wheels(time_ns, turn=turn)
+    def wheels(self, time_ns: int, speed_m_s: float) -> None:
+        """Use the speed of the wheels; one between zero and walking slowly may be the noise of its source."""
+        if speed_m_s == 0.0 or speed_m_s > TURNING_M_S:
+            self.observer.standstills.wheels(time_ns, turn=speed_m_s > 0.0)
 
     def courses(self, courses: Iterable[Course]) -> None:
         """Use courses of GNSS, which the observer itself does not see."""
@@ -78,6 +87,22 @@ class ObserverMonitor:
         if self.observer.bias is not None:
             self.gravity.advance(increments, self.observer.bias.value)
         self._courses.advance(self.observer)
+        self._tabulate()
+
+    def _tabulate(self) -> None:
+        """Append what is new to the table of courses; the newest of a second takes the place of an earlier one."""
+        readings = self._courses.readings
+        if not readings:
+            self._table = self._table[:0]
+            return
+        if not len(self._table):
+            self._begin_ns = readings[0].turn.time_ns
+        last_s = self._table[-1, 0] if len(self._table) else -1.0
+        limit_ns = self._begin_ns + round(max(last_s - 1.0, -1.0) * SECOND_NS)
+        new = [row_of(one, self._begin_ns) for one in islice(reversed(readings), NEWEST) if one.turn.time_ns > limit_ns]
+        if new:
+            kept = self._table[(self._table[:, 0] < new[-1][0]) & (self._table[:, 0] > new[0][0] - LENGTHS_S[-1] - 5.0)]
+            self._table = np.vstack([kept, new[::-1]])
 
     def reference(self, latitude_deg: float) -> Bias | None:
         """Bias without the Earth's rate, as the other monitors count it; None before the first standstill.
@@ -103,7 +128,11 @@ class ObserverMonitor:
     def verdicts(self, time_ns: int, of_wheels: OfWheels) -> Mapping[str, Test]:
         """Test every window, and the bias."""
         bias, variance = self._bias()
-        found = {name_of(length): self._turn(length, bias, variance, of_wheels) for length in LENGTHS_S}
+        found = dict(self._turns)
+        for length in LENGTHS_S:
+            if (time_ns // SECOND_NS) % EVERY_S[length] == 0 or name_of(length) not in found:
+                found[name_of(length)] = self._turn(length, bias, variance, of_wheels)
+        self._turns = dict(found)
         found[BIAS] = self._of_bias(bias, variance)
         found[GRAVITY] = self.gravity.verdict(variance, self.settings.gyroscope.false_alarm_rate)
         self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in found.items()}
@@ -128,8 +157,8 @@ class ObserverMonitor:
         statistic, limit = slope.rate**2 / (slope.variance + common), chi_square_limit(1, rate)
         ballot = vote(differences, common, rate)
         suspects = () if ballot is None else ballot.suspects
-        ended = slope.jumps or self._ended(slope, bias, length, common)
-        above = statistic > limit and GNSS in suspects and not ended
+        above = statistic > limit and GNSS in suspects
+        above = above and not (slope.jumps or self._ended(slope, bias, length, common))
         self._exceeded[name] = self._exceeded[name] + 1 if above else 0
         age_s = (end_ns - bias.time_ns) / SECOND_NS
         why = explain(
@@ -140,12 +169,12 @@ class ObserverMonitor:
         base = replace(base, why=why, accused=suspects or BY_EITHER, suspect_since_ns=begin_ns)
         return judged(base, statistic, limit, accuses=self._exceeded[name] >= CONSECUTIVE)
 
-    def _trend(self, bias: Bias, length: int, end_s: float = 0.0) -> Trend | None:
+    def _trend(self, bias: Bias, length: int) -> Trend | None:
         gnss = self.settings.gnss
         if not self._courses.readings or self._is_late():
             return None
         return trend(
-            self._courses.readings, bias.value, float(length), end_s=end_s, correlation_s=gnss.velocity_correlation_s,
+            self._table, bias.value, float(length), correlation_s=gnss.velocity_correlation_s,
             time_sd_s=max(gnss.time_sd_s, self.settings.long.position_time_sd_s),
         )  # fmt: skip
 

@@ -1,6 +1,5 @@
 """How fast a heading turns away from the gyroscope's over a window: the slope of their difference, and its variance."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,20 +34,26 @@ class Trend(NamedTuple):
     jumps: bool  # one step explains the difference better
 
 
+def row_of(reading: Reading, begin_ns: int) -> list[float]:
+    """Reading as a row of the table that `trend` takes; its time counts from a begin."""
+    turn = reading.turn
+    since_s = (turn.time_ns - begin_ns) / SECOND_NS
+    return [since_s, reading.angle, reading.variance, turn.angle, *turn.axis_s, turn.rate]
+
+
 def trend(
-    readings: Sequence[Reading], bias: Vector, length_s: float, *, correlation_s: float, time_sd_s: float,
-    end_s: float = 0.0,
+    table: FloatArray, bias: Vector, length_s: float, *, correlation_s: float, time_sd_s: float
 ) -> Trend | None:  # fmt: skip
     """Slope over the newest readings.
 
     Parameters
     ----------
-    readings : sequence of Reading
-        About one a second, newest last.
+    table : ndarray, shape (n, 8)
+        Of `row_of`, about one a second, newest last.
     bias : tuple of float
         [rad/s, body] Of the gyroscope.
-    length_s, end_s : float
-        [s] Length of the window, and how long before the newest reading it ends.
+    length_s : float
+        [s] Length of the window.
     correlation_s, time_sd_s : float
         [s] Correlation time of the heading's errors, standard deviation of its stamps.
 
@@ -63,27 +68,17 @@ def trend(
     sum(k d) and its variance c sum(k² v), c = (1 + p) / (1 - p) for errors that are correlated by p from one reading to
     the next. One reading, that which moves the slope most, is left out: it may be a reflection.
     """
-    chosen = _within(readings, length_s, end_s)
-    if len(chosen) < LEAST_READINGS * length_s:
+    if not len(table):
         return None
-    t = np.array([one.turn.time_ns - chosen[-1].turn.time_ns for one in chosen]) / SECOND_NS
-    if t[-1] - t[0] < LEAST_SHARE * length_s:
+    chosen = table[table[:, 0] >= table[-1, 0] - length_s]
+    t = chosen[:, 0] - chosen[-1, 0]
+    if len(chosen) < LEAST_READINGS * length_s or -t[0] < LEAST_SHARE * length_s:
         return None
-    yaw = np.array([one.turn.less(bias) for one in chosen])
-    off = np.array([one.angle for one in chosen]) - yaw
-    middle = np.angle(np.exp(1j * off).sum())
-    off = np.remainder(off - middle + np.pi, 2.0 * np.pi) - np.pi
-    rate = np.array([one.turn.rate for one in chosen])
-    v = np.array([one.variance for one in chosen]) + LEAST_SD**2 + (time_sd_s * rate) ** 2
+    yaw = chosen[:, 3] - chosen[:, 4:7] @ np.array(bias)
+    off = chosen[:, 1] - yaw
+    off = np.remainder(off - float(np.angle(np.exp(1j * off).sum())) + np.pi, 2.0 * np.pi) - np.pi
+    v = chosen[:, 2] + LEAST_SD**2 + (time_sd_s * chosen[:, 7]) ** 2
     return _without_the_worst(t, off, yaw, v, correlation_s)
-
-
-def _within(readings: Sequence[Reading], length_s: float, end_s: float) -> list[Reading]:
-    if not readings:
-        return []
-    last_ns = readings[-1].turn.time_ns - round(end_s * SECOND_NS)
-    first_ns = last_ns - round(length_s * SECOND_NS)
-    return [one for one in readings if first_ns <= one.turn.time_ns <= last_ns]
 
 
 def _without_the_worst(t: FloatArray, off: FloatArray, yaw: FloatArray, v: FloatArray, correlation_s: float) -> Trend:

@@ -5,7 +5,7 @@ import pytest
 
 from services.core.spoofing.gyroscope.sources import Reading
 from services.core.spoofing.gyroscope.track import Turn
-from services.core.spoofing.observer.trend import OFFSET_SD, Trend, trend
+from services.core.spoofing.observer.trend import OFFSET_SD, Trend, row_of, trend
 
 NS = 1_000_000_000
 NOISE = 0.01  # [rad]
@@ -18,7 +18,8 @@ def slope(angles: list[float], *, yaw: float = 0.0, length: int = 60) -> Trend |
         Reading(angle + yaw * k, NOISE**2, Turn(k * NS, yaw * k, (0.0, 0.0, float(k)), yaw, (0.0, 0.0, 1.0)))
         for k, angle in enumerate(angles)
     ]
-    return trend(readings, NO_BIAS, float(length), correlation_s=0.1, time_sd_s=0.0)
+    table = np.array([row_of(one, 0) for one in readings]).reshape(-1, 8)
+    return trend(table, NO_BIAS, float(length), correlation_s=0.1, time_sd_s=0.0)
 
 
 def test_a_slope_is_found_whatever_the_vehicle_turns_by() -> None:
