@@ -24,6 +24,7 @@ from shared.trust.accused import IMU
 from shared.trust.result import Test, judged
 
 from ..codes import Code
+from ..inertial.tracks import Series
 from ..settings import Settings
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,9 +32,21 @@ FloatArray = npt.NDArray[np.float64]
 NAME = "gravity"
 SIDE, GAP = 10, 2  # [s] of the means before and after, and between them
 LEAST_DEG = 1.0
+ODOMETER_GAP_S = 2.5
+WAITING = 5  # seconds for which speeds may be late
 KEPT_S = 120  # for which a knock is stated: until the mounting can have been found again
 ALONG_SD = 0.3  # [m/s²] of the acceleration along: a drag that GNSS and odometer share is no knock
 ACROSS_SD, ACROSS_SHARE = 0.1, 0.1  # [m/s²] likewise, and as a share of speed times yaw rate: sideslip, lever arms
+
+
+class _Waiting(NamedTuple):
+    """One second that the speeds have not reached yet."""
+
+    end_ns: int
+    force: FloatArray  # shape (3,) [m/s², body]
+    frame: FloatArray  # shape (3, 3) common frame from body, in the middle
+    angle: FloatArray  # shape (3,) [rad, body]
+    duration_s: float
 
 
 class _Second(NamedTuple):
@@ -53,19 +66,22 @@ class Gravity:
         self._seconds: deque[_Second] = deque(maxlen=2 * SIDE + GAP)
         self._frame: FloatArray = np.eye(3)  # of the present body axes
         self._open: list[Increment] = []
-        self._speeds: deque[tuple[int, float]] = deque(maxlen=200)
+        self._waiting: deque[_Waiting] = deque(maxlen=WAITING)
+        self._speeds = Series(500, ODOMETER_GAP_S)
         self._before: float | None = None  # speed at the end of the last second
         self._knock: Test | None = None
         self._knock_ns = 0
 
     def speed(self, time_ns: int, speed_m_s: float) -> None:
         """Use the speed of the wheels."""
-        self._speeds.append((time_ns, speed_m_s))
+        if self._speeds.newest_ns is None or time_ns > self._speeds.newest_ns:
+            self._speeds.add(time_ns, speed_m_s)
 
     def clear(self) -> None:
         """Begin anew: the inertial samples have a gap."""
         self._seconds.clear()
         self._open.clear()
+        self._waiting.clear()
         self._before = None
 
     def advance(self, increments: Iterable[Increment], bias: Vector) -> None:
@@ -85,20 +101,23 @@ class Gravity:
         duration = float(step.sum())
         angle = ((rows[:, 3:6] - bias) * step[:, None]).sum(axis=0)
         force = (rows[:, :3] * step[:, None]).sum(axis=0) / duration
-        half = self._frame @ _rotation(0.5 * angle)
+        self._waiting.append(_Waiting(end_ns, force, self._frame @ _rotation(0.5 * angle), angle, duration))
         self._frame = self._frame @ _rotation(angle)
-        speed, before = self._speed_at(end_ns), self._before
+        reached_ns = self._speeds.newest_ns or 0
+        while self._waiting and self._waiting[0].end_ns <= reached_ns:
+            self._take(self._waiting.popleft())
+
+    def _take(self, one: _Waiting) -> None:
+        """Remove the acceleration of the wheels from a second that the speeds have reached."""
+        speed, before = self._speeds.at(one.end_ns), self._before
         self._before = speed
         if speed is None or before is None:
             self._seconds.clear()
             return
-        across = 0.5 * (speed + before) * float(angle[2]) / duration
-        force = force - np.array([(speed - before) / duration, across, 0.0])
-        self._seconds.append(_Second(end_ns, half @ force, across, float(np.linalg.norm(angle))))
-
-    def _speed_at(self, time_ns: int) -> float | None:
-        known = [speed for stamp_ns, speed in self._speeds if abs(stamp_ns - time_ns) <= SECOND_NS // 4]
-        return sum(known) / len(known) if known else None
+        across = 0.5 * (speed + before) * float(one.angle[2]) / one.duration_s
+        force = one.force - np.array([(speed - before) / one.duration_s, across, 0.0])
+        turn = float(np.linalg.norm(one.angle))
+        self._seconds.append(_Second(one.end_ns, one.frame @ force, across, turn))
 
     def verdict(self, bias_variance: float, false_alarm_rate: float) -> Test:
         """Test the newest two sides; a knock is stated for two minutes."""

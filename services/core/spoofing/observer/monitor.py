@@ -62,6 +62,8 @@ class ObserverMonitor:
         self._turns: dict[str, Test] = {}  # newest of each window
         self._filter: NavigationSolution | None = None  # newest: what is compared with the observer
         self._exceeded: Counter[str] = Counter()
+        self._doubts: Counter[str] = Counter()
+        self._doubt = chi_square_limit(1, settings.long.doubt_rate)
         self._largest = 0.0  # difference of the biases [rad/s] in the present episode
         self._known: dict[str, Test] = {}
 
@@ -147,7 +149,7 @@ class ObserverMonitor:
         end_ns = self.observer.newest_ns
         slope = None if bias is None else self._trend(bias, length)
         if bias is None or slope is None or end_ns is None:
-            self._exceeded[name] = 0
+            self._count(name, above=False, doubtful=False)
             return base if bias is None else replace(base, why=explain(Code.NO_COURSES))
         common = self._common(slope, variance)
         differences = {Source.COURSE: Difference(-slope.rate, slope.variance)}
@@ -157,9 +159,9 @@ class ObserverMonitor:
         statistic, limit = slope.rate**2 / (slope.variance + common), chi_square_limit(1, rate)
         ballot = vote(differences, common, rate)
         suspects = () if ballot is None else ballot.suspects
-        above = statistic > limit and GNSS in suspects
-        above = above and not (slope.jumps or self._ended(slope, bias, length, common))
-        self._exceeded[name] = self._exceeded[name] + 1 if above else 0
+        doubtful = statistic > self._doubt and GNSS in suspects
+        doubtful = doubtful and not (slope.jumps or self._ended(slope, bias, length, common))
+        self._count(name, above=doubtful and statistic > limit, doubtful=doubtful)
         age_s = (end_ns - bias.time_ns) / SECOND_NS
         why = explain(
             Code.OBSERVED_TURN, difference_deg_s=degrees(slope.rate), sd_deg_s=degrees(sqrt(slope.variance + common)),
@@ -167,6 +169,15 @@ class ObserverMonitor:
         )  # fmt: skip
         begin_ns = end_ns - length * SECOND_NS
         base = replace(base, why=why, accused=suspects or BY_EITHER, suspect_since_ns=begin_ns)
+        return self._judged(name, base, statistic, limit)
+
+    def _count(self, name: str, *, above: bool, doubtful: bool) -> None:
+        """Count successive evaluations above the threshold, and above that of a doubt."""
+        self._exceeded[name] = self._exceeded[name] + 1 if above else 0
+        self._doubts[name] = self._doubts[name] + 1 if doubtful else 0
+
+    def _judged(self, name: str, base: Test, statistic: float, limit: float) -> Test:
+        base = replace(base, doubtful=self._doubts[name] >= CONSECUTIVE)
         return judged(base, statistic, limit, accuses=self._exceeded[name] >= CONSECUTIVE)
 
     def _trend(self, bias: Bias, length: int) -> Trend | None:
@@ -205,20 +216,20 @@ class ObserverMonitor:
             accused=BY_EITHER,
         )  # fmt: skip
         if bias is None or newest is None or down is None or newest.gyroscope_bias_sd_rad_s is None:
-            self._exceeded[BIAS] = 0
+            self._count(BIAS, above=False, doubtful=False)
             return base
         earth = EARTH_RATE * sin(radians(newest.latitude_deg))
         apart = dot(down, newest.gyroscope_bias_rad_s) - earth - dot(down, bias.value)
         of_filter = max(newest.gyroscope_bias_sd_rad_s) ** 2 + self.settings.long.gyroscope_bias_sd_rad_s**2
         total = of_filter + variance
         statistic, limit = apart**2 / total, chi_square_limit(1, rate)
-        self._largest = max(self._largest, abs(apart)) if statistic > limit else 0.0
-        above = statistic > limit and abs(apart) > RETURNING * self._largest
-        self._exceeded[BIAS] = self._exceeded[BIAS] + 1 if above else 0
+        self._largest = max(self._largest, abs(apart)) if statistic > self._doubt else 0.0
+        doubtful = statistic > self._doubt and abs(apart) > RETURNING * self._largest
+        self._count(BIAS, above=doubtful and statistic > limit, doubtful=doubtful)
         why = explain(
             Code.OBSERVED_BIAS, difference_deg_s=degrees(apart), sd_deg_s=degrees(sqrt(total)),
             age_s=round((newest.sampled_ns - bias.time_ns) / SECOND_NS),
         )  # fmt: skip
         since_ns = newest.sampled_ns - round(BIAS_WINDOW_S * SECOND_NS)
         base = replace(base, why=why, suspect_since_ns=since_ns)
-        return judged(base, statistic, limit, accuses=self._exceeded[BIAS] >= CONSECUTIVE)
+        return self._judged(BIAS, base, statistic, limit)
