@@ -17,7 +17,7 @@ SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 # Each process of a unit would compile its sources anew: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check calculating types running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
+.PHONY: help setup demo test check calculating types running slow up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets

@@ -11,6 +11,7 @@ import numpy as np
 from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import EARTH_RATE
 from shared.maths.quantiles import chi_square_limit
+from shared.maths.rotation import Vector
 from shared.messages.explanation import explain
 from shared.messages.navigation import NavigationSolution
 from shared.messages.trust import Outcome
@@ -86,8 +87,8 @@ class ObserverMonitor:
         increments = tuple(increments)
         if not self.observer.advance(increments):
             self._courses.clear()
-        if self.observer.bias is not None:
-            self.gravity.advance(increments, self.observer.bias.value)
+        if (known := self._bias_for_gravity()) is not None:
+            self.gravity.advance(increments, known[0])
         self._courses.advance(self.observer)
         self._tabulate()
 
@@ -127,6 +128,20 @@ class ObserverMonitor:
         sd = sqrt(variance)
         return Bias(found.time_ns, found.value, (sd, sd, sd)), variance
 
+    def _bias_for_gravity(self) -> tuple[Vector, float] | None:
+        """Bias and its variance of an axis for the 12 s over which gravity is carried, None where none is known.
+
+        Before the first standstill that of the filter serves: what an attack teaches it, 0.05 deg/s, is half a degree.
+        """
+        bias, variance = self._bias()
+        if bias is not None:
+            return bias.value, variance
+        of_filter = self._filter
+        if of_filter is None or of_filter.gyroscope_bias_sd_rad_s is None:
+            return None
+        sd = max(of_filter.gyroscope_bias_sd_rad_s)
+        return of_filter.gyroscope_bias_rad_s, sd**2 + self.settings.long.gyroscope_bias_sd_rad_s**2
+
     def verdicts(self, time_ns: int, of_wheels: OfWheels) -> Mapping[str, Test]:
         """Test every window, and the bias."""
         bias, variance = self._bias()
@@ -136,7 +151,9 @@ class ObserverMonitor:
                 found[name_of(length)] = self._turn(length, bias, variance, of_wheels)
         self._turns = dict(found)
         found[BIAS] = self._of_bias(bias, variance)
-        found[GRAVITY] = self.gravity.verdict(variance, self.settings.gyroscope.false_alarm_rate)
+        known = self._bias_for_gravity()
+        rate = self.settings.gyroscope.false_alarm_rate
+        found[GRAVITY] = self.gravity.verdict(0.0 if known is None else known[1], rate)
         self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in found.items()}
         return self._known
 
