@@ -17,7 +17,7 @@ SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 # Each process of a unit would compile its sources anew: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test quick check calculating types running slow up down containers docs lock papers attack-lab alarms bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
+.PHONY: help setup demo test quick check calculating types running slow up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -128,6 +128,9 @@ attack-lab: setup ## attack simulated drives, scored against the truth (11 minut
 alarms: setup ## count false alarms of the monitors in fault-free epochs (11 minutes)
 	@$(PYTHON) -m benchmarks.false_alarms $(CAMPAIGN)
 	@$(PYTHON) -m benchmarks.false_alarms_satellites $(CAMPAIGN)
+
+turns: setup ## find the smallest turn rate of a GNSS track that the observer of the gyroscope sees, by grade (10 minutes)
+	@$(PYTHON) -m benchmarks.turns $(CAMPAIGN)
 
 bench: $(VENV)/.testing $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks $(SIZE)

@@ -40,6 +40,13 @@ class Code(StrEnum):
     YAW_RATES = "spoofing.yaw_rates"
     YAW_RATES_WITHOUT_WHEELS = "spoofing.yaw_rates_without_wheels"
     YAW_RATES_LEARNING = "spoofing.yaw_rates_learning"
+    # yaw of standstills, which GNSS never touches
+    NO_STANDSTILL_YET = "spoofing.no_standstill_yet"
+    NO_COURSES = "spoofing.no_courses"
+    OBSERVED_TURN = "spoofing.observed_turn"
+    OBSERVED_BIAS = "spoofing.observed_bias"
+    NO_GRAVITY = "spoofing.no_gravity"
+    GRAVITY = "spoofing.gravity"
     # sums of innovations
     FEW_INNOVATIONS = "spoofing.few_innovations"
     LEARNING_SPREAD = "spoofing.learning_spread"

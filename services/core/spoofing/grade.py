@@ -36,6 +36,14 @@ LONG: Mapping[Grade, Mapping[str, float]] = {
     Grade.INDUSTRIAL: {},
     Grade.TACTICAL: {},
 }  # fmt: skip
+# What the observer assumes of the gyroscope biases since the last standstill. A consumer sensor walks by 0.014 deg/s in
+# ten minutes, which a change of its temperature by a kelvin or two explains.
+OBSERVER: Mapping[Grade, Mapping[str, float]] = {
+    Grade.CONSUMER: {"gyroscope_instability_rad_s": 7e-5, "gyroscope_bias_walk_rad_s_sqrt_s": 1e-5},
+    Grade.AUTOMOTIVE: {"gyroscope_instability_rad_s": 5e-5, "gyroscope_bias_walk_rad_s_sqrt_s": 3e-6},
+    Grade.INDUSTRIAL: {},
+    Grade.TACTICAL: {"gyroscope_instability_rad_s": 5e-6, "gyroscope_bias_walk_rad_s_sqrt_s": 2e-7},
+}
 
 
 def profile_of(grade: Grade) -> Profile:

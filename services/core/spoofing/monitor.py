@@ -151,8 +151,8 @@ class InertialMonitor:
         if newest is None or fix.time_ns > newest.time_ns:
             self._pending.append(fix)
 
-    def odometer(self, time_ns: int, speed: float, resolution: float | None) -> None:
-        """Use the odometer's speed [m/s]; the sign of a vehicle speed does not say whether it reverses."""
+    def odometer(self, time_ns: int, speed: float, resolution: float | None) -> bool:
+        """Use the odometer's speed [m/s], if it is plausible; its sign does not say whether the vehicle reverses."""
         newest_ns, true_ns = self._odometer.newest_ns, time_ns - round(self.settings.long.odometer_delay_s * SECOND_NS)
         if newest_ns is not None and true_ns <= newest_ns:
             self.rejected["odometer: stamp is not after the one before"] += 1
@@ -161,6 +161,8 @@ class InertialMonitor:
         else:
             self._odometer.add(true_ns, speed)
             self._resolution = min(max(resolution or 0.0, 0.0), 3.0)
+            return True
+        return False
 
     def heed(self, *, odometer: bool, imu: bool, in_conflict: bool) -> None:
         """Follow core.trust: free propagations with an excluded sensor, or of a conflict, start again after it."""

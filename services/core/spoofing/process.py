@@ -26,14 +26,16 @@ from shared.trust.result import deciding, statement
 
 from .codes import Code
 from .drift.monitor import DriftMonitor
-from .grade import LONG, UNKNOWN, Grade, profile_of
-from .gyroscope.monitor import GyroscopeMonitor
+from .grade import LONG, OBSERVER, UNKNOWN, Grade, profile_of
+from .gyroscope.monitor import GyroscopeMonitor, agreed
+from .gyroscope.sources import fastest
 from .inertial.anchors import is_readable
 from .inertial.tracks import UNKNOWN_VERTICAL_SD
 from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
+from .observer.monitor import ObserverMonitor
 from .profile import Origin, Profile
-from .settings import LongSettings, Settings
+from .settings import LongSettings, ObserverSettings, Settings
 from .statements import paused_statements, statements
 from .windows.position_step import UNKNOWN_SD_M
 
@@ -90,7 +92,11 @@ def with_grade(values: Mapping[str, object], grade: Grade) -> dict[str, object]:
     for key, value in LONG[grade].items():
         walk = given.get(key) if "random_walk" in key else None
         given[key] = max(value, walk) if isinstance(walk, int | float) else given.get(key, value)
-    return {"profile": profile_of(grade), **values, "long": given}
+    observer = values.get("observer", {})
+    stated = observer.model_dump(exclude_unset=True) if isinstance(observer, ObserverSettings) else observer
+    return {
+        "profile": profile_of(grade), **values, "long": given, "observer": {**OBSERVER[grade], **cast(Table, stated)},
+    }  # fmt: skip
 
 
 def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
@@ -167,6 +173,7 @@ class Process:
         self.monitor = InertialMonitor(self._settings)
         self.gyroscope = GyroscopeMonitor(self._settings, self.rejects)
         self.drift = DriftMonitor(self._settings, self.rejects)
+        self.observer = ObserverMonitor(self._settings)
         self._lesson = Lesson(self._settings.profile)
         self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
@@ -202,6 +209,7 @@ class Process:
                 self._solution = message
                 self.monitor.solution(message)
                 self.gyroscope.solution(message)
+                self.observer.solution(message)
                 self.drift.solution(message)
             case AidingUpdate():
                 self.drift.innovation(message)
@@ -253,11 +261,18 @@ class Process:
                 self.monitor.fix(message.sampled_ns, *velocity_of(message), *position_of(message))
                 self.gyroscope.fix(message, *velocity_of(message))
             case VehicleSpeed() if self._speed.takes(message.source, message.received_ns):
-                self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
+                if self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s):
+                    self.observer.wheels(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
+                    self.observer.gravity.speed(self._when_of_wheels(message.sampled_ns), message.speed_m_s)
                 self.drift.speed(message.sampled_ns)
             case WheelSpeeds() if self._wheels.takes(message.source, message.received_ns):
                 self.gyroscope.speeds(message)
+                self.observer.wheels(self._when_of_wheels(message.sampled_ns), fastest(message))
                 self.drift.speed(message.sampled_ns)
+
+    def _when_of_wheels(self, time_ns: int) -> int:
+        """When a speed with a stamp was true."""
+        return time_ns - round(self._settings.long.odometer_delay_s * 1e9)
 
     def _evaluated(self, time_ns: int) -> Iterator[Out]:
         """Publish both statements, and once a minute what this drive has taught."""
@@ -265,14 +280,24 @@ class Process:
             self._compare_profile()
         self.monitor.learning = self._learning()
         yield from statements(self.monitor.verdicts(time_ns), time_ns, self._warning)
-        rates = self.gyroscope.verdicts(time_ns, self.monitor.taken)
-        yield statement("gyroscope", deciding(rates.values()), time_ns, rates)
+        yield self._of_yaw(time_ns)
         self.monitor.taken.clear()
         sums = self.drift.verdicts(time_ns)
         yield statement("drift", deciding(sums.values()), time_ns, sums)
         self._lesson.add(time_ns, self.monitor.window, self.monitor.long_statistics.values())
         if self._lesson.is_due(time_ns) and (origin := self.origin) is not None:
             yield self._lesson.result(time_ns, origin)
+
+    def _of_yaw(self, time_ns: int) -> TrustMonitor:
+        """Statement of the monitor `gyroscope`: windows of up to 30 s, and of up to 300 s against the observer."""
+        self.observer.courses(self.gyroscope.new_courses())
+        self.observer.advance(self.monitor.taken)
+        if self._solution is not None:
+            self.gyroscope.observed = self.observer.reference(self._solution.latitude_deg)
+        rates = self.gyroscope.verdicts(time_ns, self.monitor.taken)
+        turns = self.observer.verdicts(time_ns, self.gyroscope.of_wheels)
+        tests = agreed({**rates, **turns})
+        return statement("gyroscope", deciding(tests.values()), time_ns, tests)
 
     @property
     def origin(self) -> Origin | None:
@@ -353,6 +378,7 @@ class Process:
     def _restart(self, time_ns: int) -> None:
         """Start again with what was counted, because the time line has started again earlier."""
         self._restart_monitor()
+        self.observer = ObserverMonitor(self._settings)
         self.rejects["time line started again"] += 1
         self._newest_ns = time_ns
 

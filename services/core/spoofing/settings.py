@@ -6,6 +6,7 @@ from math import hypot, radians
 from pydantic import Field
 
 from shared.runtime.config import Section, VehicleSettings
+from shared.trust.budget import rate_of
 
 from .grade import Grade
 from .profile import UNIT_IMU, Profile
@@ -44,7 +45,10 @@ class LongSettings(Section):
     """Free propagation over 30 and 60 s."""
 
     false_alarm_rate: float = Field(
-        default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+        default=rate_of("long"),
+        gt=0.0,
+        lt=0.5,
+        description="false-alarm rate of each window, per evaluation: its share of one false alarm in ten hours",
     )
     doubt_rate: float = Field(
         default=3e-3,
@@ -123,7 +127,20 @@ class GyroscopeSettings(Section):
     """Yaw rate of the gyroscope against wheels, GNSS course and headings."""
 
     false_alarm_rate: float = Field(
-        default=1e-6, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+        default=rate_of("gyroscope"), gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+    )
+
+
+class ObserverSettings(Section):
+    """Yaw and gyroscope bias of standstills, which GNSS never touches."""
+
+    gyroscope_instability_rad_s: float = Field(
+        default=4e-5, ge=0.0, description="in-run instability of the gyroscope biases: 8 deg/h of an industrial sensor"
+    )
+    gyroscope_bias_walk_rad_s_sqrt_s: float = Field(
+        default=1e-6,
+        ge=0.0,
+        description="random walk of the gyroscope biases since the last standstill, changes of temperature included",
     )
 
 
@@ -131,7 +148,10 @@ class DriftSettings(Section):
     """Sums of GNSS innovations over 30, 100 and 300 s."""
 
     false_alarm_rate: float = Field(
-        default=1e-6, gt=0.0, lt=0.5, description="false-alarm rate of each test of each window, per evaluation"
+        default=rate_of("drift"),
+        gt=0.0,
+        lt=0.5,
+        description="false-alarm rate of each test of each window, per evaluation",
     )
 
 
@@ -151,6 +171,7 @@ class Settings(VehicleSettings):
     gnss: GnssSettings = GnssSettings()
     long: LongSettings = LongSettings()
     gyroscope: GyroscopeSettings = GyroscopeSettings()
+    observer: ObserverSettings = ObserverSettings()
     drift: DriftSettings = DriftSettings()
     profile: Profile = Field(default=UNIT_IMU, description="standard deviations of the 5 s metrics, and their origin")
     stale_after_s: float = Field(default=3.0, gt=0.0, description="age of GNSS or inertial data that ends a comparison")

@@ -14,6 +14,7 @@ from shared.messages.trust import Hypothesis, Outcome
 from shared.trust.accused import GNSS, IMU
 
 from .facts import INERTIAL, SECOND_NS, Facts, Monitor
+from .hypotheses.evidence import GRAVITY_TESTS
 from .verdict import solution_lost
 
 HEALTHY_S = 2.0
@@ -186,10 +187,13 @@ def _may_be_alike(facts: Facts) -> bool:
 def judge_imu(facts: Facts) -> Judgement:
     """Say the same of the inertial sensors.
 
-    They agree when the short windows pass, the gyroscope is not accused, and the filter is within the spread of the
+    They are decided against only where they contradict themselves: GNSS, wheel speeds and the yaw of the wheels may all
+    be falsified alike, and then it looks as if the inertial sensors were wrong. They agree when the short windows pass,
+    the gyroscope is not accused, and the filter is within the spread of the
     solution without them. The long windows reach back into the fault, and the drift as well.
     """
-    alone = facts.acts_on(Hypothesis.IMU)
+    knocked = GRAVITY_TESTS & set(facts.statement(Monitor.GYROSCOPE).accusing_tests)
+    alone = facts.acts_on(Hypothesis.IMU) and bool(knocked)
     accusing = facts.accusing((Monitor.INERTIAL_SHORT, Monitor.GYROSCOPE), IMU)
     other = facts.alternatives.get(Hypothesis.IMU)
     agrees = not accusing and (is_lost(facts) or (other is not None and other.agrees))

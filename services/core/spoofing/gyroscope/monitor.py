@@ -17,24 +17,22 @@ from shared.messages.vehicle import WheelSpeeds
 from shared.trust.result import Test, dated
 
 from ..codes import Code
-from ..settings import UNKNOWN_AXLE_M, Settings
+from ..settings import Settings
 from .axle import Axle, AxleSecond, combined
 from .bias import Bias, ReferenceBias
-from .sources import Headings, Reading, Second, WheelSeconds
+from .sources import LEAST_COURSE_M_S, Course, Headings, Reading, Second, WheelSeconds, course_of
 from .track import GyroscopeTrack
 from .vote import Difference, Source, Vote, vote
 
 # [s] Wheels alone tell 0.5 deg/s from noise over 10 s, not over 5.
 LENGTHS_S = (5, 10, 30)
 CONSECUTIVE = 2  # evaluations above the threshold that accuse
+COURSES = 100  # that wait for the observer
 LEAST_SHARE = 0.8  # of the seconds of a window that wheel speeds must cover
-LEAST_COURSE_M_S = 5.0  # GNSS speed that has a course
 STILL_M_S = 0.3  # GNSS speed of a vehicle that stands: six times the least standard deviation of an axis
 # [rad/s] Mean yaw rate of a vehicle that stands, over 5 s: a body that sways on its springs by a millimetre at the
 # bumper, 2 m from its middle, turns by 0.03 deg.
 STILL_SD = 3e-4
-# [rad s²/m] Sideslip of the rear axle per lateral acceleration: cornering compliance of passenger cars, 2 to 4 deg/g.
-SIDESLIP = 5e-3
 COMPASS_SD = 0.17  # [rad] of a magnetic heading: iron that the vehicle passes turns it by ten degrees
 LEARNING_DELAY_S = 30  # for which seconds wait before they are learned, the longest window
 USEFUL_SD = 5e-3  # [rad/s] of the wheels' yaw rate over 5 s, above which it is still being learned
@@ -64,12 +62,11 @@ class GyroscopeMonitor:
         self._inconspicuous_ns: dict[int, int] = {}
         self._known: dict[str, Test] = {}
         self._suspected = False
+        self.observed: Bias | None = None  # by standstills, which no attack has taught
         self._acquitted: set[str] = set()  # by an earlier evaluation of this episode
         self._quiet_s = 0  # since a window accused
         self._agreed_s = 0
-        arm, axle = settings.vehicle.gnss.lever_arm_body_m, settings.vehicle.rear_axle_body_m
-        self._ahead_m = arm[0] - (axle[0] if axle is not None else 0.0)
-        self._ahead_sd_m = UNKNOWN_AXLE_M if axle is None else 0.1
+        self._courses: deque[Course] = deque(maxlen=COURSES)  # new ones, for the comparison with the observer
 
     def solution(self, solution: NavigationSolution) -> None:
         """Use tilt and gyroscope bias of fusion."""
@@ -101,12 +98,25 @@ class GyroscopeMonitor:
             return
         time_ns, speed = fix.sampled_ns - round(gnss.velocity_delay_s * SECOND_NS), hypot(*velocity_n[:2])
         self._note_standstill(time_ns, hypot(speed, sd))
-        if speed >= LEAST_COURSE_M_S:
-            slip_s = hypot(SIDESLIP * speed, self._ahead_sd_m / speed)
-            course = atan2(velocity_n[1], velocity_n[0])
+        course = course_of(self.settings, time_ns, velocity_n, sd)
+        if course is not None:
+            self._courses.append(course)
             self._headings[Source.COURSE].add(
-                time_ns, course, (sd / speed) ** 2, ahead_s=self._ahead_m / speed, slip_s=slip_s
+                time_ns, course.angle, course.variance, ahead_s=course.ahead_s, slip_s=course.slip_s
             )
+
+    def new_courses(self) -> list[Course]:
+        """Courses since the last call."""
+        found = list(self._courses)
+        self._courses.clear()
+        return found
+
+    def of_wheels(self, end_ns: int, bias: Bias, length: int) -> Difference | None:
+        """Gyroscope minus wheels over the seconds before a time, with a bias that has the Earth's rate in it."""
+        earth = self.track.earth
+        x, y, z = (value + axis * earth for value, axis in zip(bias.value, self.track.axis, strict=True))
+        found = self._of_wheels(end_ns, bias._replace(value=(x, y, z)), length)
+        return None if found is None else found[0]
 
     def _note_standstill(self, time_ns: int, largest_m_s: float) -> None:
         """Note since when GNSS has stood, by velocities that follow each other within 2 s."""
@@ -134,6 +144,7 @@ class GyroscopeMonitor:
         for headings in self._headings.values():
             headings.advance(self.track)
         bias = self._reference.advance(time_ns, suspected=self._suspected)
+        bias = self._better(bias)
         votes = {} if bias is None else self._votes(bias)
         self._acquit(votes)
         found = {f"yaw_rate_{length}": self._verdict(time_ns, length, votes.get(length)) for length in LENGTHS_S}
@@ -142,6 +153,14 @@ class GyroscopeMonitor:
         self._release(votes)
         self._learn()
         return self._known
+
+    def _better(self, of_filter: Bias | None) -> Bias | None:
+        """The bias of standstills, unless that of the filter of a minute ago is known better."""
+        observed = self.observed
+        if observed is None or of_filter is None:
+            return of_filter
+        sd = hypot(*of_filter.sd, self.settings.long.gyroscope_bias_sd_rad_s)
+        return observed if hypot(*observed.sd) < sd else of_filter
 
     def _acquit(self, votes: Mapping[int, Vote]) -> None:
         """Remember who cannot be wrong in this episode, which ends when nothing has accused for the longest window."""

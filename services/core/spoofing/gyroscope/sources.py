@@ -2,22 +2,61 @@
 
 from collections import Counter, deque
 from collections.abc import Iterator
-from math import hypot, isfinite
-from typing import NamedTuple
+from math import atan2, hypot, isfinite
+from typing import NamedTuple, Protocol
 
 from shared.inertial.increments import SECOND_NS
 from shared.maths.rotation import Vector
 from shared.messages.vehicle import WheelSpeeds
 
+from ..settings import UNKNOWN_AXLE_M, Settings
 from .axle import AxleSecond
 from .track import GyroscopeTrack, Turn
 
-KEPT = 120  # seconds
+KEPT = 330  # seconds: the longest window, and what is late
 WAITING = 50  # samples and readings that the increments have not reached yet, 5 s
 LEAST_SAMPLES = 4  # of a second
 FASTEST_M_S = 100.0
 FRONT_CURVATURE = 0.07  # [1/m] up to which the cosine of the steering angle is above 0.98 (wheelbase of 2.8 m)
 SLOWEST_M_S = 0.5  # speed of the wheels below which they may turn unseen
+LEAST_COURSE_M_S = 5.0  # GNSS speed that has a course
+# [rad s²/m] Sideslip of the rear axle per lateral acceleration: cornering compliance of passenger cars, 2 to 4 deg/g.
+SIDESLIP = 5e-3
+
+
+class Track(Protocol):
+    """Yaw by the gyroscope over the last seconds."""
+
+    @property
+    def newest_ns(self) -> int | None:
+        """End of the track, None without one."""
+        ...
+
+    def at(self, time_ns: int) -> Turn | None:
+        """Turn at a time, None where it is not known."""
+        ...
+
+
+class Course(NamedTuple):
+    """Course of the antenna at a time, and what a yaw rate adds to it."""
+
+    time_ns: int
+    angle: float  # [rad]
+    variance: float  # [rad²] of the velocity's accuracy
+    ahead_s: float  # [s] times the yaw rate: angle by the lever arm between rear axle and antenna
+    slip_s: float  # [s] times the yaw rate: standard deviation by sideslip and an unknown axle
+
+
+def course_of(settings: Settings, time_ns: int, velocity_n: Vector, sd_m_s: float) -> Course | None:
+    """Course of a GNSS velocity [m/s, NED] with its standard deviation per axis, None of one that is too slow."""
+    speed = hypot(*velocity_n[:2])
+    if speed < LEAST_COURSE_M_S:
+        return None
+    arm, axle = settings.vehicle.gnss.lever_arm_body_m, settings.vehicle.rear_axle_body_m
+    ahead_m = arm[0] - (axle[0] if axle is not None else 0.0)
+    ahead_sd_m = UNKNOWN_AXLE_M if axle is None else 0.1
+    slip_s = hypot(SIDESLIP * speed, ahead_sd_m / speed)
+    return Course(time_ns, atan2(velocity_n[1], velocity_n[0]), (sd_m_s / speed) ** 2, ahead_m / speed, slip_s)
 
 
 class Second(NamedTuple):
@@ -93,7 +132,7 @@ class WheelSeconds:
         samples, self._open = self._open, []
         if len(samples) < LEAST_SAMPLES:
             return
-        turned = any(any(_wheels(speeds)) for _, speeds in samples)
+        turned = any(fastest(speeds) > 0.0 for _, speeds in samples)
         since_ns = self.stationary_since_ns
         still = not turned and since_ns is not None and since_ns <= self._number * SECOND_NS
         n = len(samples)
@@ -112,6 +151,11 @@ class WheelSeconds:
 
 def _wheels(speeds: WheelSpeeds) -> tuple[float | None, ...]:
     return speeds.rear_left_m_s, speeds.rear_right_m_s, speeds.front_left_m_s, speeds.front_right_m_s
+
+
+def fastest(speeds: WheelSpeeds) -> float:
+    """Speed of the fastest wheel [m/s]."""
+    return max((abs(value) for value in _wheels(speeds) if value is not None), default=0.0)
 
 
 def pair(speeds: WheelSpeeds, *, rear: bool) -> tuple[float, float] | None:
@@ -156,7 +200,7 @@ class Headings:
         self.readings.clear()
         self._waiting.clear()
 
-    def advance(self, track: GyroscopeTrack) -> None:
+    def advance(self, track: Track) -> None:
         """Take the readings that the increments have passed; the newest of a second stays."""
         reached = track.newest_ns
         while reached is not None and self._waiting and self._waiting[0][0] <= reached:

@@ -70,6 +70,16 @@ class GyroscopeTrack:
         return continuous
 
     @property
+    def axis(self) -> Vector:
+        """Down in body axes [-]."""
+        return self._axis or (0.0, 0.0, 1.0)
+
+    @property
+    def earth(self) -> float:
+        """Earth's rate about the vertical [rad/s], upwards positive."""
+        return self._earth
+
+    @property
     def newest_ns(self) -> int | None:
         """End of the track, None without one."""
         return self._turns[-1].time_ns if self._turns else None

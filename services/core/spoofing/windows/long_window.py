@@ -32,6 +32,7 @@ WIDE_SPACING_S = 20  # of propagations that are older than the longest length of
 FROZEN_S = 180  # age up to which a propagation is kept, if none younger takes its place
 RELEASE_RATE = 0.01  # of fault-free evaluations above the threshold of release
 LEAST_FIXES = 4  # of a mean over 5 s
+LEAST_PART = 2  # fixes of a part of them that is tested on its own
 DIMENSIONS = 3
 LATEST_NS = 1_900_000_000  # age at which a fix is still compared
 LEAST_POSITION_SD = 0.8  # [m] reflections differ between two places, whatever the receiver states
@@ -80,6 +81,15 @@ class _Result(Protocol):
 
 
 Found = TypeVar("Found", bound=_Result)
+
+
+def _parts(compared: list[_Passed], anchor_ns: int) -> list[list[_Passed]]:
+    """Fixes without the one that is farthest from a propagation, and the two halves of them."""
+    apart = [
+        float(np.linalg.norm(one.fix.velocity_n - one.nodes[one.rows[anchor_ns], :DIMENSIONS])) for one in compared
+    ]
+    worst, half = apart.index(max(apart)), len(compared) // 2
+    return [compared[:worst] + compared[worst + 1 :], compared[:half], compared[half:]]
 
 
 def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
@@ -252,7 +262,8 @@ class LongWindow:
         nodes = np.array([one.nodes[one.rows[anchor_ns]] for one in places]) - origin
         start, *ends = [one.fix.position for one in (first, *places) if one.fix.position is not None]
         apart = [ned_from_geodetic_difference(end, start)[:2] for end in ends]
-        d = (np.array(apart) - nodes[:, 3:5]).sum(axis=0) / len(places)
+        differences = np.array(apart) - nodes[:, 3:5]
+        d = differences.mean(axis=0)
         change = nodes[-1, :2]
         variance = sum(max(one.fix.position_sd, LEAST_POSITION_SD) ** 2 for one in (first, places[-1]))
         S = (
@@ -261,7 +272,12 @@ class LongWindow:
             + self._settings.long.position_time_sd_s**2 * np.outer(change, change)
         )
         S = self._settings.profile.long_factor**2 * S
-        return WayResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), anchor_ns)
+        # One place, or one half of the places, does not make a contradiction.
+        worst, half = int(np.hypot(*differences.T).argmax()), len(places) // 2
+        means = [d, *(part.mean(axis=0) for part in (np.delete(differences, worst, 0), differences[:half],
+                                                    differences[half:]))]  # fmt: skip
+        statistic = min(float(mean @ np.linalg.solve(S, mean)) for mean in means)
+        return WayResult(statistic, d, np.sqrt(np.diag(S)), anchor_ns)
 
     def result(self, length_s: int) -> LongResult | None:
         """Test with the youngest propagation of at least a length, and the one beside it; None without them."""
@@ -294,8 +310,16 @@ class LongWindow:
 
             (|v| - |v_free|)² / (u' S u) > limit with one degree of freedom
 
-        The covariance of a mean is at most the mean of the covariances, whatever the correlation of the errors.
+        The covariance of a mean is at most the mean of the covariances, whatever the correlation of the errors. One
+        fix or one half of the fixes makes no contradiction: the least of the statistics counts, of all fixes, of those
+        without the one that is farthest from the run, and of each half.
         """
+        parts = [compared, *_parts(compared, anchor_ns)]
+        found = [self._of_fixes(anchor_ns, part) for part in parts if len(part) >= LEAST_PART]
+        return replace(found[0], statistic=min(one.statistic for one in found))
+
+    def _of_fixes(self, anchor_ns: int, compared: list[_Passed]) -> LongResult:
+        """Test the mean difference of some fixes."""
         gnss = self._settings.gnss
         fixes = [one.fix for one in compared]
         times = np.array([(fix.time_ns - fixes[0].time_ns) / SECOND_NS for fix in fixes])

@@ -50,6 +50,7 @@ POWER: Mapping[Monitor, Mapping[Hypothesis, tuple[float, float]]] = {
 }
 OF_SOURCE = {GNSS: Hypothesis.GNSS, IMU: Hypothesis.IMU, ODOMETER: Hypothesis.ODOMETER}
 TIME_TESTS = frozenset({"host_time"})
+GRAVITY_TESTS = frozenset({"gravity"})  # of an inertial unit that contradicts itself
 
 
 def explained_by(statement: Statement, *, odometer_in_use: bool) -> dict[Hypothesis, float]:
@@ -72,7 +73,11 @@ def explained_by(statement: Statement, *, odometer_in_use: bool) -> dict[Hypothe
         return {Hypothesis.GNSS_AND_ODOMETER: EXPLAINED, Hypothesis.IMU: PARTLY}
     if monitor is Monitor.HYPOTHESES and len(named) > 1:
         return {Hypothesis.GNSS_AND_ODOMETER: EXPLAINED, Hypothesis.IMU: EXPLAINED}
+    if named == {IMU} and GRAVITY_TESTS & set(statement.accusing_tests):
+        return {Hypothesis.IMU: EXPLAINED}  # accelerometers against gyroscopes: no other source has a part in it
     found = {hypothesis: EXPLAINED for name, hypothesis in OF_SOURCE.items() if name in named}
+    if monitor is Monitor.GYROSCOPE and IMU in named and odometer_in_use:  # course and wheels falsified alike
+        found[Hypothesis.GNSS_AND_ODOMETER] = EXPLAINED if named == {IMU} else PARTLY
     if monitor is Monitor.SATELLITES and any(_is_satellite(name) for name in named):
         found[Hypothesis.SATELLITES] = EXPLAINED
     if monitor is Monitor.EVIDENCE and TIME_TESTS & set(statement.accusing_tests):

@@ -7,7 +7,7 @@ from services.core.trust.facts import Monitor
 from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
-from shared.messages.trust import Hypothesis, Outcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import Hypothesis, MonitorTest, Outcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import Vehicle
 from shared.words.words import words
 
@@ -125,21 +125,27 @@ def test_gnss_is_excluded_only_if_nothing_else_can_be_wrong_and_there_is_a_good_
     assert last.state in (TrustLevel.UNSAFE, TrustLevel.CAUTION)
 
 
-def test_an_inertial_unit_that_gyroscope_and_windows_accuse_is_excluded_and_gnss_is_not() -> None:
+@pytest.mark.parametrize("knocked", [True, False])
+def test_an_inertial_unit_is_excluded_only_where_it_contradicts_itself(knocked: bool) -> None:
+    """Course and wheels against the gyroscope may be falsified alike; gravity against the gyroscopes may not."""
     process = Process(Config())
     second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
+    name = "gravity" if knocked else "yaw_rate_10"
+    tests = (MonitorTest(name=name, outcome=Outcome.ACCUSES),)
     found: list[TrustState] = []
     for k in range(2, 16):
         now_ns = k * SECOND_NS
         accusing = [
             statement(Monitor.INERTIAL_SHORT, now_ns, Outcome.ACCUSES, ("gnss", "imu")),
-            statement(Monitor.GYROSCOPE, now_ns, Outcome.ACCUSES, ("imu",)),
+            statement(Monitor.GYROSCOPE, now_ns, Outcome.ACCUSES, ("imu",)).model_copy(update={"tests": tests}),
         ]
         names = {one.monitor for one in accusing}
         others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and one.monitor not in names]
         state = navigation_state(now_ns, 10.0)
         found += [one for one in second(process, now_ns, [state, *others, *accusing]) if isinstance(one, TrustState)]
-    assert found[-1].imu_excluded and not found[-1].gnss_excluded
+    assert found[-1].imu_excluded is knocked and not found[-1].gnss_excluded
+    if not knocked:
+        return
     assert found[-1].suspect_since_ns is None, "GNSS is in conflict no more"
     assert "the inertial sensors are wrong" in " ".join(found[-1].reasons)
 

@@ -97,7 +97,7 @@ def test_white_innovations_pass_for_ten_minutes(seed: int) -> None:
     assert set(rows[-1]) == {f"{kind}_{length}" for kind in KIND for length in (30, 100, 300)}
 
 
-@pytest.mark.parametrize(("sds", "within_s"), [(2.0, 30), (1.0, 70), (0.5, 200)])
+@pytest.mark.parametrize(("sds", "within_s"), [(2.0, 30), (1.0, 75), (0.5, 240)])
 def test_a_mean_of_a_fraction_of_a_standard_deviation_is_found_from_before_it_began(sds: float, within_s: int) -> None:
     rows = run(white(4, [sds, 0.0, 0.0], onset=200), 200 + within_s)
     found = first(rows)

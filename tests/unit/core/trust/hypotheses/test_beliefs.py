@@ -53,7 +53,8 @@ ALL_PASS: dict[Monitor, tuple[str, ...] | None] = dict.fromkeys(Monitor, ())
 CASES = [
     pytest.param({Monitor.INERTIAL_SHORT: EITHER}, {H.GNSS, H.IMU}, None, id="one difference says the same of both"),
     pytest.param({Monitor.INERTIAL_SHORT: EITHER, Monitor.MOTION_FAST: SPEEDS}, {H.GNSS}, H.GNSS, id="drag along"),
-    pytest.param({Monitor.INERTIAL_SHORT: EITHER, Monitor.GYROSCOPE: ("imu",)}, {H.IMU}, H.IMU, id="gyroscope"),
+    pytest.param({Monitor.INERTIAL_SHORT: EITHER, Monitor.GYROSCOPE: ("imu",)}, {H.IMU, H.GNSS_AND_ODOMETER}, None,
+                 id="gyroscope, or course and wheels alike"),
     pytest.param({Monitor.MOTION_FAST: SPEEDS, Monitor.HYPOTHESES: ("odometer",)}, {H.ODOMETER}, H.ODOMETER,
                  id="odometer against inertial sensors alone"),
     pytest.param({Monitor.MOTION_FAST: SPEEDS, Monitor.HYPOTHESES: ("gnss",), Monitor.INERTIAL_LONG: None},

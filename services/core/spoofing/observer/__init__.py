@@ -1,0 +1,1 @@
+"""Tilt, yaw and gyroscope bias that GNSS never touches: of inertial samples and standing wheels alone."""
