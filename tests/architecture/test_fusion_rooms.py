@@ -16,8 +16,9 @@ BESIDE = {
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
     "start": {"settings", "codes", "integrity.disagreement"},  # a saved state has what the level holds
     "timeline": {"settings", "codes", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
-    "hypotheses": {"settings", "codes", "integrity.disagreement", "integrity.protection_levels", "solution"},
-}
+    "hypotheses": {"settings", "codes", "solution", *(f"integrity.{name}" for name in (
+        "disagreement", "error_monitor", "protection_levels", "separation"))},
+}  # fmt: skip
 # The filter has the models of GNSS errors as states, until an aid with a state brings its own row.
 UPWARD = {"inertial/filter.py": {"aids.gnss.velocity_errors", "aids.gnss.position_errors"}}
 CONSUMERS = ("integrity", "smoothing", "set_up")  # stand beside the rooms
