@@ -15,7 +15,9 @@ BESIDE = {
     "inertial": {"settings", "smoothing.history"},  # the filter reads its noise, and records what the smoother needs
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
     "start": {"settings", "codes", "integrity.disagreement"},  # a saved state has what the level holds
-    "timeline": {"settings", "codes", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
+    # of two solutions: what they contradict each other by, and what is left of it
+    "timeline": {"settings", "codes", "smoothing.history", "solution",
+                 *(f"integrity.{name}" for name in ("closure", "disagreement", "known_place", "separation"))},
     "hypotheses": {"settings", "codes", "solution", *(f"integrity.{name}" for name in (
         "disagreement", "error_monitor", "protection_levels", "separation"))},
 }  # fmt: skip
