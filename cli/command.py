@@ -8,8 +8,8 @@ import urllib.request
 from pathlib import Path
 from uuid import uuid4
 
-from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens, tokens_folder
+from services.monitoring.status.web.command import right_of
 from shared.bus.bus import Bus, decoded
 from shared.errors import UserError
 from shared.messages.operation import CommandStage, ModeAnswer, OperatorCommand
@@ -42,7 +42,7 @@ def send(kind: OperatorCommand, vehicle: VehicleFile, *, source: str | None, per
     try:
         _connect(bus)
         given = {"request_id": request_id, "command": kind.value, "source": source, "navigation_period_s": period_s}
-        _post(folder, address, {key: value for key, value in given.items() if value is not None})
+        _post(folder, address, kind, {key: value for key, value in given.items() if value is not None})
         return _follow(bus, request_id, wait=wait)
     finally:
         bus.close()
@@ -56,9 +56,9 @@ def _connect(bus: Bus) -> None:
             raise UserError(f"{bus.last_error or 'no broker responds'}; is the unit running?")
 
 
-def _post(folder: Path, address: str, given: dict[str, object]) -> None:
+def _post(folder: Path, address: str, kind: OperatorCommand, given: dict[str, object]) -> None:
     """Send the command with a token of its own: who may write to the folder of the page may command the unit."""
-    token = Tokens(tokens_folder(folder)).add_temporary("command", Right.OPERATE, seconds=TOKEN_S)
+    token = Tokens(tokens_folder(folder)).add_temporary("command", right_of(kind), seconds=TOKEN_S)
     headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
     request = urllib.request.Request(f"{address}api/command", json.dumps(given).encode(), headers, method="POST")
     try:

@@ -527,6 +527,7 @@ def command(
     [bold]obu command navigation_rate --period 0.2 --source gnss0[/]
     [bold]obu command select_source --source imu1[/]
     [bold]obu command calibrate_at_rest[/]
+    [bold]obu command confirm_position[/]
     """
     from .command import send
 

@@ -71,6 +71,9 @@ OF_CORE = {
     "samples of a second imu": Reason("inertial samples of another unit", _SOURCE),
     "fix of a second receiver": Reason("a fix of a receiver that is not used", _SOURCE),
     "too many devices": Reason("more devices than the filter keeps errors of", _SOURCE),
+    "confirmation of a position*": Reason(
+        "the operator confirmed the position while GNSS contradicted other sensors", "confirm it after the conflict"
+    ),
     "time line started again": Reason("a recording that begins again, or a host that was restarted", _NONE),
     "saved state*": Reason("a state of an earlier run that does not fit this one", "none: it is learned again"),
     "learned *": Reason("a learned value of another device or version", "none: it is learned again"),

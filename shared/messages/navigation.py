@@ -127,7 +127,9 @@ class NavigationState(Message):
     held_horizontal_m: Deviation = 0.0
     held_vertical_m: Deviation = 0.0
     held_code: Explanation | None = None
-    held_reason: Reason | None = None  # what differed, and what would end it
+    held_reason: Reason | None = None  # what differed
+    # what would end it, each by itself
+    held_end_codes: Annotated[tuple[Explanation, ...], Field(max_length=8)] | None = None
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 

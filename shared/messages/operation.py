@@ -57,6 +57,7 @@ class OperatorCommand(StrEnum):
     WARM_START = "warm_start"  # without its ephemerides
     NAVIGATION_RATE = "navigation_rate"  # of a GNSS receiver
     SELECT_SOURCE = "select_source"  # use a device; without a name, leave the choice to the unit
+    CONFIRM_POSITION = "confirm_position"  # it is right: what GNSS has contradicted before is over
     CALIBRATE_AT_REST = "calibrate_at_rest"  # measure the biases of the gyroscopes at standstill
 
 

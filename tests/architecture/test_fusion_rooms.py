@@ -15,9 +15,12 @@ BESIDE = {
     "inertial": {"settings", "smoothing.history"},  # the filter reads its noise, and records what the smoother needs
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
     "start": {"settings", "codes", "integrity.disagreement"},  # a saved state has what the level holds
-    "timeline": {"settings", "codes", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
-    "hypotheses": {"settings", "codes", "integrity.disagreement", "integrity.protection_levels", "solution"},
-}
+    # of two solutions: what they contradict each other by, and what is left of it
+    "timeline": {"settings", "codes", "smoothing.history", "solution",
+                 *(f"integrity.{name}" for name in ("closure", "disagreement", "known_place", "separation"))},
+    "hypotheses": {"settings", "codes", "solution", *(f"integrity.{name}" for name in (
+        "disagreement", "error_monitor", "protection_levels", "separation"))},
+}  # fmt: skip
 # The filter has the models of GNSS errors as states, until an aid with a state brings its own row.
 UPWARD = {"inertial/filter.py": {"aids.gnss.velocity_errors", "aids.gnss.position_errors"}}
 CONSUMERS = ("integrity", "smoothing", "set_up")  # stand beside the rooms

@@ -7,7 +7,7 @@ from math import degrees
 from shared.chosen import receiver_of
 from shared.messages.base import Message
 from shared.messages.gnss import GnssConfigure, GnssFix, GnssReset, GnssStart
-from shared.messages.navigation import NavigationSolution
+from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import CommandStage, ModeAnswer, ModeCommand, OperatorCommand
 
 from .configuration_exchange import ConfigurationExchange
@@ -183,6 +183,22 @@ class Commands:
         late = f"the vehicle did not stand for {REST_S:.0f} s within {STAND_WITHIN_S:.0f} s, or no inertial unit runs"
         return Pending(command, step, self._until(STAND_WITHIN_S), late), []
 
+    def _confirm(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+        """The filter takes the command itself; wait until its level holds nothing any more."""
+
+        def step(message: Message) -> tuple[CommandStage, str] | None:
+            if not isinstance(message, NavigationState):
+                return None
+            if message.conflict_since_ns is not None:
+                return (
+                    CommandStage.FAILED,
+                    "GNSS contradicts other sensors now: the position cannot be confirmed",
+                )
+            return (CommandStage.DONE, "the level holds no offset") if message.held_code is None else None
+
+        late = "no state of the filter, or it still holds an offset"
+        return Pending(command, step, self._until(SELECT_S), late), []
+
 
 STARTS = {OperatorCommand.COLD_START: GnssStart.COLD, OperatorCommand.WARM_START: GnssStart.WARM}
 BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[Pending | None, list[Output]]]] = {
@@ -191,4 +207,5 @@ BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[Pending | N
     OperatorCommand.NAVIGATION_RATE: Commands._rate,
     OperatorCommand.SELECT_SOURCE: Commands._select,
     OperatorCommand.CALIBRATE_AT_REST: Commands._calibrate,
+    OperatorCommand.CONFIRM_POSITION: Commands._confirm,
 }

@@ -38,6 +38,12 @@ class Code(StrEnum):
     HELD_AT_START = "fusion.held_at_start"
     HELD_GREW = "fusion.held_grew"
     HELD_STEP = "fusion.held_step"
+    # what would end it
+    ENDS_BY_STEP_BACK = "fusion.ends_by_step_back"
+    ENDS_BY_AGREEMENT = "fusion.ends_by_agreement"
+    ENDS_BY_DRIVE = "fusion.ends_by_drive"
+    ENDS_AT_PLACE = "fusion.ends_at_place"
+    ENDS_BY_OPERATOR = "fusion.ends_by_operator"
     # why a hypothesis has no solution
     COMPUTING = "fusion.computing"
     SOLUTION_LOST = "fusion.solution_lost"

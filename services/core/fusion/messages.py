@@ -43,6 +43,8 @@ from .without_imu import Missing
 FloatArray = npt.NDArray[np.float64]
 
 HELD_NUMBERS = 7  # of a disagreement in a saved state
+# Hypotheses under which positions of GNSS may be off.
+OF_GNSS = frozenset({Hypothesis.GNSS, Hypothesis.GNSS_AND_ODOMETER, Hypothesis.SATELLITES, Hypothesis.RECEIVER_TIME})
 ALIGNING = (NavigationPhase.LEVELLING, NavigationPhase.WAITING_FOR_GNSS, NavigationPhase.WAITING_FOR_HEADING)
 
 
@@ -63,8 +65,9 @@ def use_trust_state(navigator: Navigator, state: TrustState) -> None:
     surviving = [belief for belief in state.beliefs if belief.survives and belief.hypothesis is not Hypothesis.NOTHING]
     suspect = [belief.since_ns for belief in surviving if belief.since_ns is not None]
     navigator.believe(
-        [belief.hypothesis for belief in surviving], min(suspect, default=since_ns), imu_excluded=state.imu_excluded
-    )
+        [belief.hypothesis for belief in surviving], min(suspect, default=since_ns), imu_excluded=state.imu_excluded,
+        of_gnss=sum(one.probability for one in surviving if one.hypothesis in OF_GNSS) if state.beliefs else 1.0,
+    )  # fmt: skip
 
 
 def hypotheses_message(navigator: Navigator) -> TrustHypotheses:
@@ -327,5 +330,6 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         held_vertical_m=held.bound[1],
         held_code=held_code,
         held_reason=None if held_code is None else reason(held_code),
+        held_end_codes=navigator.what_ends_the_held or None,
         satellites_left_out=exclusions.satellites,
     )

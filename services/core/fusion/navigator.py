@@ -211,15 +211,30 @@ class Navigator:
         self.verdicts.follow(gnss_suspect_since_ns, exclude=exclude, odometer_excluded=odometer_excluded)
 
     def believe(
-        self, surviving: Collection[Hypothesis], suspect_since_ns: int | None, *, imu_excluded: bool = False
-    ) -> None:
+        self, surviving: Collection[Hypothesis], suspect_since_ns: int | None, *, imu_excluded: bool = False,
+        of_gnss: float = 1.0,
+    ) -> None:  # fmt: skip
         """Follow core.trust: hypotheses that survive, since when a source is suspect, and whether the IMU is not used.
 
         The level reaches to the solutions of hypotheses that survive. While the IMU is excluded the solution of the
-        model of motion is published, as far as it is good.
+        model of motion is published, as far as it is good. `of_gnss` is the probability that GNSS is wrong: the weight
+        of an offset that the level holds.
         """
+        self.verdicts.weight = of_gnss
         self._surviving, self._imu_excluded = frozenset(surviving), imu_excluded
         self.bank.suspect(suspect_since_ns)
+
+    @property
+    def what_ends_the_held(self) -> tuple[Explanation, ...]:
+        """What would end the offset that the level holds; empty without one."""
+        engine, place = self.engine, self.verdicts.place
+        if place is None or engine.filter is None:
+            return engine.aids.error_monitor.held.ends(None)
+        return engine.aids.error_monitor.held.ends(place.distance_m(engine.filter.published_position))
+
+    def confirm_position(self) -> bool:
+        """Hold no offset any more, because the operator has confirmed the position; returns whether it could be."""
+        return self.verdicts.confirm()
 
     @property
     def verdicts(self) -> Verdicts:

@@ -16,7 +16,7 @@ from shared.messages.navigation import (
     NavigationState,
     SetUpState,
 )
-from shared.messages.operation import ModeState, ProcessLoad, Work
+from shared.messages.operation import ModeCommand, ModeState, OperatorCommand, ProcessLoad, Work
 from shared.messages.trust import TrustHypotheses, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
@@ -42,6 +42,7 @@ In = (
     | TrustState
     | FaultFreeFix
     | ProcessLoad
+    | ModeCommand
     | Tick
 )
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
@@ -87,6 +88,16 @@ class Process:
                 self.rejects["speed of a second source"] += 1
             case GnssFix() | FaultFreeFix():
                 yield from self._fix(message)
+            case LastPosition() | TrustState() | ProcessLoad() | ModeCommand():
+                self._follow(message)
+            case FilterState() if self._imu is None:  # later states are of this process
+                self._saved = message
+            case _:
+                self._aid(message)
+
+    def _follow(self, message: LastPosition | TrustState | ProcessLoad | ModeCommand) -> None:
+        """Follow what other processes know or want."""
+        match message:
             case LastPosition():
                 self._use_last_position(message)
             case TrustState():
@@ -94,10 +105,9 @@ class Process:
                 messages.use_trust_state(self._navigator, message)
             case ProcessLoad():
                 self._follow_load(message)
-            case FilterState() if self._imu is None:  # later states are of this process
-                self._saved = message
-            case _:
-                self._aid(message)
+            case ModeCommand(command=OperatorCommand.CONFIRM_POSITION):
+                if not self._navigator.confirm_position():
+                    self.rejects["confirmation of a position in a conflict"] += 1
 
     def _use_last_position(self, message: LastPosition) -> None:
         """Use the last position of an earlier drive; one that is newer than the first measurement is of this drive."""

@@ -16,6 +16,9 @@ class Code(StrEnum):
     UNSAFE_SUSPECTED = "trust.unsafe_suspected"
     UNSAFE_MANY_SUSPECTED = "trust.unsafe_many_suspected"
     UNSAFE_CONFLICT = "trust.unsafe_conflict"
+    UNSAFE_HELD = "trust.unsafe_held"  # a conflict that has ended has left an offset
+    UNSAFE_HELD_NEAR_PLACE = "trust.unsafe_held_near_place"  # the same, with a known place
+    UNSAFE_HELD_AT_START = "trust.unsafe_held_at_start"  # the first fix was aside of the saved position
     UNSAFE_DEAD_RECKONING = "trust.unsafe_dead_reckoning"
     NO_SOLUTION_WITHOUT_GNSS = "trust.no_solution_without_gnss"
     NO_OTHER_SOLUTION = "trust.no_other_solution"  # under a hypothesis that survives

@@ -129,6 +129,7 @@ class Facts:
     without_gnss_level_m: float | None = None  # horizontal protection level of the solution without GNSS
     exclusion_declined: bool = False  # fusion goes on using GNSS
     held_m: tuple[float, float] | None = None  # differences of positions, horizontal and vertical, that the level holds
+    held_why: tuple[Explanation, ...] = ()  # of fusion: what it is, and what would end it
     odometer_in_use: bool = False  # by fusion
     odometer_excluded: bool = False  # trust has excluded it
     imu_excluded: bool = False

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from shared.load import CHECKS
 from shared.messages.base import Tick
-from shared.messages.explanation import explain
+from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessLoad
 from shared.messages.trust import (
@@ -279,6 +279,7 @@ class Process:
             without_gnss_level_m=None if state is None else state.without_gnss_level_m,
             exclusion_declined=state is not None and state.exclusion_declined is not None,
             held_m=None if state is None or not any(_held_m(state)) else _held_m(state),
+            held_why=_held_why(state),
             odometer_in_use=state is not None
             and state.odometer_age_s is not None
             and state.odometer_age_s <= ODOMETER_SILENT_S,
@@ -313,6 +314,12 @@ class Process:
 
 def _held_m(state: NavigationState) -> tuple[float, float]:
     return state.held_horizontal_m or 0.0, state.held_vertical_m or 0.0
+
+
+def _held_why(state: NavigationState | None) -> tuple[Explanation, ...]:
+    if state is None or state.held_code is None:
+        return ()
+    return (state.held_code, *(state.held_end_codes or ()))
 
 
 def _beliefs(facts: Facts) -> Iterator[Belief]:

@@ -94,7 +94,22 @@ def _cause_of_conflict(facts: Facts) -> Explanations:
     if surviving := _surviving(facts):
         code = Code.UNSAFE_SUSPECTED if len(surviving) <= NAMED_MAXIMUM else Code.UNSAFE_MANY_SUSPECTED
         return (explain(code, suspects=[one.hypothesis for one in surviving]), *_probabilities(surviving))
-    return (explain(Code.UNSAFE_CONFLICT),) if facts.conflict_open else ()
+    return (explain(Code.UNSAFE_CONFLICT),) if facts.conflict_open else _still_off(facts)
+
+
+def _still_off(facts: Facts) -> Explanations:
+    """What a level still holds that would be within its limit without it, and what to do about it."""
+    held_m = facts.held_m or (0.0, 0.0)
+    of_held = [
+        held > 0.0 and level_m is not None and level_m > limit_m >= level_m - held
+        for held, (_, level_m, limit_m) in zip(held_m, axes(facts), strict=False)
+    ]
+    if not any(of_held):
+        return ()
+    why = {one.code for one in facts.held_why}
+    if HELD_AT_START in why:
+        return (explain(Code.UNSAFE_HELD_AT_START),)
+    return (explain(Code.UNSAFE_HELD_NEAR_PLACE if ENDS_AT_PLACE in why else Code.UNSAFE_HELD),)
 
 
 def _both_sides(facts: Facts) -> Explanations:
@@ -113,7 +128,7 @@ def _both_sides(facts: Facts) -> Explanations:
 def _held(facts: Facts) -> Explanations:
     if facts.held_m is None:
         return ()
-    return (explain(Code.LEVEL_HELD, horizontal_m=facts.held_m[0], vertical_m=facts.held_m[1]),)
+    return (explain(Code.LEVEL_HELD, horizontal_m=facts.held_m[0], vertical_m=facts.held_m[1]), *facts.held_why)
 
 
 def _not_reached(facts: Facts) -> Explanations:
@@ -303,6 +318,7 @@ def _statement(statement: Statement) -> Explanation:
     )  # fmt: skip
 
 
+HELD_AT_START, ENDS_AT_PLACE = "fusion.held_at_start", "fusion.ends_at_place"  # codes of fusion
 ACCUSED_MAXIMUM = 16  # named of one statement
 CHECKS = (*INERTIAL, Monitor.SATELLITES)  # independent of the position
 SOLVED_BY_THE_BANK = (

@@ -6,7 +6,6 @@ anchors may contain what is suspected, and use everything since then again, a pa
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +23,9 @@ from ..aids.base import Outcome
 from ..codes import Code
 from ..inertial import error_model as em
 from ..integrity.disagreement import Pair
+from ..integrity.error_monitor import ErrorMonitor
 from ..integrity.protection_levels import horizontal_level, vertical_level
+from ..integrity.separation import difference_covariance, squared
 from ..settings import Settings
 from ..solution import UncertaintyCache, upper
 from ..timeline.conflict import CONVERGED_S, start_ns
@@ -58,9 +59,37 @@ class Alternative(NamedTuple):
     position_cov: Symmetric3  # [m², NED] upper half
     levels: Pair  # [m] horizontal and vertical
     apart_n: Vector  # [m, NED] published position minus this one
-    separation: float | None  # [-] squared, over the sum of both covariances
+    separation: float | None  # [-] horizontal, squared over the covariance of the difference
     innovations: float | None = None  # [-] mean normalised innovation squared of positions, per axis
     odometer_innovations: float | None = None  # [-] the same of the odometer
+
+
+class Published(NamedTuple):
+    """Published solution at the horizon, from which the others are so far apart."""
+
+    position: Geodetic
+    cov: FloatArray  # [m², NED] shape (3, 3)
+    monitor: ErrorMonitor
+    with_gnss: bool
+    started_ns: int | None
+
+    @classmethod
+    def of(cls, engine: Engine) -> "Published":
+        """That of an engine with a filter."""
+        assert engine.filter is not None
+        P, monitor = engine.filter.P[em.POSITION, em.POSITION], engine.aids.error_monitor
+        with_gnss = engine.exclusions.gnss_since_ns is None
+        return cls(engine.filter.published_position, P, monitor, with_gnss, engine.started_ns)
+
+    def separation(self, apart_n: Vector, cov: FloatArray, anchor_ns: int | None) -> float | None:
+        """Separation of a solution with this covariance [m², NED], which left the filter at an anchor.
+
+        It uses less than the filter does. One of another model (without an anchor), a filter that has begun after the
+        anchor, and one without GNSS contain nothing of it, and the sum of both covariances bounds the difference.
+        """
+        is_part = self.with_gnss and anchor_ns is not None and (self.started_ns or 0) <= anchor_ns
+        S = difference_covariance(cov, self.cov, self.monitor) if is_part else cov + self.cov
+        return squared(apart_n, S)
 
 
 class Kept(NamedTuple):
@@ -125,7 +154,7 @@ class Member:
                 before = self._innovations.get(one.kind, value)
                 self._innovations[one.kind] = before + (value - before) / MEAN_OF
 
-    def alternative(self, published: Geodetic, covariance: FloatArray, limits_m: Pair) -> Alternative | Explanation:
+    def alternative(self, of: Published, limits_m: Pair) -> Alternative | Explanation:
         """Its solution against the published position, or why there is none."""
         engine = self.cursor.engine
         if self.is_behind:
@@ -133,7 +162,7 @@ class Member:
         if engine.filter is None:
             return explain(Code.SOLUTION_LOST)
         position = engine.filter.published_position
-        apart = ned_from_geodetic_difference(published, position)
+        apart = ned_from_geodetic_difference(of.position, position)
         found = self._uncertainty.of(engine.filter, engine.aids.error_monitor)
         levels = found.levels.horizontal, found.levels.vertical
         if not levels[0] <= USEFUL_LIMITS * limits_m[0]:
@@ -141,20 +170,9 @@ class Member:
         P = engine.filter.P[em.POSITION, em.POSITION]
         return Alternative(
             self.kept.hypothesis, self.kept.left_out, self.anchor_ns, position, engine.filter.velocity,
-            found.triangles[0], levels, apart, separation(apart, P + covariance),
+            found.triangles[0], levels, apart, of.separation(apart, P, self.anchor_ns),
             self._innovations.get(AidingKind.GNSS_POSITION), self._innovations.get(AidingKind.ODOMETER),
         )  # fmt: skip
-
-
-def separation(apart_n: Vector, covariance: FloatArray) -> float | None:
-    """Horizontal difference squared over its covariance [m²]; None of a covariance that is none."""
-    S = covariance[:2, :2]
-    determinant = float(S[0, 0] * S[1, 1] - S[0, 1] ** 2)
-    if not determinant > 0.0:
-        return None
-    north, east, _ = apart_n
-    value = (north**2 * S[1, 1] - 2.0 * north * east * S[0, 1] + east**2 * S[0, 0]) / determinant
-    return float(value) if isfinite(value) else None
 
 
 class Bank:
@@ -264,16 +282,16 @@ class Bank:
             yield from ((hypothesis, explain(Code.PAUSED)) for hypothesis in SOLVED)
             return
         limits_m = self._settings.vehicle.alert_limits_m
-        published, cov = engine.filter.published_position, engine.filter.P[em.POSITION, em.POSITION]
-        without_gnss = self._of_gnss(engine) or self._of(Hypothesis.GNSS, published, cov, limits_m)
+        published = Published.of(engine)
+        without_gnss = self._of_gnss(engine, published) or self._of(Hypothesis.GNSS, published, limits_m)
         yield without_gnss
         for kept in KEPT[1:]:
-            yield self._of(kept.hypothesis, published, cov, limits_m)
-        yield self._free_time(without_gnss, cov)
+            yield self._of(kept.hypothesis, published, limits_m)
+        yield self._free_time(without_gnss, published)
         yield self.without_imu(engine) or (Hypothesis.IMU, explain(Code.NO_MOTION))
 
     def _free_time(
-        self, without_gnss: Alternative | tuple[Hypothesis, Explanation], covariance: FloatArray
+        self, without_gnss: Alternative | tuple[Hypothesis, Explanation], published: Published
     ) -> Alternative | tuple[Hypothesis, Explanation]:
         """The solution if the time of the receiver is not known: the published one across the way, without GNSS along.
 
@@ -288,17 +306,17 @@ class Bank:
         along = np.zeros((3, 3)) if speed < STANDING_M_S else np.outer(velocity, velocity) / speed**2
         across, apart = np.eye(3) - along, along @ np.array(without_gnss.apart_n)
         nn, ne, nd, ee, ed, dd = without_gnss.position_cov
-        P = across @ covariance @ across + along @ np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]]) @ along
+        P = across @ published.cov @ across + along @ np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]]) @ along
         north, east, down = apart.tolist()
         engine = self._timeline.engine
         assert engine.filter is not None
         own = self._uncertainty.of(engine.filter, engine.aids.error_monitor).levels
         levels = max(own.horizontal, without_gnss.levels[0]), max(own.vertical, without_gnss.levels[1])
-        published = engine.filter.published_position
         return Alternative(
             Hypothesis.RECEIVER_TIME, ("receiver time",), without_gnss.since_ns,
-            geodetic_from_ned_difference((-north, -east, -down), published), without_gnss.velocity, upper(P.tolist()),
-            levels, (north, east, down), separation((north, east, down), P + covariance),
+            geodetic_from_ned_difference((-north, -east, -down), published.position), without_gnss.velocity,
+            upper(P.tolist()), levels, (north, east, down),
+            published.separation((north, east, down), P, without_gnss.since_ns),
         )  # fmt: skip
 
     def alternative(self, hypothesis: Hypothesis) -> Alternative | None:
@@ -309,36 +327,34 @@ class Bank:
         if hypothesis is Hypothesis.IMU:
             return self.without_imu(engine)
         limits_m = self._settings.vehicle.alert_limits_m
-        published, cov = engine.filter.published_position, engine.filter.P[em.POSITION, em.POSITION]
+        published = Published.of(engine)
         if hypothesis is Hypothesis.RECEIVER_TIME:
-            without_gnss = self._of_gnss(engine) or self._of(Hypothesis.GNSS, published, cov, limits_m)
-            found = self._free_time(without_gnss, cov)
+            without_gnss = self._of_gnss(engine, published) or self._of(Hypothesis.GNSS, published, limits_m)
+            found = self._free_time(without_gnss, published)
         else:
-            found = self._of(hypothesis, published, cov, limits_m)
+            found = self._of(hypothesis, published, limits_m)
         return found if isinstance(found, Alternative) else None
 
     def _of(
-        self, hypothesis: Hypothesis, published: Geodetic, covariance: FloatArray, limits_m: Pair
+        self, hypothesis: Hypothesis, published: Published, limits_m: Pair
     ) -> Alternative | tuple[Hypothesis, Explanation]:
         member = self.oldest(hypothesis)
         if member is None:
             return hypothesis, explain(Code.NOTHING_TO_LEAVE_OUT, needed_s=CONVERGED_S)
-        found = member.alternative(published, covariance, limits_m)
+        found = member.alternative(published, limits_m)
         return found if isinstance(found, Alternative) else (hypothesis, found)
 
-    def _of_gnss(self, engine: Engine) -> Alternative | None:
+    def _of_gnss(self, engine: Engine, published: Published) -> Alternative | None:
         """The solution without GNSS of an open conflict, which starts before the suspect time."""
         conflict = self._timeline.verdicts.conflict
         if conflict is None or conflict.cursor is None or conflict.cursor.engine.filter is None:
             return None
         without = conflict.cursor.engine.filter
-        assert engine.filter is not None
-        apart = ned_from_geodetic_difference(engine.filter.published_position, without.published_position)
+        apart = ned_from_geodetic_difference(published.position, without.published_position)
         P = without.P[em.POSITION, em.POSITION]
-        S = P + engine.filter.P[em.POSITION, em.POSITION]
         return Alternative(
             Hypothesis.GNSS, ("gnss",), conflict.since_ns, without.published_position, without.velocity,
-            upper(P.tolist()), conflict.levels_m, apart, separation(apart, S),
+            upper(P.tolist()), conflict.levels_m, apart, published.separation(apart, P, conflict.since_ns),
         )  # fmt: skip
 
     def without_imu(self, engine: Engine) -> Alternative | None:
@@ -350,10 +366,10 @@ class Bank:
         levels = self.levels(state.position_cov)
         if not levels[0] <= USEFUL_LIMITS * self._settings.vehicle.alert_limit_horizontal_m:
             return None
-        S = state.position_cov + engine.filter.P[em.POSITION, em.POSITION]
+        separation = Published.of(engine).separation(apart, state.position_cov, None)
         return Alternative(
             Hypothesis.IMU, ("imu",), self.motion.started_ns, state.position, state.velocity,
-            upper(state.position_cov.tolist()), levels, apart, separation(apart, S), self.motion.innovations / 3.0,
+            upper(state.position_cov.tolist()), levels, apart, separation, self.motion.innovations / 3.0,
         )  # fmt: skip
 
     def levels(self, position_cov: FloatArray) -> Pair:

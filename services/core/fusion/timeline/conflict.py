@@ -6,16 +6,21 @@ first goes on. From then on both run, and the level of the one that is published
 GNSS is published only if core.trust excludes GNSS and if that solution is good: `Conflict.declined` says why not.
 """
 
-from math import hypot
+from dataclasses import replace
 
 from shared.maths.earth import ned_from_geodetic_difference
+from shared.maths.quantiles import line_factor
 from shared.messages.explanation import Explanation, explain
 
 from ..aids.base import Outcome
 from ..codes import Code
-from ..integrity.disagreement import CLOSURE_SDS, Disagreement, Pair, Vector
+from ..inertial import error_model as em
+from ..integrity.disagreement import NOTHING, Disagreement, Pair, Vector
+from ..integrity.known_place import KnownPlace
+from ..integrity.separation import difference_covariance, spreads
 from ..settings import Settings
 from ..solution import UncertaintyCache
+from .contradiction import Apart, Contradiction, Left
 from .cursor import PERIOD_NS, Cursor
 from .engine import Engine
 from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
@@ -26,7 +31,6 @@ CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS 
 EARLIER_NS = 40_000_000_000  # than the suspect time of a monitor, which sees a slow error late
 MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
-CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
 
 
 def _converged_s(engine: Engine, time_ns: int) -> float:
@@ -74,29 +78,48 @@ class Conflict:
         self.cursor: Cursor | None = earlier.cursor if earlier else None  # None until the first replay is over
         # Of the engine with GNSS when the conflict began: its resets, and what its level held.
         self.resets: int = earlier.resets if earlier else main.engine.counts.resets
+        self._resets_seen = main.engine.counts.resets
         self.held: Disagreement = earlier.held if earlier else main.engine.aids.error_monitor.held
         self.published: bool = earlier is not None and earlier.published  # whether the solution without GNSS is
         self.declined: Explanation | None = None  # why it is not, although core.trust excludes GNSS
         # Newest: position of the engine with GNSS minus the other, and the levels of the one without it.
         self.apart_n: Vector | None = earlier.apart_n if earlier else None
         self.levels_m: Pair = earlier.levels_m if earlier else (0.0, 0.0)
-        # The same while its levels decided, or while the two were farther apart than these: None if it has never
-        # contradicted GNSS, so that there is nothing to hold.
-        self.good: tuple[Vector, Pair] | None = earlier.good if earlier else None
+        self.found: Contradiction = earlier.found if earlier else Contradiction()  # what it has contradicted GNSS by
+        self.weight: float = earlier.weight if earlier else 0.0  # probability that it is GNSS, largest since it has
         # Newest: published minus other position, and the levels of the other.
         self.difference: tuple[Vector, Pair] | None = earlier.difference if earlier else None
-        self.farthest_m: Pair = earlier.farthest_m if earlier else (0.0, 0.0)  # largest distance of the two
 
     @property
     def cursors(self) -> tuple[Cursor, ...]:
         """Cursors without GNSS that read the log."""
         return tuple(one for one in (self.cursor, self.replay) if one is not None)
 
-    @property
-    def contradicts(self) -> bool:
-        """Whether the solution without GNSS is farther from the other one than its levels."""
-        north, east, down = self.apart_n or (0.0, 0.0, 0.0)
-        return hypot(north, east) > self.levels_m[0] or abs(down) > self.levels_m[1]
+    def compare(self, main: Engine, *, decides: bool, weight: float) -> None:
+        """Compare the two solutions, of which the one without GNSS is good enough to decide, or is not."""
+        now = self.apart(main)
+        if now is None:  # the one with GNSS aligns again after a reset
+            return
+        stepped, self._resets_seen = main.counts.resets != self._resets_seen, main.counts.resets
+        self.apart_n, self.found = now.vector_n, self.found.after(now, decides=decides, stepped=stepped)
+        if self.found.is_any:
+            self.weight = max(self.weight, weight)
+
+    def apart(self, main: Engine) -> Apart | None:
+        """Difference of the two solutions of now with its spread; None while one of them has no filter.
+
+        One that has been reset in the conflict has no past in common with the other.
+        """
+        if self.cursor is None:
+            return None
+        without = self.cursor.engine
+        vector_n = distance_n(main, without)
+        if vector_n is None or main.filter is None or without.filter is None:
+            return None
+        of_sub, of_main = without.filter.P[em.POSITION, em.POSITION], main.filter.P[em.POSITION, em.POSITION]
+        nested = main.counts.resets == self.resets
+        S = difference_covariance(of_sub, of_main, main.aids.error_monitor) if nested else of_sub + of_main
+        return Apart.of(without.time_ns, vector_n, S)
 
     def advance(self, log: Log, horizon_ns: int, samples: int) -> bool:
         """Follow the horizon, which went on by so many samples; returns whether a replay is over."""
@@ -123,7 +146,9 @@ class Verdicts:
         self.wanted: tuple[int | None, bool, bool] | None = None
         self._odometer_excluded: bool | None = None  # as applied
         self.unresolved: Explanation | None = None  # why the present conflict goes on without a second solution
-        self._decided_ns = 0  # second of the last decision
+        self._decided_ns = self._compared_ns = 0  # seconds of the last decision and comparison
+        self.place: KnownPlace | None = None  # where the vehicle was parked before this drive
+        self.weight = 1.0  # probability that GNSS is wrong, as core.trust has published; 0 where another source is
 
     @property
     def cursors(self) -> tuple[Cursor, ...]:
@@ -182,12 +207,10 @@ class Verdicts:
 
     @property
     def held(self) -> Disagreement:
-        """What the level holds, for a later process: with the difference of an open conflict."""
-        held, conflict = self.engine.aids.error_monitor.held, self.conflict
-        if conflict is None or conflict.apart_n is None or conflict.good is None:
-            return held
-        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
-        return held.after(conflict.apart_n, spread, self.engine.time_ns, grew=False, slack=conflict.levels_m)
+        """What the level holds, for a later process: with the contradiction of an open conflict."""
+        conflict = self.conflict
+        held = None if conflict is None else self._left(conflict, None)
+        return self.engine.aids.error_monitor.held if held is None else held
 
     def _levels(self, engine: Engine) -> Pair:
         """Protection levels of an engine with a filter."""
@@ -205,6 +228,30 @@ class Verdicts:
                 self._decide()
         elif self._odometer_excluded is None:
             self._apply()
+        if self.place is not None and horizon_ns // PERIOD_NS != self._compared_ns:
+            self._compared_ns = horizon_ns // PERIOD_NS
+            self._compare_with(self.place)
+
+    def _compare_with(self, place: KnownPlace) -> None:
+        """End what the level holds where the vehicle stands at a known place again."""
+        engine = self.main.engine
+        if engine.filter is None:
+            return
+        spread = spreads(engine.filter.P[em.POSITION, em.POSITION])
+        position = engine.filter.published_position
+        if place.recognised(engine.time_ns, position, spread, stationary=engine.stationary):
+            self.confirm()
+
+    def confirm(self) -> bool:
+        """Hold no offset any more, because the position was confirmed; returns whether it could be.
+
+        While GNSS contradicts other sensors nothing confirms it.
+        """
+        if self.conflict is not None or self.unresolved is not None:
+            return False
+        if self.main.engine.aids.error_monitor.held.is_open:
+            self._hold(NOTHING)
+        return True
 
     def outcomes(self) -> list[Outcome]:
         """Outcomes of the published cursor since the last call."""
@@ -273,18 +320,9 @@ class Verdicts:
             self._leave(explain(Code.WITHOUT_GNSS_LOST))
             return
         conflict.levels_m = horizontal_m, vertical_m = self._levels(without)
-        apart = distance_n(self.main.engine, without)
-        if apart is not None:  # the one with GNSS may align again after a reset
-            conflict.apart_n = apart
-            far_h, far_v = conflict.farthest_m
-            conflict.farthest_m = max(far_h, hypot(apart[0], apart[1])), max(far_v, abs(apart[2]))
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
-        if apart is not None and (share <= MOST_LIMITS or (conflict.good is None and conflict.contradicts)):
-            conflict.good = (
-                apart,
-                (min(horizontal_m, MOST_LIMITS * limits[0]), min(vertical_m, MOST_LIMITS * limits[1])),
-            )
+        conflict.compare(self.main.engine, decides=share <= MOST_LIMITS, weight=self.weight)
         if share > LAST_LIMITS:
             self._leave(explain(Code.WITHOUT_GNSS_OF_NO_USE, level_m=horizontal_m))
         elif share > MOST_LIMITS:
@@ -296,21 +334,17 @@ class Verdicts:
         conflict.published = self.wanted[1] and not conflict.declined
 
     def _leave(self, why: Explanation) -> None:
-        """Give the solution without GNSS up: the level holds what the two differed by while it was good, and its level.
+        """Give the solution without GNSS up: the level holds what it has contradicted, and how that still grew.
 
-        Later differences are its own drift, and one that was never good and always within its level from the solution
-        with GNSS has contradicted nothing. What the solution with GNSS did since then shows when it comes back.
+        What the solution with GNSS did since then shows when it comes back.
         """
         conflict, self.conflict, self.unresolved = self.conflict, None, why
-        if conflict is not None and conflict.good is not None:
-            main = self.main.engine
-            before = main.aids.error_monitor.held
-            apart, levels = conflict.good
-            spread = levels[0] / CLOSURE_SDS, levels[1] / CLOSURE_SDS
-            self._hold(before.after(apart, spread, main.time_ns, grew=False, slack=levels))
+        held = None if conflict is None else self._left(conflict, None)
+        if conflict is not None and held is not None:
+            self._hold(replace(held, growth_m_s=conflict.found.growth_m_s))
 
     def _end(self, now_ns: int) -> None:
-        """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
+        """End the conflict: what is left of the offset is held, unless a return has closed it; it grows no more.
 
         The solution with GNSS goes on, but for one that has been reset in the conflict or was not published.
         """
@@ -319,35 +353,37 @@ class Verdicts:
         if main.engine.exclusions.gnss_since_ns is not None:  # of a saved state
             self._log.insert(GnssReadmitted(now_ns + 1))
         if conflict is None or conflict.cursor is None:
+            if main.engine.aids.error_monitor.held.growth_m_s > 0.0:
+                self._hold(replace(main.engine.aids.error_monitor.held, growth_m_s=0.0))
             return
-        apart = distance_n(main.engine, conflict.cursor.engine) or conflict.apart_n
-        ratio = conflict.cursor.engine.exclusions.test_ratio
-        # GNSS agrees with the solution without it.
-        came_back = conflict.published and ratio is not None and ratio <= 1.0
-        left = None if apart is None or came_back or conflict.good is None else self._left(apart, conflict)
-        spread = conflict.levels_m[0] / CLOSURE_SDS, conflict.levels_m[1] / CLOSURE_SDS
+        held = self._left(conflict, conflict.apart(main.engine))
         if conflict.published or main.engine.counts.resets > conflict.resets:
             conflict.cursor.carry(main)
             self.main = conflict.cursor
             self._log.insert(GnssReadmitted(now_ns + 1))
-        if left is not None:
-            before = self.main.engine.aids.error_monitor.held
-            self._hold(before.after(left, spread, now_ns, grew=False))
+        if held is not None:
+            self._hold(held)
 
-    def _left(self, apart_n: Vector, conflict: Conflict) -> Vector | None:
-        """Part of a difference that no return has closed: above half of the largest, and above the own level."""
-        main = self.main.engine
-        levels = (0.0, 0.0) if main.filter is None else self._levels(main)
-        closed_h, closed_v = (
-            distance <= max(CLOSED_SHARE * far, level)
-            for distance, far, level in zip(
-                (hypot(apart_n[0], apart_n[1]), abs(apart_n[2])), conflict.farthest_m, levels, strict=True
-            )
-        )
-        if closed_h and closed_v:
+    def _left(self, conflict: Conflict, now: Apart | None) -> Disagreement | None:
+        """What the level holds after a conflict, at whose end the two differ by this; None if it was no contradiction.
+
+        The posterior of an offset is the weight of the hypothesis times N(d, s²). The solution without GNSS has seen
+        all that began after its anchor, in the conflict or in one before: that is part of the difference, and not added
+        to it.
+        """
+        if not conflict.found.is_any:
             return None
-        north, east, down = apart_n
-        return (0.0 if closed_h else north, 0.0 if closed_h else east, 0.0 if closed_v else down)
+        before = NOTHING if conflict.held.since_ns >= conflict.since_ns else conflict.held
+        risk = self._settings.integrity.risk
+        if conflict.weight <= risk:
+            return before
+        left = conflict.found.left(now, line_factor(min(1.0, risk / conflict.weight)), risk)
+        if left == Left():
+            return before
+        return before.after(
+            left.vector_n, left.spread, self.main.engine.time_ns, grew=False, slack=left.slack,
+            since_ns=conflict.since_ns,
+        )  # fmt: skip
 
     def _hold(self, held: Disagreement) -> None:
         """Let the level of the engine in use hold a disagreement, at once and when late measurements take it back."""

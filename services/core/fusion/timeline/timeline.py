@@ -7,12 +7,14 @@ the lag of the horizon larger. So the result depends on stamps and arrival stamp
 
 from bisect import insort
 from collections import Counter
+from math import hypot
 
 from shared.messages.explanation import Explanation
 
 from ..aids.base import Measurement, Outcome
 from ..inertial.imu_clock import FUTURE_LIMIT_NS
 from ..inertial.imu_faults import Sample
+from ..integrity.known_place import KnownPlace
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..start.heading import Prior
@@ -99,12 +101,15 @@ class Timeline:
         fresh = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         fresh.recorder = engine.recorder
         fresh.hold(engine.aids.error_monitor.held)  # a clock that goes back decides nothing
-        wanted = self.verdicts.wanted
+        wanted, place = self.verdicts.wanted, self.verdicts.place
         self._begin(fresh)
-        self.verdicts.wanted = wanted
+        self.verdicts.wanted, self.verdicts.place = wanted, place
 
     def use_prior(self, prior: Prior) -> None:
-        """Take a saved position and heading."""
+        """Take a saved position and heading; where the vehicle was parked is a known place."""
+        if prior.parked and self.verdicts.place is None:
+            north, east, down = prior.position_sd
+            self.verdicts.place = KnownPlace(prior.position, (hypot(north, east), down))
         for cursor in self.verdicts.cursors:
             cursor.use_prior(prior)
         self._now = None

@@ -5,7 +5,7 @@ while its posterior is above the integrity risk. One that alone survives, with m
 source is not used. Of several none is.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from math import exp, log
 
 from shared.messages.explanation import Explanation, explain
@@ -22,9 +22,13 @@ DRIFT_NS = 30 * SECOND_NS  # before the first accusation of a drift: its shortes
 KEPT = MOST  # sum of logarithms by which a hypothesis that survived a restart is above "nothing is wrong"
 
 
-def _suspected_prior(hypothesis: Hypothesis, risk: float) -> float:
-    """Prior of a hypothesis that a monitor has spoken for."""
-    return max(PRIOR[hypothesis], SUSPECTED * risk)
+def suspected_priors(suspects: Collection[Hypothesis], risk: float) -> dict[Hypothesis, float]:
+    """Priors while a test is exceeded or an offset is held: the suspects share a floor in proportion to their own.
+
+    A floor for each of them would make them alike, whatever the table says of them.
+    """
+    total = sum(PRIOR[one] for one in suspects)
+    return {one: max(PRIOR[one], SUSPECTED * risk * PRIOR[one] / total) for one in suspects}
 
 
 class Beliefs:
@@ -37,10 +41,12 @@ class Beliefs:
 
     def resume(self, saved: Iterable[Belief], risk: float) -> None:
         """Go on with what a process before has believed of hypotheses that a monitor had spoken for."""
-        for one in saved:
-            if one.since_ns is not None and one.survives and one.probability > 0.0:
+        found = [one for one in saved if one.since_ns is not None and one.survives and one.probability > 0.0]
+        priors = suspected_priors([one.hypothesis for one in found], risk)
+        for one in found:
+            if one.since_ns is not None:
                 self._since_ns[one.hypothesis] = one.since_ns
-                self._earlier[one.hypothesis] = log(one.probability / _suspected_prior(one.hypothesis, risk)) + KEPT
+                self._earlier[one.hypothesis] = log(one.probability / priors[one.hypothesis]) + KEPT
 
     def update(self, facts: Facts, open_ones: Collection[Hypothesis]) -> tuple[Posterior, ...]:
         """Use the statements of one time.
@@ -64,7 +70,9 @@ class Beliefs:
                 self._earlier.pop(hypothesis, None)
                 for evidence in self._evidence.values():
                     evidence.forget(hypothesis)
-        return self._posteriors(facts.risk)
+        is_contradicted = bool(named) or facts.conflict_open or facts.held_m is not None
+        suspected = suspected_priors(self._since_ns, facts.risk) if is_contradicted else {}
+        return self._posteriors(facts.risk, {**PRIOR, **suspected})
 
     def _count(self, facts: Facts) -> set[Hypothesis]:
         """Count what the monitors say; returns the hypotheses that some monitor speaks for."""
@@ -93,8 +101,7 @@ class Beliefs:
             since_ns = max(since_ns, time_ns - DRIFT_NS) if known_ns is None else known_ns
         self._since_ns[hypothesis] = since_ns if known_ns is None else min(known_ns, since_ns)
 
-    def _posteriors(self, risk: float) -> tuple[Posterior, ...]:
-        priors = {k: _suspected_prior(k, risk) if k in self._since_ns else prior for k, prior in PRIOR.items()}
+    def _posteriors(self, risk: float, priors: Mapping[Hypothesis, float]) -> tuple[Posterior, ...]:
         weights = {k: prior * exp(self._sum(k)) for k, prior in priors.items()}
         weights[Hypothesis.NOTHING] = NO_FAULT
         total = sum(weights.values())

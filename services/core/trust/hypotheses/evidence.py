@@ -47,6 +47,8 @@ POWER: Mapping[Monitor, Mapping[Hypothesis, tuple[float, float]]] = {
     },
     Monitor.COHERENT_SCALE: {Hypothesis.GNSS_AND_ODOMETER: (0.7, log(0.05))},
     Monitor.SATELLITES: {Hypothesis.SATELLITES: (0.9, log(0.01))},
+    # It compares the odometer with the inertial sensors alone; a wrong one of GNSS may be across the way.
+    Monitor.HYPOTHESES: {Hypothesis.ODOMETER: (0.5, log(0.1))},
 }
 OF_SOURCE = {GNSS: Hypothesis.GNSS, IMU: Hypothesis.IMU, ODOMETER: Hypothesis.ODOMETER}
 TIME_TESTS = frozenset({"host_time"})
@@ -145,6 +147,8 @@ class Evidence:
             before = self.sums.get(hypothesis, 0.0)
             # What it has said for a hypothesis that it no longer names was said of the same wrong source.
             self.sums[hypothesis] = min(most, max(before, 0.0) + ratio) if ratio else min(before, 0.0)
+        if self.monitor is Monitor.HYPOTHESES:  # of three sources, those that it does not name agree
+            self._pass([one for one in suspected if one not in explained])
 
     def _pass(self, suspected: Collection[Hypothesis]) -> None:
         for hypothesis, (power, least) in POWER.get(self.monitor, {}).items():

@@ -23,5 +23,6 @@ PRIOR: Mapping[Hypothesis, float] = {
     # A receiver whose time is wrong while its positions are right: firmware faults at leap seconds and week roll-overs.
     Hypothesis.RECEIVER_TIME: 1e-5,
 }
-# Attacks are not random: once a monitor speaks for a hypothesis its prior is at least this many times the risk.
+# Attacks are not random: while a test is exceeded or an offset is held, the priors of the suspects together are at
+# least this many times the risk.
 SUSPECTED = 10.0

@@ -10,11 +10,13 @@ from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 from typing_extensions import TypedDict
 
-from shared.messages.operation import ModeCommand
+from shared.messages.operation import ModeCommand, OperatorCommand
 from shared.page import body
 from shared.page.answers import answer, reference_to, refusals
 
 from ..state import State
+from .access.guard import insist_on
+from .access.rights import Right
 
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(ModeCommand)}}, "required": True}
@@ -46,11 +48,17 @@ class CommandApi:
     async def command(self, request: Request) -> Accepted:
         """Publish a command; 202 with the request ID that `mode/answer` will carry."""
         command = _command(await body.read(request))
+        insist_on(request, right_of(command.command))
         try:
             self.commands.put_nowait(command)
         except Full as error:
             raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
         return {"request_id": command.request_id}
+
+
+def right_of(command: OperatorCommand) -> Right:
+    """The right that a command needs: who confirms a position takes the responsibility for it."""
+    return Right.ADMIN if command is OperatorCommand.CONFIRM_POSITION else Right.OPERATE
 
 
 def _command(data: bytes) -> ModeCommand:

@@ -7,9 +7,11 @@ import pytest
 from services.controller.mode.process import Config, Process
 from services.parsers.gnss.ubx.reset import reset
 from shared.messages.base import Message, Tick
+from shared.messages.explanation import explain
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssReceiver, GnssReset, GnssStart
+from shared.messages.navigation import NavigationState
 from shared.messages.operation import CommandStage, ModeAnswer, ModeCommand, ModeState, OperatorCommand
-from tests.unit.controller.mode.test_mode import at, fix, imu, solution
+from tests.unit.controller.mode.test_mode import at, fix, imu, solution, state
 
 ACCEPTED, DONE, FAILED = CommandStage.ACCEPTED, CommandStage.DONE, CommandStage.FAILED
 
@@ -42,6 +44,24 @@ def test_a_cold_start_is_done_with_the_next_position_and_its_time_is_published()
     found = run(process, [fix(31.0), Tick(now_ns=at(31.5))])
     assert answers(found) == [(DONE, "position after 30 s")]
     assert [one.time_to_first_fix_s for one in found if isinstance(one, ModeState)][-1] == pytest.approx(30.5)
+
+
+def held(second: float, **fields: object) -> NavigationState:
+    return state(second).model_copy(update=fields)
+
+
+def test_a_confirmed_position_is_done_when_the_level_holds_nothing_any_more() -> None:
+    process, why = unit(), explain("fusion.held_step", horizontal_m=30.0, vertical_m=0.0)
+    run(process, [held(0.0, held_code=why)])
+    out = run(process, [command(OperatorCommand.CONFIRM_POSITION), held(1.0, held_code=why), held(2.0)])
+    assert answers(out) == [(ACCEPTED, ""), (DONE, "the level holds no offset")]
+
+
+def test_a_position_cannot_be_confirmed_while_gnss_contradicts_other_sensors() -> None:
+    process = unit()
+    run(process, [held(0.0)])
+    out = run(process, [command(OperatorCommand.CONFIRM_POSITION), held(1.0, conflict_since_ns=at(0.0))])
+    assert answers(out)[-1][0] is FAILED
 
 
 def test_a_receiver_that_goes_on_did_not_restart() -> None:

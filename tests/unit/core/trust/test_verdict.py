@@ -16,7 +16,7 @@ from services.core.trust.facts import (
     Solution,
     Statement,
 )
-from services.core.trust.verdict import ROWS, Explanations, Verdict, verdict
+from services.core.trust.verdict import ENDS_AT_PLACE, HELD_AT_START, ROWS, Explanations, Verdict, verdict
 from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
 from shared.messages.trust import Hypothesis, Outcome, TrustLevel
 from shared.words.words import words
@@ -85,6 +85,8 @@ KNOWN = {
     Hypothesis.GNSS_AND_ODOMETER: Alternative(6.0, 9.0, False),
 }  # fmt: skip
 BOTH_KNOWN = replace(OPEN, other_distance_m=4.2, other_level_m=5.5, beliefs=GNSS_OR_IMU, alternatives=KNOWN)
+AT_PLACE = explain(ENDS_AT_PLACE, distance_m=800.0)
+AT_START = explain(HELD_AT_START, horizontal_m=13.0, vertical_m=0.0)
 CASES = [
     pytest.param(replace(SAFE, solution=None), 1, (Code.NO_SOLUTION_YET,), id="1-none"),
     pytest.param(replace(SAFE, solution=replace(SOLUTION, sampled_ns=NOW_NS - 4 * SECOND_NS)), 2,
@@ -107,6 +109,13 @@ CASES = [
                  (Code.UNSAFE_CONFLICT, Code.LEVEL_ABOVE_LIMIT), id="3-conflict"),
     pytest.param(replace(levels(12.0, 5.0), conflict_open=True, gnss_excluded=True, exclusion_confirmed=True), 3,
                  (Code.UNSAFE_DEAD_RECKONING, Code.LEVEL_ABOVE_LIMIT, Code.GNSS_EXCLUDED), id="3-dead-reckoning"),
+    pytest.param(replace(levels(16.0, 5.0), held_m=(13.0, 0.0), held_why=()), 3,
+                 (Code.UNSAFE_HELD, Code.LEVEL_ABOVE_LIMIT), id="3-held"),
+    pytest.param(replace(levels(16.0, 5.0), held_m=(13.0, 0.0), held_why=(AT_PLACE,)), 3,
+                 (Code.UNSAFE_HELD_NEAR_PLACE, Code.LEVEL_ABOVE_LIMIT), id="3-held-near-a-place"),
+    pytest.param(replace(levels(16.0, 5.0), held_m=(13.0, 0.0), held_why=(AT_START,)), 3,
+                 (Code.UNSAFE_HELD_AT_START, Code.LEVEL_ABOVE_LIMIT), id="3-held-at-start"),
+    pytest.param(replace(levels(16.0, 5.0), held_m=(2.0, 0.0)), 3, (Code.LEVEL_ABOVE_LIMIT,), id="3-held-too"),
     pytest.param(with_(SAFE, accuses(Monitor.INERTIAL_SHORT, "gnss")), 4,
                  (Code.NO_SOLUTION_WITHOUT_GNSS,
                   explain(Code.MONITOR_SUSPECTS, monitor="inertial_short", accused=(source("gnss"),), statistic=31.4,
@@ -296,3 +305,8 @@ def test_a_position_is_never_safe_while_checks_are_paused_and_worse_states_stand
     assert (slow.state, slow.row) == (TrustLevel.CAUTION, 7)
     assert codes(slow.findings) == [Code.CHECKS_PAUSED]
     assert verdict(replace(levels(10.1, 5.0), checks_paused=True)).state is TrustLevel.UNSAFE
+
+
+def test_the_reasons_say_what_is_held_and_what_would_end_it() -> None:
+    found = verdict(replace(levels(16.0, 5.0), held_m=(13.0, 0.0), held_why=(AT_PLACE,)))
+    assert codes(found.reasons)[-2:] == [Code.LEVEL_HELD, ENDS_AT_PLACE]

@@ -36,7 +36,7 @@ ROWS = (
     Row("POST", "/api/recordings", Right.OPERATE, "keep, release, replay, solve; `delete` needs admin"),
     Row("GET", "/api/recordings/{name}", Right.OPERATE, "download a recording"),
     Row("GET", "/api/recordings/{name}/report", Right.VIEW, "report of a solution"),
-    Row("POST", "/api/command", Right.OPERATE, "command to the unit"),
+    Row("POST", "/api/command", Right.OPERATE, "command to the unit; `confirm_position` needs admin"),
     Row("POST", "/api/page-error", Right.VIEW, "report an error of the page's program"),
     Row("GET", "/api/track", Right.VIEW, "track of the drive"),
     Row("GET", "/api/track.gpx", Right.VIEW, "track as GPX"),

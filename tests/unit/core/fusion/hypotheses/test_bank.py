@@ -8,7 +8,9 @@ import pytest
 
 from services.core.fusion.codes import Code
 from services.core.fusion.hypotheses import bank as banks
-from services.core.fusion.hypotheses.bank import Alternative, separation
+from services.core.fusion.hypotheses.bank import Alternative
+from services.core.fusion.integrity.disagreement import CLOSURE_SDS
+from services.core.fusion.integrity.separation import squared
 from services.core.fusion.messages import hypotheses_message
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
@@ -74,6 +76,17 @@ def test_every_hypothesis_has_a_solution_that_agrees_on_a_drive_without_a_fault(
         assert one.separation is not None and one.separation < banks.SEPARATION_LIMIT
 
 
+def test_differences_on_a_drive_without_a_fault_are_as_large_as_their_covariance_says() -> None:
+    nav, found = navigator(60.0), []
+    for second in range(60, 110):
+        run(nav, float(second), second + 1.0)
+        mine = alternatives(nav)
+        found += [mine[one].separation for one in (Hypothesis.GNSS, Hypothesis.GNSS_AND_ODOMETER) if one in mine]
+    squares = [one for one in found if one is not None]
+    assert len(squares) > 80 and 0.5 <= float(np.median(squares)) <= 1.4
+    assert max(squares) < CLOSURE_SDS**2, "nothing that a level would hold"
+
+
 def test_before_the_filter_has_converged_each_missing_one_says_why() -> None:
     nav = navigator(30.0)
     missing = [one for one in nav.bank.alternatives() if not isinstance(one, Alternative)]
@@ -131,8 +144,8 @@ def test_separation_is_the_square_of_the_difference_over_its_covariance() -> Non
     root = rng.normal(size=(3, 3))
     covariance, apart = root @ root.T + np.eye(3), (3.0, -4.0, 7.0)
     expected = np.array(apart[:2]) @ np.linalg.solve(covariance[:2, :2], np.array(apart[:2]))
-    assert separation(apart, covariance) == pytest.approx(expected)
-    assert separation(apart, np.zeros((3, 3))) is None
+    assert squared(apart, covariance) == pytest.approx(expected)
+    assert squared(apart, np.zeros((3, 3))) is None
 
 
 def test_a_paused_bank_costs_nothing_leaves_the_position_unchanged_and_begins_again() -> None:

@@ -1,7 +1,10 @@
 """A disagreement of positions: what ends it, and that time does not."""
 
+from dataclasses import replace
+
 import pytest
 
+from services.core.fusion.codes import Code
 from services.core.fusion.integrity.disagreement import CONFIRMED_S, DRIVEN_M, NOTHING, Disagreement
 
 SECOND_NS = 1_000_000_000
@@ -20,9 +23,9 @@ def test_a_step_is_held_for_ever_although_the_displacement_agrees() -> None:
 
 
 def test_a_step_back_by_the_same_vector_closes_it_and_one_by_another_vector_does_not() -> None:
-    held = NOTHING.after((60.0, 80.0, 0.0), (2.0, 3.0), 0, grew=False)
-    assert held.after((-61.0, -79.0, 0.5), (2.0, 3.0), SECOND_NS, grew=False) == NOTHING
-    other = held.after((80.0, -60.0, 0.0), (2.0, 3.0), SECOND_NS, grew=False)
+    held = NOTHING.after((60.0, 80.0, 0.0), (1.0, 1.5), 0, grew=False)
+    assert held.after((-61.0, -79.0, 0.5), (1.0, 1.5), SECOND_NS, grew=False) == NOTHING
+    other = held.after((80.0, -60.0, 0.0), (1.0, 1.5), SECOND_NS, grew=False)
     assert other.bound[0] == pytest.approx((140.0**2 + 20.0**2) ** 0.5)
 
 
@@ -40,11 +43,11 @@ def test_a_step_after_a_growth_is_a_step() -> None:
 
 
 def test_a_start_aside_of_the_saved_position_ends_after_two_kilometres_and_not_at_standstill() -> None:
-    held = NOTHING.after((0.0, 50.0, 0.0), (2.0, 3.0), 0, grew=False, at_start=True)
+    held = NOTHING.after((0.0, 50.0, 0.0), (1.0, 1.5), 0, grew=False, at_start=True)
     assert agreeing(held, 3600, moved_m=0.0).is_open
     assert agreeing(held, int(DRIVEN_M / 10.0) - 2).is_open
     assert not agreeing(held, int(DRIVEN_M / 10.0) + 2).is_open
-    assert held.after((0.0, -49.0, 0.0), (2.0, 3.0), SECOND_NS, grew=False) == NOTHING
+    assert held.after((0.0, -49.0, 0.0), (1.0, 1.5), SECOND_NS, grew=False) == NOTHING
 
 
 def test_an_event_on_another_axis_or_in_the_same_direction_closes_nothing() -> None:
@@ -63,3 +66,31 @@ def test_a_single_position_after_an_outage_is_no_minute_of_agreement_and_no_driv
 def test_what_a_given_up_solution_may_have_been_off_by_is_part_of_the_bound() -> None:
     held = NOTHING.after((3.0, 4.0, 0.0), (1.0, 1.0), 0, grew=False, slack=(30.0, 12.0))
     assert held.bound == (35.0, 12.0) and held.is_open
+
+
+def test_a_step_back_closes_what_its_spread_tells_from_another_offset_and_leaves_the_rest() -> None:
+    held = NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False, slack=(3.0, 0.0))
+    assert held.after((-45.0, 0.0, 0.0), (1.0, 1.0), 1, grew=False).bound[0] == 18.0, "to another offset"
+    assert held.after((-30.0, 0.0, 0.0), (20.0, 1.0), 1, grew=False).bound[0] >= 30.0, "half way"
+    blunt = held.after((-58.0, 0.0, 0.0), (4.0, 1.0), 1, grew=False)
+    assert 4.0 < blunt.bound[0] < 10.0, "that could be another offset of a few metres"
+
+
+def test_what_still_grows_does_so_until_displacement_agrees_and_never_ends_by_agreement() -> None:
+    held = replace(NOTHING.after((20.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False), growth_m_s=0.5)
+    grown = agreeing(held, 100)
+    assert grown.bound[0] == pytest.approx(70.0)
+    assert agreeing(replace(grown, growth_m_s=0.0), 100).bound[0] == pytest.approx(70.0)
+
+
+def test_it_says_what_would_end_it_and_names_only_ways_that_exist() -> None:
+    def codes(held: Disagreement, place_m: float | None) -> list[str]:
+        return [one.code for one in held.ends(place_m)]
+
+    step = NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False)
+    assert codes(NOTHING, 5.0) == []
+    assert codes(step, None) == [Code.ENDS_BY_STEP_BACK, Code.ENDS_BY_OPERATOR]
+    assert codes(step, 700.0) == [Code.ENDS_BY_STEP_BACK, Code.ENDS_AT_PLACE, Code.ENDS_BY_OPERATOR]
+    start = NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False, at_start=True)
+    assert codes(start, None)[1] == Code.ENDS_BY_DRIVE
+    assert codes(NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=True), None)[1] == Code.ENDS_BY_AGREEMENT

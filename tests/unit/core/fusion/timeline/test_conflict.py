@@ -252,11 +252,8 @@ def test_a_state_saved_during_an_exclusion_continues_without_gnss() -> None:
     run(second, 80.0, 81.0)
     after = second.solution()
     assert after is not None and after.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
-    difference_m = second.engine.aids.error_monitor.held.bound[0]
-    assert 0.0 < difference_m < 8.0, "of the conflict that was open"
-    assert after.protection_level_horizontal < before.protection_level_horizontal + difference_m + 2.0, (
-        "no effect of GNSS is added"
-    )
+    assert not second.engine.aids.error_monitor.held.is_open, "nothing was contradicted"
+    assert after.protection_level_horizontal < before.protection_level_horizontal + 2.0, "no effect of GNSS is added"
 
 
 def test_a_readmitted_receiver_is_used_at_once_and_the_reason_states_it() -> None:
@@ -452,3 +449,42 @@ def test_a_dual_antenna_heading_is_excluded_with_gnss_and_the_earliest_suspect_t
     assert engine.exclusions.odometer and engine.exclusions.reason(heading) is None
     OdometerExclusion(9, excluded=False).apply(engine)
     assert not engine.exclusions.odometer
+
+
+def test_a_held_offset_ends_by_the_operator_and_not_while_gnss_is_contradicted() -> None:
+    nav = without_aiding(3.0)
+    run(nav, 0.0, SUSPECT_S)
+    run(nav, SUSPECT_S, VERDICT_S, moved_m=40.0)
+    nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
+    run(nav, VERDICT_S, 110.0, moved_m=40.0)
+    assert nav.engine.aids.error_monitor.held.is_open and not nav.confirm_position()
+    assert [one.code for one in nav.what_ends_the_held][-1] == Code.ENDS_BY_OPERATOR
+    nav.apply_exclusions(None, odometer_excluded=False)
+    run(nav, 110.0, 112.0, moved_m=40.0)
+    assert nav.engine.aids.error_monitor.held.is_open and nav.confirm_position()
+    run(nav, 112.0, 114.0, moved_m=40.0)
+    assert not nav.engine.aids.error_monitor.held.is_open and nav.what_ends_the_held == ()
+
+
+def test_a_contradiction_of_another_source_holds_nothing_where_that_one_is_wrong() -> None:
+    nav = fault_free(SUSPECT_S)
+    run(nav, SUSPECT_S, VERDICT_S, moved_m=8.0)
+    nav.believe((), None, of_gnss=0.0)
+    nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
+    run(nav, VERDICT_S, 85.0, moved_m=8.0)
+    nav.apply_exclusions(None, odometer_excluded=False)
+    run(nav, 85.0, 86.0, moved_m=8.0)
+    assert not nav.engine.aids.error_monitor.held.is_open
+
+
+def test_an_offset_that_two_conflicts_have_seen_is_held_once() -> None:
+    nav = fault_free(SUSPECT_S)
+    run(nav, SUSPECT_S, VERDICT_S, moved_m=8.0)
+    for begin_s, end_s in ((VERDICT_S, 85.0), (85.5, 95.0)):
+        nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False, exclude=False)
+        run(nav, begin_s, end_s, moved_m=8.0)
+        nav.apply_exclusions(None, odometer_excluded=False)
+        run(nav, end_s, end_s + 0.5, moved_m=8.0)
+        held = nav.engine.aids.error_monitor.held
+        assert hypot(*held.vector_n[:2]) == pytest.approx(8.0, abs=2.0)
+        assert held.bound[0] < 16.0

@@ -7,9 +7,9 @@ import pytest
 
 from services.core.trust.codes import Code
 from services.core.trust.facts import SECOND_NS, Facts, Monitor, Posterior, Statement
-from services.core.trust.hypotheses.beliefs import CERTAIN, Beliefs
+from services.core.trust.hypotheses.beliefs import CERTAIN, Beliefs, suspected_priors
 from services.core.trust.hypotheses.evidence import FALSE_ALARM, MOST, Evidence, explained_by
-from services.core.trust.hypotheses.priors import PRIOR
+from services.core.trust.hypotheses.priors import PRIOR, SUSPECTED
 from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis, Outcome
 from shared.words.words import words
@@ -145,3 +145,24 @@ def test_every_accusation_of_a_source_is_explained_by_its_hypothesis(monitor: Mo
         if (monitor, name) != (Monitor.COHERENT_SCALE, "odometer"):
             assert hypothesis in explained_by(statement(monitor, (name,)), odometer_in_use=False)
     assert not explained_by(statement(monitor, ("neighbour 17",)), odometer_in_use=False)
+
+
+def test_suspects_share_the_floor_in_proportion_to_their_priors_and_none_is_below_its_own() -> None:
+    shared = suspected_priors((H.IMU, H.GNSS), 1e-3)
+    assert sum(shared.values()) == pytest.approx(SUSPECTED * 1e-3)
+    assert shared[H.IMU] / shared[H.GNSS] == pytest.approx(PRIOR[H.IMU] / PRIOR[H.GNSS])
+    assert suspected_priors((H.IMU, H.GNSS), 1e-9) == {H.IMU: PRIOR[H.IMU], H.GNSS: PRIOR[H.GNSS]}
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_the_floor_holds_while_a_test_is_exceeded_or_an_offset_is_held_and_not_longer(held: bool) -> None:
+    beliefs, open_ones, found = Beliefs(), {H.GNSS, H.IMU}, {}
+    for second, accused in enumerate((EITHER, EITHER, ())):
+        now_ns = (second + 1) * SECOND_NS
+        said = {Monitor.INERTIAL_SHORT: replace(statement(Monitor.INERTIAL_SHORT, accused), stated_ns=now_ns)}
+        facts = Facts(now_ns, None, said, held_m=(20.0, 0.0) if held else None)
+        found[second] = {one.hypothesis: one.probability for one in beliefs.update(facts, open_ones)}
+    odds = [found[k][H.GNSS] / found[k][H.NOTHING] for k in (1, 2)]
+    fell = odds[1] / odds[0]
+    assert fell == pytest.approx(0.5 if held else 0.5 * PRIOR[H.GNSS] / suspected_priors((H.GNSS, H.IMU), 1e-3)[H.GNSS],
+                                 rel=0.2)  # fmt: skip
