@@ -21,11 +21,10 @@ ONSET_S = 40.0
 
 
 def verdicts(
-    seconds: float = 70.0, *, roll_deg: float = 0.0, pitch_deg: float = 0.0, climb_s: float = 0.0, brake: float = 0.0,
-    grade: Grade = Grade.CONSUMER,
+    seconds: float = 70.0, *, roll_deg: float = 0.0, pitch_deg: float = 0.0, climb_s: float = 0.0, brake: float = 0.0
 ) -> Iterator[Test]:  # fmt: skip
     """Tests, one a second, of a vehicle whose unit is knocked, whose road climbs for some time, or which brakes."""
-    gravity, rng = Gravity(Config.model_validate({"grade": grade})), np.random.default_rng(1)
+    gravity, rng = Gravity(Config.model_validate({"grade": Grade.CONSUMER})), np.random.default_rng(1)
     speed, pitch = 20.0, 0.0
     for k in range(round(10 * seconds)):
         t = 0.1 * (k + 1)
