@@ -30,8 +30,8 @@ from shared.words.words import reason
 
 from .aids.base import Outcome
 from .codes import Code
+from .conflict_record import held_numbers, held_of
 from .hypotheses.bank import SEPARATION_LIMIT, Alternative
-from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor
 from .settings import Settings
@@ -42,7 +42,6 @@ from .without_imu import Missing
 
 FloatArray = npt.NDArray[np.float64]
 
-HELD_NUMBERS = 7  # of a disagreement in a saved state
 ALIGNING = (NavigationPhase.LEVELLING, NavigationPhase.WAITING_FOR_GNSS, NavigationPhase.WAITING_FOR_HEADING)
 
 
@@ -133,7 +132,8 @@ def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
 def prior_from_last_position(last: LastPosition) -> Prior:
     """Prior from the saved position and heading."""
     position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
-    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, last.stationary)
+    parked = last.stationary and last.earlier_life
+    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, parked)
 
 
 def turned(solution: Solution, turn: tuple[float, float]) -> Solution:
@@ -208,20 +208,10 @@ def filter_state_message(saved: SavedState, settings: Settings, imu: str) -> Fil
         covariance=saved.covariance,
         position_used_ns=saved.accepted_ns,
         gnss_excluded_since_ns=saved.gnss_excluded_since_ns,
-        held_m=(*saved.held.vector_n, *saved.held.spread, *saved.held.slack) if saved.held.is_open else (),
+        held_m=held_numbers(saved.held),
         held_grew=saved.held.grew,
         held_at_start=saved.held.at_start,
     )
-
-
-def _held(state: FilterState) -> Disagreement:
-    if len(state.held_m) != HELD_NUMBERS:
-        return NOTHING
-    north, east, down, spread_h, spread_v, slack_h, slack_v = state.held_m
-    return Disagreement(
-        (north, east, down), (abs(spread_h), abs(spread_v)), state.held_grew, (abs(slack_h), abs(slack_v)),
-        at_start=state.held_at_start,
-    )  # fmt: skip
 
 
 def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
@@ -243,7 +233,7 @@ def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None
             state.covariance,
             state.position_used_ns,
             state.gnss_excluded_since_ns,
-            _held(state),
+            held_of(state),
         )
         navigator.restore(saved, first.sampled_ns[0])
 
@@ -328,4 +318,6 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         held_code=held_code,
         held_reason=None if held_code is None else reason(held_code),
         satellites_left_out=exclusions.satellites,
+        started_ns=navigator.engine.first_start[0] or None,
+        started_in_motion=navigator.engine.first_start[1],
     )

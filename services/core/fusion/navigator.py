@@ -29,6 +29,7 @@ from .hypotheses.bank import Bank
 from .hypotheses.motion_model import State
 from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
 from .inertial.imu_faults import Repeats, Sample, credible
+from .integrity.over_a_cut import RememberedConflict
 from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
@@ -184,6 +185,10 @@ class Navigator:
     def use_prior(self, prior: Prior) -> None:
         """Use a position and heading saved before the unit was switched off."""
         self._timeline.use_prior(prior)
+
+    def remember(self, conflict: RememberedConflict) -> None:
+        """Hold with the first filter what an earlier process held."""
+        self._timeline.remember(conflict)
 
     def restore(self, saved: SavedState, time_ns: int) -> None:
         """Restore the state of an earlier process, if it is valid at the stamp of the first sample."""

@@ -40,6 +40,9 @@ class Code(StrEnum):
     NO_INERTIAL_UNIT = "trust.no_inertial_unit"
     CHECKS_PAUSED = "trust.checks_paused"
     NO_INDEPENDENT_CHECK = "trust.no_independent_check"
+    START_UNKNOWN = "trust.start_unknown"  # nothing is known of the time before
+    START_IN_MOTION = "trust.start_in_motion"
+    START_AFTER_CUT = "trust.start_after_cut"  # in motion
     NOT_EVALUATED = "trust.not_evaluated"
     MONITORS_MISSING = "trust.monitors_missing"  # have not published yet
     MONITOR_SILENT = "trust.monitor_silent"

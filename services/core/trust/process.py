@@ -20,6 +20,7 @@ from shared.messages.trust import (
     TrustHypotheses,
     TrustLevel,
     TrustMonitor,
+    TrustRecord,
     TrustState,
 )
 from shared.runtime.config import VehicleSettings
@@ -30,10 +31,21 @@ from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, 
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
 from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
+from .record import Open, Recorder, is_suspect
+from .start import Start
 from .verdict import verdict
 
-In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | ProcessLoad | Tick
-Out = TrustState | TrustEvent
+In = (
+    TrustMonitor
+    | TrustHypotheses
+    | NavigationSolution
+    | NavigationState
+    | TrustState
+    | TrustRecord
+    | ProcessLoad
+    | Tick
+)
+Out = TrustState | TrustRecord | TrustEvent
 MONITORS = frozenset(Monitor)
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
@@ -81,7 +93,9 @@ class Process:
         self._beliefs = Beliefs()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._load: ProcessLoad | None = None  # of core.fusion
+        self._start, self._recorder = Start(), Recorder()
         self._published: TrustState | None = None
+        self._record: TrustRecord | None = None  # of an earlier process, until the first verdict
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
     def handle(self, message: In) -> Iterator[Out]:
@@ -96,6 +110,7 @@ class Process:
                 self._time_ns = max(self._time_ns, message.sampled_ns)
             case NavigationSolution():
                 self._solution = _solution(message)
+                self._recorder.see(message)
                 self._time_ns = max(self._time_ns, message.sampled_ns)
             case NavigationState():
                 self._navigation = message
@@ -108,16 +123,26 @@ class Process:
             case ProcessLoad():
                 self._load = message
                 return
-            case TrustState():  # later ones are its own
-                self._saved = message if self._published is None else None
+            case TrustRecord() | TrustState():
+                self._keep_of_earlier(message)
                 return
             case Tick():
                 self._time_ns = message.now_ns
         yield from self._judge(at_once=isinstance(message, Tick))
 
+    def _keep_of_earlier(self, message: TrustRecord | TrustState) -> None:
+        """Keep what a process before has published, until the first verdict; later ones are its own."""
+        if isinstance(message, TrustRecord):
+            self._record = message if self._published is None else None
+        else:
+            self._saved = message if self._published is None else None
+
     def _resume(self) -> None:
         """Go on with the exclusion of an earlier process, so that a restart readmits nothing."""
         saved, self._saved = self._saved, None
+        record, self._record = self._record, None
+        if record is not None:
+            self._resume_record(record)
         if (
             saved is not None
             and (saved.gnss_excluded or saved.suspect_since_ns is not None)
@@ -129,6 +154,31 @@ class Process:
                 saved.sampled_ns, accused=True, agrees=False, decided=saved.gnss_excluded, suspect_since_ns=since_ns
             )
 
+    def _resume_record(self, record: TrustRecord) -> None:
+        """Go on with what was open before a power cut.
+
+        No source is excluded by it: fusion has no solution without that source any more, and what it holds covers both.
+        """
+        self._start.recall(record)
+        self._recorder.recall(record)
+        self._beliefs.resume(filter(is_suspect, record.beliefs), DEFAULT_RISK)
+        for source, suspect_ns in (
+            (self._gnss, record.suspect_since_ns), (self._imu, record.imu_suspect_since_ns)
+        ):  # fmt: skip
+            if suspect_ns is not None:
+                source.update(self._time_ns, accused=True, agrees=False, suspect_since_ns=suspect_ns)
+        self._alike_since_ns = record.alike_since_ns
+        self._odometer_excluded = record.odometer_excluded
+
+    def close(self) -> Iterator[TrustRecord]:
+        """Note that the process was stopped in order."""
+        yield from self._recorder.end(self._published, self._open_sources(), self._start.confirmed_ns)
+
+    def _open_sources(self) -> Open:
+        return Open(
+            self._gnss.suspect_since_ns, self._imu.suspect_since_ns, self._alike_since_ns, self._odometer_excluded
+        )
+
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
         self._resume()
         facts = self._facts(Admission(self._gnss.suspect_since_ns is not None, False, self._gnss.suspect_since_ns))
@@ -137,6 +187,7 @@ class Process:
         facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
         self._follow_alike(facts)
         facts, admission = self._admitted(facts)
+        facts = replace(facts, start_unconfirmed=self._start.unconfirmed(facts, self._navigation))
         found = verdict(facts)
         before = self._published
         level = found.state
@@ -166,6 +217,7 @@ class Process:
         )
         self._published = state
         yield state
+        yield from self._recorder.update(state, self._open_sources(), self._start.confirmed_ns)
         if changed:
             earlier = before.state if before is not None else TrustLevel.INITIALISING
             if before is not None or level is not TrustLevel.INITIALISING:

@@ -9,7 +9,7 @@ row   condition                                                                 
 4     a hypothesis survives to whose solution the level does not reach                    UNSAFE
 5     no GNSS in the position: excluded and confirmed by fusion, or missing for too long  DEAD_RECKONING
 6     a hypothesis survives, a source is excluded, or a monitor doubts                    CAUTION
-7     no inertial unit, no independent check, paused checks, or a silent monitor          CAUTION
+7     no inertial unit, check, or confirmation of a start; paused or silent monitors      CAUTION
 8     protection level above 0.8 of the alert limit                                       CAUTION
 9     otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
@@ -262,6 +262,8 @@ def _not_checked(facts: Facts) -> Explanations:
         found.append(explain(Code.CHECKS_PAUSED))
     if len(_not_evaluated(facts)) == len(CHECKS):
         found += [explain(Code.NO_INDEPENDENT_CHECK), explain(Code.NOT_EVALUATED, monitors=CHECKS)]
+    if facts.start_unconfirmed is not None:
+        found.append(facts.start_unconfirmed)
     return (*found, *_silent(facts))
 
 
