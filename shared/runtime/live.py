@@ -310,6 +310,11 @@ def _save(folder: Path, message: Message) -> None:
             file.flush()
             os.fsync(file.fileno())
         draft.replace(path)
+        directory = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(directory)  # otherwise the new name may be lost for as long as the file system's commits take
+        finally:
+            os.close(directory)
     except OSError as error:
         log.warning("could not save %s: %s", path.name, error.strerror)
 

@@ -63,7 +63,9 @@ class ConflictRecorder:
     def update(self, navigator: Navigator, time_ns: int) -> Iterator[ConflictRecord]:
         """Use the state of the navigator, once a second while it has a filter."""
         conflict, held = navigator.verdicts.conflict, _held_at_a_start(navigator.verdicts, time_ns)
-        self._growth.update(time_ns, None if conflict is None else conflict.apart_n)
+        # While the solution without GNSS decides: later it is that one which moves away.
+        good = None if conflict is None else conflict.good
+        self._growth.update(time_ns, None if good is None else good[0])
         is_open, last = conflict is not None or held.is_open, self._last
         was_open = last is not None and (last.conflict_since_ns is not None or last.held_m != ())
         if not is_open:

@@ -66,8 +66,11 @@ class RememberedConflict:
     def at(self, time_ns: int) -> Disagreement:
         """What is held at a start: as it was, with the growth since then.
 
-        A cut of unknown length, after which the clock shows an earlier time, counts as one of `LONGEST_S`.
+        A cut of unknown length, after which the clock shows an earlier time, counts as one of `LONGEST_S`. What has
+        contradicted nothing does not grow.
         """
+        if not self.held.is_open:
+            return self.held
         gap_s = (time_ns - self.time_ns) * 1e-9
         span_s = min(gap_s, LONGEST_S) if gap_s >= 0.0 else LONGEST_S
         grown_h, grown_v = (

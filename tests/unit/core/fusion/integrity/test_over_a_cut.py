@@ -40,6 +40,7 @@ def test_the_bound_grows_over_the_cut_by_the_largest_rate() -> None:
     assert held.bound == pytest.approx((50.0 + 5.0 + 60.0, 2.0 + 6.0 + 10.0))
     assert held.agreeing_ns is None
     assert known.at(0).bound == HELD.bound
+    assert RememberedConflict(0, NOTHING, (3.0, 0.5)).at(20 * SECOND_NS) is NOTHING
 
 
 @pytest.mark.parametrize("time_ns", [-1, 10**18])
