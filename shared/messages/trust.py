@@ -207,6 +207,8 @@ class TrustState(Message):
     finding_codes: Explanations = ()  # of `findings`, one each
     gnss_excluded: bool = False  # decided by a third source
     suspect_since_ns: Nanoseconds | None = None  # while GNSS is in conflict with other sensors, excluded or not
+    # last position before a loss of GNSS with interference, until displacement has agreed with its return
+    gnss_disturbed_since_ns: Nanoseconds | None = None
     odometer_excluded: bool = False
     imu_excluded: bool = False
     beliefs: Annotated[tuple[Belief, ...], Field(max_length=16)] = ()  # most probable first

@@ -15,7 +15,14 @@ BESIDE = {
     "inertial": {"settings", "smoothing.history"},  # the filter reads its noise, and records what the smoother needs
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
     "start": {"settings", "codes", "integrity.disagreement"},  # a saved state has what the level holds
-    "timeline": {"settings", "codes", "smoothing.history", "integrity.disagreement", "solution"},  # of two solutions
+    "timeline": {  # of two solutions, and of one before a power cut
+        "settings",
+        "codes",
+        "smoothing.history",
+        "integrity.disagreement",
+        "integrity.over_a_cut",
+        "solution",
+    },
     "hypotheses": {"settings", "codes", "integrity.disagreement", "integrity.protection_levels", "solution"},
 }
 # The filter has the models of GNSS errors as states, until an aid with a state brings its own row.

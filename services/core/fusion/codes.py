@@ -38,6 +38,7 @@ class Code(StrEnum):
     HELD_AT_START = "fusion.held_at_start"
     HELD_GREW = "fusion.held_grew"
     HELD_STEP = "fusion.held_step"
+    HELD_AFTER_LOSS = "fusion.held_after_loss"
     # why a hypothesis has no solution
     COMPUTING = "fusion.computing"
     SOLUTION_LOST = "fusion.solution_lost"

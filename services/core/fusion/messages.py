@@ -38,6 +38,7 @@ from .settings import Settings
 from .solution import Solution
 from .start.heading import Prior
 from .start.warm_start import SavedState, fingerprint
+from .timeline.conflict import EARLIER_NS
 from .without_imu import Missing
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,7 +59,10 @@ def use_trust_state(navigator: Navigator, state: TrustState) -> None:
     since_ns = state.suspect_since_ns
     if since_ns is None and state.gnss_excluded:
         since_ns = state.sampled_ns
+    if since_ns is not None and since_ns == state.gnss_disturbed_since_ns:
+        since_ns += EARLIER_NS  # the last position before a loss was right: nothing earlier is suspect
     navigator.apply_exclusions(since_ns, exclude=state.gnss_excluded, odometer_excluded=state.odometer_excluded)
+    navigator.disturbed_since(state.gnss_disturbed_since_ns)
     surviving = [belief for belief in state.beliefs if belief.survives and belief.hypothesis is not Hypothesis.NOTHING]
     suspect = [belief.since_ns for belief in surviving if belief.since_ns is not None]
     navigator.believe(
@@ -279,9 +283,10 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
     While the delay of GNSS is not known, what turns show is no error of the lever arm.
     """
     counts, exclusions, verdicts = navigator.counts, navigator.engine.exclusions, navigator.verdicts
-    conflict, difference, held = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor.held
+    conflict, difference, monitor = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor
+    held, loss = monitor.held, monitor.loss
     position_s, velocity_s = navigator.found_delays
-    declined, held_code = verdicts.unresolved or (conflict.declined if conflict else None), held.why
+    declined, held_code = verdicts.unresolved or (conflict.declined if conflict else None), held.why or loss.why
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=navigator.phase,
@@ -313,8 +318,8 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         without_gnss_level_m=None if verdicts.without_gnss_m is None else verdicts.without_gnss_m[0],
         exclusion_declined_code=declined,
         exclusion_declined=None if declined is None else reason(declined),
-        held_horizontal_m=held.bound[0],
-        held_vertical_m=held.bound[1],
+        held_horizontal_m=held.bound[0] + loss.bound[0],
+        held_vertical_m=held.bound[1] + loss.bound[1],
         held_code=held_code,
         held_reason=None if held_code is None else reason(held_code),
         satellites_left_out=exclusions.satellites,

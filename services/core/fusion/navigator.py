@@ -38,7 +38,7 @@ from .start.heading import Prior
 from .start.warm_start import SavedState, fault, saved_state
 from .timeline.conflict import MOST_LIMITS, Verdicts
 from .timeline.engine import Engine
-from .timeline.events import FoundDelay, LostTime
+from .timeline.events import Disturbed, FoundDelay, LostTime
 from .timeline.timeline import Timeline
 
 FloatArray = npt.NDArray[np.float64]
@@ -225,6 +225,12 @@ class Navigator:
         """
         self._surviving, self._imu_excluded = frozenset(surviving), imu_excluded
         self.bank.suspect(suspect_since_ns)
+
+    def disturbed_since(self, since_ns: int | None) -> None:
+        """Follow core.trust: GNSS was lost with interference after this time, and its return is not confirmed yet."""
+        loss = self.verdicts.main.engine.aids.error_monitor.loss
+        if since_ns is not None and loss.returned_ns is not None and loss.returned_ns > since_ns:
+            self._timeline.happen(Disturbed(self._timeline.next_ns))
 
     @property
     def verdicts(self) -> Verdicts:

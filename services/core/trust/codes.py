@@ -28,6 +28,7 @@ class Code(StrEnum):
     MANY_SUSPECTED = "trust.many_suspected"
     SOURCE_LEFT_OUT = "trust.source_left_out"
     CONFLICT = "trust.conflict"
+    GNSS_BACK = "trust.gnss_back"  # after interference
     IMU_NOT_AGREED = "trust.imu_not_agreed"
     GNSS_DISTURBED = "trust.gnss_disturbed"
     MONITOR_DOUBTFUL = "trust.monitor_doubtful"

@@ -136,6 +136,9 @@ class Facts:
     beliefs: tuple[Posterior, ...] = ()  # most probable first
     alternatives: Mapping[Hypothesis, Alternative] = field(default_factory=dict)  # newest, of fusion
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
+    disturbed_since_ns: int | None = (
+        None  # last position before a loss with interference, until its return is confirmed
+    )
     start_unconfirmed: Explanation | None = None  # why a long inertial window has to pass before SAFE
     checks_paused: bool = False  # this computer is too slow for the checks beside the position
     limits: Limits = field(default_factory=Limits)

@@ -26,6 +26,7 @@ from shared.messages.trust import (
 from shared.runtime.config import VehicleSettings
 from shared.words.words import REASON_LENGTH, reason
 
+from .after_loss import AfterLoss
 from .codes import Code
 from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Solution, Statement
 from .hypotheses.beliefs import Beliefs
@@ -93,7 +94,7 @@ class Process:
         self._beliefs = Beliefs()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._load: ProcessLoad | None = None  # of core.fusion
-        self._start, self._recorder = Start(), Recorder()
+        self._start, self._recorder, self._after_loss = Start(), Recorder(), AfterLoss()
         self._published: TrustState | None = None
         self._record: TrustRecord | None = None  # of an earlier process, until the first verdict
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
@@ -133,7 +134,9 @@ class Process:
     def _keep_of_earlier(self, message: TrustRecord | TrustState) -> None:
         """Keep what a process before has published, until the first verdict; later ones are its own."""
         if isinstance(message, TrustRecord):
-            self._record = message if self._published is None else None
+            known = self._record  # the broker may have kept the same one
+            if self._published is None and (known is None or message.sampled_ns > known.sampled_ns):
+                self._record = message
         else:
             self._saved = message if self._published is None else None
 
@@ -206,6 +209,7 @@ class Process:
             finding_codes=found.findings,
             gnss_excluded=admission.excluded,
             suspect_since_ns=admission.suspect_since_ns,
+            gnss_disturbed_since_ns=facts.disturbed_since_ns,
             odometer_excluded=facts.odometer_excluded,
             imu_excluded=facts.imu_excluded,
             beliefs=tuple(_beliefs(facts)),
@@ -268,7 +272,8 @@ class Process:
 
     def _admitted(self, facts: Facts) -> tuple[Facts, Admission]:
         """Decide which sources are used; returns the facts with that, and the admission of GNSS."""
-        judged, time_ns = judge_gnss(facts), facts.time_ns
+        self._after_loss.update(facts)
+        judged, time_ns = self._after_loss.judged(judge_gnss(facts)), facts.time_ns
         if judged.contradicted:  # another source is wrong
             self._gnss.end(time_ns)
         admission = self._gnss.update(
@@ -278,6 +283,7 @@ class Process:
         )  # fmt: skip
         if facts.conflict_open and not admission.open:
             self._ended_ns = time_ns
+            self._after_loss.end()
         imu = judge_imu(facts)
         imu_open = self._imu.suspect_since_ns is not None
         wanted = imu.accused if imu_open else imu.decided
@@ -297,6 +303,7 @@ class Process:
             facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
             exclusion_confirmed=self._confirmed(admission), imu_excluded=of_imu.excluded,
             imu_exclusion_confirmed=of_imu.excluded and confirmed, odometer_excluded=self._odometer_excluded,
+            disturbed_since_ns=self._after_loss.since_ns,
         )  # fmt: skip
         return facts, admission
 

@@ -143,6 +143,8 @@ def _conflict(facts: Facts) -> Explanations:
         return ()
     if facts.conflict_open and (facts.other_level_m is not None or facts.exclusion_declined):
         return ()
+    if facts.disturbed_since_ns is not None and not accusing:  # fusion holds the spread at the return
+        return ()
     why = _statements(accusing) if accusing else (explain(Code.GNSS_NOT_AGREED),)
     return (explain(Code.NO_SOLUTION_WITHOUT_GNSS), *why)
 
@@ -187,7 +189,8 @@ def _unresolved(facts: Facts) -> Explanations:
     if _surviving(facts) and not _excluded(facts):
         found += _of_hypotheses(facts)
     elif facts.conflict_open and not _excluded(facts):
-        found += [explain(Code.CONFLICT), *_declined(facts), *_both_sides(facts)]
+        code = Code.CONFLICT if facts.disturbed_since_ns is None else Code.GNSS_BACK
+        found += [explain(code), *_declined(facts), *_both_sides(facts)]
     if facts.imu_excluded and not facts.survives(Hypothesis.IMU):
         found.append(explain(Code.IMU_NOT_AGREED))
     if accusing := facts.accusing((Monitor.EVIDENCE,)):

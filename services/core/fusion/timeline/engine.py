@@ -38,7 +38,7 @@ from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..start import after_gap
 from ..start.alignment import Alignment
-from ..start.heading import Heading, Prior
+from ..start.heading import Heading, Prior, better_prior
 from ..start.warm_start import SavedState, restored
 from .events import Event
 from .exclusion import Exclusions
@@ -109,7 +109,7 @@ class Engine:
         """Use a saved position and heading, unless a filter has started before."""
         if self._alignment is not None and self.accepted_ns is None:
             self._alignment.use_prior(prior)
-            self._prior = self._prior or prior
+            self._prior = better_prior(self._prior, prior)
 
     def remember(self, conflict: RememberedConflict) -> None:
         """Hold with the first filter what an earlier process held."""
@@ -348,6 +348,10 @@ class Engine:
     def hold(self, disagreement: Disagreement) -> None:
         """Let the level hold a disagreement."""
         self.aids.error_monitor = replace(self.aids.error_monitor, held=disagreement)
+
+    def hold_after_interference(self) -> None:
+        """Hold what the last return of GNSS may be off by as an offset, which displacement does not end."""
+        self.aids.error_monitor = self.aids.error_monitor.after_interference()
 
     def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
         """Compare a measurement of an excluded source with the filter, without using it."""
