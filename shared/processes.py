@@ -192,12 +192,13 @@ PROCESSES = (
         container_user=10_117,
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "trust/state", "gnss/fault_free_fix", "mode/state", "mode/command",
+            "navigation/filter_state", "navigation/conflict_record", "trust/state", "gnss/fault_free_fix", "mode/state",
+            "mode/command",
             "health/load",
         ),
         produces=(
-            "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding",
-            "navigation/set_up", "trust/hypotheses", "health/load",
+            "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/conflict_record",
+            "navigation/aiding", "navigation/set_up", "trust/hypotheses", "health/load",
         ),
     ),
     ProcessRow(
@@ -235,9 +236,9 @@ PROCESSES = (
         container_user=10_122,
         consumes=(
             "trust/monitor", "trust/hypotheses", "navigation/solution", "navigation/state", "trust/state",
-            "health/load",
+            "trust/record", "health/load",
         ),
-        produces=("trust/state", "trust/event"),
+        produces=("trust/state", "trust/record", "trust/event"),
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",

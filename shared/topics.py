@@ -26,6 +26,7 @@ from .messages.gnss import (
 from .messages.imu import ImuRaw, ImuSamples
 from .messages.navigation import (
     AidingUpdate,
+    ConflictRecord,
     FilterState,
     LastPosition,
     NavigationSolution,
@@ -68,7 +69,15 @@ from .messages.toll import (
     TollTransaction,
     UsedCams,
 )
-from .messages.trust import LearnedGrade, LearnedScale, TrustEvent, TrustHypotheses, TrustMonitor, TrustState
+from .messages.trust import (
+    LearnedGrade,
+    LearnedScale,
+    TrustEvent,
+    TrustHypotheses,
+    TrustMonitor,
+    TrustRecord,
+    TrustState,
+)
 from .messages.uplink import UplinkState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
@@ -193,6 +202,8 @@ TOPICS = (
           qos=1, retain=True),
     Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
           qos=1, retain=True),
+    Topic("navigation/conflict_record", ConflictRecord, "contradiction that the protection level holds",
+          qos=1, retain=True, persist=True),
     Topic("navigation/aiding", AidingUpdate, "innovation of each measurement, and whether it was used", fast=True),
     Topic("trust/monitor", TrustMonitor, "result of one integrity monitor", rate_hz=1.0, silent_after_s=5.0),
     Topic("trust/hypotheses", TrustHypotheses, "position under each hypothesis of what may be wrong",
@@ -202,6 +213,8 @@ TOPICS = (
     Topic("trust/grade", LearnedGrade, "what this vehicle's drives have taught about its IMU and receiver",
           qos=1, retain=True, persist=True),
     Topic("trust/inertial_scale", LearnedScale, "what this vehicle's bends have taught about its IMU's scale",
+          qos=1, retain=True, persist=True),
+    Topic("trust/record", TrustRecord, "what core.trust believes and what is open, for its next process",
           qos=1, retain=True, persist=True),
     Topic("trust/event", TrustEvent, "each change of the verdict, with the evidence", qos=1),
     Topic("plaza/description", PlazaDescription, "lanes and lines of the toll plaza", qos=1, retain=True),

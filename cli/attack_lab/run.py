@@ -82,6 +82,7 @@ def _parked(truth: TruthState) -> LastPosition:
         latitude_deg=truth.latitude_deg, longitude_deg=truth.longitude_deg,
         height_ellipsoid_m=truth.height_ellipsoid_m, yaw_rad=truth.yaw_rad or 0.0,
         position_sd_ned_m=PARKED_SD_M, yaw_sd_rad=radians(PARKED_YAW_SD_DEG), stationary=True,
+        earlier_life=True,
     )  # fmt: skip
 
 

@@ -82,6 +82,13 @@ class Message(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore", defer_build=True)
 
 
+class Persistent(Message):
+    """A message whose newest one outlives a power-off; the runtime notes the boot in which it was saved."""
+
+    boot: Annotated[Name | None, Field(exclude_if=lambda value: value is None)] = None  # of the host, in the saved file
+    earlier_life: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # restored from an earlier boot
+
+
 class Sender(Message):
     """Process, incarnation and sequence number of a message: the field `sender` of every payload on the bus."""
 

@@ -15,6 +15,7 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Persistent,
     Quantity,
     Ratio,
     Reason,
@@ -131,6 +132,9 @@ class NavigationState(Message):
     # what would end it, each by itself
     held_end_codes: Annotated[tuple[Explanation, ...], Field(max_length=8)] | None = None
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
+    # first filter of this process, unless it goes on from the state of an earlier one
+    started_ns: Nanoseconds | None = None
+    started_in_motion: bool = False  # without a standstill before it
 
 
 class SetUpVerdict(StrEnum):
@@ -195,7 +199,7 @@ class AidingUpdate(Message):
     reason: Reason | None = None
 
 
-class LastPosition(Message):
+class LastPosition(Persistent):
     """Where the vehicle was last known to be, kept over a power-off."""
 
     sampled_ns: Nanoseconds
@@ -207,6 +211,23 @@ class LastPosition(Message):
     position_sd_ned_m: Deviation3
     yaw_sd_rad: Deviation
     stationary: bool = False  # it stood there: the vehicle may be there still when the unit is switched on again
+
+
+Metres = Annotated[float, Field(ge=-1e8, le=1e8)]
+Rate = Annotated[float, Field(ge=0.0, le=1e4)]
+
+
+class ConflictRecord(Persistent):
+    """What the protection level holds of a contradiction of GNSS, for a start after a power cut."""
+
+    sampled_ns: Nanoseconds
+    # difference of positions that the level holds: north, east, down, then standard deviation and slack, each of them
+    # horizontal and vertical; empty without one
+    held_m: Annotated[tuple[Metres, ...], Field(max_length=7)] = ()
+    held_grew: bool = False  # without a step
+    held_at_start: bool = False  # between the saved position of a parked vehicle and the first fix
+    growth_m_s: tuple[Rate, Rate] = (0.0, 0.0)  # largest rate of the difference, horizontal and vertical
+    conflict_since_ns: Nanoseconds | None = None  # while there is a conflict
 
 
 class FilterState(Message):

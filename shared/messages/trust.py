@@ -14,6 +14,7 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Persistent,
     Ratio,
     Reason,
     Seconds,
@@ -206,6 +207,8 @@ class TrustState(Message):
     finding_codes: Explanations = ()  # of `findings`, one each
     gnss_excluded: bool = False  # decided by a third source
     suspect_since_ns: Nanoseconds | None = None  # while GNSS is in conflict with other sensors, excluded or not
+    # last position before a loss of GNSS with interference, until displacement has agreed with its return
+    gnss_disturbed_since_ns: Nanoseconds | None = None
     odometer_excluded: bool = False
     imu_excluded: bool = False
     beliefs: Annotated[tuple[Belief, ...], Field(max_length=16)] = ()  # most probable first
@@ -225,3 +228,29 @@ class TrustEvent(Message):
     reasons: tuple[Reason, ...]
     reason_codes: Explanations = ()  # of `reasons`, one each
     monitors: tuple[TrustMonitor, ...] = ()
+
+
+class TrustedPosition(Message):
+    """The newest position whose verdict was SAFE."""
+
+    sampled_ns: Nanoseconds
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: Height
+    protection_level_horizontal_m: Deviation
+    protection_level_vertical_m: Deviation
+
+
+class TrustRecord(Persistent):
+    """What core.trust believes and what is open, for its next process, also after a power cut."""
+
+    sampled_ns: Nanoseconds
+    ended_in_order: bool = False  # the last one of a process that was stopped
+    moving: bool = True  # the vehicle was not at standstill
+    confirmed_ns: Nanoseconds | None = None  # when a long inertial window has last passed
+    suspect_since_ns: Nanoseconds | None = None  # of GNSS, while it is in conflict
+    imu_suspect_since_ns: Nanoseconds | None = None
+    alike_since_ns: Nanoseconds | None = None  # GNSS and odometer falsified alike
+    odometer_excluded: bool = False
+    beliefs: Annotated[tuple[Belief, ...], Field(max_length=16)] = ()  # of hypotheses that survive
+    trusted: TrustedPosition | None = None

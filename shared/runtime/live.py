@@ -22,11 +22,12 @@ from ..faults import Faults
 from ..kinds import Kinds
 from ..load import Load
 from ..maths.dates import is_plausible
-from ..messages.base import Message, RawBytes, Stamped, Tick
+from ..messages.base import Message, Persistent, RawBytes, Stamped, Tick
 from ..messages.imu import ImuSamples
 from ..messages.operation import Consumed, ProcessLoad
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
+from .clock import boot_id
 from .config import Section, VehicleFile, broker_address, state_dir
 
 log = logging.getLogger(__name__)
@@ -265,6 +266,8 @@ class LiveReactor:
                 self._bus.rejects["saved state"] += 1
                 log.warning("ignored the saved %s: %s", topic.name, error)
                 continue
+            if isinstance(message, Persistent):
+                message = message.model_copy(update={"boot": None, "earlier_life": _is_earlier(message.boot)})
             self._bus.publish(message)
             self._journal.add(self._own(message))
             self._publish(self._handled(message))
@@ -286,6 +289,11 @@ class LiveReactor:
                 self._bus.publish(consumed)
 
 
+def _is_earlier(boot: str | None) -> bool:
+    """Whether a message was saved in an earlier boot of the host; that of an older release does not say."""
+    return boot is not None and boot != boot_id()
+
+
 def _saved_path(folder: Path, name: str) -> Path:
     return folder / f"saved-{name.replace('/', '-')}.json"
 
@@ -293,6 +301,8 @@ def _saved_path(folder: Path, name: str) -> Path:
 def _save(folder: Path, message: Message) -> None:
     """Write the message atomically: a power cut leaves either the old file or the new one."""
     path = _saved_path(folder, codec.topic_name(message))
+    if isinstance(message, Persistent):
+        message = message.model_copy(update={"boot": boot_id()})
     draft = path.with_suffix(".new")
     try:
         with draft.open("wb") as file:
@@ -300,6 +310,11 @@ def _save(folder: Path, message: Message) -> None:
             file.flush()
             os.fsync(file.fileno())
         draft.replace(path)
+        directory = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(directory)  # otherwise the new name may be lost for as long as the file system's commits take
+        finally:
+            os.close(directory)
     except OSError as error:
         log.warning("could not save %s: %s", path.name, error.strerror)
 

@@ -17,7 +17,8 @@ BESIDE = {
     "start": {"settings", "codes", "integrity.disagreement"},  # a saved state has what the level holds
     # of two solutions: what they contradict each other by, and what is left of it
     "timeline": {"settings", "codes", "smoothing.history", "solution",
-                 *(f"integrity.{name}" for name in ("closure", "disagreement", "known_place", "separation"))},
+                 *(f"integrity.{name}" for name in (
+                     "closure", "disagreement", "known_place", "over_a_cut", "separation"))},
     "hypotheses": {"settings", "codes", "solution", *(f"integrity.{name}" for name in (
         "disagreement", "error_monitor", "protection_levels", "separation"))},
 }  # fmt: skip

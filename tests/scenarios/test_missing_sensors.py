@@ -74,7 +74,7 @@ def parked(*, stationary: bool = True) -> LastPosition:
     return LastPosition(
         sampled_ns=EPOCH_NS - 10**12, latitude_deg=degrees(place[0]), longitude_deg=degrees(place[1]),
         height_ellipsoid_m=place[2], yaw_rad=attitude[2], position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
-        stationary=stationary,
+        stationary=stationary, earlier_life=True,
     )  # fmt: skip
 
 

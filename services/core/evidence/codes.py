@@ -30,5 +30,6 @@ class Code(StrEnum):
     LEVEL_AND_MEAN = "evidence.level_and_mean"
     SPREAD = "evidence.spread"
     CLOCK = "evidence.clock"
+    CLOCK_AFTER_LOSS = "evidence.clock_after_loss"
     GNSS_TIME = "evidence.gnss_time"
     HOST_TIME = "evidence.host_time"

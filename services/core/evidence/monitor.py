@@ -20,6 +20,7 @@ from shared.trust.result import Test, judged, lasting
 
 from .baselines import NS, RECENT_S, ClockPrediction, SlowMean, TimeOffset
 from .codes import Code
+from .drift_over_loss import DriftOverLoss
 from .settings import Settings
 
 SEVERITY = {InterferenceState.NONE: 0.0, InterferenceState.INDICATED: 1.0, InterferenceState.SEVERE: 2.0}
@@ -95,7 +96,7 @@ class EvidenceMonitor:
         self.newest_ns: int | None = None  # of flags, levels, gain and clock
         self._gains: dict[int, SlowMean] = {}
         self._level = SlowMean(s.baseline_s, s.learning_s)
-        self._clock, self._offset = ClockPrediction(), TimeOffset()
+        self._clock, self._drift, self._offset = ClockPrediction(), DriftOverLoss(), TimeOffset()
         self._host: HostClock | None = None
         self.tests = {
             name: EvidenceTest(name, missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
@@ -114,6 +115,7 @@ class EvidenceMonitor:
     def quality(self, message: GnssSignalQuality) -> None:
         """Use flags, gain, clock and steps of the receiver's time."""
         time_ns = message.sampled_ns
+        self._drift.heard(time_ns)
         if message.status or message.security or message.radio_paths or message.clock:
             self.newest_ns = max(self.newest_ns or time_ns, time_ns)
         stated = (Part.NAVIGATION_STATUS, message.status), (Part.SIGNAL_SECURITY, message.security)
@@ -130,6 +132,8 @@ class EvidenceMonitor:
     def satellites(self, message: GnssSatellites) -> None:
         """Use the C/N0 of the used satellites: their median, and their standard deviation."""
         s, time_ns = self.settings, message.sampled_ns
+        self._drift.heard(time_ns)
+        self._compare_drift(time_ns, sum(one.used for one in message.satellites))
         known = [one for one in message.satellites if one.used and one.cn0_db_hz is not None]
         self.newest_ns = max(self.newest_ns or time_ns, time_ns)
         if len(known) < s.least_satellites:
@@ -198,6 +202,7 @@ class EvidenceMonitor:
 
     def _use_clock(self, time_ns: int, clock: ReceiverClock) -> None:
         s = self.settings
+        self._drift.clock(time_ns, clock.drift_ratio)
         change = self._clock.update(time_ns, clock.bias_s, clock.drift_ratio, clock.bias_sd_s)
         if change is None:
             return
@@ -208,6 +213,13 @@ class EvidenceMonitor:
             drift_limit_ratio=s.drift_step_ratio,
         )  # fmt: skip
         self.tests["clock"].evaluated(time_ns, evaluation(statistic, 1.0, "-", why))
+
+    def _compare_drift(self, time_ns: int, satellites: int) -> None:
+        """Compare the clock's drift with that before a loss of the signals."""
+        change = self._drift.epoch(time_ns, satellites)
+        if change is not None:
+            why = explain(Code.CLOCK_AFTER_LOSS, drift_m_s=change.drift_m_s, gap_s=change.gap_s)
+            self.tests["clock"].evaluated(time_ns, evaluation(abs(change.drift_m_s), change.limit_m_s, "m/s", why))
 
     def _compare_with_host(self, time_ns: int, late_s: float) -> None:
         """Compare the receiver's UTC with that of a host whose clock is held, by the arrival with the least delay."""

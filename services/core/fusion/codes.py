@@ -44,6 +44,7 @@ class Code(StrEnum):
     ENDS_BY_DRIVE = "fusion.ends_by_drive"
     ENDS_AT_PLACE = "fusion.ends_at_place"
     ENDS_BY_OPERATOR = "fusion.ends_by_operator"
+    HELD_AFTER_LOSS = "fusion.held_after_loss"
     # why a hypothesis has no solution
     COMPUTING = "fusion.computing"
     SOLUTION_LOST = "fusion.solution_lost"

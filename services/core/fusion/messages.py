@@ -30,19 +30,19 @@ from shared.words.words import reason
 
 from .aids.base import Outcome
 from .codes import Code
+from .conflict_record import held_numbers, held_of
 from .hypotheses.bank import SEPARATION_LIMIT, Alternative
-from .integrity.disagreement import NOTHING, Disagreement
 from .navigator import Navigator
 from .set_up.monitor import ArmError, SetUpMonitor
 from .settings import Settings
 from .solution import Solution
 from .start.heading import Prior
 from .start.warm_start import SavedState, fingerprint
+from .timeline.conflict import EARLIER_NS
 from .without_imu import Missing
 
 FloatArray = npt.NDArray[np.float64]
 
-HELD_NUMBERS = 7  # of a disagreement in a saved state
 # Hypotheses under which positions of GNSS may be off.
 OF_GNSS = frozenset({Hypothesis.GNSS, Hypothesis.GNSS_AND_ODOMETER, Hypothesis.SATELLITES, Hypothesis.RECEIVER_TIME})
 ALIGNING = (NavigationPhase.LEVELLING, NavigationPhase.WAITING_FOR_GNSS, NavigationPhase.WAITING_FOR_HEADING)
@@ -61,7 +61,10 @@ def use_trust_state(navigator: Navigator, state: TrustState) -> None:
     since_ns = state.suspect_since_ns
     if since_ns is None and state.gnss_excluded:
         since_ns = state.sampled_ns
+    if since_ns is not None and since_ns == state.gnss_disturbed_since_ns:
+        since_ns += EARLIER_NS  # the last position before a loss was right: nothing earlier is suspect
     navigator.apply_exclusions(since_ns, exclude=state.gnss_excluded, odometer_excluded=state.odometer_excluded)
+    navigator.disturbed_since(state.gnss_disturbed_since_ns)
     surviving = [belief for belief in state.beliefs if belief.survives and belief.hypothesis is not Hypothesis.NOTHING]
     suspect = [belief.since_ns for belief in surviving if belief.since_ns is not None]
     navigator.believe(
@@ -136,7 +139,8 @@ def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
 def prior_from_last_position(last: LastPosition) -> Prior:
     """Prior from the saved position and heading."""
     position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
-    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, last.stationary)
+    parked = last.stationary and last.earlier_life
+    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, parked)
 
 
 def turned(solution: Solution, turn: tuple[float, float]) -> Solution:
@@ -211,20 +215,10 @@ def filter_state_message(saved: SavedState, settings: Settings, imu: str) -> Fil
         covariance=saved.covariance,
         position_used_ns=saved.accepted_ns,
         gnss_excluded_since_ns=saved.gnss_excluded_since_ns,
-        held_m=(*saved.held.vector_n, *saved.held.spread, *saved.held.slack) if saved.held.is_open else (),
+        held_m=held_numbers(saved.held),
         held_grew=saved.held.grew,
         held_at_start=saved.held.at_start,
     )
-
-
-def _held(state: FilterState) -> Disagreement:
-    if len(state.held_m) != HELD_NUMBERS:
-        return NOTHING
-    north, east, down, spread_h, spread_v, slack_h, slack_v = state.held_m
-    return Disagreement(
-        (north, east, down), (abs(spread_h), abs(spread_v)), state.held_grew, (abs(slack_h), abs(slack_v)),
-        at_start=state.held_at_start,
-    )  # fmt: skip
 
 
 def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
@@ -246,7 +240,7 @@ def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None
             state.covariance,
             state.position_used_ns,
             state.gnss_excluded_since_ns,
-            _held(state),
+            held_of(state),
         )
         navigator.restore(saved, first.sampled_ns[0])
 
@@ -292,9 +286,10 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
     While the delay of GNSS is not known, what turns show is no error of the lever arm.
     """
     counts, exclusions, verdicts = navigator.counts, navigator.engine.exclusions, navigator.verdicts
-    conflict, difference, held = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor.held
+    conflict, difference, monitor = verdicts.conflict, verdicts.difference(), navigator.engine.aids.error_monitor
+    held, loss = monitor.held, monitor.loss
     position_s, velocity_s = navigator.found_delays
-    declined, held_code = verdicts.unresolved or (conflict.declined if conflict else None), held.why
+    declined, held_code = verdicts.unresolved or (conflict.declined if conflict else None), held.why or loss.why
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=navigator.phase,
@@ -326,10 +321,12 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         without_gnss_level_m=None if verdicts.without_gnss_m is None else verdicts.without_gnss_m[0],
         exclusion_declined_code=declined,
         exclusion_declined=None if declined is None else reason(declined),
-        held_horizontal_m=held.bound[0],
-        held_vertical_m=held.bound[1],
+        held_horizontal_m=held.bound[0] + loss.bound[0],
+        held_vertical_m=held.bound[1] + loss.bound[1],
         held_code=held_code,
         held_reason=None if held_code is None else reason(held_code),
         held_end_codes=navigator.what_ends_the_held or None,
         satellites_left_out=exclusions.satellites,
+        started_ns=navigator.engine.first_start[0] or None,
+        started_in_motion=navigator.engine.first_start[1],
     )

@@ -29,6 +29,7 @@ from .hypotheses.bank import Bank
 from .hypotheses.motion_model import State
 from .inertial.imu_clock import FUTURE_LIMIT_NS, Clock
 from .inertial.imu_faults import Repeats, Sample, credible
+from .integrity.over_a_cut import RememberedConflict
 from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
@@ -37,7 +38,7 @@ from .start.heading import Prior
 from .start.warm_start import SavedState, fault, saved_state
 from .timeline.conflict import MOST_LIMITS, Verdicts
 from .timeline.engine import Engine
-from .timeline.events import FoundDelay, LostTime
+from .timeline.events import Disturbed, FoundDelay, LostTime
 from .timeline.timeline import Timeline
 
 FloatArray = npt.NDArray[np.float64]
@@ -185,6 +186,10 @@ class Navigator:
         """Use a position and heading saved before the unit was switched off."""
         self._timeline.use_prior(prior)
 
+    def remember(self, conflict: RememberedConflict) -> None:
+        """Hold with the first filter what an earlier process held."""
+        self._timeline.remember(conflict)
+
     def restore(self, saved: SavedState, time_ns: int) -> None:
         """Restore the state of an earlier process, if it is valid at the stamp of the first sample."""
         if reason := fault(saved, time_ns):
@@ -223,6 +228,12 @@ class Navigator:
         self.verdicts.weight = of_gnss
         self._surviving, self._imu_excluded = frozenset(surviving), imu_excluded
         self.bank.suspect(suspect_since_ns)
+
+    def disturbed_since(self, since_ns: int | None) -> None:
+        """Follow core.trust: GNSS was lost with interference after this time, and its return is not confirmed yet."""
+        loss = self.verdicts.main.engine.aids.error_monitor.loss
+        if since_ns is not None and loss.returned_ns is not None and loss.returned_ns > since_ns:
+            self._timeline.happen(Disturbed(self._timeline.next_ns))
 
     @property
     def what_ends_the_held(self) -> tuple[Explanation, ...]:

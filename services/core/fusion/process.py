@@ -9,6 +9,7 @@ from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
+    ConflictRecord,
     FilterState,
     LastPosition,
     NavigationPhase,
@@ -23,6 +24,7 @@ from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from . import messages
 from .aids.base import Measurement
 from .aids.kinds import measurements_of
+from .conflict_record import ConflictRecorder, remembered
 from .navigator import Navigator
 from .set_up.height_sign import HeightSign
 from .set_up.monitor import SetUpMonitor
@@ -37,6 +39,7 @@ In = (
     | GnssFix
     | LastPosition
     | FilterState
+    | ConflictRecord
     | VehicleSpeed
     | WheelSpeeds
     | TrustState
@@ -47,7 +50,7 @@ In = (
 )
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
 NO_EXCLUSION: Exclusion = (None, False, ())
-Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState | TrustHypotheses
+Out = NavigationSolution | NavigationState | FilterState | ConflictRecord | AidingUpdate | SetUpState | TrustHypotheses
 
 
 class Config(Settings):
@@ -66,6 +69,7 @@ class Process:
         self._published_ns = 0  # stamp of the newest solution
         self._last_state: tuple[NavigationPhase, tuple[Explanation, ...], Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
+        self._recorder = ConflictRecorder()
         self._speed = ChosenSource(speed_choice)
         self._receiver, self._fixes = ChosenSource(receiver_choice), ChosenSource(gnss_choice)
         self._imus = ChosenSource(imu_choice, SILENT_NS)
@@ -105,9 +109,28 @@ class Process:
                 messages.use_trust_state(self._navigator, message)
             case ProcessLoad():
                 self._follow_load(message)
+            case FilterState() | ConflictRecord():
+                self._resume(message)
             case ModeCommand(command=OperatorCommand.CONFIRM_POSITION):
                 if not self._navigator.confirm_position():
                     self.rejects["confirmation of a position in a conflict"] += 1
+            case _:
+                self._aid(message)
+
+    def _resume(self, message: FilterState | ConflictRecord) -> None:
+        """Use what an earlier process has saved; after the first sample it is of this process."""
+        if self._imu is not None:
+            return
+        if isinstance(message, FilterState):
+            self._saved = message
+        else:
+            self._recorder.resume(message)
+            self._navigator.remember(remembered(message))
+
+    def _conflict_record(self) -> Iterator[ConflictRecord]:
+        """Publish what the level holds, for a start after a power cut."""
+        if self._navigator.engine.filter is not None:
+            yield from self._recorder.update(self._navigator, self._navigator.engine.time_ns)
 
     def _use_last_position(self, message: LastPosition) -> None:
         """Use the last position of an earlier drive; one that is newer than the first measurement is of this drive."""
@@ -146,6 +169,7 @@ class Process:
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._filter_state(batch.source)
                 yield from self._hypotheses()
+                yield from self._conflict_record()
             self._sampled_ns = sampled_ns
         self._set_up.samples(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s)
         if self._set_up.is_due(self._sampled_ns):

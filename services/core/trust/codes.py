@@ -31,6 +31,7 @@ class Code(StrEnum):
     MANY_SUSPECTED = "trust.many_suspected"
     SOURCE_LEFT_OUT = "trust.source_left_out"
     CONFLICT = "trust.conflict"
+    GNSS_BACK = "trust.gnss_back"  # after interference
     IMU_NOT_AGREED = "trust.imu_not_agreed"
     GNSS_DISTURBED = "trust.gnss_disturbed"
     MONITOR_DOUBTFUL = "trust.monitor_doubtful"
@@ -43,6 +44,9 @@ class Code(StrEnum):
     NO_INERTIAL_UNIT = "trust.no_inertial_unit"
     CHECKS_PAUSED = "trust.checks_paused"
     NO_INDEPENDENT_CHECK = "trust.no_independent_check"
+    START_UNKNOWN = "trust.start_unknown"  # nothing is known of the time before
+    START_IN_MOTION = "trust.start_in_motion"
+    START_AFTER_CUT = "trust.start_after_cut"  # in motion
     NOT_EVALUATED = "trust.not_evaluated"
     MONITORS_MISSING = "trust.monitors_missing"  # have not published yet
     MONITOR_SILENT = "trust.monitor_silent"

@@ -138,6 +138,10 @@ class Facts:
     alternatives: Mapping[Hypothesis, Alternative] = field(default_factory=dict)  # newest, of fusion
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
     fixes_late_s: float | None = None  # by which positions arrive late, and are taken as older
+    disturbed_since_ns: int | None = (
+        None  # last position before a loss with interference, until its return is confirmed
+    )
+    start_unconfirmed: Explanation | None = None  # why a long inertial window has to pass before SAFE
     checks_paused: bool = False  # this computer is too slow for the checks beside the position
     limits: Limits = field(default_factory=Limits)
 

@@ -20,20 +20,33 @@ from shared.messages.trust import (
     TrustHypotheses,
     TrustLevel,
     TrustMonitor,
+    TrustRecord,
     TrustState,
 )
 from shared.runtime.config import VehicleSettings
 from shared.words.words import REASON_LENGTH, reason
 
+from .after_loss import AfterLoss
 from .codes import Code
 from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Solution, Statement
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
 from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
+from .record import Open, Recorder, is_suspect
+from .start import Start
 from .steady import Steady
 
-In = TrustMonitor | TrustHypotheses | NavigationSolution | NavigationState | TrustState | ProcessLoad | Tick
-Out = TrustState | TrustEvent
+In = (
+    TrustMonitor
+    | TrustHypotheses
+    | NavigationSolution
+    | NavigationState
+    | TrustState
+    | TrustRecord
+    | ProcessLoad
+    | Tick
+)
+Out = TrustState | TrustRecord | TrustEvent
 MONITORS = frozenset(Monitor)
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING, NavigationPhase.GNSS_ONLY)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
@@ -82,7 +95,9 @@ class Process:
         self._steady = Steady()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._load: ProcessLoad | None = None  # of core.fusion
+        self._start, self._recorder, self._after_loss = Start(), Recorder(), AfterLoss()
         self._published: TrustState | None = None
+        self._record: TrustRecord | None = None  # of an earlier process, until the first verdict
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
     def handle(self, message: In) -> Iterator[Out]:
@@ -97,6 +112,7 @@ class Process:
                 self._time_ns = max(self._time_ns, message.sampled_ns)
             case NavigationSolution():
                 self._solution = _solution(message)
+                self._recorder.see(message)
                 self._time_ns = max(self._time_ns, message.sampled_ns)
             case NavigationState():
                 self._navigation = message
@@ -109,16 +125,28 @@ class Process:
             case ProcessLoad():
                 self._load = message
                 return
-            case TrustState():  # later ones are its own
-                self._saved = message if self._published is None else None
+            case TrustRecord() | TrustState():
+                self._keep_of_earlier(message)
                 return
             case Tick():
                 self._time_ns = message.now_ns
         yield from self._judge(at_once=isinstance(message, Tick))
 
+    def _keep_of_earlier(self, message: TrustRecord | TrustState) -> None:
+        """Keep what a process before has published, until the first verdict; later ones are its own."""
+        if isinstance(message, TrustRecord):
+            known = self._record  # the broker may have kept the same one
+            if self._published is None and (known is None or message.sampled_ns > known.sampled_ns):
+                self._record = message
+        else:
+            self._saved = message if self._published is None else None
+
     def _resume(self) -> None:
         """Go on with the exclusion of an earlier process, so that a restart readmits nothing."""
         saved, self._saved = self._saved, None
+        record, self._record = self._record, None
+        if record is not None:
+            self._resume_record(record)
         if (
             saved is not None
             and (saved.gnss_excluded or saved.suspect_since_ns is not None)
@@ -130,6 +158,31 @@ class Process:
                 saved.sampled_ns, accused=True, agrees=False, decided=saved.gnss_excluded, suspect_since_ns=since_ns
             )
 
+    def _resume_record(self, record: TrustRecord) -> None:
+        """Go on with what was open before a power cut.
+
+        No source is excluded by it: fusion has no solution without that source any more, and what it holds covers both.
+        """
+        self._start.recall(record)
+        self._recorder.recall(record)
+        self._beliefs.resume(filter(is_suspect, record.beliefs), DEFAULT_RISK)
+        for source, suspect_ns in (
+            (self._gnss, record.suspect_since_ns), (self._imu, record.imu_suspect_since_ns)
+        ):  # fmt: skip
+            if suspect_ns is not None:
+                source.update(self._time_ns, accused=True, agrees=False, suspect_since_ns=suspect_ns)
+        self._alike_since_ns = record.alike_since_ns
+        self._odometer_excluded = record.odometer_excluded
+
+    def close(self) -> Iterator[TrustRecord]:
+        """Note that the process was stopped in order."""
+        yield from self._recorder.end(self._published, self._open_sources(), self._start.confirmed_ns)
+
+    def _open_sources(self) -> Open:
+        return Open(
+            self._gnss.suspect_since_ns, self._imu.suspect_since_ns, self._alike_since_ns, self._odometer_excluded
+        )
+
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
         self._resume()
         facts = self._facts(Admission(self._gnss.suspect_since_ns is not None, False, self._gnss.suspect_since_ns))
@@ -138,6 +191,7 @@ class Process:
         facts = replace(facts, beliefs=self._beliefs.update(facts, self._open()), gnss_was_apart=self._gnss.was_apart)
         self._follow_alike(facts)
         facts, admission = self._admitted(facts)
+        facts = replace(facts, start_unconfirmed=self._start.unconfirmed(facts, self._navigation))
         found = self._steady.after(facts)
         before = self._published
         level = found.state
@@ -156,6 +210,7 @@ class Process:
             finding_codes=found.findings,
             gnss_excluded=admission.excluded,
             suspect_since_ns=admission.suspect_since_ns,
+            gnss_disturbed_since_ns=facts.disturbed_since_ns,
             odometer_excluded=facts.odometer_excluded,
             imu_excluded=facts.imu_excluded,
             beliefs=tuple(_beliefs(facts)),
@@ -167,6 +222,7 @@ class Process:
         )
         self._published = state
         yield state
+        yield from self._recorder.update(state, self._open_sources(), self._start.confirmed_ns)
         if changed:
             earlier = before.state if before is not None else TrustLevel.INITIALISING
             if before is not None or level is not TrustLevel.INITIALISING:
@@ -217,7 +273,8 @@ class Process:
 
     def _admitted(self, facts: Facts) -> tuple[Facts, Admission]:
         """Decide which sources are used; returns the facts with that, and the admission of GNSS."""
-        judged, time_ns = judge_gnss(facts), facts.time_ns
+        self._after_loss.update(facts)
+        judged, time_ns = self._after_loss.judged(judge_gnss(facts)), facts.time_ns
         if judged.contradicted:  # another source is wrong
             self._gnss.end(time_ns)
         admission = self._gnss.update(
@@ -227,6 +284,7 @@ class Process:
         )  # fmt: skip
         if facts.conflict_open and not admission.open:
             self._ended_ns = time_ns
+            self._after_loss.end()
         imu = judge_imu(facts)
         imu_open = self._imu.suspect_since_ns is not None
         wanted = imu.accused if imu_open else imu.decided
@@ -246,6 +304,7 @@ class Process:
             facts, conflict_open=admission.open, gnss_excluded=admission.excluded,
             exclusion_confirmed=self._confirmed(admission), imu_excluded=of_imu.excluded,
             imu_exclusion_confirmed=of_imu.excluded and confirmed, odometer_excluded=self._odometer_excluded,
+            disturbed_since_ns=self._after_loss.since_ns,
         )  # fmt: skip
         return facts, admission
 

@@ -9,7 +9,7 @@ row   condition                                                                 
 4     a hypothesis survives to whose solution the level does not reach                    UNSAFE
 5     no GNSS in the position: excluded and confirmed by fusion, or missing for too long  DEAD_RECKONING
 6     a hypothesis survives, a source is excluded, or a monitor doubts                    CAUTION
-7     no inertial unit, no independent check, paused checks, or a silent monitor          CAUTION
+7     no inertial unit, check, or confirmation of a start; paused or silent monitors      CAUTION
 8     protection level above 0.8 of the alert limit                                       CAUTION
 9     otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
@@ -158,6 +158,8 @@ def _conflict(facts: Facts) -> Explanations:
         return ()
     if facts.conflict_open and (facts.other_level_m is not None or facts.exclusion_declined):
         return ()
+    if facts.disturbed_since_ns is not None and not accusing:  # fusion holds the spread at the return
+        return ()
     why = _statements(accusing) if accusing else (explain(Code.GNSS_NOT_AGREED),)
     return (explain(Code.NO_SOLUTION_WITHOUT_GNSS), *why)
 
@@ -202,7 +204,8 @@ def _unresolved(facts: Facts) -> Explanations:
     if _surviving(facts) and not _excluded(facts):
         found += _of_hypotheses(facts)
     elif facts.conflict_open and not _excluded(facts):
-        found += [explain(Code.CONFLICT), *_declined(facts), *_both_sides(facts)]
+        code = Code.CONFLICT if facts.disturbed_since_ns is None else Code.GNSS_BACK
+        found += [explain(code), *_declined(facts), *_both_sides(facts)]
     if facts.imu_excluded and not facts.survives(Hypothesis.IMU):
         found.append(explain(Code.IMU_NOT_AGREED))
     if accusing := facts.accusing((Monitor.EVIDENCE,)):
@@ -277,6 +280,8 @@ def _not_checked(facts: Facts) -> Explanations:
         found.append(explain(Code.CHECKS_PAUSED))
     if len(_not_evaluated(facts)) == len(CHECKS):
         found += [explain(Code.NO_INDEPENDENT_CHECK), explain(Code.NOT_EVALUATED, monitors=CHECKS)]
+    if facts.start_unconfirmed is not None:
+        found.append(facts.start_unconfirmed)
     return (*found, *_silent(facts))
 
 

@@ -11,6 +11,7 @@ from shared.messages.navigation import AidingKind
 from ..aids.base import Outcome
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
+from .after_loss import NO_LOSS, AfterLoss
 from .disagreement import CLOSURE_SDS, GREW_RATIO, NONE, NOTHING, STILL, Disagreement, Pair, Vector
 from .innovation_statistics import ESTIMATED, UNKNOWN, InnovationStatistics
 
@@ -34,6 +35,7 @@ class ErrorMonitor:
     rejected_grew: bool = False  # the first of these was hardly beyond the gate
     unestimated: Pair = NONE  # [m²] variance of position errors that are time-correlated and no state of the filter
     held: Disagreement = NOTHING  # what a reset to rejected positions, a return or a conflict has left open
+    loss: AfterLoss = NO_LOSS  # what the return after an outage may be off by
     delay_s: float = 0.0  # suspected delay of positions that no setting corrects
 
     def restarted(self, time_ns: int, started: ErrorStateFilter) -> "ErrorMonitor":
@@ -107,6 +109,8 @@ class ErrorMonitor:
         since_s = max(0.0, (outcome.time_ns - self.position.time_ns) * 1e-9) if self.position.time_ns else 0.0
         speed = hypot(*navigation.velocity[:2])
         held = self.held.confirmed(outcome.time_ns, used=outcome.used, since_s=since_s, speed=speed)
+        loss = self.loss.confirmed(used=outcome.used, since_s=since_s, speed=speed)
+        known = replace(known, loss=loss)
         if height is not None and height.taken_over:
             held = held.after((0.0, 0.0, down), (0.0, sd_down), outcome.time_ns, grew=False)
             down = 0.0
@@ -117,6 +121,8 @@ class ErrorMonitor:
         left_out = 0.0 if len(outcome.innovation) == 3 else down
         age_s = (outcome.time_ns - self.used_ns) * 1e-9
         far = hypot(z[0], z[1]) > limits_m[0], len(z) > 2 and left_out == 0.0 and abs(z[2]) > limits_m[1]
+        if self.used_ns and age_s > OUTAGE_S:
+            known = replace(known, loss=loss.returned(outcome.time_ns, before))
         if self.used_ns and age_s > OUTAGE_S and any(far):
             returned = (z[0], z[1]) if far[0] else (0.0, 0.0)
             held = held.after((*returned, z[2] if far[1] else 0.0), sds, outcome.time_ns, grew=True)
@@ -137,7 +143,16 @@ class ErrorMonitor:
     def rejection_bound(self) -> Pair:
         """Largest error [m, horizontal and vertical] if the rejected positions were right, or were wrong."""
         (north, east, down), (held_h, held_v) = self.rejected_n, self.held.bound
-        return hypot(north, east) + held_h, abs(down) + held_v
+        return hypot(north, east) + held_h + self.loss.bound[0], abs(down) + held_v + self.loss.bound[1]
+
+    def after_interference(self) -> "ErrorMonitor":
+        """Hold what the last return may be off by as an offset, which displacement does not end."""
+        if self.loss.returned_ns is None:
+            return self
+        bound_h, bound_v = self.loss.bound
+        spread = bound_h / CLOSURE_SDS, bound_v / CLOSURE_SDS
+        held = self.held.after(STILL, spread, self.used_ns, grew=False, slack=self.loss.bound)
+        return replace(self, held=held, loss=NO_LOSS)
 
     @cached_property
     def overstatement(self) -> float:

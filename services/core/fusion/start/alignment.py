@@ -27,6 +27,7 @@ from .heading import (
     Heading,
     Motion,
     Prior,
+    better_prior,
     drift_sd,
     forwards_or_backwards,
     heading_of_accelerations,
@@ -116,8 +117,8 @@ class Alignment:
         return carried
 
     def use_prior(self, prior: Prior) -> None:
-        """Use a position and heading saved before the unit was switched off; only the first is used."""
-        self._saved = self._saved or prior
+        """Use a position and heading saved before the unit was switched off; the first, or that of a parked vehicle."""
+        self._saved = better_prior(self._saved, prior)
 
     @property
     def phase(self) -> NavigationPhase:

@@ -36,6 +36,14 @@ class Prior:
     parked: bool = False  # saved at standstill
 
 
+def better_prior(known: Prior | None, prior: Prior) -> Prior:
+    """The first of two, unless only the second is of a parked vehicle.
+
+    A broker that keeps its messages passes the position on before it is known to be of an earlier boot.
+    """
+    return prior if known is None or (prior.parked and not known.parked) else known
+
+
 def parked_heading(saved: Prior, levelling: Levelling) -> "Heading | None":
     """Saved heading of a vehicle that was parked and has not moved since; None of another one."""
     if not saved.parked or not levelling.has_stood or levelling.yaw_at_start is None:

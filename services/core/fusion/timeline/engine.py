@@ -33,11 +33,12 @@ from ..inertial.imu_gaps import (
 from ..inertial.propagation import Intervals, Samples, Stop, samples_of
 from ..inertial.standstill import is_standstill
 from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
+from ..integrity.over_a_cut import RememberedConflict
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..start import after_gap
 from ..start.alignment import Alignment
-from ..start.heading import Heading, Prior
+from ..start.heading import Heading, Prior, better_prior
 from ..start.warm_start import SavedState, restored
 from .events import Event
 from .exclusion import Exclusions
@@ -78,6 +79,8 @@ class Engine:
         self.recorder: HistoryRecorder | None = None  # of all filters, for the smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.started_ns: int | None = None  # of the filter
+        self.first_start: tuple[int | None, bool] = None, False  # stamp of the first filter, and without a standstill
+        self._remembered: RememberedConflict | None = None  # of an earlier process, until the first filter
         self._prior: Prior | None = None  # until the first position has been compared with it
         self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
         self._alignment: Alignment | None = Alignment(settings, first=lost is None)
@@ -106,7 +109,12 @@ class Engine:
         """Use a saved position and heading, unless a filter has started before."""
         if self._alignment is not None and self.accepted_ns is None:
             self._alignment.use_prior(prior)
-            self._prior = self._prior or prior
+            self._prior = better_prior(self._prior, prior)
+
+    def remember(self, conflict: RememberedConflict) -> None:
+        """Hold with the first filter what an earlier process held."""
+        if self.filter is None:
+            self._remembered = conflict
 
     def restore(self, saved: SavedState) -> None:
         """Restore a saved state with the first sample, which must be the next."""
@@ -341,6 +349,10 @@ class Engine:
         """Let the level hold a disagreement."""
         self.aids.error_monitor = replace(self.aids.error_monitor, held=disagreement)
 
+    def hold_after_interference(self) -> None:
+        """Hold what the last return of GNSS may be off by as an offset, which displacement does not end."""
+        self.aids.error_monitor = self.aids.error_monitor.after_interference()
+
     def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
         """Compare a measurement of an excluded source with the filter, without using it."""
         outcomes: list[Outcome] = []
@@ -427,12 +439,16 @@ class Engine:
         """Continue with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
         self.started_ns = time_ns
+        if self.first_start[0] is None and self._alignment is not None:
+            self.first_start = time_ns, self._alignment.levelling.yaw_at_start is None
         first = self._alignment.first_fix if self._alignment is not None else None
         if self._prior is not None and first is not None:
             aside = self._aside(first, self._prior, started)
             if aside.is_open:
                 self.hold(aside)
-        self._prior = None
+        if self._remembered is not None:
+            self.hold(self._remembered.at(time_ns))
+        self._prior = self._remembered = None
         self.filter, self._alignment, self._lost, self._rejections = started, None, None, 0
         if self.recorder is not None:
             self.recorder.start(started)
@@ -448,6 +464,7 @@ class Engine:
         self.accepted_ns = saved.accepted_ns
         self.exclusions = replace(self.exclusions, gnss_since_ns=saved.gnss_excluded_since_ns)
         self.hold(saved.held)
+        self.first_start = 0, False  # it goes on
         coasting = time_ns - (saved.accepted_ns or 0) > self.coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
         phase = NavigationPhase.COASTING if coasting else NavigationPhase.NAVIGATING

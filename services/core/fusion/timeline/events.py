@@ -151,6 +151,15 @@ class OdometerExclusion(Event):
 
 
 @dataclass(frozen=True)
+class Disturbed(Event):
+    """The last return of GNSS was one after interference: what it may be off by is held as an offset."""
+
+    def apply(self, engine: "Engine") -> None:
+        """Hold it."""
+        engine.hold_after_interference()
+
+
+@dataclass(frozen=True)
 class Held(Event):
     """From this instant on the level holds a disagreement of two solutions."""
 

@@ -15,6 +15,7 @@ from ..aids.base import Measurement, Outcome
 from ..inertial.imu_clock import FUTURE_LIMIT_NS
 from ..inertial.imu_faults import Sample
 from ..integrity.known_place import KnownPlace
+from ..integrity.over_a_cut import RememberedConflict
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..start.heading import Prior
@@ -113,6 +114,10 @@ class Timeline:
         for cursor in self.verdicts.cursors:
             cursor.use_prior(prior)
         self._now = None
+
+    def remember(self, conflict: RememberedConflict) -> None:
+        """Hold with the first filter what an earlier process held."""
+        self.verdicts.main.engine.remember(conflict)
 
     def restore(self, saved: SavedState) -> None:
         """Go on from a saved state with the first sample, which must be the next."""

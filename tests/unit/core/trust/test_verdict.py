@@ -169,6 +169,11 @@ CASES = [
                  (Monitor.SATELLITES, Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG))), 7,
                  (Code.NO_INDEPENDENT_CHECK, Code.NOT_EVALUATED), id="7-none"),
     pytest.param(replace(SAFE, checks_paused=True), 7, (Code.CHECKS_PAUSED,), id="7-paused"),
+    pytest.param(replace(OPEN, disturbed_since_ns=1), 6, (Code.GNSS_BACK,), id="6-back"),
+    *(
+        pytest.param(replace(SAFE, start_unconfirmed=explain(code)), 7, (code,), id=f"7-{code}")
+        for code in (Code.START_UNKNOWN, Code.START_IN_MOTION, Code.START_AFTER_CUT)
+    ),
     pytest.param(replace(SAFE, solution=replace(SOLUTION, gnss_only=True)), 7, (Code.NO_INERTIAL_UNIT,), id="7-no-imu"),
     pytest.param(levels(8.4, 5.0), 8,
                  (explain(Code.LEVEL_NEAR_LIMIT, axis="horizontal", level_m=8.4, limit_m=10.0, share=0.8),),

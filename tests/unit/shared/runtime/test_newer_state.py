@@ -109,6 +109,13 @@ def test_a_saved_message_whose_field_has_another_form_is_left_out_and_said(
     assert "ignored the saved navigation/last_position" in caplog.text
 
 
+def test_a_message_that_was_saved_in_another_boot_is_of_an_earlier_life(tmp_path: Path) -> None:
+    for boot, earlier in ((None, False), (boot_id(), False), ("0f2d", True)):
+        _, process = restored(tmp_path, {**position(), **({"boot": boot} if boot else {})})
+        [found] = [one for one in process.seen if isinstance(one, LastPosition)]
+        assert (found.earlier_life, found.boot) == (earlier, None)
+
+
 def test_lines_of_the_history_that_are_not_known_are_left_out_and_counted(tmp_path: Path) -> None:
     file = HistoryFile(tmp_path / "status.history.jsonl")
     file.append([{"kind": "of the future", "ns": NOW_NS}])

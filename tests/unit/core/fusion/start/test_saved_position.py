@@ -10,7 +10,7 @@ from services.core.fusion.batch import solve
 from services.core.fusion.codes import Code
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from services.core.fusion.start.heading import Prior
+from services.core.fusion.start.heading import Prior, better_prior
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.runtime.config import GnssAntenna, Vehicle
@@ -51,3 +51,11 @@ def test_a_first_fix_aside_of_the_last_position_of_a_vehicle_in_motion_holds_not
 def test_a_first_fix_where_the_vehicle_was_parked_holds_nothing(drive: Drive) -> None:
     navigator = started(drive, 2.0)
     assert not navigator.engine.aids.error_monitor.held.is_open
+
+
+def test_the_first_prior_is_used_unless_only_a_later_one_is_of_a_parked_vehicle() -> None:
+    first, second, parked = (
+        Prior(Geodetic(0.8, 0.1, height), (1.0, 1.0, 2.0), 0.0, 0.1, height > 2.0) for height in (1.0, 2.0, 3.0)
+    )
+    assert better_prior(None, first) is first and better_prior(first, second) is first
+    assert better_prior(first, parked) is parked and better_prior(parked, second) is parked

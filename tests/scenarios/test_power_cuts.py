@@ -1,0 +1,35 @@
+"""A power cut or a killed process inside an attack: what was open before it is open after it."""
+
+import pytest
+
+from services.sensors.simulator.world import DEFAULT_START_NS
+from shared.messages.trust import TrustLevel
+from tests.support.drives.cuts import NS, Cut, cut_drive
+
+USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION)
+ATTACK = "position_jump(distance=60)@60:60"
+BEGIN_S, END_S, DRIVE_S = 68.0, 80.0, 110.0
+
+
+@pytest.mark.parametrize(
+    "processes",
+    [(), ("core.trust",), ("core.fusion",), ("core.trust", "core.fusion")],
+    ids=["unit", "trust", "fusion", "both"],
+)
+def test_a_position_that_stepped_by_60_m_is_not_used_after_a_cut(processes: tuple[str, ...]) -> None:
+    """The receiver goes on with the false position, at which a unit without memory would start and find it SAFE."""
+    drive = cut_drive("urban", 1, DRIVE_S, ATTACK, Cut(BEGIN_S, END_S, processes))
+    before = [one for one in drive.states if (one.sampled_ns - DEFAULT_START_NS) / NS < BEGIN_S]
+    assert before[-1].state is TrustLevel.UNSAFE
+    assert drive.above_level_s(list(TrustLevel), END_S + 2.0, DRIVE_S) == 0.0
+    after = [one for one in drive.states if (one.sampled_ns - DEFAULT_START_NS) / NS >= END_S + 1.0]
+    assert after and not any(one.state in USABLE for one in after)
+    assert after[0].suspect_since_ns is not None and after[-1].state is TrustLevel.UNSAFE
+
+
+def test_a_restart_in_motion_of_a_healthy_unit_is_not_safe_at_once_and_says_why() -> None:
+    drive = cut_drive("urban", 1, 100.0, None, Cut(50.0, 55.0, in_order=True))
+    after = [one for one in drive.states if (one.sampled_ns - DEFAULT_START_NS) / NS >= 90.0]
+    assert {one.state for one in after} == {TrustLevel.CAUTION}
+    assert after[-1].reason_codes[0].code == "trust.start_in_motion"
+    assert drive.above_level_s(list(TrustLevel), 55.0, 100.0) == 0.0
