@@ -148,7 +148,7 @@ def test_fusion_publishes_the_same_from_its_recorded_inputs(
     fusion = Process(Config().with_values({"vehicle.gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}))
     again = [output for one in chain.consumed for output in fusion.handle(one)]  # type: ignore[arg-type]
     kinds = tuple({type(output) for output in again})
-    assert len(kinds) == 6 and again == [one for one in published if isinstance(one, kinds)]
+    assert len(kinds) == 7 and again == [one for one in published if isinstance(one, kinds)]
 
 
 @pytest.mark.slow

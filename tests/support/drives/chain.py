@@ -21,7 +21,7 @@ from services.sensors.simulator.drive import Drive
 from shared.messages.base import Message, Tick
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState
-from shared.messages.trust import Outcome, TrustMonitor, TrustState
+from shared.messages.trust import Outcome, TrustMonitor, TrustRecord, TrustState
 from shared.topics import BY_MESSAGE
 from tests.support.drives.spoofing import SECOND_NS, drag_off, inputs
 
@@ -59,6 +59,7 @@ class Chain:
             "core.spoofing": Spoofing(SpoofingConfig(grade=Grade.INDUSTRIAL).with_values(lever)),
             "core.trust": Trust(TrustConfig(required_monitors=required)),
         }
+        list(self.processes["core.trust"].handle(TrustRecord(sampled_ns=0, ended_in_order=True, moving=False)))
         self._retained: dict[type, Message] = {}
         self.consumed: list[Message] = []  # by core.fusion
 

@@ -57,11 +57,26 @@ def test_a_start_is_confirmed_by_a_long_window_that_passes_since(
 
 def test_a_window_that_passed_before_a_restart_of_trust_alone_counts_and_one_of_another_boot_does_not() -> None:
     state = started(in_motion=True, at_s=10)
-    for earlier_life, code in ((False, None), (True, Code.START_IN_MOTION)):
+    for earlier_life, code in ((False, None), (True, Code.START_AFTER_CUT)):
         start = Start()
         start.recall(TrustRecord(sampled_ns=0, confirmed_ns=50 * SECOND_NS, earlier_life=earlier_life))
         why = start.unconfirmed(long_window(Outcome.NOT_EVALUATED, 60), state)
         assert (None if why is None else why.code) == code
+
+
+def test_after_an_orderly_stop_a_short_window_confirms_a_start_in_motion_and_satellites_alone_do_not() -> None:
+    def short(outcome: Outcome, at_s: int) -> Facts:
+        now_ns = at_s * SECOND_NS
+        known = {Monitor.INERTIAL_SHORT: outcome, Monitor.SATELLITES: Outcome.PASS}
+        return Facts(now_ns, statements={one: Statement(one, how, now_ns, "") for one, how in known.items()})
+
+    for record, confirms in ((IN_ORDER, True), (CUT, False), (None, False)):
+        start, state = Start(), started(in_motion=True)
+        if record is not None:
+            start.recall(record)
+        assert start.unconfirmed(short(Outcome.NOT_EVALUATED, 20), state) is not None
+        assert (start.unconfirmed(short(Outcome.PASS, 30), state) is None) is confirms
+        assert (start.unconfirmed(short(Outcome.NOT_EVALUATED, 40), state) is None) is confirms, "once"
 
 
 def records(published: Iterable[Message]) -> list[TrustRecord]:
