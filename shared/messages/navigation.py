@@ -114,6 +114,7 @@ class NavigationState(Message):
     odometer_excluded: bool = False
     imu_excluded: bool = False  # the position is that of GNSS and odometer alone
     odometer_age_s: Seconds | None = None  # since the last speed of the odometer that was used
+    merge_lag_s: Seconds | None = None  # by which the filter waits for late measurements
     fixes_late_s: Seconds | None = None  # by which fixes arrive later than they did, which their stamps take account of
     # while GNSS contradicts the other sensors there are two solutions, with GNSS and without it since the suspect time
     conflict_since_ns: Nanoseconds | None = None

@@ -315,6 +315,7 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         odometer_excluded=exclusions.odometer,
         imu_excluded=navigator.imu_excluded,
         odometer_age_s=navigator.engine.odometer_age_s,
+        merge_lag_s=navigator.merge_lag_s,
         conflict_since_ns=None if conflict is None else conflict.since_ns,
         other_distance_m=None if difference is None else hypot(*difference[0][:2]),
         other_level_m=None if difference is None else difference[1][0],

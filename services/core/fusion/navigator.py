@@ -266,6 +266,11 @@ class Navigator:
         self._timeline.leave_out_heights(wrong=wrong)
 
     @property
+    def merge_lag_s(self) -> float:
+        """Time by which the filter waits for late measurements [s]."""
+        return self._timeline.horizon.lag_ns * 1e-9
+
+    @property
     def found_delays(self) -> tuple[float, float]:
         """Delays of positions and of velocities [s] that have been found beyond the settings; 0 where there is none."""
         return self._found

@@ -137,6 +137,7 @@ class Facts:
     beliefs: tuple[Posterior, ...] = ()  # most probable first
     alternatives: Mapping[Hypothesis, Alternative] = field(default_factory=dict)  # newest, of fusion
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
+    merge_lag_s: float = 0.0  # by which fusion waits for late measurements
     fixes_late_s: float | None = None  # by which positions arrive late, and are taken as older
     disturbed_since_ns: int | None = (
         None  # last position before a loss with interference, until its return is confirmed

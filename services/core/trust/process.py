@@ -344,6 +344,7 @@ class Process:
             and state.odometer_age_s <= ODOMETER_SILENT_S,
             alternatives=self._newest_alternatives(),
             satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
+            merge_lag_s=0.0 if state is None else state.merge_lag_s or 0.0,
             fixes_late_s=None if state is None else state.fixes_late_s,
             checks_paused=self._load is not None and any(work in CHECKS for work in self._load.paused),
             limits=self._limits,

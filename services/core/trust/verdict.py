@@ -30,6 +30,7 @@ from .facts import AGAINST_GNSS, INERTIAL, SECOND_NS, Facts, Monitor, Posterior,
 NAMED_MAXIMUM = 2  # hypotheses in one sentence
 REASONS_MAXIMUM = 32
 FINDINGS_MAXIMUM = 64
+USUAL_LAG_S = 1.0  # of fusion behind its newest sample; the limit of row 5 holds it
 Explanations = tuple[Explanation, ...]
 Row = Callable[[Facts], Explanations]  # empty where the row does not match
 
@@ -192,7 +193,8 @@ def _without_gnss(facts: Facts) -> Explanations:
 def _coasting(facts: Facts) -> Explanations:
     if facts.solution is None or facts.imu_exclusion_confirmed:  # the position without inertial sensors is of GNSS
         return ()
-    age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s + (facts.fixes_late_s or 0.0)
+    waited_s = max(0.0, facts.merge_lag_s - USUAL_LAG_S)
+    age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s + waited_s
     if age_s is None:
         return (explain(Code.NO_GNSS_YET),)
     return () if age_s <= limit_s else (explain(Code.GNSS_MISSING, age_s=age_s, limit_s=limit_s),)

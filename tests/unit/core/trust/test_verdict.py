@@ -222,8 +222,8 @@ def test_every_code_is_a_reason_or_a_finding_of_some_case() -> None:
 def test_late_fixes_are_waited_for_by_as_much_as_they_are_late() -> None:
     assert SAFE.solution is not None
     old = replace(SAFE, solution=replace(SAFE.solution, gnss_age_s=4.0))
-    assert verdict(old).row == 5 and verdict(replace(old, fixes_late_s=0.9)).row == 5
-    late = verdict(replace(old, fixes_late_s=1.1))
+    assert verdict(old).row == 5 and verdict(replace(old, merge_lag_s=1.5)).row == 5
+    late = verdict(replace(old, merge_lag_s=2.5, fixes_late_s=1.6))
     assert late.row == 9 and Code.FIXES_LATE in codes(late.findings)
 
 
