@@ -20,7 +20,7 @@ from ..integrity.known_place import KnownPlace
 from ..integrity.separation import difference_covariance, spreads
 from ..settings import Settings
 from ..solution import UncertaintyCache
-from .contradiction import Apart, Contradiction, Left
+from .contradiction import Apart, Contradiction, Left, sizes
 from .cursor import PERIOD_NS, Cursor
 from .engine import Engine
 from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
@@ -95,13 +95,18 @@ class Conflict:
         """Cursors without GNSS that read the log."""
         return tuple(one for one in (self.cursor, self.replay) if one is not None)
 
-    def compare(self, main: Engine, *, decides: bool, weight: float) -> None:
-        """Compare the two solutions, of which the one without GNSS is good enough to decide, or is not."""
+    def compare(self, main: Engine, *, useful: bool, weight: float) -> None:
+        """Compare the two solutions; the one without GNSS decides while it is `useful`, or beyond its own level.
+
+        Its covariance alone is no reason: that of a free run which is wrong is small.
+        """
         now = self.apart(main)
         if now is None:  # the one with GNSS aligns again after a reset
             return
+        far_h, far_v = sizes(now.vector_n)
+        decides = useful or far_h > self.levels_m[0] or far_v > self.levels_m[1]
         stepped, self._resets_seen = main.counts.resets != self._resets_seen, main.counts.resets
-        self.apart_n, self.found = now.vector_n, self.found.after(now, decides=decides, stepped=stepped)
+        self.apart_n, self.found = now.vector_n, self.found.after(now, decides=decides, stepped=stepped or not useful)
         if self.found.is_any:
             self.weight = max(self.weight, weight)
 
@@ -322,7 +327,7 @@ class Verdicts:
         conflict.levels_m = horizontal_m, vertical_m = self._levels(without)
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
-        conflict.compare(self.main.engine, decides=share <= MOST_LIMITS, weight=self.weight)
+        conflict.compare(self.main.engine, useful=share <= MOST_LIMITS, weight=self.weight)
         if share > LAST_LIMITS:
             self._leave(explain(Code.WITHOUT_GNSS_OF_NO_USE, level_m=horizontal_m))
         elif share > MOST_LIMITS:

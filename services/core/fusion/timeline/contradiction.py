@@ -82,13 +82,13 @@ class Contradiction:
     def after(self, now: Apart, *, decides: bool, stepped: bool = False) -> "Contradiction":
         """Add the difference of a second, in which the solution without GNSS was good enough to decide, or was not.
 
-        One with GNSS that has `stepped` by a reset has not grown.
+        One with GNSS that has `stepped` by a reset has not grown, and a wide solution without it shows no rate.
         """
         found = self
         for k, (size, known) in enumerate(zip(sizes(now.vector_n), sizes(self.vector_n), strict=True)):
-            if now.ratio[k] > CLOSURE_SDS and now.ratio[k] >= self.ratio[k]:
+            if decides and now.ratio[k] > CLOSURE_SDS and now.ratio[k] >= self.ratio[k]:
                 found = found._with(k, now.vector_n, now.spread[k], now.ratio[k])
-            elif self.ratio[k] > 0.0 and decides and size > known:
+            elif decides and self.ratio[k] > 0.0 and size > known:
                 found = found._with(k, now.vector_n, self.spread[k], self.ratio[k])
         recent = tuple(one for one in self.earlier if not stepped and (now.time_ns - one.time_ns) * 1e-9 <= GROWTH_S)
         growth = _growth(recent[0], now) if recent and decides else self.growth_m_s

@@ -37,7 +37,11 @@ def test_it_keeps_what_was_the_most_standard_deviations_and_a_growing_spread_tak
 def test_what_gnss_moves_afterwards_is_added_while_the_other_one_decides() -> None:
     differences = [apart(1, 20.0, 2.0), apart(2, 26.0, 8.0)]
     assert seen(*differences).vector_n[0] == 26.0
-    assert seen(*differences, decides=False).vector_n[0] == 20.0
+    assert seen(differences[0]).after(differences[1], decides=False).vector_n[0] == 20.0
+
+
+def test_a_solution_that_does_not_decide_contradicts_nothing_however_small_its_covariance_is() -> None:
+    assert not seen(apart(1, 20.0, 2.0), decides=False).is_any
 
 
 def test_each_axis_is_a_contradiction_of_its_own() -> None:
