@@ -55,7 +55,7 @@ def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterat
             longitude_deg=float(horizontal[i, 1]),
             height_ellipsoid_m=ellipsoid[i] if ellipsoid else None,
             height_msl_m=msl[i] if msl else None,
-            height_sign_assumed=bool(ellipsoid or msl),
+            height_sign_assumed=spec.height is not None and not spec.height.upward,
             velocity_ned_m_s=velocity[i] if velocity else None,
             ground_speed_m_s=ground_speed[i],
             course_rad=course[i],

@@ -145,6 +145,7 @@ class Height(Section):
     unit: units.LengthUnit = "m"
     kind: Literal["ellipsoid", "msl"]
     geoid_separation_m: float | None = None
+    upward: bool = False  # somebody has seen that it grows uphill
 
 
 class Ecef(Section):

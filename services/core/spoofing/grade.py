@@ -37,12 +37,25 @@ LONG: Mapping[Grade, Mapping[str, float]] = {
     Grade.TACTICAL: {},
 }  # fmt: skip
 # What the observer assumes of the gyroscope biases since the last standstill. A consumer sensor walks by 0.014 deg/s in
-# ten minutes, which a change of its temperature by a kelvin or two explains.
+# ten minutes, which a change of its temperature by a kelvin or two explains; moving, it differs by more than that from
+# standing, as a recorded drive shows (navmatlab: 0.09 deg/s in six standstills).
 OBSERVER: Mapping[Grade, Mapping[str, float]] = {
-    Grade.CONSUMER: {"gyroscope_instability_rad_s": 7e-5, "gyroscope_bias_walk_rad_s_sqrt_s": 1e-5},
-    Grade.AUTOMOTIVE: {"gyroscope_instability_rad_s": 5e-5, "gyroscope_bias_walk_rad_s_sqrt_s": 3e-6},
+    Grade.CONSUMER: {
+        "gyroscope_instability_rad_s": 7e-5,
+        "gyroscope_bias_walk_rad_s_sqrt_s": 1e-5,
+        "gyroscope_moving_sd_rad_s": 1.6e-3,
+    },
+    Grade.AUTOMOTIVE: {
+        "gyroscope_instability_rad_s": 5e-5,
+        "gyroscope_bias_walk_rad_s_sqrt_s": 3e-6,
+        "gyroscope_moving_sd_rad_s": 5e-4,
+    },
     Grade.INDUSTRIAL: {},
-    Grade.TACTICAL: {"gyroscope_instability_rad_s": 5e-6, "gyroscope_bias_walk_rad_s_sqrt_s": 2e-7},
+    Grade.TACTICAL: {
+        "gyroscope_instability_rad_s": 5e-6,
+        "gyroscope_bias_walk_rad_s_sqrt_s": 2e-7,
+        "gyroscope_moving_sd_rad_s": 2e-5,
+    },
 }
 
 

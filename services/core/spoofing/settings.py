@@ -137,6 +137,11 @@ class ObserverSettings(Section):
     gyroscope_instability_rad_s: float = Field(
         default=4e-5, ge=0.0, description="in-run instability of the gyroscope biases: 8 deg/h of an industrial sensor"
     )
+    gyroscope_moving_sd_rad_s: float = Field(
+        default=1e-4, ge=0.0,
+        description="difference of the gyroscope biases of a moving vehicle from those at standstill: vibration that a "
+        "sensor rectifies, 0.09 deg/s on a recorded drive with a low-cost one",
+    )  # fmt: skip
     gyroscope_bias_walk_rad_s_sqrt_s: float = Field(
         default=1e-6,
         ge=0.0,

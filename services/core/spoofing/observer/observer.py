@@ -98,7 +98,8 @@ class Observer:
             return None
         age_s = max(0, time_ns - self.bias.time_ns) / SECOND_NS
         unstable = self._grade.gyroscope_instability_rad_s**2 * (1.0 - exp(-2.0 * age_s / CORRELATION_S))
-        return self._walked(self.bias, time_ns) + unstable + EARTH_SD**2
+        moving = self._grade.gyroscope_moving_sd_rad_s**2
+        return self._walked(self.bias, time_ns) + unstable + moving + EARTH_SD**2
 
     def _turn(self, one: Increment) -> None:
         """Integrate one increment about the axis down, and carry that axis."""
