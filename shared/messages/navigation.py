@@ -212,6 +212,7 @@ class LastPosition(Persistent):
     position_sd_ned_m: Deviation3
     yaw_sd_rad: Deviation
     stationary: bool = False  # it stood there: the vehicle may be there still when the unit is switched on again
+    protection_level_horizontal_m: Deviation | None = None  # which holds what was in doubt then
 
 
 Metres = Annotated[float, Field(ge=-1e8, le=1e8)]

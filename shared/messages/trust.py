@@ -251,6 +251,7 @@ class TrustRecord(Persistent):
     suspect_since_ns: Nanoseconds | None = None  # of GNSS, while it is in conflict
     imu_suspect_since_ns: Nanoseconds | None = None
     alike_since_ns: Nanoseconds | None = None  # GNSS and odometer falsified alike
+    disturbed_since_ns: Nanoseconds | None = None  # last position before a loss with interference
     odometer_excluded: bool = False
     beliefs: Annotated[tuple[Belief, ...], Field(max_length=16)] = ()  # of hypotheses that survive
     trusted: TrustedPosition | None = None

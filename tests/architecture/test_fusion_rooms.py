@@ -18,7 +18,7 @@ BESIDE = {
     # of two solutions: what they contradict each other by, and what is left of it
     "timeline": {"settings", "codes", "smoothing.history", "solution",
                  *(f"integrity.{name}" for name in (
-                     "closure", "disagreement", "known_place", "over_a_cut", "separation"))},
+                     "after_loss", "closure", "disagreement", "known_place", "over_a_cut", "separation"))},
     "hypotheses": {"settings", "codes", "solution", *(f"integrity.{name}" for name in (
         "disagreement", "error_monitor", "protection_levels", "separation"))},
 }  # fmt: skip

@@ -189,7 +189,7 @@ class Commands:
         def step(message: Message) -> tuple[CommandStage, str] | None:
             if not isinstance(message, NavigationState):
                 return None
-            if message.conflict_since_ns is not None:
+            if message.conflict_since_ns is not None or message.exclusion_declined_code is not None:
                 return (
                     CommandStage.FAILED,
                     "GNSS contradicts other sensors now: the position cannot be confirmed",

@@ -48,6 +48,7 @@ class LastPositionWriter:
             position_sd_ned_m=(_sd(nn), _sd(ee), _sd(dd)),
             yaw_sd_rad=_sd(solution.attitude_cov_ned_rad2[5]),
             stationary=solution.stationary,
+            protection_level_horizontal_m=solution.protection_level_horizontal_m,
         )
 
 

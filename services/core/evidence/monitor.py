@@ -98,6 +98,7 @@ class EvidenceMonitor:
         self._level = SlowMean(s.baseline_s, s.learning_s)
         self._clock, self._drift, self._offset = ClockPrediction(), DriftOverLoss(), TimeOffset()
         self._host: HostClock | None = None
+        self._source = ""
         self.tests = {
             name: EvidenceTest(name, missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
             for name, missing, count, latency_s in (
@@ -111,6 +112,11 @@ class EvidenceMonitor:
                 ("host_time", Code.NO_HOST_TIME, PERSISTENT, RECENT_S),
             )
         }
+
+    def of_receiver(self, source: str) -> None:
+        """Note whose messages follow: the oscillators of two receivers differ."""
+        if source != self._source:
+            self._source, self._drift = source, DriftOverLoss()
 
     def quality(self, message: GnssSignalQuality) -> None:
         """Use flags, gain, clock and steps of the receiver's time."""

@@ -47,6 +47,7 @@ class Process:
         elif isinstance(message, ModeState):
             self._receivers.follow(message)
         elif self._is_chosen(receiver_of(message.source), message.received_ns):
+            self._monitor.of_receiver(receiver_of(message.source))
             match message:
                 case GnssSignalQuality():
                     self._monitor.quality(message)

@@ -68,10 +68,11 @@ class ConflictRecorder:
         self._growth.update(time_ns, conflict.found.vector_n if conflict is not None and contradicted else None)
         is_open, last = conflict is not None or held.is_open, self._last
         was_open = last is not None and (last.conflict_since_ns is not None or last.held_m != ())
-        if not is_open:
+        grows = conflict is not None or held.growth_m_s > 0.0
+        if not grows:  # what a conflict has left stays as it is, for however long the unit is off
             self._growth.forget()
-            if not was_open:
-                return
+        if not (is_open or was_open):
+            return
         since_ns = None if conflict is None else conflict.since_ns
         if last is not None and was_open and is_open:
             grown = held.bound[0] > CHANGED * self._bound_m + LEAST_M
@@ -81,6 +82,6 @@ class ConflictRecorder:
         self._bound_m = held.bound[0]
         self._last = ConflictRecord(
             sampled_ns=time_ns, held_m=held_numbers(held), held_grew=held.grew, held_at_start=held.at_start,
-            growth_m_s=self._growth.largest if is_open else NONE, conflict_since_ns=since_ns,
+            growth_m_s=self._growth.largest if grows else NONE, conflict_since_ns=since_ns,
         )  # fmt: skip
         yield self._last

@@ -140,7 +140,9 @@ def prior_from_last_position(last: LastPosition) -> Prior:
     """Prior from the saved position and heading."""
     position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
     parked = last.stationary and last.earlier_life
-    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, parked)
+    return Prior(
+        position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad, parked, last.protection_level_horizontal_m
+    )
 
 
 def turned(solution: Solution, turn: tuple[float, float]) -> Solution:

@@ -94,8 +94,8 @@ class Process:
                 yield from self._fix(message)
             case LastPosition() | TrustState() | ProcessLoad() | ModeCommand():
                 self._follow(message)
-            case FilterState() if self._imu is None:  # later states are of this process
-                self._saved = message
+            case FilterState() | ConflictRecord():
+                self._resume(message)
             case _:
                 self._aid(message)
 
@@ -109,13 +109,9 @@ class Process:
                 messages.use_trust_state(self._navigator, message)
             case ProcessLoad():
                 self._follow_load(message)
-            case FilterState() | ConflictRecord():
-                self._resume(message)
             case ModeCommand(command=OperatorCommand.CONFIRM_POSITION):
                 if not self._navigator.confirm_position():
                     self.rejects["confirmation of a position in a conflict"] += 1
-            case _:
-                self._aid(message)
 
     def _resume(self, message: FilterState | ConflictRecord) -> None:
         """Use what an earlier process has saved; after the first sample it is of this process."""

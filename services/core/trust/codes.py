@@ -18,6 +18,7 @@ class Code(StrEnum):
     UNSAFE_CONFLICT = "trust.unsafe_conflict"
     UNSAFE_HELD = "trust.unsafe_held"  # a conflict that has ended has left an offset
     UNSAFE_HELD_NEAR_PLACE = "trust.unsafe_held_near_place"  # the same, with a known place
+    UNSAFE_HELD_AFTER_LOSS = "trust.unsafe_held_after_loss"  # an ordinary one, until displacement agrees
     UNSAFE_HELD_AT_START = "trust.unsafe_held_at_start"  # the first fix was aside of the saved position
     UNSAFE_DEAD_RECKONING = "trust.unsafe_dead_reckoning"
     NO_SOLUTION_WITHOUT_GNSS = "trust.no_solution_without_gnss"

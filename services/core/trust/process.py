@@ -171,7 +171,7 @@ class Process:
         ):  # fmt: skip
             if suspect_ns is not None:
                 source.update(self._time_ns, accused=True, agrees=False, suspect_since_ns=suspect_ns)
-        self._alike_since_ns = record.alike_since_ns
+        self._alike_since_ns, self._after_loss.since_ns = record.alike_since_ns, record.disturbed_since_ns
         self._odometer_excluded = record.odometer_excluded
 
     def close(self) -> Iterator[TrustRecord]:
@@ -180,7 +180,11 @@ class Process:
 
     def _open_sources(self) -> Open:
         return Open(
-            self._gnss.suspect_since_ns, self._imu.suspect_since_ns, self._alike_since_ns, self._odometer_excluded
+            self._gnss.suspect_since_ns,
+            self._imu.suspect_since_ns,
+            self._alike_since_ns,
+            self._after_loss.since_ns,
+            self._odometer_excluded,
         )
 
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
@@ -296,6 +300,7 @@ class Process:
             self._ended_ns = time_ns
         if of_imu.excluded:
             self._gnss.end(time_ns)
+            self._after_loss.end()
             admission = Admission(open=False)
         accused = facts.acts_on(Hypothesis.ODOMETER)
         self._odometer_excluded = accused or (self._odometer_excluded and facts.survives(Hypothesis.ODOMETER))

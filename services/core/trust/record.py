@@ -16,6 +16,7 @@ class Open:
     gnss_ns: int | None = None
     imu_ns: int | None = None
     alike_ns: int | None = None
+    disturbed_ns: int | None = None
     odometer_excluded: bool = False
 
 
@@ -25,6 +26,7 @@ class Recorder:
     def __init__(self) -> None:
         self._solution: NavigationSolution | None = None
         self._trusted: TrustedPosition | None = None
+        self._known: TrustRecord | None = None  # of the process before
         self._last: TrustRecord | None = None
 
     def see(self, solution: NavigationSolution) -> None:
@@ -33,7 +35,7 @@ class Recorder:
 
     def recall(self, record: TrustRecord) -> None:
         """Keep the last trusted position of the process before."""
-        self._trusted = record.trusted
+        self._trusted, self._known = record.trusted, record
 
     def update(self, state: TrustState, found: Open, confirmed_ns: int | None) -> Iterator[TrustRecord]:
         """Use a verdict; yield a record if it is due."""
@@ -45,12 +47,20 @@ class Recorder:
                 longitude_deg=solution.longitude_deg, height_ellipsoid_m=solution.height_ellipsoid_m,
                 protection_level_horizontal_m=levels[0], protection_level_vertical_m=levels[1],
             )  # fmt: skip
+        known = self._known if solution is None else None  # before the first solution nothing has changed
         record = TrustRecord(
-            sampled_ns=state.sampled_ns, moving=solution is None or not solution.stationary, confirmed_ns=confirmed_ns,
-            suspect_since_ns=found.gnss_ns, imu_suspect_since_ns=found.imu_ns, alike_since_ns=found.alike_ns,
-            odometer_excluded=found.odometer_excluded, beliefs=tuple(filter(is_suspect, state.beliefs)),
+            sampled_ns=state.sampled_ns,
+            ended_in_order=known is not None and known.ended_in_order,
+            moving=(known is None or known.moving) if solution is None else not solution.stationary,
+            confirmed_ns=confirmed_ns,
+            suspect_since_ns=found.gnss_ns,
+            imu_suspect_since_ns=found.imu_ns,
+            alike_since_ns=found.alike_ns,
+            disturbed_since_ns=found.disturbed_ns,
+            odometer_excluded=found.odometer_excluded,
+            beliefs=tuple(filter(is_suspect, state.beliefs)),
             trusted=self._trusted,
-        )  # fmt: skip
+        )
         period_ns = OPEN_PERIOD_NS if found != Open() else PERIOD_NS
         if last is None or _kept(last) != _kept(record) or record.sampled_ns - last.sampled_ns >= period_ns:
             self._last = record
@@ -73,5 +83,6 @@ def _kept(record: TrustRecord) -> tuple[object, ...]:
     """What is written at once when it changes."""
     return (
         record.moving, record.confirmed_ns is None, record.suspect_since_ns, record.imu_suspect_since_ns,
-        record.alike_since_ns, record.odometer_excluded, tuple(sorted(one.hypothesis for one in record.beliefs)),
+        record.alike_since_ns, record.disturbed_since_ns, record.odometer_excluded,
+        tuple(sorted(one.hypothesis for one in record.beliefs)),
     )  # fmt: skip

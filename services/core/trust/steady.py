@@ -27,6 +27,7 @@ class Steady:
     def __init__(self) -> None:
         self._given: Verdict | None = None
         self._better_since_ns: int | None = None
+        self._worst: Verdict | None = None  # newest of the worst ones since then
 
     def after(self, facts: Facts) -> Verdict:
         """Give the verdict of these facts, or the last one while a better one has not lasted."""
@@ -34,15 +35,16 @@ class Steady:
         if given is not None and _is_better(found, given):
             found = _at_narrower_limits(facts, given.row, found)
         if given is None or not _is_better(found, given):
-            self._given, self._better_since_ns = found, None
+            self._given, self._worst, self._better_since_ns = found, None, None
             return found
         if self._better_since_ns is None or self._better_since_ns > facts.time_ns:
             self._better_since_ns = facts.time_ns
-        lasted_s = (facts.time_ns - self._better_since_ns) / SECOND_NS
-        if lasted_s >= LASTS_S:
-            self._given, self._better_since_ns = found, None
-            return found
-        why = explain(Code.HAS_TO_LAST, state=found.state.value, lasts_s=LASTS_S)
+        if self._worst is None or not _is_better(found, self._worst):
+            self._worst = found
+        if (facts.time_ns - self._better_since_ns) / SECOND_NS >= LASTS_S:
+            self._given, self._better_since_ns, self._worst = self._worst, None, None
+            return self._given
+        why = explain(Code.HAS_TO_LAST, state=self._worst.state.value, lasts_s=LASTS_S)
         return replace(given, reasons=(*given.reasons[: REASONS_MAXIMUM - 1], why), findings=found.findings)
 
 

@@ -108,6 +108,8 @@ def _still_off(facts: Facts) -> Explanations:
     if not any(of_held):
         return ()
     why = {one.code for one in facts.held_why}
+    if HELD_AFTER_LOSS in why and not HELD_OFFSETS & why:
+        return (explain(Code.UNSAFE_HELD_AFTER_LOSS),)
     if HELD_AT_START in why:
         return (explain(Code.UNSAFE_HELD_AT_START),)
     return (explain(Code.UNSAFE_HELD_NEAR_PLACE if ENDS_AT_PLACE in why else Code.UNSAFE_HELD),)
@@ -326,6 +328,7 @@ def _statement(statement: Statement) -> Explanation:
 
 
 HELD_AT_START, ENDS_AT_PLACE = "fusion.held_at_start", "fusion.ends_at_place"  # codes of fusion
+HELD_AFTER_LOSS, HELD_OFFSETS = "fusion.held_after_loss", {"fusion.held_step", "fusion.held_grew", HELD_AT_START}
 ACCUSED_MAXIMUM = 16  # named of one statement
 CHECKS = (*INERTIAL, Monitor.SATELLITES)  # independent of the position
 SOLVED_BY_THE_BANK = (

@@ -116,7 +116,10 @@ class Disagreement:
         )
         closed = [returned[k] and left_m[k] == 0.0 for k in (0, 1)]
         slack_h, slack_v = (
-            min(slacks[k], left_m[k] - after_m[k]) if returned[k] and not closed[k] else slacks[k] for k in (0, 1)
+            max(0.0, min(before_m[k] + self.slack[k], left_m[k]) - after_m[k])
+            if returned[k] and not closed[k]
+            else slacks[k]
+            for k in (0, 1)
         )
         slacks = slack_h, slack_v
         # Beside an axis that closes, the noise of the step on an axis where nothing was held is nothing to hold.
@@ -131,7 +134,7 @@ class Disagreement:
         begun_ns = time_ns if since_ns is None else since_ns
         return Disagreement(
             sum_n, spreads, grew and (self.grew or first), slacks, time_ns, at_start and first,
-            since_ns=begun_ns if first else min(begun_ns, self.since_ns),
+            growth_m_s=self.growth_m_s, since_ns=begun_ns if first else min(begun_ns, self.since_ns),
         )  # fmt: skip
 
     def confirmed(self, time_ns: int, *, used: bool, since_s: float, speed: float) -> "Disagreement":

@@ -13,7 +13,13 @@ from .disagreement import CLOSURE_SDS, Pair
 
 AWAY_M = 200.0  # from the place, after which the vehicle has left it
 STOOD_S = 10.0
+LARGEST_LEVEL_M = 10.0  # of the saved position; what is held of an offset is part of it
 FARTHEST_M: Pair = (6.0, 12.0)  # from it, as it is shown: less than half of an offset that matters
+
+
+def known_well(level_m: float | None) -> bool:
+    """Whether a place with a protection level [m] is one: that of a position in doubt may be where a spoofer put it."""
+    return level_m is not None and level_m <= LARGEST_LEVEL_M
 
 
 @dataclass

@@ -34,6 +34,7 @@ class Prior:
     yaw: float
     yaw_sd: float
     parked: bool = False  # saved at standstill
+    level_m: float | None = None  # horizontal protection level of it
 
 
 def better_prior(known: Prior | None, prior: Prior) -> Prior:

@@ -256,6 +256,7 @@ class Verdicts:
             return False
         if self.main.engine.aids.error_monitor.held.is_open:
             self._hold(NOTHING)
+        self.main.engine.end_loss()
         return True
 
     def outcomes(self) -> list[Outcome]:

@@ -32,6 +32,7 @@ from ..inertial.imu_gaps import (
 )
 from ..inertial.propagation import Intervals, Samples, Stop, samples_of
 from ..inertial.standstill import is_standstill
+from ..integrity.after_loss import NO_LOSS
 from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
 from ..integrity.over_a_cut import RememberedConflict
 from ..settings import Settings
@@ -80,7 +81,7 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.started_ns: int | None = None  # of the filter
         self.first_start: tuple[int | None, bool] = None, False  # stamp of the first filter, and without a standstill
-        self._remembered: RememberedConflict | None = None  # of an earlier process, until the first filter
+        self.remembered: RememberedConflict | None = None  # of an earlier process, until the first filter
         self._prior: Prior | None = None  # until the first position has been compared with it
         self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
         self._alignment: Alignment | None = Alignment(settings, first=lost is None)
@@ -114,7 +115,7 @@ class Engine:
     def remember(self, conflict: RememberedConflict) -> None:
         """Hold with the first filter what an earlier process held."""
         if self.filter is None:
-            self._remembered = conflict
+            self.remembered = conflict
 
     def restore(self, saved: SavedState) -> None:
         """Restore a saved state with the first sample, which must be the next."""
@@ -349,6 +350,10 @@ class Engine:
         """Let the level hold a disagreement."""
         self.aids.error_monitor = replace(self.aids.error_monitor, held=disagreement)
 
+    def end_loss(self) -> None:
+        """Hold nothing any more of what the last return of GNSS may be off by."""
+        self.aids.error_monitor = replace(self.aids.error_monitor, loss=NO_LOSS)
+
     def hold_after_interference(self) -> None:
         """Hold what the last return of GNSS may be off by as an offset, which displacement does not end."""
         self.aids.error_monitor = self.aids.error_monitor.after_interference()
@@ -446,9 +451,11 @@ class Engine:
             aside = self._aside(first, self._prior, started)
             if aside.is_open:
                 self.hold(aside)
-        if self._remembered is not None:
-            self.hold(self._remembered.at(time_ns))
-        self._prior = self._remembered = None
+        if self.remembered is not None:  # beside the saved position, the larger of the two covers both
+            remembered, known = self.remembered.at(time_ns), self.aids.error_monitor.held
+            if remembered.is_open and max(remembered.bound) >= max(known.bound):
+                self.hold(remembered)
+        self._prior = self.remembered = None
         self.filter, self._alignment, self._lost, self._rejections = started, None, None, 0
         if self.recorder is not None:
             self.recorder.start(started)

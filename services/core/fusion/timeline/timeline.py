@@ -14,7 +14,7 @@ from shared.messages.explanation import Explanation
 from ..aids.base import Measurement, Outcome
 from ..inertial.imu_clock import FUTURE_LIMIT_NS
 from ..inertial.imu_faults import Sample
-from ..integrity.known_place import KnownPlace
+from ..integrity.known_place import KnownPlace, known_well
 from ..integrity.over_a_cut import RememberedConflict
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
@@ -103,12 +103,14 @@ class Timeline:
         fresh.recorder = engine.recorder
         fresh.hold(engine.aids.error_monitor.held)  # a clock that goes back decides nothing
         wanted, place = self.verdicts.wanted, self.verdicts.place
+        if (remembered := engine.remembered) is not None:
+            fresh.remember(remembered)
         self._begin(fresh)
         self.verdicts.wanted, self.verdicts.place = wanted, place
 
     def use_prior(self, prior: Prior) -> None:
         """Take a saved position and heading; where the vehicle was parked is a known place."""
-        if prior.parked and self.verdicts.place is None:
+        if prior.parked and known_well(prior.level_m) and self.verdicts.place is None:
             north, east, down = prior.position_sd
             self.verdicts.place = KnownPlace(prior.position, (hypot(north, east), down))
         for cursor in self.verdicts.cursors:

@@ -66,6 +66,7 @@ class Gravity:
         self._seconds: deque[_Second] = deque(maxlen=2 * SIDE + GAP)
         self._frame: FloatArray = np.eye(3)  # of the present body axes
         self._open: list[Increment] = []
+        self._end_ns: int | None = None  # of the newest increment
         self._waiting: deque[_Waiting] = deque(maxlen=WAITING)
         self._speeds = Series(500, ODOMETER_GAP_S)
         self._before: float | None = None  # speed at the end of the last second
@@ -87,8 +88,9 @@ class Gravity:
     def advance(self, increments: Iterable[Increment], bias: Vector) -> None:
         """Use increments, whose gyroscopes have a bias [rad/s]."""
         for one in increments:
-            if one.after_gap:
+            if one.after_gap or one.start_ns != self._end_ns:
                 self.clear()
+            self._end_ns = one.end_ns
             self._open.append(one)
             if one.end_ns // SECOND_NS != one.start_ns // SECOND_NS:
                 self._close(np.array(bias))

@@ -26,6 +26,7 @@ LEVEL_RATE = 0.05  # [rad/s] likewise: a bend
 LEAST_NOISE = 0.25  # of the stated random walk, to which the scatter of few increments may fall
 UNLIKELY_SDS = 5.0  # by which a bias jumps only where no vehicle stood: without wheels that say so
 KEPT = 30  # increments of the yaw
+BRIDGED_NS = SECOND_NS  # gap of the samples over which the axis down is kept
 CORRELATION_S = 200.0  # of the instability of a bias
 EARTH_SD = 4e-6  # [rad/s] Earth's rate and the curvature of the way, through slopes and speed
 
@@ -50,6 +51,7 @@ class Observer:
         self._begin_ns: int | None = None  # of it
         self.down: Vector | None = None  # [-, body]
         self._turns: list[Turn] = []
+        self._end_ns: int | None = None  # of the newest increment
 
     def advance(self, increments: Iterable[Increment]) -> bool:
         """Integrate increments; gives whether the yaw has been continuous."""
@@ -57,9 +59,12 @@ class Observer:
         for one in increments:
             if one.after_gap or (self._turns and self._turns[-1].time_ns != one.start_ns):
                 continuous = continuous and not self._turns
+                bridged = self._end_ns is not None and one.start_ns - self._end_ns <= BRIDGED_NS
                 self._turns.clear()
                 self.standstills.clear()
-                self.down = None
+                if not bridged:  # within a second a vehicle hardly tilts: levelling takes up the rest
+                    self.down = None
+            self._end_ns = one.end_ns
             standstill = self.standstills.add(one)
             if standstill is not None:
                 self._learn(standstill)

@@ -24,6 +24,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingKind,
     AidingUpdate,
+    ConflictRecord,
     FilterState,
     LastPosition,
     NavigationPhase,
@@ -502,3 +503,25 @@ def test_the_state_tells_delays_that_were_found(
     navigator.correct_delay(*found)
     state = state_message(navigator, EPOCH_NS, delay_known=False)
     assert (state.gnss_delay_s, state.gnss_velocity_delay_s) == (position_s, beyond_s)
+
+
+def test_what_an_earlier_process_held_is_held_by_the_first_filter_and_a_closed_record_holds_nothing() -> None:
+    bounds = []
+    for held_m in ((30.0, -40.0, 2.0, 1.0, 2.0, 5.0, 6.0), ()):
+        process = Process(Config())
+        record = ConflictRecord(sampled_ns=EPOCH_NS - 10**9, held_m=held_m, growth_m_s=(1.0, 0.0))
+        assert list(process.handle(record)) == []
+        states: list[NavigationState] = []
+        for message in sorted((*samples(20), *fixes()), key=lambda one: one.received_ns):
+            states += [one for one in process.handle(message) if isinstance(one, NavigationState)]
+        assert states[-1].phase is NavigationPhase.NAVIGATING
+        bounds.append(states[-1].held_horizontal_m)
+    assert bounds[0] >= 55.0, "with the growth since then"
+    assert bounds[1] == 0.0
+
+
+def test_a_record_that_comes_later_is_of_this_process_and_changes_nothing() -> None:
+    process = Process(Config())
+    list(process.handle(samples(20)[0]))
+    list(process.handle(ConflictRecord(sampled_ns=EPOCH_NS, held_m=(30.0, -40.0, 2.0, 1.0, 2.0, 5.0, 6.0))))
+    assert process._navigator.engine.remembered is None

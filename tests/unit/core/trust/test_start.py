@@ -9,7 +9,7 @@ from services.core.trust.codes import Code
 from services.core.trust.facts import Facts, Monitor, Statement
 from services.core.trust.process import Config, Process
 from services.core.trust.start import Start
-from shared.messages.base import Message
+from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationState
 from shared.messages.trust import Belief, Hypothesis, Outcome, TrustLevel, TrustMonitor, TrustRecord, TrustState
 from tests.unit.core.trust.test_process import SECOND_NS, navigation_state, passing, second, statement
@@ -145,3 +145,19 @@ def test_the_facts_of_a_start_are_part_of_the_verdict() -> None:
     others = [one for one in passing(SECOND_NS) if isinstance(one, TrustMonitor) and one.monitor != "inertial_long"]
     state = [one for one in second(process, SECOND_NS, others) if isinstance(one, TrustState)][-1]
     assert state.state is TrustLevel.CAUTION and state.reason_codes[0].code == Code.START_UNKNOWN
+
+
+def test_a_loss_with_interference_outlives_a_restart() -> None:
+    process = Process(Config())
+    list(process.handle(TrustRecord(sampled_ns=SECOND_NS, suspect_since_ns=5, disturbed_since_ns=7)))
+    second(process, 2 * SECOND_NS, passing(2 * SECOND_NS))
+    assert process._after_loss.since_ns == 7
+    [last] = records(process.close())
+    assert last.disturbed_since_ns == 7
+
+
+def test_a_start_without_a_position_does_not_say_that_the_vehicle_moves() -> None:
+    process = Process(Config())
+    list(process.handle(TrustRecord(sampled_ns=SECOND_NS, moving=False, ended_in_order=True)))
+    [first] = records(process.handle(Tick(now_ns=2 * SECOND_NS)))
+    assert not first.moving and first.ended_in_order

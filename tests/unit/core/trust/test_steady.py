@@ -79,3 +79,8 @@ def test_a_first_position_and_one_after_a_loss_are_shown_at_once() -> None:
     assert steady.after(lost).state is TrustLevel.INITIALISING
     assert steady.after(at(FACTS, 0.1)).state is SAFE
     assert Monitor.MOTION in FACTS.statements
+
+
+def test_the_worst_of_what_is_better_is_given_first() -> None:
+    """UNSAFE, then CAUTION for most of three seconds and SAFE at their end: CAUTION, and SAFE three seconds later."""
+    assert states([11.0, 9.0, 9.0, 9.0, 5.0, 5.0, 5.0, 5.0, 5.0])[4:] == [CAUTION, CAUTION, CAUTION, CAUTION, SAFE]

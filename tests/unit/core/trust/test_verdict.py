@@ -87,6 +87,7 @@ KNOWN = {
 BOTH_KNOWN = replace(OPEN, other_distance_m=4.2, other_level_m=5.5, beliefs=GNSS_OR_IMU, alternatives=KNOWN)
 AT_PLACE = explain(ENDS_AT_PLACE, distance_m=800.0)
 AT_START = explain(HELD_AT_START, horizontal_m=13.0, vertical_m=0.0)
+AFTER_LOSS = explain("fusion.held_after_loss", horizontal_m=13.0, vertical_m=0.0, needed_m=500.0, driven_m=0.0)
 CASES = [
     pytest.param(replace(SAFE, solution=None), 1, (Code.NO_SOLUTION_YET,), id="1-none"),
     pytest.param(replace(SAFE, solution=replace(SOLUTION, sampled_ns=NOW_NS - 4 * SECOND_NS)), 2,
@@ -115,6 +116,8 @@ CASES = [
                  (Code.UNSAFE_HELD_NEAR_PLACE, Code.LEVEL_ABOVE_LIMIT), id="3-held-near-a-place"),
     pytest.param(replace(levels(16.0, 5.0), held_m=(13.0, 0.0), held_why=(AT_START,)), 3,
                  (Code.UNSAFE_HELD_AT_START, Code.LEVEL_ABOVE_LIMIT), id="3-held-at-start"),
+    pytest.param(replace(levels(16.0, 5.0), held_m=(13.0, 0.0), held_why=(AFTER_LOSS,)), 3,
+                 (Code.UNSAFE_HELD_AFTER_LOSS, Code.LEVEL_ABOVE_LIMIT), id="3-held-after-loss"),
     pytest.param(replace(levels(16.0, 5.0), held_m=(2.0, 0.0)), 3, (Code.LEVEL_ABOVE_LIMIT,), id="3-held-too"),
     pytest.param(with_(SAFE, accuses(Monitor.INERTIAL_SHORT, "gnss")), 4,
                  (Code.NO_SOLUTION_WITHOUT_GNSS,

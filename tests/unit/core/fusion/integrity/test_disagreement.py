@@ -94,3 +94,14 @@ def test_it_says_what_would_end_it_and_names_only_ways_that_exist() -> None:
     start = NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False, at_start=True)
     assert codes(start, None)[1] == Code.ENDS_BY_DRIVE
     assert codes(NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=True), None)[1] == Code.ENDS_BY_AGREEMENT
+
+
+def test_a_further_vector_keeps_the_growth_of_what_is_held() -> None:
+    grows = replace(NOTHING.after((20.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False), growth_m_s=0.5)
+    assert grows.after((3.0, 0.0, 0.0), (1.0, 1.0), 1, grew=False).growth_m_s == 0.5
+
+
+def test_a_step_back_without_slack_leaves_the_posterior_of_another_offset() -> None:
+    held = NOTHING.after((60.0, 0.0, 0.0), (5.0, 1.0), 0, grew=False)
+    back = held.after((-59.9, 0.0, 0.0), (5.0, 1.0), 1, grew=False)
+    assert back.is_open and 5.0 < back.bound[0] < 25.0

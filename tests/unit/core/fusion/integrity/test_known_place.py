@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.core.fusion.integrity.known_place import AWAY_M, STOOD_S, KnownPlace
+from services.core.fusion.integrity.known_place import AWAY_M, STOOD_S, KnownPlace, known_well
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
 HOME = Geodetic(0.9, 0.2, 300.0)
@@ -26,3 +26,7 @@ def test_a_place_is_recognised_by_a_vehicle_that_stands_there_again(
     for second in range(2, 4 + int(STOOD_S)):
         found |= place.recognised(second * SECOND_NS, back, (1.0, 1.0), stationary=stands)
     assert found is expected
+
+
+def test_a_place_that_was_in_doubt_is_none() -> None:
+    assert known_well(2.0) and not known_well(60.0) and not known_well(None)

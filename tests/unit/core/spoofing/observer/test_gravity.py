@@ -66,3 +66,16 @@ def test_without_wheel_speeds_nothing_is_evaluated() -> None:
             [Increment(k * STEP_NS, (k + 1) * STEP_NS, [0.0, 0.0, -G, 0.0, 0.0, 0.0, 0.1], 0.0, k == 0)], (0.0,) * 3
         )
     assert gravity.verdict(VARIANCE, RATE).outcome is Outcome.NOT_EVALUATED
+
+
+def test_a_gap_within_a_second_of_braking_is_no_knock() -> None:
+    gravity, speed = Gravity(Config.model_validate({"grade": Grade.CONSUMER})), 20.0
+    for k in range(700):
+        braking = 3.0 if 400 <= k < 450 else 0.0
+        speed -= 0.1 * braking
+        gravity.speed((k + 1) * STEP_NS, speed)
+        if not 421 <= k < 429:  # nothing of a second but its ends
+            row = [-braking, 0.0, -G, 0.0, 0.0, 0.0, 0.1]
+            gravity.advance([Increment(k * STEP_NS, (k + 1) * STEP_NS, row, 0.0, k == 0)], (0.0, 0.0, 0.0))
+        if k % 10 == 9:
+            assert gravity.verdict(VARIANCE, RATE).outcome is not Outcome.ACCUSES

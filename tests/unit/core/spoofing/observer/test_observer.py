@@ -111,3 +111,14 @@ def test_with_gnss_replaced_by_garbage_its_outputs_are_the_same_to_the_bit() -> 
         outputs.append(said)
     assert outputs[0] == outputs[1]
     assert sum(bool(one) for one in outputs[0]) > 45, "it has stood"
+
+
+@pytest.mark.parametrize(("gap_steps", "keeps"), [(4, True), (10, True), (12, False)])
+def test_the_axis_down_outlives_a_short_gap_and_the_yaw_begins_again(gap_steps: int, keeps: bool) -> None:
+    observer, k = driven(rows(20.0), rows(5.0, turn=0.2)), 250 + gap_steps
+    continuous = True
+    for row in rows(2.0, turn=0.2):
+        continuous &= observer.advance([Increment(k * STEP_NS, (k + 1) * STEP_NS, row, 0.0, gap_steps > 10)])
+        k += 1
+    assert not continuous
+    assert (observer.down is not None) is keeps and (observer.newest_ns is not None) is keeps
