@@ -512,7 +512,8 @@ def test_what_an_earlier_process_held_is_held_by_the_first_filter_and_a_closed_r
         record = ConflictRecord(sampled_ns=EPOCH_NS - 10**9, held_m=held_m, growth_m_s=(1.0, 0.0))
         assert list(process.handle(record)) == []
         states: list[NavigationState] = []
-        for message in sorted((*samples(20), *fixes()), key=lambda one: one.received_ns):
+        arriving: list[ImuSamples | GnssFix] = [*samples(20), *fixes()]
+        for message in sorted(arriving, key=lambda one: one.received_ns):
             states += [one for one in process.handle(message) if isinstance(one, NavigationState)]
         assert states[-1].phase is NavigationPhase.NAVIGATING
         bounds.append(states[-1].held_horizontal_m)
