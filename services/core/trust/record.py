@@ -7,6 +7,7 @@ from shared.messages.navigation import NavigationSolution
 from shared.messages.trust import Belief, Hypothesis, TrustedPosition, TrustLevel, TrustRecord, TrustState
 
 PERIOD_NS, OPEN_PERIOD_NS = 10_000_000_000, 5_000_000_000
+CRANKING_NS = 20_000_000_000  # in which power may fail once more before there is a position: it stands where it stood
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Recorder:
         self._solution: NavigationSolution | None = None
         self._trusted: TrustedPosition | None = None
         self._known: TrustRecord | None = None  # of the process before
+        self._begun_ns: int | None = None  # first verdict
         self._last: TrustRecord | None = None
 
     def see(self, solution: NavigationSolution) -> None:
@@ -47,7 +49,9 @@ class Recorder:
                 longitude_deg=solution.longitude_deg, height_ellipsoid_m=solution.height_ellipsoid_m,
                 protection_level_horizontal_m=levels[0], protection_level_vertical_m=levels[1],
             )  # fmt: skip
-        known = self._known if solution is None else None  # before the first solution nothing has changed
+        self._begun_ns = state.sampled_ns if self._begun_ns is None else self._begun_ns
+        young = state.sampled_ns - self._begun_ns < CRANKING_NS
+        known = self._known if solution is None and young else None
         record = TrustRecord(
             sampled_ns=state.sampled_ns,
             ended_in_order=known is not None and known.ended_in_order,
