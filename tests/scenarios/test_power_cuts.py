@@ -28,8 +28,8 @@ def test_a_position_that_stepped_by_60_m_is_not_used_after_a_cut(processes: tupl
 
 
 def test_a_healthy_unit_after_a_cut_in_motion_is_not_safe_at_once_and_says_why() -> None:
-    drive = cut_drive("urban", 1, 100.0, None, Cut(50.0, 55.0))
-    after = [one for one in drive.states if (one.sampled_ns - DEFAULT_START_NS) / NS >= 90.0]
+    drive = cut_drive("urban", 1, 90.0, None, Cut(33.0, 38.0))
+    after = [one for one in drive.states if (one.sampled_ns - DEFAULT_START_NS) / NS >= 75.0]
     assert {one.state for one in after} == {TrustLevel.CAUTION}
     assert after[-1].reason_codes[0].code == "trust.start_after_cut"
-    assert drive.above_level_s(list(TrustLevel), 55.0, 100.0) == 0.0
+    assert drive.above_level_s(list(TrustLevel), 38.0, 90.0) == 0.0

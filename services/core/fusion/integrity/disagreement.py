@@ -107,14 +107,14 @@ class Disagreement:
         slacks = self.slack[0] + slack[0], self.slack[1] + slack[1]
         before_m, after_m = (hypot(n, e), abs(d)), (hypot(*sum_n[:2]), abs(sum_n[2]))
         moved = (dn, de) != (0.0, 0.0), dd != 0.0
-        # A step back leaves what its spread cannot tell from another offset.
+        # A step back leaves what its spread cannot tell from another offset; what a reset had left has no slack.
         returned = [moved[k] and after_m[k] <= min(CLOSURE_SDS * spreads[k], 0.5 * before_m[k]) for k in (0, 1)]
         ratio = after_m[0] / spreads[0] if spreads[0] > 0.0 else 0.0
         left_m = (
             horizontal_bound(after_m[0], (spreads[0], spreads[0]), ratio, CLOSURE_RISK),
             vertical_bound(after_m[1], spreads[1], CLOSURE_RISK),
         )
-        closed = [returned[k] and left_m[k] == 0.0 for k in (0, 1)]
+        closed = [returned[k] and (left_m[k] == 0.0 or slacks[k] == 0.0) for k in (0, 1)]
         slack_h, slack_v = (
             max(0.0, min(before_m[k] + self.slack[k], left_m[k]) - after_m[k])
             if returned[k] and not closed[k]
