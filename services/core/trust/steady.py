@@ -49,8 +49,8 @@ class Steady:
 
 
 def _is_better(found: Verdict, given: Verdict) -> bool:
-    if found.state not in ORDER or given.state not in ORDER:
-        return False
+    if found.state not in ORDER or given.state not in ORDER or found.state is TrustLevel.DEAD_RECKONING:
+        return False  # what is excluded is decided, and no threshold
     return ORDER.index(found.state) > ORDER.index(given.state)
 
 
