@@ -1,7 +1,7 @@
 """The gyroscope's turn about the vertical, and the turns by other sources at the same times."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import radians, sin
 from typing import NamedTuple
 
@@ -26,6 +26,22 @@ class Turn(NamedTuple):
     def less(self, bias: Vector) -> float:
         """Angle [rad] without that of a bias [rad/s, body]."""
         return self.angle - dot(self.axis_s, bias)
+
+
+def turn_at(turns: Sequence[Turn], time_ns: int) -> Turn | None:
+    """Turn at a time within a track, by linear interpolation; its rate is the mean of the 100 ms around it."""
+    if not turns or not turns[0].time_ns <= time_ns <= turns[-1].time_ns:
+        return None
+    after = turns[-1]
+    for before in reversed(turns):
+        if before.time_ns <= time_ns:
+            break
+        after = before
+    span = after.time_ns - before.time_ns
+    share = (time_ns - before.time_ns) / span if span else 0.0
+    x, y, z = (a + share * (b - a) for a, b in zip(before.axis_s, after.axis_s, strict=True))
+    angle = before.angle + share * (after.angle - before.angle)
+    return Turn(time_ns, angle, (x, y, z), after.rate, after.axis)
 
 
 class GyroscopeTrack:
@@ -86,18 +102,7 @@ class GyroscopeTrack:
 
     def at(self, time_ns: int) -> Turn | None:
         """Turn at a time within the track, by linear interpolation; its rate is the mean of the 100 ms around it."""
-        if not self._turns or not self._turns[0].time_ns <= time_ns <= self._turns[-1].time_ns:
-            return None
-        after = self._turns[-1]
-        for before in reversed(self._turns):
-            if before.time_ns <= time_ns:
-                break
-            after = before
-        span = after.time_ns - before.time_ns
-        share = (time_ns - before.time_ns) / span if span else 0.0
-        x, y, z = (a + share * (b - a) for a, b in zip(before.axis_s, after.axis_s, strict=True))
-        angle = before.angle + share * (after.angle - before.angle)
-        return Turn(time_ns, angle, (x, y, z), after.rate, after.axis)
+        return turn_at(self._turns, time_ns)
 
 
 def dot(a: Vector, b: Vector) -> float:

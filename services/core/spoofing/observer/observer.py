@@ -15,7 +15,7 @@ from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import STANDARD_GRAVITY
 from shared.maths.rotation import Vector
 
-from ..gyroscope.track import Turn, dot
+from ..gyroscope.track import Turn, dot, turn_at
 from ..settings import Settings
 from .standstill import Standstill, Standstills
 
@@ -143,17 +143,7 @@ class Observer:
 
     def at(self, time_ns: int) -> Turn | None:
         """Yaw at a time of the last seconds, bias not removed, by linear interpolation; None where it is unknown."""
-        if not self._turns or not self._turns[0].time_ns <= time_ns <= self._turns[-1].time_ns:
-            return None
-        after = self._turns[-1]
-        for before in reversed(self._turns):
-            if before.time_ns <= time_ns:
-                break
-            after = before
-        span = after.time_ns - before.time_ns
-        share = (time_ns - before.time_ns) / span if span else 0.0
-        x, y, z = (a + share * (b - a) for a, b in zip(before.axis_s, after.axis_s, strict=True))
-        return Turn(time_ns, before.angle + share * (after.angle - before.angle), (x, y, z), after.rate, after.axis)
+        return turn_at(self._turns, time_ns)
 
     def outputs(self) -> tuple[float, ...]:
         """Everything that it says, as numbers: newest yaw [rad], bias [rad/s] and its standard deviation, axis down."""
