@@ -121,7 +121,7 @@ class ErrorMonitor:
         left_out = 0.0 if len(outcome.innovation) == 3 else down
         age_s = (outcome.time_ns - self.used_ns) * 1e-9
         far = hypot(z[0], z[1]) > limits_m[0], len(z) > 2 and left_out == 0.0 and abs(z[2]) > limits_m[1]
-        if self.used_ns and since_s > OUTAGE_S:  # positions were missing, and not only rejected
+        if self.used_ns and min(age_s, since_s) > OUTAGE_S:  # positions were missing, and not only rejected
             known = replace(known, loss=loss.returned(outcome.time_ns, before))
         if self.used_ns and age_s > OUTAGE_S and any(far):
             returned = (z[0], z[1]) if far[0] else (0.0, 0.0)
