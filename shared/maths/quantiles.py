@@ -4,6 +4,7 @@ All of them depend on configured probabilities only, and are computed once for e
 """
 
 from functools import cache, lru_cache
+from math import hypot
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +48,12 @@ def chi_square_limit(dimension: int, false_alarm: float) -> float:
 def line_factor(risk: float) -> float:
     """Find the number of standard deviations that a normal number is off, on either side, with a probability."""
     return -float(ndtri(0.5 * risk)) if risk < 1.0 else 0.0
+
+
+def principal_variances(nn: float, ne: float, ee: float) -> tuple[float, float]:
+    """Larger and smaller eigenvalue of a horizontal covariance [m²: NN, NE, EE]; rounding may make it negative."""
+    middle, spread = 0.5 * (nn + ee), hypot(0.5 * (nn - ee), ne)
+    return middle + spread, middle - spread
 
 
 def circle_factor(ratio: float, risk: float) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from services.parsers.gnss.process import Config, Process
 from shared.maths.dates import GPS_EPOCH_UTC_NS, NS, WEEK_NS
 from shared.maths.earth import FloatArray
+from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.gnss import (
     Constellation,
     FixType,
@@ -31,7 +32,6 @@ from shared.messages.imu import ImuSamples
 SOURCE = "phone0"
 MS = 1_000_000
 LEAP_SECONDS = 18  # GPS - UTC since 2017, for logs that state none
-SPEED_OF_LIGHT = 299_792_458.0  # [m/s]
 L1_HZ = 1_575_420_030.0
 RANGES_M = (1.5e7, 6e7)  # pseudoranges of satellites in medium and geostationary orbits
 LARGEST_SV_TIME_SD_NS = 500.0

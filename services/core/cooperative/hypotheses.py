@@ -1,9 +1,9 @@
 """The hypotheses that a satellite, or a constellation, is wrong: positions without it, for `trust/hypotheses`."""
 
-from math import degrees, hypot, sqrt
+from math import degrees, sqrt
 
 from shared.maths.earth import geodetic_from_ecef
-from shared.maths.quantiles import chi_square_limit, circle_factor, line_factor
+from shared.maths.quantiles import chi_square_limit, circle_factor, line_factor, principal_variances
 from shared.messages.base import Symmetric3
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
@@ -106,9 +106,8 @@ def _solution(
 def _levels(cov: FloatArray, risk: float) -> tuple[float, float]:
     """Radius and half height [m] outside which a position of a covariance is with a probability."""
     (nn, ne, _), (_, ee, _), (_, _, dd) = cov.tolist()
-    middle, spread = 0.5 * (nn + ee), hypot(0.5 * (nn - ee), ne)
-    major2 = middle + spread
-    ratio = sqrt(max(middle - spread, 0.0) / major2) if major2 > 0.0 else 0.0
+    major2, minor2 = principal_variances(nn, ne, ee)
+    ratio = sqrt(max(minor2, 0.0) / major2) if major2 > 0.0 else 0.0
     return sqrt(max(major2, 0.0)) * circle_factor(ratio, risk), sqrt(max(dd, 0.0)) * line_factor(risk)
 
 

@@ -99,7 +99,7 @@ class TimeOffset:
         return step_ns / NS
 
     def _grows(self, now_ns: int, by_ns: int) -> bool:
-        """Whether offsets had grown before the last seconds as well, by half of what they have in the end."""
+        """Whether offsets had grown before the last seconds as well, by a share of what they have in the end."""
         begin_ns, end_ns = now_ns - 2 * RECENT_S * NS, now_ns - RECENT_S * NS
         before, between = self._least(lambda ns: ns <= begin_ns), self._least(lambda ns: begin_ns < ns <= end_ns)
         return before is not None and between is not None and between - before > GROWN * by_ns

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from shared.maths.gnss_signals import SPEED_OF_LIGHT
+
 from .baselines import LONGEST_STEP_S, NS
 
-SPEED_OF_LIGHT = 299_792_458.0  # [m/s] exact, by definition
 STEP_M_S = 1.0  # [m/s] of drift that two statements of a receiver differ by
 RATE_M_S2 = 0.3  # [m/s²] of a crystal whose temperature changes
 LEAST_SATELLITES = 4  # of a clock that is measured and not extrapolated

@@ -282,7 +282,9 @@ def _in_phase(state: NavigationState, phase: NavigationPhase, since_ns: int, *wh
     return state.model_copy(update={"phase": phase, "since_ns": since_ns, "reason": reason(*why), "reason_codes": why})
 
 
-def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -> NavigationState:
+def state_message(
+    navigator: Navigator, sampled_ns: int, *, delay_known: bool, fixes_late_s: float | None = None
+) -> NavigationState:
     """State of the navigator as a message.
 
     While the delay of GNSS is not known, what turns show is no error of the lever arm.
@@ -318,6 +320,7 @@ def state_message(navigator: Navigator, sampled_ns: int, *, delay_known: bool) -
         imu_excluded=navigator.imu_excluded,
         odometer_age_s=navigator.engine.odometer_age_s,
         merge_lag_s=navigator.merge_lag_s,
+        fixes_late_s=fixes_late_s,
         conflict_since_ns=None if conflict is None else conflict.since_ns,
         other_distance_m=None if difference is None else hypot(*difference[0][:2]),
         other_level_m=None if difference is None else difference[1][0],

@@ -244,8 +244,9 @@ class Process:
             yield self._state_message(sampled_ns)
 
     def _state_message(self, time_ns: int, *, silent: bool = False) -> NavigationState:
-        state = messages.state_message(self._navigator, time_ns, delay_known=self._set_up.delay_known)
-        state = state.model_copy(update={"fixes_late_s": self._late_s}) if self._late_s is not None else state
+        state = messages.state_message(
+            self._navigator, time_ns, delay_known=self._set_up.delay_known, fixes_late_s=self._late_s
+        )
         without = self._without_imu
         if without.missing is not None:
             return messages.without_imu(state, without.missing, excluded=self._gnss_excluded)

@@ -1,8 +1,9 @@
 """A return of GNSS after an outage: the level holds the free run's spread until displacement has agreed over 500 m."""
 
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import sqrt
 
+from shared.maths.quantiles import principal_variances
 from shared.messages.explanation import Explanation, explain
 
 from ..codes import Code
@@ -33,7 +34,7 @@ class AfterLoss:
     def returned(self, time_ns: int, before: Block) -> "AfterLoss":
         """Hold the spread of the solution before the first position; an earlier one that is larger stays."""
         nn, ne, ee, dd = before
-        largest = 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne)  # eigenvalue
+        largest, _ = principal_variances(nn, ne, ee)
         horizontal, vertical = CLOSURE_SDS * sqrt(max(0.0, largest)), CLOSURE_SDS * sqrt(max(0.0, dd))
         return AfterLoss((max(self.bound[0], horizontal), max(self.bound[1], vertical)), time_ns)
 

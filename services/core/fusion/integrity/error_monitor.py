@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import hypot, sqrt
 
-from shared.maths.quantiles import chi_square_limit
+from shared.maths.quantiles import chi_square_limit, principal_variances
 from shared.messages.navigation import AidingKind
 
 from ..aids.base import Outcome
@@ -128,7 +128,7 @@ class ErrorMonitor:
             held = held.after((*returned, z[2] if far[1] else 0.0), sds, outcome.time_ns, grew=True)
         now, limit = block(navigation), chi_square_limit(len(outcome.innovation), false_alarm)
         nn, ne, ee, dd = (old - new for old, new in zip(before, now, strict=True))
-        largest = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))  # eigenvalue
+        largest = max(0.0, principal_variances(nn, ne, ee)[0])
         return replace(
             known,
             used_ns=outcome.time_ns,

@@ -9,10 +9,10 @@ one wrong fix can have done without the gate seeing it. docs/explanation/protect
 """
 
 from collections.abc import Sequence
-from math import erfc, exp, hypot, isfinite, sqrt
+from math import erfc, exp, isfinite, sqrt
 from typing import NamedTuple
 
-from shared.maths.quantiles import circle_factor, line_factor
+from shared.maths.quantiles import circle_factor, line_factor, principal_variances
 from shared.maths.rotation import Vector
 
 from .error_monitor import ErrorMonitor
@@ -42,9 +42,8 @@ def horizontal_level(nn: float, ne: float, ee: float, risk: float) -> float:
 
 def _ellipse(nn: float, ne: float, ee: float) -> tuple[float, float]:
     """Larger standard deviation [m] of a covariance, and the ratio of the smaller to it."""
-    middle, spread = 0.5 * (nn + ee), hypot(0.5 * (nn - ee), ne)
-    major2 = middle + spread
-    return (sqrt(major2), sqrt(max(middle - spread, 0.0) / major2)) if major2 > 0.0 else (0.0, 0.0)
+    major2, minor2 = principal_variances(nn, ne, ee)
+    return (sqrt(major2), sqrt(max(minor2, 0.0) / major2)) if major2 > 0.0 else (0.0, 0.0)
 
 
 def vertical_level(variance: float, risk: float) -> float:

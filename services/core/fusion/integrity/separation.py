@@ -15,11 +15,12 @@ References
 M. Brenner, "Integrated GPS/inertial fault detection availability", Navigation 43(2), 1996 (solution separation).
 """
 
-from math import hypot, isfinite, sqrt
+from math import isfinite, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.quantiles import principal_variances
 from shared.maths.rotation import Vector
 
 from .disagreement import Pair
@@ -70,4 +71,4 @@ def squared(apart_n: Vector, covariance: FloatArray) -> float | None:
 def spreads(covariance: FloatArray) -> Pair:
     """Largest horizontal and the vertical standard deviation [m] of a covariance [m², NED]."""
     (nn, ne, _), (_, ee, _), (_, _, dd) = covariance.tolist()
-    return sqrt(0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne)), sqrt(dd)
+    return sqrt(principal_variances(nn, ne, ee)[0]), sqrt(dd)

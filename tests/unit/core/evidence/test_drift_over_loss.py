@@ -2,7 +2,8 @@
 
 import pytest
 
-from services.core.evidence.drift_over_loss import SPEED_OF_LIGHT, WARM_UP_S, DriftOverLoss
+from services.core.evidence.drift_over_loss import WARM_UP_S, DriftOverLoss
+from shared.maths.gnss_signals import SPEED_OF_LIGHT
 
 NS = 1_000_000_000
 DRIFT_M_S = 110.0

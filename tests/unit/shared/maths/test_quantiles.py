@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import chi2, norm
 
-from shared.maths.quantiles import RATIOS, chi_square_limit, circle_factor, line_factor
+from shared.maths.quantiles import RATIOS, chi_square_limit, circle_factor, line_factor, principal_variances
 
 RISKS = (1e-1, 1e-3, 1e-5, 1e-7)
 
@@ -52,3 +52,10 @@ def test_at_the_nodes_of_the_table_the_risk_is_met(risk: float) -> None:
 
 def test_at_a_risk_of_one_the_factor_is_zero() -> None:
     assert line_factor(1.0) == circle_factor(0.5, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_principal_variances_are_the_eigenvalues(seed: int) -> None:
+    A = np.random.default_rng(seed).standard_normal((2, 2))
+    (nn, ne), (_, ee) = (A @ A.T).tolist()
+    assert principal_variances(nn, ne, ee) == pytest.approx(np.linalg.eigvalsh(A @ A.T)[::-1].tolist())

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from cli.import_drive.import_drive import body_from_phone, import_drive
-from cli.import_drive.readers.gnss_logger import SPEED_OF_LIGHT, messages_of, read_log
+from cli.import_drive.readers.gnss_logger import messages_of, read_log
 from shared.errors import UserError
+from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.gnss import Constellation, GnssFix, GnssRawEpoch, GnssSatellites
 from shared.messages.imu import ImuSamples
 from shared.recording import Recording
