@@ -24,7 +24,7 @@ class Selection(NamedTuple):
 
 
 def nearest(root: Path, site: Site, _source: str) -> Selection:
-    """Choose tests without coverage: unit tests in files that import the module of a fault, or the nearest folder."""
+    """Choose tests without coverage: unit tests in files that import the module of a fault, then the nearest folder."""
     inner = site.path.with_suffix("") if site.path.stem != "__init__" else site.path.parent
     module = ".".join(inner.parts)
     folder = tests_of(PurePosixPath(site.path))
@@ -33,7 +33,7 @@ def nearest(root: Path, site: Site, _source: str) -> Selection:
     if files:
         near = str(folder)
         files.sort(key=lambda name: (site.path.stem not in name, not name.startswith(near), name))
-        return Selection(tuple(files[:MOST_FILES]), "import")
+        return Selection((*files[:MOST_FILES], *([near] if folder else [])), "import")
     return Selection((str(folder),), "folder") if folder else Selection((), "none")
 
 

@@ -69,7 +69,9 @@ def test_without_a_test_of_the_line_any_of_the_file_and_then_the_nearest_are_cho
     (tmp_path / folder.tests[0]).mkdir(parents=True)
     importing = tmp_path / folder.tests[0] / "test_one.py"
     importing.write_text("from services.core.fusion import example")
-    assert nearest(tmp_path, place, SOURCE) == Selection(("tests/unit/core/fusion/test_one.py",), "import")
+    assert nearest(tmp_path, place, SOURCE) == Selection(
+        ("tests/unit/core/fusion/test_one.py", *folder.tests), "import"
+    )
 
 
 def test_a_fault_is_tried_in_a_copy_and_a_test_that_fails_without_it_finds_nothing(tmp_path: Path) -> None:

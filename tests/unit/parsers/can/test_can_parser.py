@@ -17,6 +17,7 @@ from shared.errors import UserError
 from shared.kinds import Kinds
 from shared.messages.imu import ImuRaw
 from shared.messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
+from tests.support.cases import each
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -61,14 +62,14 @@ def test_an_obd_response_gives_a_speed_stamped_with_the_configured_delay(identif
     assert (speed.received_ns, speed.sampled_ns) == (START_NS + NS // 50, START_NS - 8 * NS // 100)
 
 
-@pytest.mark.parametrize(
+@each(
     ("identifier", "source"),
     [
         *((f"7E{k:X}", f"can0/obd/7E{k:X}") for k in range(9, 16)),
         ("18DAF11D", "can0/obd/18DAF11D"), ("18DAF128", "can0/obd/18DAF128"),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("padding", ["AAAAAAAA", "55555555", ""])
+@each("padding", ["AAAAAAAA", "55555555", ""])
 def test_the_answer_of_any_control_unit_is_a_speed_of_its_own_source(
     identifier: str, source: str, padding: str
 ) -> None:
@@ -203,6 +204,12 @@ def test_j1939_gives_the_wheel_based_and_the_tachograph_speed(text: str, source:
 @pytest.mark.parametrize("raw", ["FFFF", "00FE", "00FB"])
 def test_a_j1939_speed_marked_not_available_is_omitted(raw: str) -> None:
     assert not feed(Process(Config()), line(f"18FEF100#F7{raw}0FFFFFFFFF"))
+
+
+def test_a_j1939_speed_is_read_from_a_frame_that_ends_behind_it_and_not_from_one_that_ends_within_it() -> None:
+    (speed,) = feed(Process(Config()), line("18FEF100#F7803E"))
+    assert isinstance(speed, VehicleSpeed) and speed.speed_m_s == pytest.approx(62.5 / 3.6)
+    assert not feed(Process(Config()), line("18FEF100#F780"))
 
 
 def test_wheel_speeds_are_decoded_by_the_dbc_file_to_m_s(dbc: Path) -> None:
