@@ -10,6 +10,7 @@ its file those of the files that import it, or of the nearest folder.
 import argparse
 import sys
 import tempfile
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -29,12 +30,20 @@ WHERE = (
 )  # fmt: skip
 RESULT = Path("benchmarks/results/mutants.md")
 NOT_FOUND = "survived", "time out", "untested"
+EQUIVALENTS = tomllib.loads((Path(__file__).parent / "equivalents.toml").read_text(encoding="utf-8"))["fault"]
 
 
 def candidates(root: Path) -> list[Site]:
     """Every place of the folders in which faults are tried."""
     paths = sorted(path for folder in WHERE for path in (root / folder).rglob("*.py"))
     return [site for path in paths for site in sites_of(path.relative_to(root), path.read_text(encoding="utf-8"))]
+
+
+def equivalent(site: Site, source: str) -> str | None:
+    """Why a fault changes nothing that the program does; None of one that does."""
+    here = {"path": site.path.as_posix(), "line": source.splitlines()[site.line - 1].strip()}
+    known = (one for one in EQUIVALENTS if one == here | {"replacement": site.replacement, "why": one["why"]})
+    return next((str(one["why"]) for one in known), None)
 
 
 def table(found: Sequence[Tried], seed: int, number_of_candidates: int) -> str:
@@ -47,7 +56,8 @@ def table(found: Sequence[Tried], seed: int, number_of_candidates: int) -> str:
         f"Each is tried with at most {MOST} tests, up to {LIMIT_S} s of processor time. The last column says how they",
         "were chosen: they execute the line, or one with the name that is assigned there, or any line of the file, or",
         "they lie in a file that imports it, or in the nearest folder.", "",
-        "| place | kind | in its place | tests | chosen by |", "| --- | --- | --- | --- | --- |",
+        "| place | kind | in its place | outcome | tests chosen by, or why it changes nothing |",
+        "| --- | --- | --- | --- | --- |",
         *(one.row for one in found), "",
     ])  # fmt: skip
 
@@ -77,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             sys.stdout.write("no --coverage: tests that import the file of a fault are run, or of the nearest folder\n")
         for site in drawn:
-            found.append(copy.tried(site, choose))
+            why = equivalent(site, (options.root / site.path).read_text(encoding="utf-8"))
+            found.append(Tried(site, "equivalent", why) if why else copy.tried(site, choose))
             sys.stdout.write(f"{len(found)} of {len(drawn)} {found[-1].row}\n")
             sys.stdout.flush()
     page = table(found, options.seed, len(places))

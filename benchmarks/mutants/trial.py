@@ -23,8 +23,8 @@ class Tried(NamedTuple):
     """A fault, and what the tests said."""
 
     site: Site
-    outcome: str  # killed, time out, survived, untested
-    how: str  # how the tests were chosen
+    outcome: str  # killed, time out, survived, untested, equivalent
+    how: str  # how the tests were chosen; of an equivalent one, why it is
     test: str = ""  # that failed
 
     @property
