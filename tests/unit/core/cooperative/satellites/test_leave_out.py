@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from services.core.cooperative.hypotheses import SOLUTIONS_MAXIMUM, satellite_hypotheses
+from services.core.cooperative.hypotheses import SOLUTIONS_MAXIMUM, _ratio, satellite_hypotheses
 from services.core.cooperative.measurements import Constellation, FloatArray, Measurement, RawEpoch, SatelliteId
 from services.core.cooperative.process import Config, In, Process
 from services.core.cooperative.satellites.leave_out import LINEAR_M, _separation, solutions_without
@@ -208,3 +208,10 @@ def test_the_separation_of_two_positions_does_not_depend_on_the_unit_of_length(s
     chi_square, directions = _separation(apart, cov)
     assert chi_square == pytest.approx(float(expected)) and directions == 2
     assert _separation(apart, np.zeros((3, 3))) == (None, 0)
+
+
+@pytest.mark.parametrize(("separation", "limit", "ratio"), [(15.0, 30.0, 0.5), (None, None, 0.0), (None, 30.0, 0.0)])
+def test_a_position_without_a_separation_is_the_last_to_be_shown(
+    separation: float | None, limit: float | None, ratio: float
+) -> None:
+    assert _ratio(HypothesisSolution.model_construct(separation=separation, separation_limit=limit)) == ratio
