@@ -24,8 +24,7 @@ def late(scenario: str, *, with_velocity: bool = True) -> SetUpRun:
     return run(drive(scenario), late_s=0.3, with_velocity=with_velocity)
 
 
-@pytest.mark.parametrize("scenario", ["parking_lot", "urban"])
-@pytest.mark.parametrize("error", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+@pytest.mark.parametrize(("scenario", "error"), [("parking_lot", (1.0, 0.0, 0.0)), ("urban", (0.0, -1.0, 0.0))])
 def test_a_lever_arm_that_is_a_metre_off_is_held_by_the_levels(
     scenario: str, error: tuple[float, float, float]
 ) -> None:
@@ -47,6 +46,7 @@ def test_a_delay_that_is_found_is_corrected_and_the_levels_keep_what_is_left_of_
     assert solved.checks["lever_arm"].verdict is not SetUpVerdict.CONTRADICTS
 
 
+@pytest.mark.slow
 def test_levels_of_metres_hardly_grow_where_the_vehicle_file_says_how_well_the_set_up_is_known() -> None:
     """As that of the simulated vehicle does; what an unknown delay makes at the speed of the town is no small thing."""
     stated: dict[str, object] = {"vehicle.gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.02}
@@ -62,7 +62,7 @@ def test_the_levels_of_a_right_set_up_come_down_when_the_checks_agree() -> None:
     assert solved.level_h[-1] < 0.7 * np.median(solved.level_h[:300])
 
 
-@pytest.mark.parametrize("late_s", [0.3, 0.5])
+@pytest.mark.parametrize("late_s", [0.3, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_a_late_receiver_is_no_finding_of_the_lever_arm(late_s: float) -> None:
     """Positions alone; a delay of 0.3 s looks in turns like an antenna that is 1.5 m elsewhere."""
     solved = run(drive("urban", 5), late_s=late_s, with_velocity=False)
@@ -77,6 +77,7 @@ def test_a_lever_arm_is_found_when_the_delay_is_known() -> None:
     assert solved.lever_arm_found[0] >= solved.checks["gnss_velocity_delay"].since_ns * 1e-9
 
 
+@pytest.mark.slow
 def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> None:
     """700 m above the ellipsoid: the height is wrong by 1.4 km, and nothing tells the right one."""
     solved = run(simulate("urban", 3, 180.0), height_sign=-1.0)
@@ -91,7 +92,7 @@ def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> Non
     assert changed.max() > 1.0 and (changed < solved.level_v[before]).all(), "twice the change since the start is held"
 
 
-@pytest.mark.parametrize("axes", [("y", "-x", "z"), ("-y", "x", "z"), ("-x", "-y", "z")])
+@pytest.mark.parametrize("axes", [("y", "-x", "z"), pytest.param(("-x", "-y", "z"), marks=pytest.mark.slow)])
 def test_after_a_finding_of_turned_axes_the_heading_is_that_of_the_vehicle(axes: tuple[str, str, str]) -> None:
     solved = run(drive("urban"), imu=matrix_of(axes))
     since_s = solved.checks["imu_axes"].since_ns * 1e-9 + 0.5

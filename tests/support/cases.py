@@ -1,7 +1,7 @@
 """Many cases of milliseconds in one test, which names all that fail."""
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from typing import Any
 
@@ -44,6 +44,15 @@ def each(names: str | tuple[str, ...], cases: Iterable[object]) -> Callable[[Tes
         return with_every_case
 
     return decorate
+
+
+def crossed(rows: Sequence[object], columns: Sequence[object]) -> list[object]:
+    """Every pair, for `pytest.mark.parametrize`: each row and each column runs always, and other pairs are slow."""
+    return [
+        pytest.param(row, column, marks=() if i % len(columns) == j or j % len(rows) == i else pytest.mark.slow)
+        for i, row in enumerate(rows)
+        for j, column in enumerate(columns)
+    ]
 
 
 def _named(names: str | tuple[str, ...], case: Any) -> dict[str, object]:

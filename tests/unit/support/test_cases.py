@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.cases import each
+from tests.support.cases import crossed, each
 
 
 @each(("number", "factor"), [(1, 2), pytest.param(3, 4, id="odd")])
@@ -41,3 +41,10 @@ def test_names_that_the_test_does_not_take_and_no_cases_are_mistakes() -> None:
         each("other", [1])(test_every_case_is_run_and_all_that_fail_are_named)
     with pytest.raises(AssertionError, match="there is no case of value"):
         each("value", [])
+
+
+@pytest.mark.parametrize(("rows", "columns"), [("abc", "xyz"), ("abc", "xy"), ("ab", "wxyz"), ("a", "x")])
+def test_every_row_and_every_column_of_a_cross_is_tested_always(rows: str, columns: str) -> None:
+    found = [one.values for one in crossed(rows, columns) if not one.marks]  # type: ignore[attr-defined]
+    assert {row for row, _ in found} == set(rows) and {column for _, column in found} == set(columns)
+    assert len(found) == max(len(rows), len(columns)) and len(crossed(rows, columns)) == len(rows) * len(columns)
