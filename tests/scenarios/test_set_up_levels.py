@@ -24,7 +24,10 @@ def late(scenario: str, *, with_velocity: bool = True) -> SetUpRun:
     return run(drive(scenario), late_s=0.3, with_velocity=with_velocity)
 
 
-@pytest.mark.parametrize(("scenario", "error"), [("parking_lot", (1.0, 0.0, 0.0)), ("urban", (0.0, -1.0, 0.0))])
+@pytest.mark.parametrize(
+    ("scenario", "error"),
+    [("parking_lot", (1.0, 0.0, 0.0)), pytest.param("urban", (0.0, -1.0, 0.0), marks=pytest.mark.slow)],
+)
 def test_a_lever_arm_that_is_a_metre_off_is_held_by_the_levels(
     scenario: str, error: tuple[float, float, float]
 ) -> None:
@@ -33,7 +36,7 @@ def test_a_lever_arm_that_is_a_metre_off_is_held_by_the_levels(
     assert max(solved.above()) <= 0.01, "78 to 99 % without the spread"
 
 
-@pytest.mark.parametrize("scenario", ["parking_lot", "urban"])
+@pytest.mark.parametrize("scenario", [pytest.param("parking_lot", marks=pytest.mark.slow), "urban"])
 def test_fixes_that_are_0_3_s_late_are_held_by_the_levels_until_the_delay_is_found(scenario: str) -> None:
     assert max(late(scenario).above()) <= 0.01, "37 to 44 % without the spread"
 
@@ -62,7 +65,7 @@ def test_the_levels_of_a_right_set_up_come_down_when_the_checks_agree() -> None:
     assert solved.level_h[-1] < 0.7 * np.median(solved.level_h[:300])
 
 
-@pytest.mark.parametrize("late_s", [0.3, pytest.param(0.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("late_s", [0.3, 0.5])
 def test_a_late_receiver_is_no_finding_of_the_lever_arm(late_s: float) -> None:
     """Positions alone; a delay of 0.3 s looks in turns like an antenna that is 1.5 m elsewhere."""
     solved = run(drive("urban", 5), late_s=late_s, with_velocity=False)
@@ -71,6 +74,7 @@ def test_a_late_receiver_is_no_finding_of_the_lever_arm(late_s: float) -> None:
     assert solved.lever_arm_found == [] and all(state.lever_arm_error_body_m is None for state in solved.states)
 
 
+@pytest.mark.slow
 def test_a_lever_arm_is_found_when_the_delay_is_known() -> None:
     solved = run(drive("parking_lot"), arm_error=(0.0, -2.0, 0.0))
     assert solved.lever_arm_found and solved.states[-1].lever_arm_error_body_m is not None
@@ -102,6 +106,7 @@ def test_after_a_finding_of_turned_axes_the_heading_is_that_of_the_vehicle(axes:
     assert (np.abs(solved.yaw_error) < 3.0 * solved.yaw_sd)[after].all()
 
 
+@pytest.mark.slow
 def test_after_a_finding_of_a_skewed_mount_the_heading_is_that_of_the_vehicle() -> None:
     c, s = np.cos(0.35), np.sin(0.35)
     solved = run(drive("urban"), imu=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))

@@ -27,7 +27,13 @@ def with_header_time(frame: bytes, later_s: float) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("omitted_s", "attack"), [(0.0, "as received"), (4.0, "new headers"), (0.0, "bare CAM"), (4.0, "bare CAM")]
+    ("omitted_s", "attack"),
+    [
+        (0.0, "as received"),
+        (4.0, "new headers"),
+        pytest.param(0.0, "bare CAM", marks=pytest.mark.slow),
+        (4.0, "bare CAM"),
+    ],
 )
 def test_frames_replayed_after_65_s_charge_nobody_again(tmp_path: Path, omitted_s: float, attack: str) -> None:
     """The detector even counts a vehicle at the time of the replay: the attacker drives through himself."""
@@ -68,7 +74,7 @@ def test_a_second_receiver_that_misses_the_first_frames_makes_no_second_charge(
 
 
 @pytest.mark.parametrize("detectors", [True, pytest.param(False, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("real", [True, False])
+@pytest.mark.parametrize("real", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_an_unregistered_vehicle_1_5_m_ahead_never_makes_a_passage_free(
     tmp_path: Path, detectors: bool, real: bool
 ) -> None:
@@ -87,7 +93,7 @@ def test_an_unregistered_vehicle_1_5_m_ahead_never_makes_a_passage_free(
         assert (review.contract, review.amount_cents, len(review.overlaps)) == ("contract of 7", 240, 1)
 
 
-@pytest.mark.parametrize("detectors", [True, False])
+@pytest.mark.parametrize("detectors", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_missing_pulse_holds_the_charge_where_there_is_a_detector(tmp_path: Path, detectors: bool) -> None:
     role = Role(tmp_path, (CAR,), detectors=detectors)
     role.drive(20.0)
