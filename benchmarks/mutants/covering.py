@@ -13,6 +13,7 @@ from tests.support.changed import UNIT, tests_of
 from .sites import Site
 
 MOST = 150  # tests of a fault, so that one in a line that everything executes has an end
+REFERENCE = "tests/architecture/test_contract.py"  # prints defaults and limits of settings and messages
 MOST_FILES = 4  # where the tests of a line are not known
 
 
@@ -71,7 +72,9 @@ class Covering:
         for how, lines in (("line", range(site.line, site.end_line + 1)), ("name", named), ("file", contexts)):
             found = {test for line in lines for test in contexts.get(line, ()) if test in self._existing}
             if found:
-                return Selection(tuple(sorted(found, key=lambda test: self._order(test, folder))[:MOST]), how)
+                chosen = sorted(found, key=lambda test: self._order(test, folder))[:MOST]
+                printed = [REFERENCE] if how != "line" and (self._root / REFERENCE).exists() else []
+                return Selection((*chosen, *printed), how)
         return nearest(self._root, site, source)
 
     def _contexts(self, path: Path) -> dict[int, set[str]]:

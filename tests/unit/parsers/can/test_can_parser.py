@@ -10,7 +10,7 @@ from can.io import CanutilsLogReader
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.parsers.can.candump import LineReader, parse_line
+from services.parsers.can.candump import MAX_LINE, LineReader, parse_line
 from services.parsers.can.process import Config, Process, WheelSignals
 from shared.chosen import ChosenSource
 from shared.errors import UserError
@@ -204,6 +204,14 @@ def test_j1939_gives_the_wheel_based_and_the_tachograph_speed(text: str, source:
 @pytest.mark.parametrize("raw", ["FFFF", "00FE", "00FB"])
 def test_a_j1939_speed_marked_not_available_is_omitted(raw: str) -> None:
     assert not feed(Process(Config()), line(f"18FEF100#F7{raw}0FFFFFFFFF"))
+
+
+def test_a_line_that_does_not_end_is_one_reject_and_the_next_one_is_read() -> None:
+    process = Process(Config())
+    assert not feed(process, b"x" * (MAX_LINE + 1))
+    assert process.rejects["line"] == 1
+    (speed,) = feed(process, b"\n" + line("18FEF100#F7803E", 0.1))
+    assert isinstance(speed, VehicleSpeed) and process.rejects["line"] == 1
 
 
 def test_a_j1939_speed_is_read_from_a_frame_that_ends_behind_it_and_not_from_one_that_ends_within_it() -> None:

@@ -159,7 +159,7 @@ def test_a_corrected_delay_moves_entries_after_a_time_and_leaves_those_out_that_
     assert [(one.time_ns, cast(Value, one).value) for one in log.entries(0, ALL)] == [
         (1_000, 1_000), (2_000, 3_000), (3_000, 4_000),
     ]  # fmt: skip
-    log.change(2_000, lambda one: one.corrected(2e-6, 0.0))  # to the time itself, up to which all is done
+    log.change(2_000, lambda one: one.corrected(1e-6, 0.0))  # to the time itself, up to which all is done
     assert [one.time_ns for one in log.entries(0, ALL)] == [1_000, 2_000]
 
 
