@@ -6,6 +6,8 @@ from services.sensors.simulator.world import DEFAULT_START_NS
 from shared.messages.trust import TrustLevel
 from tests.support.drives.cuts import NS, Cut, cut_drive
 
+pytestmark = pytest.mark.slow
+
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION)
 ATTACK = "position_jump(distance=60)@60:60"
 BEGIN_S, END_S, DRIVE_S = 68.0, 80.0, 110.0
@@ -15,9 +17,9 @@ BEGIN_S, END_S, DRIVE_S = 68.0, 80.0, 110.0
     "processes",
     [
         pytest.param((), id="unit"),
-        pytest.param(("core.trust",), id="trust", marks=pytest.mark.slow),
-        pytest.param(("core.fusion",), id="fusion", marks=pytest.mark.slow),
-        pytest.param(("core.trust", "core.fusion"), id="both", marks=pytest.mark.slow),
+        pytest.param(("core.trust",), id="trust"),
+        pytest.param(("core.fusion",), id="fusion"),
+        pytest.param(("core.trust", "core.fusion"), id="both"),
     ],
 )
 def test_a_position_that_stepped_by_60_m_is_not_used_after_a_cut(processes: tuple[str, ...]) -> None:
@@ -31,7 +33,6 @@ def test_a_position_that_stepped_by_60_m_is_not_used_after_a_cut(processes: tupl
     assert after[0].suspect_since_ns is not None and after[-1].state is TrustLevel.UNSAFE
 
 
-@pytest.mark.slow
 def test_a_healthy_unit_after_a_cut_in_motion_is_not_safe_at_once_and_says_why() -> None:
     drive = cut_drive("urban", 1, 90.0, None, Cut(33.0, 38.0))
     after = [one for one in drive.states if (one.sampled_ns - DEFAULT_START_NS) / NS >= 75.0]

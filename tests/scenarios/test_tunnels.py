@@ -6,10 +6,12 @@ from services.core.trust.after_loss import AGREEMENT_S
 from shared.messages.trust import TrustLevel
 from tests.support.drives.cuts import cut_drive
 
+pytestmark = pytest.mark.slow
+
 BEGIN_S, WITHIN_S = 60.0, 60.0
 
 
-@pytest.mark.parametrize("length_s", [20.0, pytest.param(60.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("length_s", [20.0, 60.0])
 def test_a_tunnel_costs_at_most_a_minute_of_safe_after_it(length_s: float) -> None:
     end_s = BEGIN_S + length_s
     drive = cut_drive("urban", 1, end_s + WITHIN_S + 5.0, f"tunnel@{BEGIN_S:g}:{length_s:g}", None)
@@ -18,7 +20,6 @@ def test_a_tunnel_costs_at_most_a_minute_of_safe_after_it(length_s: float) -> No
     assert drive.above_level_s(list(TrustLevel), BEGIN_S, end_s + WITHIN_S + 5.0) == 0.0
 
 
-@pytest.mark.slow
 def test_a_return_after_jamming_is_confirmed_by_the_way_that_agrees() -> None:
     drive = cut_drive("urban", 1, 190.0, "jam(power=60,rise=60)@60:12", None)
     since = [one.gnss_disturbed_since_ns for one in drive.states if one.gnss_disturbed_since_ns is not None]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from services.parsers.can.candump import MAX_LINE, LineReader, parse_line
 from services.parsers.can.process import Config, Process, WheelSignals
+from services.parsers.can.standards import parameter_group
 from shared.chosen import ChosenSource
 from shared.errors import UserError
 from shared.kinds import Kinds
@@ -212,6 +213,14 @@ def test_a_line_that_does_not_end_is_one_reject_and_the_next_one_is_read() -> No
     assert process.rejects["line"] == 1
     (speed,) = feed(process, b"\n" + line("18FEF100#F7803E", 0.1))
     assert isinstance(speed, VehicleSpeed) and process.rejects["line"] == 1
+
+
+@pytest.mark.parametrize(("identifier", "group"), [
+    (0x0CF00400, 0xF004), (0x18FEF100, 0xFEF1), (0x18EFFF00, 0xEF00), (0x0CEF2100, 0xEF00), (0x18FF2127, 0xFF21),
+])  # fmt: skip
+def test_the_group_of_an_identifier_leaves_out_the_receiver_below_format_240(identifier: int, group: int) -> None:
+    """EEC1 (PGN 61444) is of the first format without a receiver; proprietary A (61184) has one."""
+    assert parameter_group(identifier) == group
 
 
 def test_a_j1939_speed_is_read_from_a_frame_that_ends_behind_it_and_not_from_one_that_ends_within_it() -> None:
