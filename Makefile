@@ -17,7 +17,7 @@ SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 # Each process of a unit would compile its sources anew: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test quick check calculating types running slow up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
+.PHONY: help setup demo test quick check calculating types running slow coverage mutants up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -57,7 +57,7 @@ $(VENV)/.debian: | $(VENV)/bin/python
 demo: setup ## drive a simulated car here and print the dashboard's address (SCENARIO=urban SEED=1 PORT=8080)
 	@$(PYTHON) -m cli demo --scenario $(SCENARIO) --seed $(SEED) --port $(PORT)
 
-test: ## run every check that CI runs: all but `make slow` and `make containers`
+test: ## run every check that CI runs: all but `make slow` (CI's second step) and `make containers`
 	@$(MAKE) --no-print-directory --jobs=2 $(VENV)/.testing $(VENV)/.debian
 	@$(MAKE) --no-print-directory check
 
@@ -87,8 +87,18 @@ running:
 	@$(PYTHON) -m pytest $(LIVE) -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=20 $(PYTEST_ARGS)
 	@$(PYTHON) -m pytest $(LIVE) -m "whole_unit and not slow" --durations=15 $(PYTEST_ARGS)
 
-slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds; they are not part of the repository)
-	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
+slow: | $(VENV)/.testing ## run the long tests, those of a whole unit one after the other (OBU_DATA: with recordings)
+	@$(PYTHON) -m pytest -n auto --dist loadfile -m "slow and not whole_unit and not container" --durations=30 $(PYTEST_ARGS)
+	@$(PYTHON) -m pytest $(LIVE) -m "slow and whole_unit and not container" --durations=20 $(PYTEST_ARGS)
+
+coverage: | $(VENV)/.testing ## measure branch coverage of tests that calculate, and which test executes which line
+	@mkdir -p .obu/coverage
+	@$(PYTHON) -m pytest $(LIVE:%=--ignore=%) -n auto --dist loadfile -m "not slow" --cov --cov-branch --cov-context=test --cov-report= $(PYTEST_ARGS)
+	@$(PYTHON) -m coverage report --skip-covered | tail -1
+
+# A run without the data of `make coverage` tries the tests of files that import the one with the fault.
+mutants: | $(VENV)/.testing ## put 60 small faults into a copy of the tree, and see which of them the tests find (SEED=1)
+	@$(PYTHON) -m benchmarks.mutants --seed $(SEED) $(if $(SMOKE),--number 1,--store) $(if $(wildcard .obu/coverage/data),--coverage .obu/coverage/data)
 
 up: ## start the containers
 	@deploy/check_docker.sh

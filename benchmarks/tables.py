@@ -31,6 +31,7 @@ TABLES = {
     "benchmarks/results/fleet.md": Table("benchmarks.fleet.__main__", "make fleet"),
     "benchmarks/results/framing.md": Table("benchmarks.framing", "python -m benchmarks.framing"),
     "benchmarks/results/integrity.md": Table("benchmarks.integrity.report", "make integrity"),
+    "benchmarks/results/mutants.md": Table("benchmarks.mutants.__main__", "make mutants"),
     "benchmarks/results/navigation.md": Table("benchmarks.navigation.report", "make drives"),
     "benchmarks/results/parsing.md": Table("benchmarks.parsing", "python -m benchmarks.parsing"),
     "benchmarks/results/replay.md": Table("benchmarks.replay", "make bench-replay"),

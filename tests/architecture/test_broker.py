@@ -11,6 +11,7 @@ from broker import local_config
 from broker.acl import access_list
 from broker.simulated import Limits
 from shared.topics import TOPICS, Topic
+from tests.support.cases import each
 from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).parents[2]
@@ -51,7 +52,7 @@ def test_unfinished_packets_on_every_connection_take_half_of_the_memory_at_most(
     assert sum(settings("max_connections")) * packet <= memory // 2
 
 
-@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+@each("topic", TOPICS)
 def test_the_largest_message_of_a_topic_fits_into_a_packet(topic: Topic) -> None:
     assert topic.most_bytes + 16_384 <= int(setting("max_packet_size"))
 

@@ -88,7 +88,7 @@ def reachable() -> Iterator[Path]:
         yield Path(made)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="gives files to other users, which root alone can")
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
 def test_processes_read_their_own_secrets_and_not_those_of_others(reachable: Path) -> None:
     folder = reachable / "centre"
     folder.mkdir(mode=0o711)

@@ -2,12 +2,11 @@
 
 from pathlib import PurePosixPath
 
-import pytest
-
+from tests.support.cases import each
 from tests.support.changed import folders
 
 
-@pytest.mark.parametrize(("path", "tests"), [
+@each(("path", "tests"), [
     ("services/core/trust/verdict.py", ["tests/unit/core/trust"]),
     ("services/core/trust/words.toml", ["tests/unit/core/trust"]),
     ("services/core/fusion/aids/gnss/fix.py", ["tests/unit/core/fusion/aids/gnss"]),

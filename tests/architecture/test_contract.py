@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import cast
 
 import jsonschema
-import pytest
 from pydantic import BaseModel
 
 from cli import reference
@@ -22,6 +21,7 @@ from shared.messages.toll import EvidencePack
 from shared.messages.v2x import CamContent
 from shared.processes import BY_NAME, PROCESSES, Kind, ProcessRow
 from shared.topics import TOPICS, Topic, contradictions, hot_path, subscriptions
+from tests.support.cases import each
 
 ROOT = Path(__file__).parents[2]
 PRINTED = reference.printed(ROOT)
@@ -73,7 +73,7 @@ def test_tables_that_agree_have_no_contradiction_and_a_topic_may_hold_digits() -
     assert contradictions((SOURCE, GOOD), (FIX, RAW)) == []
 
 
-@pytest.mark.parametrize(
+@each(
     ("processes", "topics", "text"),
     [
         (
@@ -143,7 +143,7 @@ def test_states_are_retained_and_samples_are_not() -> None:
         assert not (topic.retain and (topic.rate_hz or 0) > 2), f"{topic.name}: samples are not retained"
 
 
-@pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)
+@each("kind", all_messages())
 def test_numbers_of_a_message_carry_their_unit_in_the_name_or_in_the_field(kind: type[BaseModel]) -> None:
     for name, schema in kind.model_json_schema().get("properties", {}).items():
         if is_number_without_unit(schema):
@@ -184,12 +184,12 @@ def test_every_setting_has_a_description() -> None:
     assert not [name for name, meaning in rows if not meaning.strip()]
 
 
-@pytest.mark.parametrize("path", PRINTED, ids=lambda path: path.name)
+@each("path", PRINTED)
 def test_what_is_printed_is_what_the_code_says(path: Path) -> None:
     assert path.read_text(encoding="utf-8") == PRINTED[path], "print it anew with `make docs`"
 
 
-@pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)
+@each("kind", all_messages())
 def test_what_may_be_missing_need_not_be_there(kind: type[BaseModel]) -> None:
     for name, field in kind.model_fields.items():
         if type(None) in typing.get_args(field.annotation):

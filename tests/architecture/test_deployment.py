@@ -14,6 +14,7 @@ from shared.bus import bus
 from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
 from shared.runtime.config import INSTALLED_SOCKET, BrokerAddress
 from shared.topics import BY_NAME, hot_path
+from tests.support.cases import each
 from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,7 +105,7 @@ def next_user() -> int:
     return max((*USERS.values(), *CONTAINER_USERS.values(), FIRST_USER - 1)) + 1
 
 
-@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+@each("row", PROCESSES)
 def test_the_user_of_a_container_stands_in_the_row_of_its_process_and_stays(row: ProcessRow) -> None:
     wanted = USERS.get(row.name, row.container_user or next_user())
     assert row.container_user == wanted, f"paste into the row of {row.name}:\n\n        container_user={wanted:_},\n"
@@ -120,7 +121,7 @@ def test_no_two_processes_have_the_same_user_of_a_container() -> None:
     assert not shared, f"one process could read the files of another: {shared}; {hint}"
 
 
-@pytest.mark.parametrize("row", OBU, ids=lambda row: row.name)
+@each("row", OBU)
 def test_every_process_has_a_container_that_runs_it(row: ProcessRow) -> None:
     file = VEHICLE if row in DEVICES else SIMULATED
     service = services_of(file).get(container(row), {})
@@ -129,7 +130,7 @@ def test_every_process_has_a_container_that_runs_it(row: ProcessRow) -> None:
     assert found == wanted, f"paste into the services of {file}:\n\n{entry(row)}\n"
 
 
-@pytest.mark.parametrize("row", RSU, ids=lambda row: row.name)
+@each("row", RSU)
 def test_every_process_of_a_road_side_unit_has_a_container_there_with_the_limits_of_another(row: ProcessRow) -> None:
     service = services_of(ROADSIDE).get(container(row), {})
     base = cast("dict[str, str]", service.get("extends", {"file": "", "service": ""}))
@@ -302,7 +303,7 @@ def test_drop_ins_belong_to_processes() -> None:
     assert not spare, f"no process of shared/processes.py has the drop-ins of {spare} in deploy/systemd: remove them"
 
 
-@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+@each("row", PROCESSES)
 def test_the_hot_path_goes_first_and_drivers_reach_their_devices(row: ProcessRow) -> None:
     hot, model = drop_in(row.name, "hot-path.conf"), drop_in("core.fusion", "hot-path.conf")
     if row.name in hot_path():
@@ -343,7 +344,7 @@ def test_udev_understands_the_rules() -> None:
     if shutil.which("udevadm"):
         help_text = subprocess.run(["udevadm", "--help"], capture_output=True, text=True, check=False).stdout
     if "verify" not in help_text:
-        pytest.skip("udevadm of systemd 254 or newer is not installed")
+        pytest.skip("this system has no udevadm of systemd 254 or newer")
     rules = ROOT / "deploy" / "udev" / "99-obu.rules"
     result = subprocess.run(["udevadm", "verify", str(rules)], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -5,9 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from shared.processes import PROCESSES, Role, running
+from tests.support.cases import each
 
 ROOT = Path(__file__).parents[2]
 # What a file that is not process.py may import besides its own folder: no bus, no clock, no files, no logging.
@@ -73,7 +72,7 @@ def imports_of(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+@each("row", PROCESSES)
 def test_a_process_imports_shared_and_its_own_folder_only(row) -> None:  # type: ignore[no-untyped-def]
     own = f"services.{row.name}"
     for path in files_of(row.name):
@@ -85,7 +84,7 @@ def test_a_process_imports_shared_and_its_own_folder_only(row) -> None:  # type:
         assert not foreign, f"{path.relative_to(ROOT)} imports {foreign}"
 
 
-@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+@each("row", PROCESSES)
 def test_every_file_but_process_py_does_no_input_and_output(row) -> None:  # type: ignore[no-untyped-def]
     own = f"services.{row.name}"
     for path in files_of(row.name):

@@ -53,6 +53,7 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
     judge_everywhere(page, "hypotheses")
 
 
+@pytest.mark.slow
 def test_the_map_draws_the_alternatives_while_one_is_suspected_and_as_somebody_chose(
     suspecting: Running, open_page: Callable[..., Page]
 ) -> None:

@@ -85,6 +85,7 @@ def test_the_map_page_is_accessible_asks_nobody_else_and_keeps_to_its_budget(
     assert packed <= MAP_PAGE_BYTES
 
 
+@pytest.mark.slow
 def test_layers_follow_measure_table_and_inspection_do_what_they_say(
     tiled: Running, open_page: Callable[..., Page]
 ) -> None:

@@ -97,6 +97,7 @@ def test_the_page_gnss_stands_the_loss_of_its_tests(tmp_path: Path, open_page: C
         expect(page.locator(".foot")).to_have_count(1)
 
 
+@pytest.mark.slow
 def test_pages_in_turn_stand_the_loss_of_one_process_after_the_other(
     tmp_path: Path, open_page: Callable[..., Page]
 ) -> None:

@@ -156,6 +156,7 @@ def replay_and_scrub(page: Page) -> None:
     expect(page.locator(".replay-time")).to_contain_text(re.compile("0:(1[5-9]|[2-5])"))
 
 
+@pytest.mark.slow
 def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Path) -> None:
     demo = start_demo(tmp_path, "--scenario", "parking_lot", "--duration", "32", "--json")
     output, errors = demo.process.communicate(timeout=HANGS_S)

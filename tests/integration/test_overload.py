@@ -26,7 +26,7 @@ from shared.topics import TOPICS
 from tests.integration.test_demo import Demo, start_demo
 from tests.support.patience import HANGS_S
 
-pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
+pytestmark = [pytest.mark.whole_unit, pytest.mark.broker, pytest.mark.slow]
 
 OLDEST_S = 2.0  # age of a position, from which it is none
 PERIOD_S = 0.2  # of the turns of a process that is throttled

@@ -1,4 +1,4 @@
-"""Every make target that measures can run: one job of a few seconds, with real programs; slow, its short form."""
+"""Every make target that measures can run: one job of a few seconds, with real programs."""
 
 import re
 import subprocess
@@ -11,7 +11,6 @@ MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 MEASURES = re.compile(r"-m benchmarks(?!\.tables)|-m cli (?:attack-lab|papers)")
 # A target and its commands.
 RULES = dict(re.findall(r"^([a-z0-9-]+):[^\n]*\n((?:\t[^\n]*\n)+)", MAKEFILE, re.M))
-FORMS = re.compile(r"\$\((?:CAMPAIGN|SIZE)\)|SHORT")  # of a target with a short form
 TARGETS = sorted(name for name, commands in RULES.items() if MEASURES.search(commands))
 
 ALONE = {"bench", "bench-replay", "fleet", "security", "v2x"}  # which start programs of their own
@@ -27,22 +26,12 @@ def _run_in_turn(target: str) -> object:
     return pytest.param(target, marks=pytest.mark.whole_unit) if target in ALONE else target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [_run_in_turn(target) for target in TARGETS])
 def test_a_target_that_measures_runs_in_its_smoke_form_and_stores_nothing(target: str) -> None:
-    _make(target, "SMOKE=1")
-
-
-@pytest.mark.slow
-@pytest.mark.whole_unit
-@pytest.mark.parametrize("target", [target for target in TARGETS if FORMS.search(RULES[target])])
-def test_a_target_that_measures_runs_in_its_short_form_and_stores_nothing(target: str) -> None:
-    _make(target, "SHORT=1")
-
-
-def _make(target: str, form: str) -> None:
     before = _stored()
     done = subprocess.run(
-        ["make", "--no-print-directory", target, form], cwd=ROOT, capture_output=True, text=True, check=False
+        ["make", "--no-print-directory", target, "SMOKE=1"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert _stored() == before

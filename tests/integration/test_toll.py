@@ -14,7 +14,7 @@ import pytest
 from cli.verify_toll import differences_of, is_continued, parse, read
 from tests.support.patience import HANGS_S
 
-pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
+pytestmark = [pytest.mark.whole_unit, pytest.mark.broker, pytest.mark.slow]
 
 DURATION_S = 75.0
 VICTIMS = ("core.toll", "monitoring.ledger")

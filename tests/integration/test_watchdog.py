@@ -164,7 +164,9 @@ def unit(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 on_mosquitto = pytest.mark.parametrize("unit", KINDS[:1], indirect=True, scope="module")
-on_each_broker = pytest.mark.parametrize("unit", KINDS, indirect=True, scope="module")
+on_each_broker = pytest.mark.parametrize(
+    "unit", [KINDS[0], pytest.param(KINDS[1], marks=pytest.mark.slow)], indirect=True, scope="module"
+)
 
 
 INVALID = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)

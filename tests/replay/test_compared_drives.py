@@ -20,7 +20,7 @@ from tests.support.data import REPOSITORY, recording
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 START_S = 456250.0  # of rtk_drive_57min
 Metrics = dict[str, float]
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 def imported(mapping: str, folder: Path, out: Path) -> Path:
@@ -48,7 +48,6 @@ def first_minutes(folder: Path, out: Path, until_s: float) -> Path:
     return out
 
 
-@pytest.mark.slow
 def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -> None:
     cut = first_minutes(recording("rtk_drive_57min") / "mems_rtk_200hz", tmp_path, 330.0)
     found = solved(imported("rtk_drive_57min", cut, tmp_path), Aiding.ODOMETER, score_from=200.0)
@@ -58,7 +57,6 @@ def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -
     assert degrees(found["yaw_rmse_rad"]) <= 0.3, "three minutes after the car set off"
 
 
-@pytest.mark.slow
 def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_m(tmp_path: Path) -> None:
     name = "2014-03-26-000-Data.csv"
     lines = (recording("balzer82_car") / name).read_text().splitlines()[:3001]
@@ -71,7 +69,6 @@ def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_
     assert found["innovation_horizontal_rms_m"] < 8.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("aiding", [Aiding.FREE, Aiding.ODOMETER])
 def test_with_rtk_a_whole_drive_is_as_accurate_as_that_of_the_best_peer(aiding: Aiding, tmp_path: Path) -> None:
     drive = imported("rtk_drive_57min", recording("rtk_drive_57min") / "mems_rtk_200hz", tmp_path)
@@ -83,7 +80,6 @@ def test_with_rtk_a_whole_drive_is_as_accurate_as_that_of_the_best_peer(aiding: 
     assert cut["outage_largest_error_rms_m"] <= goal_m
 
 
-@pytest.mark.slow
 def test_with_errors_correlated_over_a_minute_velocity_and_outages_equal_the_best_peer(tmp_path: Path) -> None:
     drive = imported("rtk_drive_57min", recording("rtk_drive_57min") / "mems_spp_100hz", tmp_path)
     found = solved(drive, Aiding.ODOMETER, score_from=350.0)
@@ -92,7 +88,6 @@ def test_with_errors_correlated_over_a_minute_velocity_and_outages_equal_the_bes
     assert solved(drive, Aiding.ODOMETER, "60/180@650")["outage_largest_error_rms_m"] <= 3.0, "the goal"
 
 
-@pytest.mark.slow
 def test_estimating_the_mounting_reduces_errors_in_long_outages(tmp_path: Path) -> None:
     drive = imported("navmatlab_car", recording("navmatlab_car"), tmp_path)
     free, nhc = (solved(drive, aiding, "60/180@240") for aiding in (Aiding.FREE, Aiding.NHC))

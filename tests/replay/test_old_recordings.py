@@ -35,6 +35,7 @@ def forces(messages: Iterable[Message]) -> FloatArray:
     return np.concatenate(batches)
 
 
+@pytest.mark.slow
 def test_a_drive_of_release_0_1_0_with_a_turned_imu_has_the_solution_of_that_release() -> None:
     with open_recording(TURNED) as recording:
         recorded = solutions([envelope.decode() for envelope in recording])

@@ -38,7 +38,7 @@ from shared.messages.trust import Outcome, TrustHypotheses
 from tests.support.data import recording
 from tests.support.gnss.rtcm import read_rtcm
 
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 Station = tuple[list[RawEpoch], EphemerisStore, np.ndarray]
 
 
@@ -149,7 +149,6 @@ def test_the_solution_of_an_rtcm_stream_is_the_stated_position_of_its_base_stati
     assert np.quantile(np.linalg.norm(found, axis=1), 0.95) < 4.0
 
 
-@pytest.mark.slow
 def test_galileo_ephemerides_give_the_directions_that_the_receiver_states() -> None:
     path = recording("osnma") / "ublox" / "ublox_2026_03.ubx"
     store, model, now_ns = EphemerisStore(), ErrorModel(), 0

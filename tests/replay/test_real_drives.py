@@ -18,7 +18,7 @@ from tests.support.data import REPOSITORY, recording
 
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 Metrics = dict[str, float]
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 def imported(mapping: str, folder: Path, out: Path) -> Path:
@@ -39,7 +39,6 @@ def rtk_car(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported("rtkexp_drive", recording("rtkexp_drive"), tmp_path_factory.mktemp("rtkexp"))
 
 
-@pytest.mark.slow
 def test_positions_of_a_car_with_rtk_agree_with_rtk(rtk_car: Path) -> None:
     found = solved(rtk_car)
     assert found["fixes_recorded"] == 2197 and found["distance_m"] == pytest.approx(4050.0, rel=0.02)
@@ -49,7 +48,6 @@ def test_positions_of_a_car_with_rtk_agree_with_rtk(rtk_car: Path) -> None:
     assert found["within_3_sigma_fraction"] > 0.98
 
 
-@pytest.mark.slow
 def test_the_drift_of_a_car_in_outages_of_ten_seconds_is_a_few_metres(rtk_car: Path) -> None:
     found = solved(rtk_car, "10/30")
     assert found["outage_count"] >= 16
@@ -58,14 +56,12 @@ def test_the_drift_of_a_car_in_outages_of_ten_seconds_is_a_few_metres(rtk_car: P
     assert found["within_3_sigma_fraction"] > 0.98, "the covariance grows as the error does"
 
 
-@pytest.mark.slow
 def test_wheel_speeds_limit_the_drift_of_a_car_in_outages_of_fifteen_seconds(rtk_car: Path) -> None:
     found = solved(rtk_car, "15/45")
     assert found["outage_count"] == 11
     assert found["outage_largest_error_rms_m"] <= 3.5, "the goal, and 3.3 m the best peer"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_a_car_with_a_tactical_imu_drifts_by_less_than_1_5_m(trial: str, tmp_path: Path) -> None:
     drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
@@ -75,7 +71,6 @@ def test_a_car_with_a_tactical_imu_drifts_by_less_than_1_5_m(trial: str, tmp_pat
     assert cut["outage_end_error_median_m"] <= 1.0, "the goal"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trial", ["03", "07"])
 def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: str, tmp_path: Path) -> None:
     found = solved(imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path))
@@ -85,7 +80,6 @@ def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: st
     assert found["horizontal_rmse_m"] < 1.0
 
 
-@pytest.mark.slow
 def test_attitude_and_velocity_of_a_truck_agree_with_a_reference_of_higher_grade(tmp_path: Path) -> None:
     found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
     # The IMU is rotated by several degrees against the reference, and the cab moves on its suspension.

@@ -10,7 +10,7 @@ from cli.solve.solve import solve
 from tests.support.data import REPOSITORY, recording
 
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 def solved(name: str, out: Path) -> dict[str, float]:
@@ -20,7 +20,6 @@ def solved(name: str, out: Path) -> dict[str, float]:
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "most_m"),
     [("comma_segment", 0.44), ("navmatlab_car", 0.65), ("navmatlab_car_0327", 1.05)],

@@ -16,7 +16,7 @@ from tests.support.data import REPOSITORY, recording
 from tests.support.drives.set_up import Faults, Recorded, recorded
 
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 def messages_of(mapping: str, folder: Path, out: Path, settings: Settings) -> Recorded:
@@ -48,7 +48,6 @@ def test_the_checks_of_a_drive_with_wheel_speeds_and_rtk_report_only_injected_fa
         assert name in contradicted(drive, faults, settings)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trial", ["01", "03", "04", "07", "08", "10"])
 def test_jumps_and_gaps_of_gnss_are_no_findings_of_the_set_up(trial: str, tmp_path: Path) -> None:
     settings = Settings()
@@ -56,7 +55,6 @@ def test_jumps_and_gaps_of_gnss_are_no_findings_of_the_set_up(trial: str, tmp_pa
     assert not contradicted(drive, Faults(), settings)
 
 
-@pytest.mark.slow
 def test_a_hilly_drive_shows_signs_of_velocity_and_height(tmp_path: Path) -> None:
     settings = Settings().with_values({"gnss.velocity_delay_s": 0.125})
     drive = messages_of("rtkexp_drive", recording("rtkexp_drive"), tmp_path, settings)
@@ -67,7 +65,6 @@ def test_a_hilly_drive_shows_signs_of_velocity_and_height(tmp_path: Path) -> Non
         assert name in contradicted(drive, faults, settings)
 
 
-@pytest.mark.slow
 def test_a_phone_with_a_gyroscope_bias_of_four_degrees_a_second_aligns_its_heading(tmp_path: Path) -> None:
     """A start in motion with default settings of the gyroscope."""
     path = tmp_path / "comma.mcap"

@@ -26,7 +26,7 @@ from cli.solve.solve import solve
 from tests.support.data import REPOSITORY, recording
 
 Metrics = dict[str, float]
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 LONE_FIX_M = 0.1  # [m] one fix of wid_car 08, used as truth, deviates by 0.096 m from its neighbours
 
 
@@ -43,7 +43,6 @@ def assert_bridged(found: Metrics) -> None:
     assert found["smoothed_outage_inside_max_m"] < max(found["outage_inside_max_m"], LONE_FIX_M)
 
 
-@pytest.mark.slow
 def test_smoothed_errors_in_outages_of_a_car_with_rtk_meet_the_goals(tmp_path: Path) -> None:
     found = smoothed("rtkexp_drive", recording("rtkexp_drive"), tmp_path, "15/45")
     assert_bridged(found)
@@ -52,7 +51,6 @@ def test_smoothed_errors_in_outages_of_a_car_with_rtk_meet_the_goals(tmp_path: P
     assert found["smoothed_within_3_sigma_fraction"] > 0.98
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_smoothed_errors_in_outages_of_a_car_with_a_tactical_imu_meet_the_goals(trial: str, tmp_path: Path) -> None:
     found = smoothed("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, "10/30")
@@ -60,7 +58,6 @@ def test_smoothed_errors_in_outages_of_a_car_with_a_tactical_imu_meet_the_goals(
     assert found["smoothed_outage_inside_max_m"] <= 0.25 and found["smoothed_within_3_sigma_fraction"] > 0.98
 
 
-@pytest.mark.slow
 def test_the_smoothed_attitude_of_a_truck_is_closer_to_its_reference(tmp_path: Path) -> None:
     found = smoothed("auburn_truck", recording("auburn_truck") / "turn", tmp_path)
     for axis in ("roll", "pitch", "yaw"):

@@ -43,7 +43,7 @@ LOW_COST_IMU = {
     "long.gyroscope_scale_sd": 0.02,
     "long.position_time_sd_s": 0.2,
 }
-pytestmark = pytest.mark.recording
+pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,6 @@ def config(drive: RealDrive) -> Config:
     return start.model_copy(update={"profile": learn(windows, threshold=6.5, provenance="first half of the drive")})
 
 
-@pytest.mark.slow
 def test_an_authentic_drive_raises_no_alarm(drive: RealDrive, config: Config) -> None:
     result = monitored(drive, config, drive.messages)
     assert result.episodes("inertial_short") == 0 and result.episodes("inertial_long") == 0
@@ -128,7 +127,6 @@ def test_an_authentic_drive_raises_no_alarm(drive: RealDrive, config: Config) ->
     assert result.share("inertial_long", Outcome.PASS) > 0.75
 
 
-@pytest.mark.slow
 def test_a_drag_off_of_0_3_m_s2_on_the_recording_is_accused(drive: RealDrive, config: Config) -> None:
     result = monitored(drive, config, dragged(drive, 0.3, 3.0))
     begin_s = drive.start_ns / SECOND_NS + ATTACK_S
@@ -151,7 +149,6 @@ def test_a_minute_of_another_car_raises_no_permanent_alarm(tmp_path: Path) -> No
     assert result.share("inertial_long", Outcome.PASS) > 0.25, "the window of 30 s is first full after 42 of 60 s"
 
 
-@pytest.mark.slow
 def test_a_receiver_with_a_configured_delay_of_half_a_second_raises_no_permanent_alarm(
     tmp_path: Path,
 ) -> None:

@@ -118,6 +118,7 @@ def first_seconds(inputs: Inputs, vehicle: VehicleFile, seconds: float) -> Messa
     return partial(cut.messages, vehicle)
 
 
+@pytest.mark.slow
 @pytest.mark.recording
 @pytest.mark.parametrize(
     ("mapping", "folder", "seconds", "truth_by_fixes"),

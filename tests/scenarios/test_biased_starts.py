@@ -36,7 +36,7 @@ def heading_errors(seed: int, at_s: float, yaw: float = 0.0, pitch: float = 0.0)
     return errors, pulls
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
 def test_after_a_start_at_standstill_the_heading_error_is_below_2_degrees(seed: int) -> None:
     errors, pulls = heading_errors(seed, 0.0)
     assert degrees(np.abs(errors).max()) < 2.0

@@ -142,6 +142,7 @@ def test_the_reason_of_readmission_states_the_distance_from_dead_reckoning(
     assert len(used) > 3 and all(one.used for one in used)
 
 
+@pytest.mark.slow
 def test_fusion_publishes_the_same_from_its_recorded_inputs(
     drive: Drive, chain: Chain, published: list[Message]
 ) -> None:
@@ -153,20 +154,24 @@ def test_fusion_publishes_the_same_from_its_recorded_inputs(
 
 @pytest.mark.slow
 def test_a_constant_offset_with_authentic_velocity_is_not_readmitted(drive: Drive) -> None:
-    """30 s of drag-off to 3 m/s, then authentic velocities and positions with a constant offset."""
+    """30 s of drag-off to 3 m/s, then authentic velocities and positions with a constant offset.
+
+    Windows that lie behind the drag-off pass: velocities do not show an offset. The distance from dead reckoning does.
+    """
     held = list(Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0, held=True)).run())
-    last = verdicts(held)[-1]
-    passing = {one.monitor for one in last.monitors if one.outcome.value == "pass"}
-    assert "inertial_short" in passing and "inertial_long" not in passing, "the way tells an offset from none"
-    assert last.gnss_excluded
+    states = [one for one in verdicts(held) if one.sampled_ns > (BEGIN_S + 12.0) * SECOND_NS]
+    assert all(one.gnss_excluded for one in states)
+    passing = {one.monitor for one in states[-1].monitors if one.outcome.value == "pass"}
+    assert {"inertial_short", "inertial_long"} <= passing
     ratios = [one.excluded_test_ratio for one in held if isinstance(one, NavigationState)]
     assert ratios[-1] is not None and ratios[-1] > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "failure",
     [
-        pytest.param({"dead": (78.0, 86.0)}, id="restart with alignment", marks=pytest.mark.slow),
+        pytest.param({"dead": (78.0, 86.0)}, id="restart with alignment"),
         pytest.param({"dead": (78.0, 81.0)}, id="warm start"),
         pytest.param({"gap": (93.0, 96.0)}, id="no inertial samples for 3 s"),
     ],

@@ -26,7 +26,7 @@ def late(seen: Measurement) -> Measurement:
     return replace(seen, time_ns=seen.time_ns + LATE_NS, received_ns=seen.received_ns + LATE_NS)
 
 
-@pytest.mark.parametrize("stamps_exact", [False, True])
+@pytest.mark.parametrize("stamps_exact", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_positions_of_a_late_receiver_are_of_the_time_that_the_settings_say(stamps_exact: bool) -> None:
     """Without the finding the velocity errs by 0.52 m/s (RMS), and the error reaches 1.4 times its level."""
     drive = simulate("urban", 5, END_S)

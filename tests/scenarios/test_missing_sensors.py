@@ -138,8 +138,11 @@ def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
 
 @pytest.mark.parametrize(
     "gaps",
-    [((35.0, 40.0),), ((50.0, 67.0),), ((50.0, 52.0), (52.5, 54.0), (54.3, 60.0))],
-    ids=["5 s", "17 s", "three in a row"],
+    [
+        pytest.param(((35.0, 40.0),), id="5 s", marks=pytest.mark.slow),
+        pytest.param(((50.0, 67.0),), id="17 s", marks=pytest.mark.slow),
+        pytest.param(((50.0, 52.0), (52.5, 54.0), (54.3, 60.0)), id="three in a row"),
+    ],
 )
 def test_a_gap_of_the_imu_is_survived_by_fixes_and_the_kept_heading(gaps: tuple[tuple[float, float], ...]) -> None:
     """At 1 Hz two positions are 2 s apart at most, and the filter goes on 1.3 s after the gap at the latest."""

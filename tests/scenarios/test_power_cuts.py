@@ -6,6 +6,8 @@ from services.sensors.simulator.world import DEFAULT_START_NS
 from shared.messages.trust import TrustLevel
 from tests.support.drives.cuts import NS, Cut, cut_drive
 
+pytestmark = pytest.mark.slow
+
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION)
 ATTACK = "position_jump(distance=60)@60:60"
 BEGIN_S, END_S, DRIVE_S = 68.0, 80.0, 110.0
@@ -13,8 +15,12 @@ BEGIN_S, END_S, DRIVE_S = 68.0, 80.0, 110.0
 
 @pytest.mark.parametrize(
     "processes",
-    [(), ("core.trust",), ("core.fusion",), ("core.trust", "core.fusion")],
-    ids=["unit", "trust", "fusion", "both"],
+    [
+        pytest.param((), id="unit"),
+        pytest.param(("core.trust",), id="trust"),
+        pytest.param(("core.fusion",), id="fusion"),
+        pytest.param(("core.trust", "core.fusion"), id="both"),
+    ],
 )
 def test_a_position_that_stepped_by_60_m_is_not_used_after_a_cut(processes: tuple[str, ...]) -> None:
     """The receiver goes on with the false position, at which a unit without memory would start and find it SAFE."""

@@ -24,8 +24,10 @@ def late(scenario: str, *, with_velocity: bool = True) -> SetUpRun:
     return run(drive(scenario), late_s=0.3, with_velocity=with_velocity)
 
 
-@pytest.mark.parametrize("scenario", ["parking_lot", "urban"])
-@pytest.mark.parametrize("error", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+@pytest.mark.parametrize(
+    ("scenario", "error"),
+    [("parking_lot", (1.0, 0.0, 0.0)), pytest.param("urban", (0.0, -1.0, 0.0), marks=pytest.mark.slow)],
+)
 def test_a_lever_arm_that_is_a_metre_off_is_held_by_the_levels(
     scenario: str, error: tuple[float, float, float]
 ) -> None:
@@ -34,7 +36,7 @@ def test_a_lever_arm_that_is_a_metre_off_is_held_by_the_levels(
     assert max(solved.above()) <= 0.01, "78 to 99 % without the spread"
 
 
-@pytest.mark.parametrize("scenario", ["parking_lot", "urban"])
+@pytest.mark.parametrize("scenario", [pytest.param("parking_lot", marks=pytest.mark.slow), "urban"])
 def test_fixes_that_are_0_3_s_late_are_held_by_the_levels_until_the_delay_is_found(scenario: str) -> None:
     assert max(late(scenario).above()) <= 0.01, "37 to 44 % without the spread"
 
@@ -47,6 +49,7 @@ def test_a_delay_that_is_found_is_corrected_and_the_levels_keep_what_is_left_of_
     assert solved.checks["lever_arm"].verdict is not SetUpVerdict.CONTRADICTS
 
 
+@pytest.mark.slow
 def test_levels_of_metres_hardly_grow_where_the_vehicle_file_says_how_well_the_set_up_is_known() -> None:
     """As that of the simulated vehicle does; what an unknown delay makes at the speed of the town is no small thing."""
     stated: dict[str, object] = {"vehicle.gnss.lever_arm_sd_m": 0.02, "gnss.delay_sd_s": 0.02}
@@ -71,12 +74,14 @@ def test_a_late_receiver_is_no_finding_of_the_lever_arm(late_s: float) -> None:
     assert solved.lever_arm_found == [] and all(state.lever_arm_error_body_m is None for state in solved.states)
 
 
+@pytest.mark.slow
 def test_a_lever_arm_is_found_when_the_delay_is_known() -> None:
     solved = run(drive("parking_lot"), arm_error=(0.0, -2.0, 0.0))
     assert solved.lever_arm_found and solved.states[-1].lever_arm_error_body_m is not None
     assert solved.lever_arm_found[0] >= solved.checks["gnss_velocity_delay"].since_ns * 1e-9
 
 
+@pytest.mark.slow
 def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> None:
     """700 m above the ellipsoid: the height is wrong by 1.4 km, and nothing tells the right one."""
     solved = run(simulate("urban", 3, 180.0), height_sign=-1.0)
@@ -91,7 +96,7 @@ def test_heights_of_the_wrong_sign_are_used_no_more_once_they_are_found() -> Non
     assert changed.max() > 1.0 and (changed < solved.level_v[before]).all(), "twice the change since the start is held"
 
 
-@pytest.mark.parametrize("axes", [("y", "-x", "z"), ("-y", "x", "z"), ("-x", "-y", "z")])
+@pytest.mark.parametrize("axes", [("y", "-x", "z"), pytest.param(("-x", "-y", "z"), marks=pytest.mark.slow)])
 def test_after_a_finding_of_turned_axes_the_heading_is_that_of_the_vehicle(axes: tuple[str, str, str]) -> None:
     solved = run(drive("urban"), imu=matrix_of(axes))
     since_s = solved.checks["imu_axes"].since_ns * 1e-9 + 0.5
@@ -101,6 +106,7 @@ def test_after_a_finding_of_turned_axes_the_heading_is_that_of_the_vehicle(axes:
     assert (np.abs(solved.yaw_error) < 3.0 * solved.yaw_sd)[after].all()
 
 
+@pytest.mark.slow
 def test_after_a_finding_of_a_skewed_mount_the_heading_is_that_of_the_vehicle() -> None:
     c, s = np.cos(0.35), np.sin(0.35)
     solved = run(drive("urban"), imu=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))

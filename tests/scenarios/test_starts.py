@@ -17,6 +17,7 @@ from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
 from shared.maths.earth import Geodetic
 from shared.runtime.config import GnssAntenna, Vehicle
+from tests.support.cases import crossed
 from tests.support.drives.starts import Leg, manoeuvre
 
 LIMIT = radians(3.0)
@@ -34,16 +35,16 @@ DRIVING_OFF: tuple[Leg, ...] = ((3, 0, 0), (6, 1.5, 0), (10, 0, 0.02), (6, 0, -0
 WITH_VELOCITY = [Receiver(1), Receiver(5), Receiver(10)]
 
 
-@pytest.mark.parametrize("moving", [False, True], ids=["from rest without levelling", "at speed"])
 @pytest.mark.parametrize(
-    ("scenario", "seed", "duration_s"), [("parking_lot", 8, 240.0), ("urban", 2, 300.0), ("tunnel", 3, 200.0)]
+    ("where", "moving"),
+    crossed([("parking_lot", 8, 240.0), ("urban", 2, 300.0), ("tunnel", 3, 200.0)], [False, True]),
 )
 def test_an_unknown_heading_is_known_to_3_degrees_within_5_s_of_exceeding_3_m_s(
-    scenario: str, seed: int, duration_s: float, moving: bool
+    where: tuple[str, int, float], moving: bool
 ) -> None:
     """Bends, slopes and straights, at 1, 5 and 10 Hz, with the errors of a receiver without corrections."""
-    rng = np.random.default_rng(seed)
-    travelled = drive(scenario, seed, duration_s)
+    rng = np.random.default_rng(where[1])
+    travelled = drive(*where)
     times = moments(travelled, moving)
     for k, receiver in enumerate(WITH_VELOCITY):
         start = Start(travelled, receiver, float(rng.choice(times)), rng.uniform(0.0, 1.5), k)
@@ -51,10 +52,12 @@ def test_an_unknown_heading_is_known_to_3_degrees_within_5_s_of_exceeding_3_m_s(
         assert settled_s <= 5.0, (start.at_s, receiver, how)
 
 
-@pytest.mark.parametrize("rate_hz", [1, 5])
-@pytest.mark.parametrize(("scenario", "at_s"), [("parking_lot", 75.12), ("parking_lot", 112.03), ("tunnel", 60.64)])
-def test_without_gnss_velocity_constant_speed_is_not_a_standstill(rate_hz: int, scenario: str, at_s: float) -> None:
+@pytest.mark.parametrize(
+    ("where", "rate_hz"), crossed([("parking_lot", 75.12), ("parking_lot", 112.03), ("tunnel", 60.64)], [1, 5])
+)
+def test_without_gnss_velocity_constant_speed_is_not_a_standstill(where: tuple[str, float], rate_hz: int) -> None:
     """Switch-on at 5 and 20 m/s on a straight, where integrated acceleration gives no heading."""
+    scenario, at_s = where
     travelled = drive(scenario, 1, 240.0) if scenario == "parking_lot" else drive(scenario, 3, 200.0)
     start = Start(travelled, Receiver(rate_hz, velocity=False), at_s, 0.76, 1)
     _, worst, how = start.known_after_s(LIMIT, 20.0)
@@ -75,9 +78,9 @@ def plain(start: Start) -> Navigator:
     return Navigator(Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=start.drive.lever_arm_b))))
 
 
-@pytest.mark.parametrize("receiver", WITH_VELOCITY)
-@pytest.mark.parametrize("at_s", [0.0, 2.9, 6.0], ids=["after a standstill", "without a standstill", "while reversing"])
-def test_reversing_out_of_a_parking_space_gives_a_heading_within_15_degrees(receiver: Receiver, at_s: float) -> None:
+# Switched on after a standstill, without one, and while reversing.
+@pytest.mark.parametrize(("at_s", "receiver"), crossed([0.0, 2.9, 6.0], WITH_VELOCITY))
+def test_reversing_out_of_a_parking_space_gives_a_heading_within_15_degrees(at_s: float, receiver: Receiver) -> None:
     start = Start(manoeuvre(REVERSING_OUT, seed=3, yaw=1.0), receiver, at_s, 0.3, 1)
     errors = errors_of(start, plain(start), 30.0)
     assert all(abs(error) < 15.0 for error in errors.values() if error != inf)
@@ -95,8 +98,7 @@ def test_a_heading_reversed_at_constant_speed_backwards_is_corrected_within_3_s_
     assert made.counts.resets == 1
 
 
-@pytest.mark.parametrize("receiver", [Receiver(1), Receiver(5), Receiver(10)])
-@pytest.mark.parametrize("wrong_deg", [180.0, 90.0, -60.0])
+@pytest.mark.parametrize(("receiver", "wrong_deg"), crossed(WITH_VELOCITY, [180.0, 90.0, -60.0]))
 def test_a_wrong_saved_heading_is_corrected_within_5_5_s_of_moving_off(receiver: Receiver, wrong_deg: float) -> None:
     """The vehicle was turned while switched off; it moves off at 3 s with 1.5 m/s²."""
     start = Start(manoeuvre(DRIVING_OFF, seed=3, yaw=1.0), receiver, 0.0, 0.3, 1)

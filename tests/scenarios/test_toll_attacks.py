@@ -26,8 +26,15 @@ def with_header_time(frame: bytes, later_s: float) -> bytes:
     return frame[:TIME_AT] + moved + frame[TIME_AT + 4 :]
 
 
-@pytest.mark.parametrize("omitted_s", [0.0, 4.0])
-@pytest.mark.parametrize("attack", ["as received", "new headers", "bare CAM"])
+@pytest.mark.parametrize(
+    ("omitted_s", "attack"),
+    [
+        (0.0, "as received"),
+        (4.0, "new headers"),
+        pytest.param(0.0, "bare CAM", marks=pytest.mark.slow),
+        (4.0, "bare CAM"),
+    ],
+)
 def test_frames_replayed_after_65_s_charge_nobody_again(tmp_path: Path, omitted_s: float, attack: str) -> None:
     """The detector even counts a vehicle at the time of the replay: the attacker drives through himself."""
     role = Role(tmp_path, (CAR,), pulses_s=(CROSSING_S, CROSSING_S + CYCLE_S))
@@ -50,7 +57,7 @@ def test_frames_replayed_after_65_s_charge_nobody_again(tmp_path: Path, omitted_
     assert refused == 200 - round(omitted_s * 10)
 
 
-@pytest.mark.parametrize("omitted_s", [3.0, 6.0])
+@pytest.mark.parametrize("omitted_s", [pytest.param(3.0, marks=pytest.mark.slow), 6.0])
 def test_a_second_receiver_that_misses_the_first_frames_makes_no_second_charge(
     tmp_path: Path, omitted_s: float
 ) -> None:
@@ -66,8 +73,8 @@ def test_a_second_receiver_that_misses_the_first_frames_makes_no_second_charge(
     assert late.outcomes()[first] is CHARGED
 
 
-@pytest.mark.parametrize("detectors", [True, False])
-@pytest.mark.parametrize("real", [True, False])
+@pytest.mark.parametrize("detectors", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("real", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_an_unregistered_vehicle_1_5_m_ahead_never_makes_a_passage_free(
     tmp_path: Path, detectors: bool, real: bool
 ) -> None:
@@ -86,7 +93,7 @@ def test_an_unregistered_vehicle_1_5_m_ahead_never_makes_a_passage_free(
         assert (review.contract, review.amount_cents, len(review.overlaps)) == ("contract of 7", 240, 1)
 
 
-@pytest.mark.parametrize("detectors", [True, False])
+@pytest.mark.parametrize("detectors", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_missing_pulse_holds_the_charge_where_there_is_a_detector(tmp_path: Path, detectors: bool) -> None:
     role = Role(tmp_path, (CAR,), detectors=detectors)
     role.drive(20.0)

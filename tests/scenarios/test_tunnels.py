@@ -6,6 +6,8 @@ from services.core.trust.after_loss import AGREEMENT_S
 from shared.messages.trust import TrustLevel
 from tests.support.drives.cuts import cut_drive
 
+pytestmark = pytest.mark.slow
+
 BEGIN_S, WITHIN_S = 60.0, 60.0
 
 

@@ -15,6 +15,8 @@ from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 80.0
 FLAT = np.diag([1.0, -1.0, -1.0])
 FILE = """
@@ -38,7 +40,13 @@ def driven(rpy_deg: tuple[float, float, float]) -> list[Message]:
     return list(unit.run(message for due_ns, message in takewhile(lambda arrival: arrival[0] <= end_ns, world)))
 
 
-@pytest.mark.parametrize("rpy_deg", [(0.0, 0.0, 90.0), (0.0, 90.0, 0.0)], ids=["x to the right", "x upwards"])
+@pytest.mark.parametrize(
+    "rpy_deg",
+    [
+        pytest.param((0.0, 0.0, 90.0), id="x to the right"),
+        pytest.param((0.0, 90.0, 0.0), id="x upwards"),
+    ],
+)
 def test_a_unit_with_a_turned_imu_is_safe_and_no_monitor_suspects_a_sensor(rpy_deg: tuple[float, float, float]) -> None:
     made = driven(rpy_deg)
     verdicts = [one.state for one in made if isinstance(one, TrustState)]

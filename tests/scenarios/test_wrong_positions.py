@@ -71,7 +71,7 @@ def drifting(rate: float) -> Wrong:
     return drift
 
 
-@pytest.mark.parametrize("scenario", ["urban", "highway"])
+@pytest.mark.parametrize("scenario", ["urban", pytest.param("highway", marks=pytest.mark.slow)])
 def test_frozen_positions_are_rejected_and_the_level_stays_above_the_error(scenario: str) -> None:
     """Also after the filter was reset to the frozen position."""
     seen = drive_with(frozen, scenario)

@@ -127,6 +127,7 @@ def test_revoking_ends_the_connection_at_once_and_leaves_others(folder: Path, tm
     assert "revoked" in obu("centre", "vehicles", folder=folder).stdout
 
 
+@pytest.mark.slow
 def test_a_revocation_of_which_admission_was_not_told_is_found_in_the_database(
     folder: Path, tmp_path: Path, link: Connect
 ) -> None:

@@ -52,6 +52,7 @@ def has_receipt(unit: Unit, vehicle: Link) -> bool:
     return stored()
 
 
+@pytest.mark.slow
 def test_what_one_vehicle_has_the_broker_keep_stops_no_other(folder: Path, tmp_path: Path, link: Connect) -> None:
     mallory = enrolled(folder, tmp_path, "mallory-1")
     unit = Unit("bob-1", 41, time.time_ns() // 1_000_000)

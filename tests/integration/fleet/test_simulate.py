@@ -25,6 +25,7 @@ def centre() -> Iterator[Centre]:
         yield Centre(folder)
 
 
+@pytest.mark.slow
 def test_every_part_and_the_units_are_killed_and_each_report_is_stored_once(centre: Centre, tmp_path: Path) -> None:
     plan = Plan(
         30, 12.0, 8, unit_processes=2, backlog_s=60, kills=6, disturbance=Disturbance(0.2, reorder=True), retry_s=1.0,

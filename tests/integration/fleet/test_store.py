@@ -182,6 +182,7 @@ def test_a_gap_that_grows_is_counted_once(dsn: str, store: Store, unit: Unit) ->
     assert rows(dsn, "SELECT received, lost, highest FROM epoch") == [(0, 30, 30)]
 
 
+@pytest.mark.slow
 def test_gaps_that_the_outbox_has_merged_are_counted_once_in_any_order(dsn: str, store: Store, unit: Unit) -> None:
     parts = [unit.gap(10, 5), unit.gap(30, 10), unit.gap(5, 10), unit.gap(5, 40), unit.gap(45, 1)]
     for order in permutations(parts):

@@ -13,6 +13,7 @@ from tests.support.fleet.uplink_unit import NS, START_NS, UplinkUnit
 from tests.support.fleet.vehicle_link import rows, token_for
 
 
+@pytest.mark.slow
 def test_a_unit_enrols_reports_an_hour_and_goes_on_with_another_key(folder: Path, tmp_path: Path) -> None:
     keys = KeyFile(tmp_path / "keys")
     enrol(*token_for(folder, "uplink-1"), "uplink-1", tmp_path / "uplink", keys.signer())

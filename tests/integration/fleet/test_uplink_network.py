@@ -65,6 +65,7 @@ def test_reports_reach_a_real_broker_over_tls_and_receipts_empty_the_outbox(
     centre.close()
 
 
+@pytest.mark.slow
 def test_a_day_without_a_centre_arrives_once_and_in_one_chain(
     nats: Broker, tmp_path: Path, authority: Authority
 ) -> None:
@@ -88,6 +89,7 @@ def test_a_day_without_a_centre_arrives_once_and_in_one_chain(
         centre.close()
 
 
+@pytest.mark.slow
 def test_batches_and_receipts_that_are_lost_repeated_and_reordered_are_stored_once(
     nats: Broker, tmp_path: Path, authority: Authority
 ) -> None:
@@ -106,6 +108,7 @@ def test_batches_and_receipts_that_are_lost_repeated_and_reordered_are_stored_on
     centre.close()
 
 
+@pytest.mark.slow
 def test_a_network_that_resets_within_packets_and_a_broker_that_is_killed_cost_nothing(
     nats: Broker, tmp_path: Path, authority: Authority
 ) -> None:

@@ -30,6 +30,7 @@ def unit(tmp_path: Path, outer: Broker, authority: Authority) -> Iterator[Uplink
     assert made.ended_with == 0
 
 
+@pytest.mark.slow
 def test_a_unit_reports_is_watched_and_loses_nothing_when_it_is_killed(outer: Broker, unit: UplinkProcess) -> None:
     memory = Memory("car", unit.key.public_key)
     centre = SmallCentre(outer, memory)

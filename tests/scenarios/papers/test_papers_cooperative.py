@@ -19,6 +19,8 @@ from cli.papers.cooperative import (
 from cli.papers.report import Paper, publish
 from services.core.cooperative.paper.monte_carlo import RATIOS, Rates, row
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def paper() -> Paper:
@@ -81,6 +83,5 @@ def test_numbers_outside_the_tolerance_are_deviations() -> None:
     )
 
 
-@pytest.mark.slow
 def test_the_published_table_of_500_runs_is_within_its_tolerances() -> None:
     assert reproduce(500, progress=False).deviations == []

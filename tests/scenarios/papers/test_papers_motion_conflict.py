@@ -9,6 +9,8 @@ from cli.papers.motion_conflict.drives import FAULTS
 from cli.papers.motion_conflict.paper import is_worse, reproduce
 from cli.papers.report import Paper, publish
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:

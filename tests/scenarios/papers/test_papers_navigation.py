@@ -9,6 +9,8 @@ from cli.papers import navigation as drives
 from cli.papers import outages, papers
 from shared.errors import UserError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def results() -> list[drives.Result]:
@@ -43,7 +45,6 @@ def test_the_ratio_of_fused_to_gnss_errors_is_close_to_that_of_the_paper(results
             assert found[name].ratio < 1.2 * (np.square(paper).sum() / sum(found[name].gnss)) ** 0.5, name
 
 
-@pytest.mark.slow
 def test_velocity_errors_meet_the_limits_of_a_correct_filter(
     results: list[drives.Result], with_wheels: dict[str, drives.Result]
 ) -> None:
@@ -52,7 +53,6 @@ def test_velocity_errors_meet_the_limits_of_a_correct_filter(
     assert np.sqrt(np.mean([result.velocity for result in with_wheels.values()])) < 0.025
 
 
-@pytest.mark.slow
 def test_the_odometer_reduces_errors_of_each_kind(with_wheels: dict[str, drives.Result]) -> None:
     """Mean RMSE of the axes; single runs scatter, so that ten have 0.3, 0.8 and 1.1 m."""
     assert with_wheels["white, wheels"].mean < 0.5
@@ -63,7 +63,6 @@ def test_the_odometer_reduces_errors_of_each_kind(with_wheels: dict[str, drives.
     assert all(result.ahead == 1.0 for result in with_wheels.values())
 
 
-@pytest.mark.slow
 def test_the_odometer_limits_the_drift_in_outages() -> None:
     """Reference medians after 10, 30, 60 s: 0.28, 0.18, 0.20 m; goals 0.35, 0.35, 0.5 m, here for two runs."""
     aids = [row for row in outages.AIDS if row.wheels]

@@ -22,6 +22,8 @@ from cli.papers.spoofing.paper import (
 from services.core.spoofing.windows.metrics import Metric
 from shared.errors import UserError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
@@ -30,7 +32,6 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
         return reproduce(9, progress=False)
 
 
-@pytest.mark.slow
 def test_the_acceptance_limits_hold_and_absent_recordings_are_skipped(paper: Paper) -> None:
     """The paper's thresholds: at most 1 % a metric and 5 % any; replays, climb and drag-off with the gyroscope."""
     assert paper.deviations == []
@@ -130,6 +131,5 @@ def test_the_gyroscope_of_a_phone_agrees_with_the_course_and_its_compass_does_no
         assert gyroscope < (1.5 if name == "2025-06-18" else 0.8), "that phone was handled during the drive"
 
 
-@pytest.mark.slow
 def test_36_drives_meet_the_acceptance_limits() -> None:
     assert reproduce(36, progress=False).deviations == []

@@ -48,6 +48,7 @@ def test_a_fast_test_with_a_low_threshold_raises_alarms() -> None:
     assert fast.episodes > 3
 
 
+@pytest.mark.slow
 def test_the_inertial_monitors_are_evaluated_with_the_solutions_of_the_fusion() -> None:
     found = inertial(4, 130)
     counts = {(count.test, count.design): count for count in found}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.mutants.__main__ import EQUIVALENTS, ROOT, candidates
 from benchmarks.mutants.sites import Kind, draw, sites_of
 
 PATH = Path("example.py")
@@ -55,3 +56,14 @@ def test_a_draw_takes_every_kind_and_is_the_same_again() -> None:
     drawn = draw(sites, 6, seed=3)
     assert {site.kind for site in drawn} == set(Kind)
     assert drawn == draw(sites, 6, seed=3) and len(set(draw(sites, 1000, seed=4))) == len(sites)
+
+
+def test_every_fault_that_is_named_as_equivalent_is_one_of_the_places() -> None:
+    named = {(one["path"], one["line"], one["replacement"]) for one in EQUIVALENTS}
+    lines = {path: (ROOT / path).read_text(encoding="utf-8").splitlines() for path, *_ in named}
+    places = {
+        (site.path.as_posix(), lines[site.path.as_posix()][site.line - 1].strip(), site.replacement)
+        for site in candidates(ROOT)
+        if site.path.as_posix() in lines
+    }
+    assert named and named <= places

@@ -9,12 +9,13 @@ from broker.simulated import AclError, parse
 from shared.processes import PROCESSES, ProcessRow
 from shared.runtime.credentials import OBSERVERS
 from shared.topics import TOPICS
+from tests.support.cases import each
 
 NAMES = [row.name for row in PROCESSES]
 PRINTED = parse(access_list())
 
 
-@pytest.mark.parametrize("row", PROCESSES, ids=NAMES)
+@each("row", PROCESSES)
 def test_a_process_may_read_and_write_the_topics_of_its_row_only(row: ProcessRow) -> None:
     for topic, owner in itertools.product(TOPICS, NAMES):
         name = "obu/any-vehicle/" + topic.name.replace("+", owner)

@@ -39,6 +39,7 @@ from shared.messages.neighbours import NeighbourStates
 from shared.messages.simulation import AttackName
 from shared.messages.trust import Outcome, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
+from tests.support.cases import each
 
 NS = 1_000_000_000
 SAFE, UNSAFE = TrustLevel.SAFE, TrustLevel.UNSAFE
@@ -249,7 +250,7 @@ def answer_to(attack: str, **changes: object) -> tuple[bool, tuple[str, ...]]:
 IN_TIME: list[Interval] = [(105.0, 130.0)]
 
 
-@pytest.mark.parametrize(
+@each(
     ("attack", "named", "right"),
     [
         ("drag_off", "gnss", True),
@@ -469,6 +470,7 @@ def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_see
     assert "Interrupted: 6 of 12 runs." in text and "Planned runs that were not finished: 6" in text
 
 
+@pytest.mark.slow
 def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

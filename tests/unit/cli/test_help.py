@@ -7,12 +7,12 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 
-import pytest
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.testing import CliRunner
 
 from cli.main import command_line
+from tests.support.cases import each
 from tests.support.data import REPOSITORY
 
 
@@ -32,7 +32,7 @@ ROOT = typer.main.get_command(APP)
 ALL = dict(commands(ROOT)) if isinstance(ROOT, TyperGroup) else {}
 
 
-@pytest.mark.parametrize("name", ALL)
+@each("name", ALL)
 def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> None:
     examples = re.findall(r"\[bold\](.+?)\[/\]", ALL[name].help or "")
     assert any(f"obu {name}" in example for example in examples)
@@ -44,7 +44,7 @@ def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> 
         ALL[path].make_context(path, arguments[len(path.split()) :])
 
 
-@pytest.mark.parametrize("name", ALL)
+@each("name", ALL)
 def test_the_value_of_every_option_is_named_by_its_meaning_or_its_choices(name: str) -> None:
     text = CliRunner().invoke(APP, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
     options = [line for line in text.splitlines() if re.match(r"\W+--?\w", line)]

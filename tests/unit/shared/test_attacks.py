@@ -2,6 +2,7 @@ import pytest
 
 from shared.attacks import ATTACKS, BY_NAME, ScheduledAttack, schedule
 from shared.messages.simulation import AttackName
+from tests.support.cases import each
 
 
 def test_every_attack_has_a_row_with_defaults_within_their_limits() -> None:
@@ -18,7 +19,7 @@ def test_an_attack_is_read_from_its_notation() -> None:
     assert found.parameters == {"acceleration": 0.1, "speed": 1.0, "direction": 0.0}
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "reason"),
     [
         ("drag_off", "write name@start, such as drag_off@60"),

@@ -17,6 +17,7 @@ import pytest
 
 from shared import bounded
 from shared.bounded import TooMuch, checked, lines, load_json, load_toml, read_bytes, read_text
+from tests.support.cases import each
 from tests.support.dashboard.tile_files import write_pmtiles
 from tests.support.patience import HANGS_S
 
@@ -104,7 +105,7 @@ TOML = {
 }
 
 
-@pytest.mark.parametrize("text", TOML.values(), ids=TOML)
+@each("text", TOML.values())
 def test_toml_that_takes_more_than_its_bytes_is_refused(text: str) -> None:
     with pytest.raises(TooMuch):
         load_toml(text)

@@ -25,6 +25,7 @@ from shared.runtime import offline
 from shared.runtime.config import load_vehicle, parse_vehicle
 from shared.runtime.live import Reactor, arrival_ns, handled, load_process
 from shared.topics import subscriptions
+from tests.support.cases import each
 from tests.support.drives.golden import VEHICLE, device_bytes
 
 HUGE: tuple[object, ...] = (math.inf, -math.inf, math.nan, 1e300, -1e300, 10**400, -(10**400), 2**200)
@@ -121,8 +122,8 @@ def extreme(kind: type[Message], *, high: bool) -> Message:
     return kind(**made)
 
 
-@pytest.mark.parametrize("high", [True, False])
-@pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)
+@each("high", [True, False])
+@each("kind", all_messages())
 def test_every_number_has_bounds_and_is_accepted_at_them(kind: type[Message], high: bool) -> None:
     made = extreme(kind, high=high)
     assert kind.model_validate_json(made.model_dump_json()) == made
@@ -151,7 +152,7 @@ def replaced(value: Any, place: Place, new: object) -> Any:
     return tuple(changed if k == head else part for k, part in enumerate(value))
 
 
-@pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)
+@each("kind", all_messages())
 def test_infinite_and_huge_numbers_are_refused_wherever_they_stand(kind: type[Message]) -> None:
     whole = extreme(kind, high=False).model_dump()
     for place in places(whole):
@@ -164,7 +165,7 @@ REACTORS = [row.name for row in PROCESSES if 2 <= row.layer <= 4]
 ROAD_SIDE = {row.name for row in PROCESSES if "obu" not in {role.value for role in row.roles}}
 
 
-@pytest.mark.parametrize("name", REACTORS)
+@each("name", REACTORS)
 def test_every_process_works_with_what_the_bounds_let_through(name: str) -> None:
     role = "rsu" if name in ROAD_SIDE else "obu"
     process = typing.cast(Reactor, load_process(name, parse_vehicle(f'[vehicle]\nrole = "{role}"\n')))

@@ -72,6 +72,7 @@ def pages(dsn: str, broker: tuple[Broker, Authority], unit: UplinkProcess) -> It
         yield running
 
 
+@pytest.mark.slow
 def test_a_vehicle_is_watched_shows_it_and_is_left_alone_again(
     pages: RunningWeb, unit: UplinkProcess, broker: tuple[Broker, Authority], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,7 @@ from services.core.fusion.settings import ImuSettings
 from shared.errors import UserError
 from shared.messages.imu import ImuSamples
 from shared.runtime.config import parse_vehicle
+from tests.support.cases import each
 
 NS = 1_000_000_000
 RATE_HZ = 50.0
@@ -77,9 +78,9 @@ def uneven(kind: str, rate_hz: float, duration_s: float = 40.0) -> np.ndarray[tu
     return (np.arange(len(even)) // 10 * 10 + 9) / rate_hz + np.arange(len(even)) % 10 * 1e-4
 
 
-@pytest.mark.parametrize("kind", ["milliseconds", "late", "batches"])
-@pytest.mark.parametrize("rate_hz", [100.0, 333.3, 400.0, 800.0])
-@pytest.mark.parametrize("missing", [0, 1, 50])
+@each("kind", ["milliseconds", "late", "batches"])
+@each("rate_hz", [100.0, 333.3, 400.0, 800.0])
+@each("missing", [0, 1, 50])
 def test_a_gap_is_a_missing_sample_and_no_late_stamp(kind: str, rate_hz: float, missing: int) -> None:
     stamps, cut = uneven(kind, rate_hz), int(rate_hz * 10.0)
     stamps = np.delete(stamps, slice(cut, cut + missing))

@@ -106,6 +106,7 @@ def test_what_another_release_has_made_is_said_with_its_own_code(tmp_path: Path)
     assert "version 0.1.0 or earlier" in verified.said
 
 
+@pytest.mark.slow
 def test_what_was_solved_and_attacked_is_a_sentence_and_no_path(tmp_path: Path) -> None:
     solved = done(Command.SOLVE, tmp_path / "solved", RECORDING)
     assert solved.said == json.loads((tmp_path / "solved" / "metrics.json").read_text())["verdict"]

@@ -2,6 +2,7 @@ import pytest
 
 from cli.solve.outages import Outages
 from shared.errors import UserError
+from tests.support.cases import each
 
 S = 1_000_000_000
 
@@ -33,9 +34,7 @@ def test_a_gap_may_be_a_fraction_of_a_second() -> None:
     assert Outages.parse("0.5/2") == Outages(S // 2, 2 * S)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "10", "10/", "ten/30", "30/10", "10/10", "0/30", "-1/30", "nan/30", "10/inf", "1/2/3"]
-)
+@each("text", ["", "10", "10/", "ten/30", "30/10", "10/10", "0/30", "-1/30", "nan/30", "10/inf", "1/2/3"])
 def test_an_invalid_outage_is_reported_with_an_example(text: str) -> None:
     with pytest.raises(UserError, match="--outage"):
         Outages.parse(text)

@@ -5,6 +5,7 @@ from services.core.fusion.process import Config
 from services.core.spoofing.process import Config as Spoofing
 from shared.errors import UserError
 from shared.runtime.config import parse_vehicle
+from tests.support.cases import each
 
 VEHICLE = parse_vehicle(
     "[vehicle.gnss]\nlever_arm_body_m = [1.0, 2.0, 3.0]\n[core.fusion.odometer]\nenabled = false\n", "car.toml"
@@ -46,7 +47,7 @@ def test_a_word_or_a_path_needs_no_quotes() -> None:
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("setting", "sentence"),
     [
         ("=false", "is invalid"),

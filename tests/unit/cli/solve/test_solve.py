@@ -138,6 +138,7 @@ def test_outages_at_fixed_times_are_listed_and_settings_override_those_of_the_ve
         solve(recording, settings=["core.fusion.odometr=true"], out=tmp_path)
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_files(
     recording: Path, solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

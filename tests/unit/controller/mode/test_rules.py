@@ -1,12 +1,12 @@
 from dataclasses import replace
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.controller.mode.rules import Facts, decide
 from shared.messages.navigation import NavigationPhase
 from shared.messages.operation import Mode
+from tests.support.cases import each
 
 P = NavigationPhase
 HEALTHY = Facts(
@@ -16,7 +16,7 @@ HEALTHY = Facts(
 YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELLING)
 
 
-@pytest.mark.parametrize(
+@each(
     ("facts", "mode", "reason"),
     [
         (Facts(uptime_s=0.0), Mode.BOOT, "starting"),

@@ -17,6 +17,7 @@ from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
 from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
+from tests.support.cases import each
 from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
 
 STORE = filled_store()
@@ -163,7 +164,7 @@ def started() -> CooperativeMonitor:
     return monitor
 
 
-@pytest.mark.parametrize(("reason", "change"), BAD)
+@each(("reason", "change"), BAD)
 def test_bad_neighbours_are_refused_with_a_counted_reason(reason: str, change: dict[str, object]) -> None:
     first, *rest = neighbours(1)
     reports = (replace(first, **change), *rest)  # type: ignore[arg-type]

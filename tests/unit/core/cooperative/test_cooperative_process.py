@@ -16,6 +16,7 @@ from shared.messages.explanation import Reference, ReferenceKind, Value, explain
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.runtime.config import Vehicle
+from tests.support.cases import each
 from tests.support.gnss.constellation import NOW_NS, raw_epoch
 from tests.unit.core.cooperative.satellites.test_satellite_process import HERE, NS, at, bits, informed, message, said
 
@@ -167,7 +168,7 @@ BAD = (
 )
 
 
-@pytest.mark.parametrize(("reason", "change"), BAD)
+@each(("reason", "change"), BAD)
 def test_a_bad_neighbour_is_refused_with_a_counted_reason_and_the_others_are_used(
     reason: str, change: dict[str, object]
 ) -> None:

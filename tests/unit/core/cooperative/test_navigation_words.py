@@ -10,6 +10,7 @@ from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import WEEK_NS, Constellation, SatelliteId
 from services.sensors.simulator.gnss.navigation_words import Packer, lnav_words
 from shared.maths.navigation_words import parity
+from tests.support.cases import each
 from tests.support.gnss.constellation import (
     IONOSPHERE,
     NOW_NS,
@@ -45,7 +46,7 @@ def assert_equal(found: Ephemeris, sent: Ephemeris) -> None:
     assert found.clock[1] == pytest.approx(sent.clock[1], abs=2.0**-43)
 
 
-@pytest.mark.parametrize("one", constellation()[::3], ids=lambda one: str(one.satellite))
+@each("one", constellation()[::3])
 def test_an_ephemeris_comes_back_from_its_words(one: Ephemeris) -> None:
     store = EphemerisStore()
     gps = one.satellite.constellation == Constellation.GPS
@@ -82,8 +83,8 @@ def test_parts_of_different_issues_make_no_ephemeris(satellite: SatelliteId) -> 
     assert all(store.add_words(satellite, words, NOW_NS) is None for words in encode(new, NOW_NS)[2:])
 
 
-@pytest.mark.parametrize("bit", [6, 17, 29])
-@pytest.mark.parametrize("word", range(10))
+@each("bit", [6, 17, 29])
+@each("word", range(10))
 def test_a_flipped_bit_of_a_subframe_is_refused_and_counted(word: int, bit: int) -> None:
     words = list(lnav_subframes(ephemeris(GPS, 1.0, 0.5), NOW_NS)[1])
     words[word] ^= 1 << bit
@@ -102,12 +103,8 @@ def test_every_flipped_bit_of_a_page_is_refused() -> None:
         assert galileo_inav.decode_page(tuple(damaged)) is None, f"bit {position}"
 
 
-@pytest.mark.parametrize(
-    "words", [(), (1,) * 9, (0,) * 10, (0xFFFFFFFF,) * 10, (0,) * 8, (0xFFFFFFFF,) * 8, (0,) * 400]
-)
-@pytest.mark.parametrize(
-    "satellite", [GPS, GALILEO, SatelliteId(Constellation.GPS, 0), SatelliteId(Constellation.GALILEO, 99)]
-)
+@each("words", [(), (1,) * 9, (0,) * 10, (0xFFFFFFFF,) * 10, (0,) * 8, (0xFFFFFFFF,) * 8, (0,) * 400])
+@each("satellite", [GPS, GALILEO, SatelliteId(Constellation.GPS, 0), SatelliteId(Constellation.GALILEO, 99)])
 def test_words_that_are_none_are_counted_and_nothing_is_kept(satellite: SatelliteId, words: tuple[int, ...]) -> None:
     store = EphemerisStore()
     store.add_words(satellite, words, NOW_NS)

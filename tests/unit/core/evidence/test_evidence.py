@@ -9,7 +9,7 @@ import pytest
 
 from services.core.evidence.baselines import ClockPrediction, SlowMean, TimeOffset
 from services.core.evidence.codes import Code
-from services.core.evidence.monitor import EvidenceMonitor
+from services.core.evidence.monitor import EvidenceMonitor, EvidenceTest, evaluation
 from services.core.evidence.process import Config, Process
 from services.parsers.gnss.process import Config as ParserConfig
 from services.parsers.gnss.process import Process as Parser
@@ -35,6 +35,7 @@ from shared.messages.operation import HostClock
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
+from tests.support.cases import each
 from tests.support.data import recording
 from tests.support.drives.golden import VEHICLE
 
@@ -160,7 +161,7 @@ CAUSES: dict[str, tuple[Change, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@each("cause", CAUSES)
 def test_each_cause_alone_accuses_gnss_by_exactly_its_own_test(cause: str) -> None:
     change, expected = CAUSES[cause]
     found = list(statements(BEGIN + 15, change, BEGIN))
@@ -384,3 +385,10 @@ def test_a_recorded_receiver_is_not_accused(folder: str, name: str, least: int) 
                     monitor.satellites(message.model_copy(update={"sampled_ns": seconds * NS}))
                     accused += any(test.outcome is ACCUSES for test in monitor.results(seconds * NS).values())
     assert seconds >= least and accused == 0
+
+
+def test_a_test_is_silent_when_its_newest_evaluation_is_older_than_the_limit_and_not_before() -> None:
+    one = EvidenceTest("gain", Code.SILENT, count=1, latency_s=1.0, hold_s=10.0)
+    one.evaluated(0, evaluation(0.5, 1.0, "-", explain(Code.SILENT, test="gain", age_s=1)))
+    assert one.result(5 * NS, 5.0).outcome is PASS
+    assert one.result(5 * NS + 1, 5.0).outcome is NOT_EVALUATED

@@ -22,6 +22,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.runtime.config import GnssAntenna, Vehicle
+from tests.support.cases import each
 
 SECOND_NS = 1_000_000_000
 FAULT_S, END_S = 30.0, 52.0
@@ -229,8 +230,8 @@ def test_a_stated_accuracy_of_zero_is_replaced_by_the_default() -> None:
     assert found.within_sds(20.0, END_S)
 
 
-@pytest.mark.parametrize("odd", [0.0, -1.0, 1e-300, 5e-324])
-@pytest.mark.parametrize("axis", range(3))
+@each("odd", [0.0, -1.0, 1e-300, 5e-324])
+@each("axis", range(3))
 def test_an_axis_without_a_stated_variance_has_the_default(axis: int, odd: float) -> None:
     settings, stated = Settings(gnss=GnssSettings(position_sd_factor=2.0)), np.full((3, 3), 0.1) + 0.9 * np.eye(3)
     stated[axis, axis] = odd

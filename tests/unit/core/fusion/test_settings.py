@@ -21,6 +21,7 @@ from shared.runtime.config import (
 )
 from shared.runtime.live import load_process
 from shared.runtime.old_keys import PRESENT_KEYS, REMOVED
+from tests.support.cases import each
 
 
 @pytest.mark.parametrize(
@@ -105,7 +106,7 @@ def test_every_setting_has_a_description() -> None:
     assert bare == []
 
 
-@pytest.mark.parametrize("path", sorted(Path().glob("*/vehicles/*.toml")) + sorted(Path().glob("*/*/vehicles/*.toml")))
+@each("path", sorted(Path().glob("*/vehicles/*.toml")) + sorted(Path().glob("*/*/vehicles/*.toml")))
 def test_every_vehicle_file_of_the_repository_is_valid(path: Path) -> None:
     assert load_vehicle(path).section("core.fusion", Settings)
     assert tomllib.loads(path.read_text(encoding="utf-8"))["vehicle"]["name"]

@@ -11,14 +11,15 @@ from services.core.motion_conflict.aligned import AlignedPair
 from services.core.motion_conflict.fast import fast_statistic, tail_probability
 from shared.maths.correlated_noise import mean_variance
 from shared.maths.quantiles import chi_square_limit
+from tests.support.cases import each
 
 SECOND_NS = 1_000_000_000
 STEP = 1.0 / 3.6
 SD, CORRELATION_S = 0.1, 2.0
 
 
-@pytest.mark.parametrize("half_width", [0.01, 0.1, 0.5])
-@pytest.mark.parametrize("difference", [0.0, 0.05, 0.3, -0.6, 1.2])
+@each("half_width", [0.01, 0.1, 0.5])
+@each("difference", [0.0, 0.05, 0.3, -0.6, 1.2])
 def test_the_tail_probability_is_the_convolution_of_normal_and_uniform(difference: float, half_width: float) -> None:
     def tail(u: float) -> float:
         return float(norm.sf((abs(difference) - u) / SD) + norm.cdf((-abs(difference) - u) / SD)) / (2.0 * half_width)

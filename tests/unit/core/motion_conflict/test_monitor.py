@@ -10,9 +10,10 @@ from scipy.stats import binom
 
 from services.core.motion_conflict.calibration import Calibration
 from services.core.motion_conflict.codes import Code
+from services.core.motion_conflict.comparison import SpeedComparison
 from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.settings import Settings
-from services.core.motion_conflict.tachograph import KM_H, WindowMode
+from services.core.motion_conflict.tachograph import KM_H, SAMPLES, WindowMode
 from services.core.motion_conflict.verdicts import MotionVerdicts
 from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
@@ -69,6 +70,7 @@ def test_a_scale_beyond_tyres_is_not_learned_and_is_a_finding() -> None:
     assert world.monitor.calibration.calibration.scale <= 1.08
 
 
+@pytest.mark.slow
 def test_false_alarms_of_the_fast_test_on_drives_do_not_exceed_the_design_rate() -> None:
     rate, windows, episodes, alarmed = 1e-3, 0, 0, False
     monitor = MotionMonitor(Settings(fast_false_alarm_rate=rate))
@@ -191,7 +193,9 @@ def test_a_speed_held_for_ten_seconds_after_a_loss_is_not_used() -> None:
 
     world = known(speed, gnss=receiver)
     world.after(405.0)
-    assert world.monitor.held.since_ns is not None
+    since_ns = world.monitor.held.since_ns
+    assert since_ns is not None
+    assert all(stamp < since_ns for queue in (world.monitor._pending, world.monitor._window) for stamp, *_ in queue)
     for verdicts in world.run(100.0):
         assert verdicts.fast.outcome is not Outcome.ACCUSES
         assert verdicts.held_speed.outcome is not Outcome.ACCUSES
@@ -249,3 +253,17 @@ def test_a_silence_of_a_day_is_closed_in_one_step_and_leaves_the_moving_window_a
     verdicts = world.monitor.verdicts(100_000 * SECOND_NS)
     assert list(world.monitor.raw.slots) == before
     assert verdicts.accusing() == ()
+
+
+def test_speeds_of_both_at_the_same_instants_are_a_sample_every_ten_seconds_whichever_comes_first() -> None:
+    for gnss_first in (True, False):
+        comparison = SpeedComparison()
+        for second in range(0, 600, 10):
+            time_ns = second * SECOND_NS
+            if gnss_first:
+                comparison.gnss(time_ns, 20.0, 0.1)
+            comparison.odometer(time_ns, 20.0)
+            if not gnss_first:
+                comparison.gnss(time_ns, 20.0, 0.1)
+        comparison.advance(601 * SECOND_NS)
+        assert [value for _, value in comparison.raw.slots] == SAMPLES * [0.0], gnss_first

@@ -24,6 +24,7 @@ from shared.messages.toll import (
 )
 from shared.messages.v2x import CamList, StationType
 from shared.topics import MANY_BYTES
+from tests.support.cases import each
 from tests.support.v2x.toll import START_NS, Plant, Vehicle, fix, lane_of, place
 
 COMMON = (2.5, -1.5)  # [m, north and east] error that the receivers have in common
@@ -257,8 +258,8 @@ def test_a_final_statement_is_repeated_until_it_is_settled() -> None:
     assert not plant.statements
 
 
-@pytest.mark.parametrize("kill", [2.4, 5.0, 11.1, 11.8, 12.6, 13.3])
-@pytest.mark.parametrize("renamed", [False, True])
+@each("kill", [2.4, 5.0, 11.1, 11.8, 12.6, 13.3])
+@each("renamed", [False, True])
 def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool) -> None:
     """The ledger knows the last statement; 1.5 s pass until the new process receives CAM."""
     plant = Plant(COMMON)

@@ -11,6 +11,7 @@ from services.core.toll.codes import Code
 from services.core.toll.delta import Delta, DeltaEstimator, ErrorModel
 from services.core.toll.lanes import LaneGeometry, lane_likelihood
 from shared.messages.explanation import explain
+from tests.support.cases import each
 
 SECOND_NS = 10**9
 
@@ -19,7 +20,7 @@ def estimator(model: ErrorModel | None = None) -> DeltaEstimator:
     return DeltaEstimator(model or ErrorModel(), window_s=30.0, least_s=10.0, max_age_s=10.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("sd", "percent"),
     [
         (0.3, 100.00), (0.5, 99.95), (0.6, 99.65), (0.68, 98.99), (0.8, 97.13), (1.0, 91.99), (1.2, 85.53),

@@ -7,7 +7,16 @@ from services.core.trust.facts import Monitor
 from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
-from shared.messages.trust import Hypothesis, MonitorTest, Outcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.messages.trust import (
+    Hypothesis,
+    MonitorTest,
+    Outcome,
+    TrustEvent,
+    TrustLevel,
+    TrustMonitor,
+    TrustRecord,
+    TrustState,
+)
 from shared.runtime.config import Vehicle
 from shared.words.words import words
 
@@ -55,7 +64,7 @@ def states(published: Iterable[Message]) -> list[TrustLevel]:
     return [message.state for message in published if isinstance(message, TrustState)]
 
 
-def passing(time_ns: int) -> list[Message]:
+def passing(time_ns: int) -> list[TrustMonitor]:
     return [statement(monitor, time_ns) for monitor in Monitor]
 
 
@@ -250,3 +259,24 @@ def test_a_window_that_reaches_back_into_a_conflict_says_so_as_the_reason_of_its
     found = next(one for one in state.monitors if one.monitor == "inertial_long")
     assert (found.outcome, found.accused) == (Outcome.NOT_EVALUATED, ())
     assert found.reason == "its window reaches back into a conflict that has ended"
+
+
+@pytest.mark.parametrize(
+    ("record", "code"),
+    [
+        (None, Code.START_UNKNOWN),
+        (TrustRecord(sampled_ns=0, moving=True), Code.START_AFTER_CUT),
+        (TrustRecord(sampled_ns=0, moving=True, ended_in_order=True), None),
+    ],
+)
+def test_how_the_process_before_ended_is_said_until_the_position_is_confirmed(
+    record: TrustRecord | None, code: Code | None
+) -> None:
+    process = Process(Config())
+    if record is not None:
+        list(process.handle(record))
+    waiting = [one for one in passing(SECOND_NS) if one.monitor != Monitor.INERTIAL_LONG]
+    published = second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *waiting])
+    state = [message for message in published if isinstance(message, TrustState)][-1]
+    said = {one.code for one in (*state.reason_codes, *state.finding_codes) if one.code.startswith("trust.start_")}
+    assert said == ({str(code)} if code else set())

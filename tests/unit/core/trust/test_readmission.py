@@ -16,6 +16,7 @@ from services.core.trust.readmission import (
 )
 from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis, Outcome
+from tests.support.cases import each
 
 
 class Source:
@@ -42,7 +43,7 @@ class Source:
         return self.time_s - start_s
 
 
-@pytest.mark.parametrize(
+@each(
     ("fault_s", "earlier", "required_s"),
     [(1.0, 0, 2.0), (9.9, 0, 2.0), (50.0, 0, 10.0), (1e6, 0, 60.0), (5.0, 1, 4.0), (5.0, 2, 8.0), (5.0, 5, 60.0),
      (20.0, 1, 8.0), (5.0, 10**6, 60.0)],
@@ -142,7 +143,7 @@ SURVIVES = Posterior(Hypothesis.GNSS, 1e-4, 0.6, True, False, explain("trust.no_
 ALONE = replace(SURVIVES, probability=0.999, acted_on=True)
 
 
-@pytest.mark.parametrize(
+@each(
     ("given", "beliefs", "expected"),
     [
         (facts(), (), (False, False, True, True, None)),
@@ -224,7 +225,7 @@ def test_dead_inertial_monitors_keep_a_conflict_open() -> None:
         assert admission.open
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "agrees"),
     [
         ({}, True),

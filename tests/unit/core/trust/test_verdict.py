@@ -20,6 +20,7 @@ from services.core.trust.verdict import ENDS_AT_PLACE, HELD_AT_START, ROWS, Expl
 from shared.messages.explanation import Explanation, Reference, ReferenceKind, explain
 from shared.messages.trust import Hypothesis, Outcome, TrustLevel
 from shared.words.words import words
+from tests.support.cases import each
 
 NOW_NS = 1000 * SECOND_NS
 SOLUTION = Solution(NOW_NS - SECOND_NS // 10, True, "navigating", 3.1, 5.2, 0.4)
@@ -197,7 +198,7 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("facts", "row", "reasons"), CASES)
+@each(("facts", "row", "reasons"), CASES)
 def test_the_first_row_that_matches_decides(facts: Facts, row: int, reasons: tuple[Code | Explanation, ...]) -> None:
     found = verdict(facts)
     state = ROWS[row - 1][0] if row <= len(ROWS) else TrustLevel.SAFE

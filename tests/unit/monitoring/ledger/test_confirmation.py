@@ -15,6 +15,7 @@ from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.explanation import explain, passage
 from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
 from shared.unpacked import ALWAYS_BYTES
+from tests.support.cases import each
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
@@ -371,7 +372,7 @@ def test_passages_are_grouped_over_a_third_one() -> None:
     assert [[one.passage_id for one in group] for group in groups(made)] == [["a", "b", "c"], ["d"], ["e"]]
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "verdict"),
     [
         ({}, Verdict.STANDS),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.ledger.ledger import PASSAGES_BYTES, Ledger, Settings
+from services.monitoring.ledger.ledger import PASSAGES_BYTES, RECENT, Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Row, Store, Value
 from shared.bus.codec import encode
 from shared.messages.explanation import Quoted, explain
@@ -452,3 +452,12 @@ def test_the_longest_list_of_settled_passages_and_stations_leaves_room_for_the_o
     monkeypatch.setattr("services.monitoring.ledger.ledger.PASSAGES_BYTES", len(encode(first)) + 10)
     assert ledger.open_passages(LATER_NS).passages == (first,) != (second,)
     assert ledger.rejects["passages left out"] == 1
+
+
+def test_the_newest_50_vehicles_without_a_contract_are_listed(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    for n in range(RECENT + 2):
+        ledger.passage(Vehicle(f"v{n}", (n,)).says(OPEN), START_NS + n)
+    listed = [row.passage_id for row in ledger.state(LATER_NS).recent]
+    assert listed == [Vehicle(f"v{n}", (n,)).passage_id for n in range(2, RECENT + 2)]
+    store.close()

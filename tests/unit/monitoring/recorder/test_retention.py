@@ -1,9 +1,8 @@
-import pytest
-
 from services.monitoring.recorder.codes import Code
 from services.monitoring.recorder.retention import Limits, Verdict, decide, file_name
 from shared.messages.explanation import explain
 from shared.recording.folder import Stored
+from tests.support.cases import each
 
 LIMITS = Limits(maximum_total_bytes=100, minimum_free_bytes=50)
 FILES = [Stored("c", 30), Stored("a", 30), Stored("b", 30)]
@@ -41,8 +40,8 @@ def test_nothing_is_deleted_where_that_would_not_be_enough() -> None:
     assert verdict == Verdict(refusal=explain(Code.DISK_FULL, free_bytes=0, minimum_free_bytes=500_000_000))
 
 
-@pytest.mark.parametrize("free_bytes", range(0, 200, 7))
-@pytest.mark.parametrize("kept", range(8))
+@each("free_bytes", range(0, 200, 7))
+@each("kept", range(8))
 def test_after_the_deletions_both_limits_hold_or_recording_is_refused(free_bytes: int, kept: int) -> None:
     files = [Stored(f"{k}", 20 + 13 * k, kept=bool(kept >> k & 1)) for k in range(3)]
 

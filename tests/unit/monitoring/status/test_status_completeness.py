@@ -21,6 +21,7 @@ from shared.messages.operation import DeviceFound, Freshness, MessageUse, Origin
 from shared.messages.toll import GateMode, PassageState
 from shared.messages.trust import Hypothesis, Outcome, TrustLevel
 from shared.words.words import words
+from tests.support.cases import each
 
 CHARTS, GNSS, TRUST = "charts/chart_words.js", "gnss/gnss_words.js", "trust/hypothesis_words.js"
 
@@ -80,7 +81,7 @@ def read(file: str) -> str:
     return (DASHBOARD / file).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("file", "table", "values", "left_out"), TABLES, ids=str)
+@each(("file", "table", "values", "left_out"), TABLES)
 def test_every_value_is_in_the_tables_of_the_pages(
     file: str, table: str, values: type[StrEnum], left_out: set[str]
 ) -> None:
@@ -96,7 +97,7 @@ def test_every_icon_that_a_table_names_exists(file: str, table: str) -> None:
     assert not missing, f"{table} in dashboard/{file} names {missing}, which SHAPES of parts.js has not"
 
 
-@pytest.mark.parametrize("kind", AidingKind)
+@each("kind", AidingKind)
 def test_the_innovations_of_every_aid_have_a_unit(kind: AidingKind) -> None:
     unit = unit_of(parse(f"navigation/aiding[{kind}]:innovation.0"))
     assert unit, f"add AidingKind.{kind.name} with its unit to _KIND_UNITS in series/fields.py"
@@ -107,7 +108,7 @@ def test_an_aid_without_a_unit_is_plotted_without_one(monkeypatch: pytest.Monkey
     assert unit_of(parse("navigation/aiding[odometer]:innovation.0")) == ""
 
 
-@pytest.mark.parametrize(
+@each(
     ("table", "values"),
     [
         (LABELS, Monitor),
@@ -120,7 +121,6 @@ def test_an_aid_without_a_unit_is_plotted_without_one(monkeypatch: pytest.Monkey
         (OF_STATE, TrustLevel),
         (LETTERS, Constellation),
     ],
-    ids=["LABELS", "belief", "condition", "fix_type", "filter_phase", "check", "WORDS", "OF_STATE", "LETTERS"],
 )
 def test_every_value_is_in_the_tables_of_the_server(table: Mapping[str, object], values: type[StrEnum]) -> None:
     missing = [value.value for value in values if value not in table]

@@ -2,10 +2,13 @@
 
 import socket
 import ssl
+from collections import Counter
 
 import pytest
 
-from services.monitoring.uplink.link import TlsClient
+from services.monitoring.uplink.link import Link, TlsClient
+
+DISCONNECT = b"\xe0\x00"
 
 
 # The most that four bytes can state, and 128 KiB.
@@ -49,3 +52,15 @@ def test_a_packet_that_this_protocol_does_not_have_ends_the_connection(packet: b
     assert not client._in_messages
     theirs.close()
     ours.close()
+
+
+def test_a_link_that_is_closed_says_goodbye_and_gives_its_socket_back() -> None:
+    client, link = TlsClient(ssl.create_default_context(), "car"), Link(Counter())
+    ours, theirs = socket.socketpair()
+    ours.setblocking(False)
+    client._sock = ours
+    link._client, link.connected = client, True
+    link.close()
+    assert not link.connected and ours.fileno() == -1
+    assert theirs.recv(16) == DISCONNECT and theirs.recv(16) == b""
+    theirs.close()

@@ -291,7 +291,16 @@ def test_one_process_has_an_outbox_until_it_is_killed(tmp_path: Path) -> None:
         opened(folder).close()
 
 
-def test_a_folder_that_cannot_be_made_is_told_by_the_outbox_and_ends_nothing(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_told_by_the_outbox_and_ends_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / "uplink").write_text("a file")
     with alone(tmp_path / "uplink"), pytest.raises(OutboxFault, match="cannot"):
         opened(tmp_path / "uplink")
+    assert [record.args for record in caplog.records] == [(tmp_path / "uplink", "File exists")]
+
+
+def test_the_folder_of_an_outbox_is_made_for_its_owner_alone(tmp_path: Path) -> None:
+    outbox = Outbox(tmp_path / "state" / "uplink" / "outbox.sqlite", "car", EPOCH_MS, 10**6)
+    assert (tmp_path / "state" / "uplink").stat().st_mode & 0o777 == 0o700
+    outbox.close()

@@ -16,7 +16,7 @@ from shared.fleet.batch import Batch, Event, Kind, Report
 from shared.fleet.sealed import unsealed
 from shared.fleet.times import OLD_S, RESTING_S, RETRY_S
 from shared.fleet.topics import WATCHABLE
-from shared.messages.operation import HostClock, Outage
+from shared.messages.operation import HostClock, Origin, OriginKind, Outage
 from shared.messages.trust import Outcome, TrustEvent, TrustLevel, TrustMonitor
 from shared.messages.uplink import UplinkState
 from shared.processes import BY_NAME
@@ -174,6 +174,15 @@ def test_events_are_reported_without_what_a_centre_does_not_need(unit: UplinkUni
     assert [one.name for one in found] == ["trust/event", "outage/event"]
     assert [m["monitor"] for m in found[0].content["monitors"]] == ["one"]  # type: ignore[attr-defined]
     assert found[1].content["what"] == "sensors.gnss"
+
+
+def test_where_the_data_come_from_is_an_event_when_it_changes_and_not_each_time_that_it_is_said(
+    unit: UplinkUnit,
+) -> None:
+    unit.drive(3)
+    for kind in (OriginKind.LIVE, OriginKind.LIVE, OriginKind.SIMULATED, OriginKind.SIMULATED, OriginKind.LIVE):
+        unit.drive(1, also=(Origin(now_ns=unit.now_ns, kind=kind, name="car"),))
+    assert [one.content["kind"] for one in events(unit)] == ["live", "simulated", "live"]
 
 
 def test_messages_of_a_replay_are_not_reported(unit: UplinkUnit) -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from services.monitoring.uplink.watching import MOST_LIVE_BYTES, BadWatch, Watch
 from shared.fleet.topics import WATCHABLE
+from tests.support.cases import each
 
 NS = 1_000_000_000
 
@@ -50,7 +51,7 @@ def test_only_what_may_be_watched_and_is_not_too_large_is_passed_on() -> None:
     assert not watch.wants("gnss/raw", b"", NS)
 
 
-@pytest.mark.parametrize(
+@each(
     "payload",
     [
         b"", b"[]", b"{}", b"\xff", b"[" * 4000, b"1" * 5000, request(for_s=61), request(for_s=-1),

@@ -10,13 +10,15 @@ from can.io import CanutilsLogReader
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.parsers.can.candump import LineReader, parse_line
+from services.parsers.can.candump import MAX_LINE, LineReader, parse_line
 from services.parsers.can.process import Config, Process, WheelSignals
+from services.parsers.can.standards import parameter_group
 from shared.chosen import ChosenSource
 from shared.errors import UserError
 from shared.kinds import Kinds
 from shared.messages.imu import ImuRaw
 from shared.messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
+from tests.support.cases import each
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -61,14 +63,14 @@ def test_an_obd_response_gives_a_speed_stamped_with_the_configured_delay(identif
     assert (speed.received_ns, speed.sampled_ns) == (START_NS + NS // 50, START_NS - 8 * NS // 100)
 
 
-@pytest.mark.parametrize(
+@each(
     ("identifier", "source"),
     [
         *((f"7E{k:X}", f"can0/obd/7E{k:X}") for k in range(9, 16)),
         ("18DAF11D", "can0/obd/18DAF11D"), ("18DAF128", "can0/obd/18DAF128"),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("padding", ["AAAAAAAA", "55555555", ""])
+@each("padding", ["AAAAAAAA", "55555555", ""])
 def test_the_answer_of_any_control_unit_is_a_speed_of_its_own_source(
     identifier: str, source: str, padding: str
 ) -> None:
@@ -203,6 +205,28 @@ def test_j1939_gives_the_wheel_based_and_the_tachograph_speed(text: str, source:
 @pytest.mark.parametrize("raw", ["FFFF", "00FE", "00FB"])
 def test_a_j1939_speed_marked_not_available_is_omitted(raw: str) -> None:
     assert not feed(Process(Config()), line(f"18FEF100#F7{raw}0FFFFFFFFF"))
+
+
+def test_a_line_that_does_not_end_is_one_reject_and_the_next_one_is_read() -> None:
+    process = Process(Config())
+    assert not feed(process, b"x" * (MAX_LINE + 1))
+    assert process.rejects["line"] == 1
+    (speed,) = feed(process, b"\n" + line("18FEF100#F7803E", 0.1))
+    assert isinstance(speed, VehicleSpeed) and process.rejects["line"] == 1
+
+
+@pytest.mark.parametrize(("identifier", "group"), [
+    (0x0CF00400, 0xF004), (0x18FEF100, 0xFEF1), (0x18EFFF00, 0xEF00), (0x0CEF2100, 0xEF00), (0x18FF2127, 0xFF21),
+])  # fmt: skip
+def test_the_group_of_an_identifier_leaves_out_the_receiver_below_format_240(identifier: int, group: int) -> None:
+    """EEC1 (PGN 61444) is of the first format without a receiver; proprietary A (61184) has one."""
+    assert parameter_group(identifier) == group
+
+
+def test_a_j1939_speed_is_read_from_a_frame_that_ends_behind_it_and_not_from_one_that_ends_within_it() -> None:
+    (speed,) = feed(Process(Config()), line("18FEF100#F7803E"))
+    assert isinstance(speed, VehicleSpeed) and speed.speed_m_s == pytest.approx(62.5 / 3.6)
+    assert not feed(Process(Config()), line("18FEF100#F780"))
 
 
 def test_wheel_speeds_are_decoded_by_the_dbc_file_to_m_s(dbc: Path) -> None:

@@ -67,6 +67,15 @@ def test_named_signals_are_published_in_si(tmp_path: Path) -> None:
     assert speed.resolution_m_s == pytest.approx(0.01 / 3.6)
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.05])
+def test_a_signal_is_as_old_as_the_vehicle_is_said_to_need_for_it(tmp_path: Path, delay_s: float) -> None:
+    parser = process(tmp_path, steering_angle="STEER", vehicle_speed="MOTION.SPEED")
+    parser._config = parser._config.model_copy(update={"wheel_speed_delay_s": delay_s})
+    found = [one for one in fed(parser, "0D0#64009CFF00008813") if isinstance(one, VehicleSignal | VehicleSpeed)]
+    assert len(found) == 2
+    assert {(one.received_ns, one.received_ns - one.sampled_ns) for one in found} == {(NOW_NS, round(delay_s * NS))}
+
+
 def test_multiplexed_signals_are_published_when_they_come(tmp_path: Path) -> None:
     parser = process(tmp_path, gear="GEAR", odometer="ODO")
     found = fed(parser, "0D1#0103000000000000", "0D1#02E80300", "0D1#02E8030000000000", "0D1#0900000000000000")

@@ -99,3 +99,10 @@ def test_messages_that_never_end_are_bounded_and_make_room_when_they_are_old() -
 )  # fmt: skip
 def test_a_vin_is_seventeen_characters_of_iso_3779(text: bytes, vin: str | None) -> None:
     assert vin_of_answer(b"\x49\x02\x01" + text) == vin
+
+
+def test_a_frame_within_a_message_that_is_shorter_than_eight_bytes_ends_it() -> None:
+    rejects: Counter[str] = Counter()
+    first, second, *rest = sent(bytes(range(40)))
+    assert joined([first, second[:5], *rest], rejects) == [] and rejects["isotp_length"] == 1
+    assert joined([first, second, *rest], rejects) == [bytes(range(40))]

@@ -13,6 +13,7 @@ from pyspartn.spartnreader import SPARTNReader
 from services.parsers.corrections.frames import CorrectionFrame, CorrectionFramer
 from services.parsers.corrections.names import name_of
 from shared.messages.corrections import CorrectionProtocol
+from tests.support.cases import each
 from tests.support.data import recording
 from tests.support.gnss.frames import rtcm, spartn, ubx
 
@@ -40,7 +41,7 @@ def test_frames_are_found_whole_however_the_stream_is_cut(frames: list[bytes]) -
         assert [frame.data for frame in found] == frames and not rejects
 
 
-@pytest.mark.parametrize("frame", [*BASE, *SPARTN, KEY], ids=lambda frame: f"{len(frame)} bytes")
+@each("frame", [*BASE, *SPARTN, KEY])
 def test_a_frame_with_one_wrong_bit_is_no_frame_and_the_next_one_is_found(frame: bytes) -> None:
     chance = random.Random(2)
     for _ in range(20):

@@ -3,7 +3,6 @@
 import struct
 from typing import Any
 
-import pytest
 from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
@@ -11,6 +10,7 @@ from shared.faults import FAULT
 from shared.maths.dates import is_plausible
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssRaw
+from tests.support.cases import each
 from tests.support.gnss.frames import ubx as frame
 from tests.unit.parsers.gnss.test_gnss_parser import ITOW_MS, START_NS, eoe, gga, nmea, pvt, rmc
 
@@ -54,9 +54,9 @@ KINDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("recorded", [False, True], ids=["live", "recorded"])
-@pytest.mark.parametrize("year", OUTSIDE)
-@pytest.mark.parametrize("kind", KINDS)
+@each("recorded", [False, True])
+@each("year", OUTSIDE)
+@each("kind", KINDS)
 def test_a_date_outside_the_rule_ends_nothing(kind: str, year: int, recorded: bool) -> None:
     process = Process(Config())
 

@@ -20,6 +20,7 @@ from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.operation import MessageUse
 from shared.messages.vehicle import VehicleSpeed
 from shared.protocols.ubx import ubx_frame
+from tests.support.cases import each
 from tests.support.data import recording
 from tests.support.gnss.ublox import parse_ubx
 
@@ -130,7 +131,7 @@ def test_json_lines_are_read_by_the_names_of_their_fields() -> None:
     assert sample.angular_rate_body_rad_s == ((0.1, 0.0, 0.2),)
 
 
-@pytest.mark.parametrize(
+@each(
     ("form", "line", "kind"),
     [
         (CSV, b"1000,0,0\n", "line_column"), (CSV, b"1000,0,0,x,0,0,0\n", "line_column"),
@@ -200,8 +201,8 @@ LINE = b"0.01,-0.02,9.81,0.1,0.0,-0.1"
 PERIOD_NS = NS // 200
 
 
-@pytest.mark.parametrize("line_end", [b"\r\n", b"\n", b"\r"])
-@pytest.mark.parametrize("waits_ms", [(5,), (20,), (20, 21, 19), (4, 12, 20, 50), (3, 100)])
+@each("line_end", [b"\r\n", b"\n", b"\r"])
+@each("waits_ms", [(5,), (20,), (20, 21, 19), (4, 12, 20, 50), (3, 100)])
 def test_lines_without_a_time_are_stamped_evenly_however_many_come_in_one_read(
     waits_ms: tuple[int, ...], line_end: bytes
 ) -> None:

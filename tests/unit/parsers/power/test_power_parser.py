@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from services.parsers.power.process import Config, Process
 from shared.messages.base import Tick
 from shared.messages.power import PowerEvent, PowerProtocol, PowerRaw, PowerState
+from tests.support.cases import each
 
 S = 1_000_000_000
 
@@ -91,7 +92,7 @@ LIES = {
 }
 
 
-@pytest.mark.parametrize("name", LIES)
+@each("name", LIES)
 def test_what_cannot_be_is_a_counted_reject_and_never_low(name: str) -> None:
     data, kind = LIES[name]
     run = Run(Config(start_s=0.0, shunt_ohm=0.01))

@@ -8,6 +8,7 @@ from services.sensors.corrections.address import Address, parse, password_of
 from services.sensors.corrections.fault import SourceFault
 from services.sensors.corrections.process import Config, Process
 from shared.errors import ConfigError
+from tests.support.cases import each
 
 SETTINGS: dict[str, str | float | None] = {"password_file": "/etc/obu/ntrip.password", "gga_period_s": 10.0}
 
@@ -24,7 +25,7 @@ def test_a_url_gives_host_mount_point_and_user_and_the_name_has_no_user() -> Non
     assert parse("serial:///dev/ttyUSB1?baud=38400", SETTINGS).url == "serial:///dev/ttyUSB1?baud=38400"
 
 
-@pytest.mark.parametrize(
+@each(
     ("url", "words"),
     [
         ("ntrip://me:hunter2@caster.example.org/MOUNT", "password_file"),

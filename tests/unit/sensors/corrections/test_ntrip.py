@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from services.sensors.corrections.address import Address
 from services.sensors.corrections.fault import SourceFault
 from services.sensors.corrections.ntrip import LONGEST_HEADER, LONGEST_LINE, NtripDialogue, nearest_mounts
+from tests.support.cases import each
 from tests.support.gnss.frames import rtcm
 
 CASTER = Address(name="x", url="", scheme="ntrip", host="caster.example.org", port=2101, mount="MOUNT", user="me")
@@ -34,8 +35,8 @@ def fault(answer: bytes, version: int = 2) -> SourceFault:
     return caught.value
 
 
-@pytest.mark.parametrize("cut", [1, 7, 10_000])
-@pytest.mark.parametrize(
+@each("cut", [1, 7, 10_000])
+@each(
     "answer",
     [
         b"ICY 200 OK\r\n\r\n" + DATA,
@@ -45,7 +46,6 @@ def fault(answer: bytes, version: int = 2) -> SourceFault:
         OK + b"Transfer-Encoding: chunked\r\n\r\n" + chunked(DATA),
         b"HTTP/1.0 200 OK\n\n" + DATA,
     ],
-    ids=["version 1", "no blank line", "version 1 with a header", "version 2", "chunked", "bare line ends"],
 )
 def test_the_stream_begins_behind_the_answer_however_it_is_cut(answer: bytes, cut: int) -> None:
     assert stream(answer, cut) == DATA
@@ -66,7 +66,7 @@ def test_the_request_names_the_mount_point_and_the_user(version: int) -> None:
     assert ("Ntrip-Version: Ntrip/2.0" in lines) is ("Ntrip-GGA: $GPGGA,1*00" in lines) is (version == 2)
 
 
-@pytest.mark.parametrize(
+@each(
     ("answer", "words", "refused"),
     [
         (b"HTTP/1.1 401 Unauthorized\r\n\r\n", "user or password", True),
@@ -138,8 +138,8 @@ def test_a_source_table_in_place_of_a_stream_names_the_mount_points_near_to_it()
 TABLE_WITH_END = TABLE + b"\r\nENDSOURCETABLE\r\n"
 
 
-@pytest.mark.parametrize("cut", [1, 7, 10_000])
-@pytest.mark.parametrize(
+@each("cut", [1, 7, 10_000])
+@each(
     "answer",
     [
         OK.replace(b"gnss/data", b"gnss/sourcetable") + b"Content-Length: 9\r\n" + TABLE_WITH_END,

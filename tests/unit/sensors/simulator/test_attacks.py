@@ -20,6 +20,7 @@ from shared.messages.base import Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.simulation import AttackCommand, AttackName, SimulationAttack, SimulationState
+from tests.support.cases import each
 from tests.support.drives.attacked_drive import NS, Drive, attacked, place, seconds
 
 START_S, END_S = 33.0, 48.0
@@ -55,7 +56,7 @@ def heading_at_the_start() -> float:
     return next(t.yaw_rad for t in attacked().truth if t.sampled_ns >= begin_ns and t.yaw_rad is not None)
 
 
-@pytest.mark.parametrize("text", CONSISTENT)
+@each("text", CONSISTENT)
 def test_least_squares_of_the_measurements_are_the_fix_under_attack(text: str) -> None:
     """Within 2 cm/s, as the range-rate leaves out the change of the flight time, and 5 mm; a satellite fault of 50 m
     moves the height by tens of metres, over which the delay of the troposphere varies by centimetres."""

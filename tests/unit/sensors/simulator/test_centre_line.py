@@ -7,6 +7,7 @@ from services.sensors.simulator.scenarios import SCENARIOS, Scenario, scenario_o
 from shared.bus.codec import encode
 from shared.maths.ellipsoid import curvature_radii
 from shared.topics import BY_NAME
+from tests.support.cases import each
 
 
 @pytest.mark.parametrize("name", ["parking_lot", "urban", "tunnel"])
@@ -24,7 +25,7 @@ def test_the_vehicle_drives_on_the_road_that_is_published(name: str) -> None:
     assert off.max() < 0.5, "metres from the centre line"
 
 
-@pytest.mark.parametrize("row", SCENARIOS, ids=lambda row: row.name)
+@each("row", SCENARIOS)
 def test_the_roads_of_every_scenario_fit_into_a_message(row: Scenario) -> None:
     assert len(encode(road_network(row.course, row.start, 7))) <= BY_NAME["simulation/roads"].most_bytes - 300
 

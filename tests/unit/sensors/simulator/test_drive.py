@@ -6,13 +6,14 @@ import pytest
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.gnss.gnss_errors import BASE_SD, ErrorKind, InjectedError, position_errors
 from services.sensors.simulator.scenarios import BY_NAME, DEGRADED_RMSE, with_error
+from tests.support.cases import each
 
 SETTLED = slice(14, None)  # fixes of t >= 15 s
 KINDS = [ErrorKind.WHITE, ErrorKind.GAUSS_MARKOV, ErrorKind.WIENER]
 
 
-@pytest.mark.parametrize("number", range(1, 6))
-@pytest.mark.parametrize("seed", [0, 7])
+@each("number", range(1, 6))
+@each("seed", [0, 7])
 def test_the_degraded_gnss_has_exactly_the_rmse_of_the_paper(number: int, seed: int) -> None:
     drive = simulate(f"degraded-{number}", seed)
     rmse = np.sqrt((drive.fix_error_n[SETTLED] ** 2).mean(axis=0))

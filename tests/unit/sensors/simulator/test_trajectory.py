@@ -14,6 +14,7 @@ from services.sensors.simulator.scenarios import BY_NAME, SCENARIOS, Scenario
 from services.sensors.simulator.vehicle import antenna_at
 from shared.maths.earth import Geodetic, earth_rate_n, gravity, ned_track, transport_rate_n
 from shared.maths.rotation import skew
+from tests.support.cases import each
 from tests.support.drives.rotations import mean_rotation
 
 STEP = 0.01
@@ -25,7 +26,7 @@ def trajectory(scenario: Scenario, seed: int = 0) -> Trajectory:
     )
 
 
-@pytest.mark.parametrize("row", SCENARIOS, ids=lambda row: row.name)
+@each("row", SCENARIOS)
 def test_a_lap_of_every_course_ends_where_it_began(row: Scenario) -> None:
     road = Road(row.course)
     s = np.linspace(0.0, road.length, 200_001)
@@ -53,7 +54,7 @@ def test_the_maximum_curvature_of_a_bend_is_that_of_its_radius() -> None:
     assert curvature.max() == pytest.approx(1.0 / 6.0)
 
 
-@pytest.mark.parametrize("row", SCENARIOS, ids=lambda row: row.name)
+@each("row", SCENARIOS)
 def test_a_planned_lap_has_the_length_of_its_course_and_respects_its_speed_limits(row: Scenario) -> None:
     for seed in range(5):
         moves = plan_lap(row.course, row.acceleration_m_s2, np.random.default_rng(seed))

@@ -23,6 +23,7 @@ from shared.messages.operation import HostClock, Origin, OriginKind
 from shared.messages.vehicle import CanRaw
 from shared.protocols import xbus
 from shared.topics import BY_MESSAGE, publications
+from tests.support.cases import each
 from tests.support.gnss.ublox import parse_ubx, valget, valset
 
 NS = 1_000_000_000
@@ -86,7 +87,7 @@ def test_the_simulator_publishes_exactly_its_topics(minute: list[Message]) -> No
     }  # fmt: skip  # roads once at the start, the last with attacks only
 
 
-@pytest.mark.parametrize("name", NAMES)
+@each("name", NAMES)
 def test_equal_seeds_give_equal_bytes_and_different_seeds_differ(name: str) -> None:
     first, again, other = (fingerprint(messages(name, seed, 5.0)) for seed in (3, 3, 4))
     assert first == again

@@ -19,6 +19,7 @@ from shared.messages.navigation import NavigationSolution
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.messages.vehicle import CanRaw
 from shared.topics import TOPICS
+from tests.support.cases import each
 from tests.support.dashboard.status_world import solution
 
 FIX = GnssFix(
@@ -75,7 +76,7 @@ def test_inertial_samples_are_encoded_without_rounding(rows: list[tuple[int, Vec
     assert codec.decode("imu/sample", codec.encode(samples)) == samples
 
 
-@pytest.mark.parametrize(
+@each(
     "payload",
     [
         b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"sampled_ns": 1}',
@@ -97,7 +98,7 @@ def test_a_field_of_a_newer_producer_is_ignored() -> None:
     assert codec.decode("gnss/fix", json.dumps(document).encode()) == FIX
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"data": "A"}, {"data": "AA=A"}, {"data": "AAAA\n"}, {"data": "AA-_"}, {"data": "é"}, {"data": None},
@@ -172,7 +173,7 @@ def test_a_process_cannot_publish_for_another() -> None:
         codec.decode("health/parsers.gnss", codec.encode(health))
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"sampled_ns": 10**400}, {"received_ns": -(10**400)}, {"height_ellipsoid_m": 1e300}, {"height_msl_m": -1e300},

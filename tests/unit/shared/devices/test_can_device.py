@@ -199,12 +199,12 @@ def test_python_cans_multicast_is_read_on_loopback() -> None:
         device = open_can(f"udp-multicast://239.74.163.45?port={port}", 0x7DF, time.monotonic_ns)
         far = can.Bus("239.74.163.45", "udp_multicast", port=port, hop_limit=0)
     except (DeviceLost, can.CanError, OSError) as error:
-        pytest.skip(f"no multicast here: {error}")
+        pytest.skip(f"this system has no multicast: {error}")
     with far:
         try:
             far.send(can.Message(arbitration_id=0x7E8, is_extended_id=False, data=bytes.fromhex("03410D32")))
         except (can.CanError, OSError) as error:
-            pytest.skip(f"no multicast here: {error}")
+            pytest.skip(f"this system has no multicast: {error}")
         lines = read_lines(device, 1)
     device.close()
     assert without_stamps(lines) == ["239.74.163.45 7E8#03410D32"]

@@ -9,6 +9,7 @@ from shared.devices.elm327 import FAILURES, LONGEST_REST_S, Elm327
 from shared.devices.elm327_lines import AnswerLines, ElmFrame
 from shared.errors import UserError
 from shared.messages.operation import DeviceFound
+from tests.support.cases import each
 from tests.support.fake_elm327 import BANNER, FakeElm327, Habits, SerialFake, TcpFake
 from tests.support.patience import HANGS_S
 
@@ -61,7 +62,7 @@ def test_an_adapter_is_set_up_and_gives_the_frames_of_its_answers() -> None:
     assert not bench.adapter.rejects
 
 
-@pytest.mark.parametrize(
+@each(
     "habits",
     [
         Habits(echoes_always=True), Habits(spaces_always=True), Habits(no_headers=True),
@@ -70,7 +71,7 @@ def test_an_adapter_is_set_up_and_gives_the_frames_of_its_answers() -> None:
         Habits(refuses=("ATL0", "ATS0", "ATSP0")), Habits(refuses=("ATDPN",)),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("pieces", [1, 4, 1000])
+@each("pieces", [1, 4, 1000])
 def test_habits_of_clones_give_the_same_frames(habits: Habits, pieces: int) -> None:
     bench = Bench(habits)
     bench.run(5.0, pieces=pieces)
@@ -92,7 +93,7 @@ def test_lost_prompts_are_waited_for_and_then_the_adapter_is_set_up_again() -> N
     assert bench.frames[-1] == ANSWER and bench.adapter.found is DeviceFound.WORKING
 
 
-@pytest.mark.parametrize(
+@each(
     ("error", "found"),
     [
         ("NO DATA", DeviceFound.SILENT), ("UNABLE TO CONNECT", DeviceFound.SILENT),
@@ -168,7 +169,7 @@ def test_a_physical_request_identifier_is_set(identifier: int, commands: list[st
     assert [command for _, command in bench.written if command[:4] in {"ATSH", "ATCP"}] == commands
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "protocol", "frame"),
     [
         ("7E803410D32", "6", ANSWER),
@@ -186,7 +187,7 @@ def test_lines_are_frames(line: str, protocol: str, frame: ElmFrame | None) -> N
     assert AnswerLines().frame(line, protocol) == frame
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "protocol"),
     [
         ("7E8", "6"), ("7E80", "6"), ("7E803", "6"), ("7E80341", "6"), ("7E803410D", "6"), ("XYZ", "6"),

@@ -28,6 +28,7 @@ from shared.fleet.cbor import BadCbor, encoded
 from shared.fleet.receipts import Receipt, Refused, Stored
 from shared.fleet.sealed import chain_digest, receipt_digest, seal, unsealed
 from shared.messages.trust import TrustLevel
+from tests.support.cases import each
 
 SIGNER = FileSigner(bytes(range(32)))
 KEY = Ed25519PublicKey.from_public_bytes(SIGNER.public_key)
@@ -100,7 +101,7 @@ def test_bytes_of_anybody_are_a_batch_or_refused(data: bytes) -> None:
 GOOD: list[Any] = [1, 0, START_MS, 0, 1, ZEROS, [[START_MS], [1], [2], [3], [4], [5], [6], [0]], []]
 
 
-@pytest.mark.parametrize(
+@each(
     ("place", "value"),
     [
         (0, 2), (1, 3), (1, -1), (2, 5), (2, LATEST_MS + 1), (3, -1), (3, MOST_SEQUENCE), (4, 0), (4, 2), (4, -1),
@@ -115,7 +116,7 @@ def test_a_field_that_cannot_be_is_refused(place: int, value: object) -> None:
         decode(zlib.compress(encoded(bad)))
 
 
-@pytest.mark.parametrize(
+@each(
     ("column", "values"),
     [
         (0, [None]), (0, [EARLIEST_MS - 1]), (0, [LATEST_MS + 1]), (0, [1.5]), (0, [True]), (1, [900_000_001]),
@@ -129,7 +130,7 @@ def test_a_column_that_cannot_be_is_refused(column: int, values: object) -> None
         decode(zlib.compress(encoded([*GOOD[:6], columns, []])))
 
 
-@pytest.mark.parametrize(
+@each(
     "row",
     [
         [START_MS, "trust", {}], [START_MS, "trust/event\n", {}], [0, "trust/event", {}], [START_MS, "trust/event", []],
@@ -190,7 +191,7 @@ def test_a_receipt_comes_back_as_it_was() -> None:
     assert Receipt.decode(receipt.encode()) == receipt
 
 
-@pytest.mark.parametrize(
+@each(
     "content",
     [
         [], {}, {"stored": []}, {"stored": [], "refused": [], "more": 1}, {"stored": [[1, 2]], "refused": []},

@@ -9,6 +9,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from shared.evidence.signer import FileSigner
 from shared.fleet.cbor import BadCbor, decoded
 from shared.fleet.cose import TAG, read_sign1, sign1, to_be_signed
+from tests.support.cases import each
 
 CONTENT = b"This is the content."
 HEX_CONTENT = CONTENT.hex()
@@ -96,7 +97,7 @@ def test_an_algorithm_outside_the_protected_header_is_not_believed(
     assert not read.is_genuine(key)
 
 
-@pytest.mark.parametrize(
+@each(
     "data",
     [
         b"",
@@ -116,7 +117,7 @@ def test_what_is_no_cose_sign1_is_refused(data: bytes) -> None:
         read_sign1(data)
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "c249ffffffffffffffffff", "d81c80", "d8238261786178", "c48219ffff01", "9f01ff", "a201020103", "1801",

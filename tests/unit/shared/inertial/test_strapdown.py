@@ -113,11 +113,13 @@ def test_a_zero_rate_gyroscope_rotates_against_the_earth_at_earth_rate() -> None
     assert turned == pytest.approx(-EARTH_RATE * np.array([0.5**0.5, 0.0, -(0.5**0.5)]), abs=1e-9)
 
 
-def test_driving_east_over_the_antimeridian_wraps_the_longitude() -> None:
-    state = InertialState(0, (1.0, 0.0, 0.0, 0.0), (0.0, 30.0, 0.0), Geodetic(0.3, pi - 1e-6, 0.0))
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_driving_over_the_antimeridian_wraps_the_longitude_at_once(sense: float) -> None:
+    state = InertialState(0, (1.0, 0.0, 0.0, 0.0), (0.0, sense * 30.0, 0.0), Geodetic(0.3, sense * (pi - 1e-6), 0.0))
     for k in range(1, 101):
         state, _ = propagated(state, (0.0, 0.0, -gravity(0.3, 0.0)), (0.0, 0.0, 0.0), k * STEP_NS)
-    assert -pi < state.position.longitude < -pi + 1e-5
+        assert -pi < state.position.longitude <= pi
+    assert pi - 1e-5 < abs(state.position.longitude) and sense * state.position.longitude < 0.0
 
 
 @settings(max_examples=30)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from shared.maths.clock_mapping import ClockMapping, lower_hull
+from tests.support.cases import each
 
 NS = 1_000_000_000
 MS = 1_000_000
@@ -33,8 +34,8 @@ def arrivals(
     return rows
 
 
-@pytest.mark.parametrize("drift", [-100e-6, 0.0, 20e-6, 100e-6])
-@pytest.mark.parametrize("rate_hz", [1.0, 100.0])
+@each("drift", [-100e-6, 0.0, 20e-6, 100e-6])
+@each("rate_hz", [1.0, 100.0])
 def test_stamp_errors_are_a_fraction_of_the_jitter_once_the_window_is_full(rate_hz: float, drift: float) -> None:
     clock = ClockMapping(minimum_delay_s=0.05)
     rows = arrivals(seconds=240, rate_hz=rate_hz, drift=drift, minimum_s=0.05)

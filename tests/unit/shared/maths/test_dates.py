@@ -1,7 +1,6 @@
 from collections import Counter
 from datetime import UTC, datetime, timedelta
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +17,7 @@ from shared.maths.dates import (
     is_plausible,
     plausible_host_ns,
 )
+from tests.support.cases import each
 
 
 def at(year: int, month: int = 1, day: int = 1, hour: int = 0) -> int:
@@ -59,8 +59,8 @@ def test_dates_of_a_file_are_as_recorded() -> None:
         assert dated(told_ns, None) == (told_ns, 0)
 
 
-@pytest.mark.parametrize("told_ns", [None, at(2300), at(1979, 12, 31), at(1), -(2**63), 2**63, 10**30])
-@pytest.mark.parametrize("host_ns", [None, TODAY_NS])
+@each("told_ns", [None, at(2300), at(1979, 12, 31), at(1), -(2**63), 2**63, 10**30])
+@each("host_ns", [None, TODAY_NS])
 def test_an_impossible_date_is_one_reject(told_ns: int | None, host_ns: int | None) -> None:
     assert dated(told_ns, host_ns) == (None, 1)
 

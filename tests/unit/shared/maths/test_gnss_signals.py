@@ -12,11 +12,12 @@ from shared.maths.gnss_signals import (
     saastamoinen_zenith_m,
     troposphere_mapping,
 )
+from tests.support.cases import each
 
 COEFFICIENTS = Klobuchar((0.2e-7, -0.8e-8, -0.5e-7, 0.1e-6), (0.2e6, 0.2e6, -0.1e6, -0.1e7))
 
 
-@pytest.mark.parametrize(
+@each(
     ("place", "azimuth", "elevation", "hour", "delay"),
     [(( 35, 140), 60, 75, 1, 6.73590532099438), ((-80, -170), 60, 75, 1, 3.56895382197387),
      ((10, 30), 60, 75, 1, 3.80716435655161), ((35, 140), 60, 75, 13, 5.21796954585452),

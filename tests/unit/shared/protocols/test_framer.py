@@ -18,6 +18,7 @@ from shared.maths.crc import crc24q, crc_of_zeros, fletcher
 from shared.protocols.framing.finder import TAIL
 from shared.protocols.framing.framer import Framer
 from shared.protocols.ubx import MAX_PAYLOAD
+from tests.support.cases import each
 from tests.support.data import recording
 
 UBX = UBXMessage("NAV", "NAV-EOE", 0, iTOW=1000).serialize()
@@ -127,8 +128,8 @@ PATTERNS = (
 RTCM = bytes.fromhex("D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98")
 
 
-@pytest.mark.parametrize("size", [64, 1000, 10**9])
-@pytest.mark.parametrize("pattern", PATTERNS)
+@each("size", [64, 1000, 10**9])
+@each("pattern", PATTERNS)
 def test_each_byte_is_summed_once_and_no_place_is_judged_twice(pattern: bytes, size: int) -> None:
     """Checksums over overlapping candidates would look at each byte up to a thousand times."""
     data, framer = pattern * (40_000 // len(pattern)), Framer(FRAMINGS)

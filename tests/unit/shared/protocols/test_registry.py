@@ -10,6 +10,7 @@ from shared.protocols.framing.framing import can_begin_alike
 from shared.protocols.protocol import Protocol
 from shared.protocols.registry import PROTOCOLS, check, read_at
 from shared.rejects import PARTS, reason_of
+from tests.support.cases import each
 from tests.support.reject_kinds import kinds_in_source
 
 
@@ -33,7 +34,7 @@ def test_blocks_of_sbf_and_sentences_begin_with_a_dollar_sign_and_are_told_apart
     assert not can_begin_alike(sbf, nmea.PROTOCOL.framing)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS, ids=lambda protocol: protocol.name)
+@each("protocol", PROTOCOLS)
 def test_what_a_framing_rejects_has_a_reason(protocol: Protocol) -> None:
     framing = protocol.framing
     stated = {framing.malformed, framing.too_long, framing.bad_header} - {None, ""}
@@ -41,7 +42,7 @@ def test_what_a_framing_rejects_has_a_reason(protocol: Protocol) -> None:
     assert all(reason.meaning and reason.remedy for reason in protocol.reasons.values())
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS, ids=lambda protocol: protocol.name)
+@each("protocol", PROTOCOLS)
 def test_headers_begin_as_the_registry_says(protocol: Protocol) -> None:
     """All one- to three-byte beginnings that the pattern of headers refuses at once are refused by `begins` too."""
     framing = protocol.framing

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from shared.protocols import xbus
 from shared.protocols.framing.finder import TAIL
 from shared.protocols.xbus import XbusReader, decode_field, decode_mtdata2, encode_field, encode_message, encode_mtdata2
+from tests.support.cases import each
 from tests.support.data import recording
 
 GOLDEN_NAMES = {
@@ -134,8 +135,8 @@ def test_the_buffer_is_bounded_for_any_input() -> None:
         assert len(pickle.dumps(reader)) < 2 * xbus.MAX_PAYLOAD_BYTES + 1000
 
 
-@pytest.mark.parametrize("size", [64, 1000, 10**9])
-@pytest.mark.parametrize(
+@each("size", [64, 1000, 10**9])
+@each(
     "pattern", [b"\xfa", b"\xfa\xff", b"\xfa\xff\x36\xf0", b"\xfa\xff\x36\xff\x07\xff", b"\xfa\xff\x36\x00", bytes(7)]
 )
 def test_each_byte_is_summed_once_and_no_place_is_judged_twice(pattern: bytes, size: int) -> None:

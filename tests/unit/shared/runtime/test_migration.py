@@ -16,6 +16,7 @@ from shared.runtime.config import LEVEL_MOUNTING, Matrix3, parse_vehicle
 from shared.runtime.migration import migrated, mounting_of_samples
 from shared.runtime.mounting import RecordedAxes
 from shared.runtime.old_keys import PRESENT_KEYS, in_section
+from tests.support.cases import each
 
 OLD = """# my car
 [vehicle]
@@ -44,7 +45,7 @@ def old_text(parser: object = None, fusion: object = None) -> str:
     return text if fusion is None else f"{text}[core.fusion.imu]\nbody_from_imu = {rows(fusion)}\n"
 
 
-@pytest.mark.parametrize("key", PRESENT_KEYS)
+@each("key", PRESENT_KEYS)
 def test_a_file_with_an_old_key_is_refused_by_a_sentence_with_the_new_key_and_the_remedy(key: str) -> None:
     section, _, name = key.rpartition(".")
     with pytest.raises(ConfigError) as raised:

@@ -35,6 +35,7 @@ from shared.runtime.clock import boot_id, fixed_offset_ns
 from shared.runtime.last_end import FOLDER, LastEnd
 from shared.runtime.live import LiveReactor
 from tests.support.bus.envelopes import sent, sent_bytes
+from tests.support.cases import each
 from tests.support.data import REPOSITORY
 from tests.support.patience import HANGS_S
 
@@ -254,7 +255,7 @@ def test_a_recording_says_which_version_wrote_it(tmp_path: Path) -> None:
         assert recording.newer == ""
 
 
-@pytest.mark.parametrize(("version", "newer"), [
+@each(("version", "newer"), [
     (VERSION, False), ("0.0.9", False), ("0.1.1", True), ("0.10.0", True), ("1", True), ("", False), ("next", False),
     ("9" * 5000, False),
 ])  # fmt: skip

@@ -12,6 +12,7 @@ import pytest
 from shared.errors import ConfigError
 from shared.maths.earth import Geodetic, ned_track
 from shared.toll.plaza import along, load_plaza, parse_plaza
+from tests.support.cases import each
 
 EXAMPLE = Path(__file__).parents[4] / "deploy" / "plazas" / "example.geojson"
 PLAZA = load_plaza(EXAMPLE)
@@ -59,7 +60,7 @@ def test_the_description_is_the_plaza() -> None:
     assert description.antenna.latitude_deg == pytest.approx(49.44)
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "text"),
     [
         (lambda d: d["features"].pop(0), "exactly one feature of kind 'antenna'"),

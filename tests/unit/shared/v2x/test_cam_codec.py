@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from shared.errors import RejectedFrame
 from shared.messages.v2x import CamContent, StationType
 from shared.v2x import cam
+from tests.support.cases import each
 from tests.support.v2x import cams
 
 # Of a CAM of the ETSI test system, without its headers: standing passenger car, 1 Hz.
@@ -117,7 +118,7 @@ def decoded_with(path: str, code: int) -> CamContent:
     return cams.decode_content(cam.specification().encode("CAM", record))[0]
 
 
-@pytest.mark.parametrize(("path", "element", "legal", "missing"), ELEMENTS, ids=[row[1] for row in ELEMENTS])
+@each(("path", "element", "legal", "missing"), ELEMENTS)
 def test_special_codes_are_none_and_the_codes_beside_them_are_values(
     path: str, element: str, legal: list[tuple[int, float]], missing: list[int]
 ) -> None:
@@ -239,7 +240,7 @@ def test_a_message_that_is_no_cam_of_this_version_is_rejected_with_its_reason(pa
     assert rejected.value.reason == reason
 
 
-@pytest.mark.parametrize("length", range(len(TEST_SYSTEM)))
+@each("length", range(len(TEST_SYSTEM)))
 def test_a_truncated_cam_is_rejected(length: int) -> None:
     with pytest.raises(RejectedFrame):
         cam.decode(TEST_SYSTEM[:length])

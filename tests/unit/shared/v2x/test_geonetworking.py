@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from shared.errors import RejectedFrame
 from shared.v2x import geonetworking
+from tests.support.cases import each
 from tests.support.v2x import cams
 
 PAYLOAD = bytes.fromhex("0202000027")
@@ -22,7 +23,7 @@ def test_the_payload_of_a_packet_is_found_and_padding_behind_it_is_not_part_of_i
     assert geonetworking.decode_payload(PACKET + bytes(20)) == PAYLOAD
 
 
-@pytest.mark.parametrize(
+@each(
     ("packet", "reason"),
     [
         (b"", "truncated"),

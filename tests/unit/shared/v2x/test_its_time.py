@@ -1,8 +1,7 @@
 from datetime import UTC, datetime
 
-import pytest
-
 from shared.v2x import its_time
+from tests.support.cases import each
 
 
 def ns(*date: int) -> int:
@@ -24,8 +23,8 @@ def test_utc_from_its_time_is_the_inverse() -> None:
     assert its_time.utc_ns_from_its_time(time_ms) == ns(2026, 11, 22, 17, 30) + 123_000_000
 
 
-@pytest.mark.parametrize("age_ms", [0, 1, 1004, 32_767, -1, -1000, -32_768])
-@pytest.mark.parametrize("cycle_ms", [0, 500, 65_535])
+@each("age_ms", [0, 1, 1004, 32_767, -1, -1000, -32_768])
+@each("cycle_ms", [0, 500, 65_535])
 def test_the_age_is_found_across_the_wrap_of_generation_delta_time(age_ms: int, cycle_ms: int) -> None:
     received_ms = 12_345 * its_time.CYCLE_MS + cycle_ms
     assert its_time.generation_age_ms((received_ms - age_ms) % its_time.CYCLE_MS, received_ms) == age_ms

@@ -60,6 +60,7 @@ from shared.words.words import (
     stated,
     words,
 )
+from tests.support.cases import each
 from tests.support.words import FIELDS, FILE, lines, texts
 
 ENGLISH = words()
@@ -96,7 +97,7 @@ def test_every_file_of_words_has_a_registered_owner() -> None:
     assert CODES.keys() == OWNERS.keys(), "add the codes to CODES of this file"
 
 
-@pytest.mark.parametrize("owner", CODES)
+@each("owner", CODES)
 def test_every_code_has_a_row_and_every_row_is_of_a_code(owner: str) -> None:
     rows = {code for code in ENGLISH.rows if code.startswith(f"{owner}.")}
     assert rows == {str(code) for code in CODES[owner]}, f"see {OWNERS[owner]}/words.toml and its codes"
@@ -119,7 +120,7 @@ def test_a_language_has_what_a_driver_reads_and_the_causes_that_an_installer_rea
         assert here.names[table].keys() == ENGLISH.names[table].keys(), f"names.{table} of {language}.toml"
 
 
-@pytest.mark.parametrize(("language", "code"), ROWS)
+@each(("language", "code"), ROWS)
 def test_a_sentence_is_one_line_without_figures_and_short_with_its_longest_values(language: str, code: str) -> None:
     spoken = words(language)
     said = texts(code, spoken)
@@ -131,7 +132,7 @@ def test_a_sentence_is_one_line_without_figures_and_short_with_its_longest_value
     assert said["sentence"] or detail, "it says something"
 
 
-@pytest.mark.parametrize(("language", "code"), ROWS)
+@each(("language", "code"), ROWS)
 def test_a_placeholder_names_a_quantity_that_fits_its_value_or_a_table_that_exists(language: str, code: str) -> None:
     spoken = words(language)
     for field in FIELDS:
@@ -180,7 +181,7 @@ ENUMERATIONS: dict[str, Iterable[str]] = {
 }
 
 
-@pytest.mark.parametrize("table", ENUMERATIONS)
+@each("table", ENUMERATIONS)
 def test_every_word_of_an_enumeration_has_a_name(table: str) -> None:
     assert set(ENGLISH.names[table]) == {str(word) for word in ENUMERATIONS[table]}
 
@@ -226,7 +227,7 @@ def row(**changes: str) -> Words:
     return Words("en", {"trust.x": Row(**changes)}, ENGLISH.names, ENGLISH.format)
 
 
-@pytest.mark.parametrize(
+@each(
     ("template", "values", "said"),
     [
         ("{a_m:distance}", {"a_m": 12.34}, "12.3 m"),
@@ -332,7 +333,7 @@ def test_what_does_not_fit_its_row_has_no_words(explanation: Explanation) -> Non
     assert reason(explanation) == explanation.code
 
 
-@pytest.mark.parametrize(
+@each(
     "wrong",
     [
         {"code": "no_owner"}, {"code": "Trust.x"}, {"code": "trust."}, {"code": "trust.x y"}, {"code": f"a.{'x' * 64}"},
@@ -343,7 +344,6 @@ def test_what_does_not_fit_its_row_has_no_words(explanation: Explanation) -> Non
         {"code": "trust.x", "values": {f"a{k}": k for k in range(13)}},
         {"code": "trust.x", "values": {"a": ("x",) * 33}},
     ],
-    ids=str,
 )  # fmt: skip
 def test_the_contract_checks_the_form_of_codes_and_values(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError):

@@ -1,12 +1,12 @@
 from datetime import UTC, datetime
 
 import numpy as np
-import pytest
 
 from cli.import_drive.conversion.scales import Scale, utc_of
+from tests.support.cases import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("scale", "day", "ahead_s"),
     [
         ("utc", (2026, 9, 21), 0.0), ("gps", (2026, 9, 21), 18.0), ("tai", (2026, 9, 21), 37.0),

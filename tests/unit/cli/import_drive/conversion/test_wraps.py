@@ -3,6 +3,7 @@ import pytest
 
 from cli.import_drive.conversion.wraps import unwrapped
 from shared.maths.earth import FloatArray
+from tests.support.cases import each
 
 
 def made(period_s: float, step_s: float, before: int = 200, after: int = 200) -> tuple[FloatArray, FloatArray]:
@@ -12,7 +13,7 @@ def made(period_s: float, step_s: float, before: int = 200, after: int = 200) ->
     return np.asarray(true), clock
 
 
-@pytest.mark.parametrize(
+@each(
     ("period_s", "step_s", "name"),
     [
         (604_800.0, 0.02, "a week"), (604_800.0, 1.0, "a week"), (86_400.0, 0.2, "a day"),

@@ -9,6 +9,7 @@ from cli.import_drive.estimates.agreement import Motion, agreement_of, motion_of
 from shared.maths.earth import FloatArray
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
+from tests.support.cases import each
 
 DURATION_S, START_S = 120.0, 1_790_000_000.0
 TIMES = np.arange(0.0, DURATION_S, 0.02)
@@ -54,8 +55,8 @@ def fixes(shift_s: float = 0.0, *, velocities: bool = True, moves: bool = True) 
     return found
 
 
-@pytest.mark.parametrize("velocities", [True, False])
-@pytest.mark.parametrize(
+@each("velocities", [True, False])
+@each(
     ("shift_s", "named"),
     [
         (18.0, "the leap seconds between GPS time and UTC"), (-18.0, "the leap seconds between GPS time and UTC"),

@@ -6,6 +6,7 @@ import pytest
 
 from cli.import_drive.mapping.mapping import Mapping, parse_mapping
 from shared.errors import UserError
+from tests.support.cases import each
 
 ROOT = Path(__file__).parents[5]
 IMU = """
@@ -22,9 +23,7 @@ def mapping(text: str) -> Mapping:
     return parse_mapping('name = "drive"\n' + text, "m.toml")
 
 
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "benchmarks" / "recordings" / "mappings").glob("*.toml")), ids=lambda path: path.stem
-)
+@each("path", sorted((ROOT / "benchmarks" / "recordings" / "mappings").glob("*.toml")))
 def test_every_mapping_of_the_repository_is_valid_and_its_vehicle_file_exists(path: Path) -> None:
     found = parse_mapping(path.read_text(encoding="utf-8"), str(path))
     assert found.name == path.stem
@@ -32,7 +31,7 @@ def test_every_mapping_of_the_repository_is_valid_and_its_vehicle_file_exists(pa
     assert (path.parent / found.vehicle_file).is_file()
 
 
-@pytest.mark.parametrize(
+@each(
     ("wrong", "sentence"),
     [
         ('[imu]\nfile = "a.csv"\ntme = {}', "did you mean 'time'"),

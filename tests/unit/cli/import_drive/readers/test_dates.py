@@ -3,11 +3,12 @@ from datetime import UTC, datetime
 import pytest
 
 from cli.import_drive.readers.dates import unix_time
+from tests.support.cases import each
 
 NOON = datetime(2026, 9, 21, 10, 20, 0, 500_000, tzinfo=UTC).timestamp()
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "2026-09-21T10:20:00.5", "2026-09-21 10:20:00.500", "2026/09/21 10:20:00.500", "2026/9/21 10:20:00,5",

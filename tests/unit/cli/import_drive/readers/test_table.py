@@ -5,11 +5,12 @@ import pytest
 
 from cli.import_drive.readers.table import Forms, arrays_table, read_table
 from shared.errors import UserError
+from tests.support.cases import each
 
 HEADER = ("t", "lat", "h")
 
 
-@pytest.mark.parametrize(
+@each(
     ("row", "said"),
     [
         (["1790000000,000", "47,2", "450"], r"column 't': '1790000000,000' is not a number: it has a decimal comma"),

@@ -16,6 +16,7 @@ from services.core.cooperative.broadcast.ephemeris import (
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import WEEK_NS, Constellation, SatelliteId
 from shared.maths.gnss_signals import EARTH_RATE
+from tests.support.cases import each
 from tests.support.gnss.constellation import NOW_NS, TOE_NS, constellation, ephemeris
 
 GPS, GALILEO = SatelliteId(Constellation.GPS, 5), SatelliteId(Constellation.GALILEO, 11)
@@ -34,7 +35,7 @@ def test_an_eccentricity_that_is_no_ellipses_is_an_error() -> None:
         eccentric_anomaly(1.0, 1.0)
 
 
-@pytest.mark.parametrize("one", constellation()[::5], ids=lambda one: str(one.satellite))
+@each("one", constellation()[::5])
 def test_the_velocity_and_the_clock_drift_are_the_derivatives_of_position_and_clock(one: Ephemeris) -> None:
     before, after = (satellite_state(one, NOW_NS, delay) for delay in (0.5, -0.5))
     state = satellite_state(one, NOW_NS)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from services.core.cooperative.hypotheses import SOLUTIONS_MAXIMUM, satellite_hypotheses
+from services.core.cooperative.hypotheses import SOLUTIONS_MAXIMUM, _ratio, satellite_hypotheses
 from services.core.cooperative.measurements import Constellation, FloatArray, Measurement, RawEpoch, SatelliteId
 from services.core.cooperative.process import Config, In, Process
-from services.core.cooperative.satellites.leave_out import LINEAR_M, solutions_without
+from services.core.cooperative.satellites.leave_out import LINEAR_M, _separation, solutions_without
 from services.core.cooperative.satellites.model import ErrorModel, Sky, usable_sights
 from services.core.cooperative.satellites.solution import PositionFit, fit_position, fit_velocity, masked
 from shared.maths.earth import Geodetic, ecef_from_geodetic
@@ -197,3 +197,21 @@ def test_a_message_holds_the_largest_separations_if_there_are_more_than_it_takes
     monkeypatch.setattr("services.core.cooperative.hypotheses.SOLUTIONS_MAXIMUM", 5)
     part = satellite_hypotheses(position, None, NS, false_alarm_rate=RATE, risk=RISK)
     assert part.solutions == whole.solutions[:5]
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1.0, 1e5])
+def test_the_separation_of_two_positions_does_not_depend_on_the_unit_of_length(scale: float) -> None:
+    """Against chi-square by its inverse; a direction without an extent does not count."""
+    cov = scale**2 * np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    apart = scale * np.array([1.0, -2.0, 3.0])
+    expected = apart[:2] @ np.linalg.solve(cov[:2, :2], apart[:2])
+    chi_square, directions = _separation(apart, cov)
+    assert chi_square == pytest.approx(float(expected)) and directions == 2
+    assert _separation(apart, np.zeros((3, 3))) == (None, 0)
+
+
+@pytest.mark.parametrize(("separation", "limit", "ratio"), [(15.0, 30.0, 0.5), (None, None, 0.0), (None, 30.0, 0.0)])
+def test_a_position_without_a_separation_is_the_last_to_be_shown(
+    separation: float | None, limit: float | None, ratio: float
+) -> None:
+    assert _ratio(HypothesisSolution.model_construct(separation=separation, separation_limit=limit)) == ratio

@@ -12,6 +12,7 @@ from services.core.cooperative.satellites.monitor import RaimSettings, Satellite
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
+from tests.support.cases import each
 from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch, sight_of
 
 HERE = np.array(ecef_from_geodetic(Geodetic(0.83, 0.16, 300.0)))
@@ -174,7 +175,7 @@ BAD = (
 )
 
 
-@pytest.mark.parametrize(("reason", "bad"), BAD, ids=[f"{reason}-{k}" for k, (reason, _) in enumerate(BAD)])
+@each(("reason", "bad"), BAD)
 def test_bad_measurements_are_refused_with_a_counted_reason(reason: str, bad: Measurement) -> None:
     epoch = raw_epoch(HERE)
     rest = tuple(one for one in epoch.measurements if one is not FIRST and one.satellite != FIRST.satellite)

@@ -164,6 +164,7 @@ def test_a_disagreement_before_readmission_restarts_the_time_of_agreement() -> N
     assert standing.excluded and standing.agreeing_since_ns == 1_100_000_000
 
 
+@pytest.mark.slow
 def test_robust_weights_have_smaller_errors_in_bursts_than_a_hard_gate_or_full_weight() -> None:
     """Multipath of 1.5 and 2.5 m for 3 s. The largest error is 1.0 m, with a hard gate 1.2 m, with full weight more."""
     sizes = (1.5, 2.5)

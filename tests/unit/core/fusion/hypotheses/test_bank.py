@@ -148,6 +148,7 @@ def test_separation_is_the_square_of_the_difference_over_its_covariance() -> Non
     assert squared(apart, np.zeros((3, 3))) is None
 
 
+@pytest.mark.slow
 def test_a_paused_bank_costs_nothing_leaves_the_position_unchanged_and_begins_again() -> None:
     nav, other = navigator(90.0), navigator(90.0)
     nav.bank.pause(paused=True)

@@ -29,6 +29,8 @@ def test_the_largest_rate_stays_until_nothing_is_held_and_a_gap_is_no_growth() -
     rate.update(6 * SECOND_NS, None)
     rate.update(7 * SECOND_NS, (500.0, 0.0, 0.0))
     assert rate.largest[0] == pytest.approx(2.0)
+    rate.update(7 * SECOND_NS, (900.0, 0.0, 0.0))  # a time that stands still has no rate
+    assert rate.largest[0] == pytest.approx(2.0)
     rate.forget()
     assert rate.largest == (0.0, 0.0)
 

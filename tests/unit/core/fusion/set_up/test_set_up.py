@@ -11,16 +11,19 @@ import numpy.typing as npt
 import pytest
 
 from cli.solve.overrides import with_settings
+from services.core.fusion.aids.gnss.fix import GnssVelocity
+from services.core.fusion.set_up.axes import AxesFit, fit_axes
 from services.core.fusion.set_up.delay import _fit, lag_of
 from services.core.fusion.set_up.findings import Check, Verdict
 from services.core.fusion.set_up.monitor import ArmError, SetUpMonitor, check_arm
-from services.core.fusion.set_up.motion import MOST_WAITING, Changes, Motion, MotionLog, Velocities
-from services.core.fusion.set_up.receiver import _covered
+from services.core.fusion.set_up.motion import MOST_WAITING, Changes, Intervals, Motion, MotionLog, Velocities
+from services.core.fusion.set_up.receiver import _covered, _mean_velocity
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
 from shared.maths.rotation import Vector, ned_from_body
 from shared.runtime.config import LEVEL_MOUNTING, GnssAntenna, ImuMounting, Vehicle, parse_vehicle
+from tests.support.cases import each
 from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
 
 SECONDS = 180.0
@@ -65,7 +68,7 @@ def correction_of(setting: dict[str, Any]) -> npt.NDArray[np.float64]:
     return change
 
 
-@pytest.mark.parametrize("what", FAULTS)
+@each("what", FAULTS)
 def test_each_wrong_setting_is_reported_by_the_check_of_its_name_alone(what: str) -> None:
     faults, expected = FAULTS[what]
     found = contradicted(faults.checks(town()))
@@ -88,7 +91,7 @@ def test_the_setting_that_a_check_proposes_corrects_the_fault() -> None:
     assert np.degrees(np.arctan2(-turned[0, 1], turned[0, 0])) == pytest.approx(20.0, abs=2.0)
 
 
-@pytest.mark.parametrize("what", FAULTS)
+@each("what", FAULTS)
 def test_a_proposed_setting_can_be_given_to_obu_solve_as_it_is_printed(what: str) -> None:
     faults, _ = FAULTS[what]
     proposed = [check.setting for check in faults.checks(town()).values() if check.setting]
@@ -114,9 +117,9 @@ def test_a_correct_set_up_is_not_reported(scenario: str, seed: int) -> None:
     assert checks["accelerometer_scale"].verdict is checks["imu_upright"].verdict is Verdict.AGREES
 
 
-@pytest.mark.parametrize("of", ["roll", "pitch"])
-@pytest.mark.parametrize("degrees_", [15.0, -15.0])
-@pytest.mark.parametrize("moving", [True, False])
+@each("of", ["roll", "pitch"])
+@each("degrees_", [15.0, -15.0])
+@each("moving", [True, False])
 def test_a_tilt_of_15_degrees_is_a_finding_with_the_setting_that_corrects_it(
     of: str, degrees_: float, moving: bool
 ) -> None:
@@ -324,3 +327,54 @@ def test_a_window_is_covered_where_measurements_surround_it_without_a_gap() -> N
     time = np.array([0.0, 1.0, 2.0, 6.0, 7.0, 8.0])
     begin, end = np.array([-0.5, 0.5, 0.5, 6.5, 6.5]), np.array([1.5, 1.5, 3.0, 7.5, 8.5])
     assert _covered(time, begin, end).tolist() == [False, True, False, True, False]
+
+
+def test_the_mean_velocity_of_a_receiver_needs_two_velocities() -> None:
+    """It grows evenly by 2 m/s to the north in a second: 2 m/s over that second, 1.5 m/s over its first half."""
+    velocities = np.array([[0.0, 1.0, 0.0, 0.0], [1.0, 3.0, 0.0, 0.0]])
+    second = Velocities(np.array([0.0]), np.array([1.0]), np.zeros((1, 3)))
+    assert _mean_velocity(velocities, second) == pytest.approx(np.array([[2.0, 0.0]]))
+    assert np.isnan(_mean_velocity(velocities[:1], second)).all()
+
+
+def test_rates_that_the_course_does_not_explain_tell_no_axis() -> None:
+    """Of a gyroscope that measures noise; the forces tell the axes of the accelerometer all the same."""
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 200.0)
+    course_rate, ahead, still = 0.2 * np.sin(time), np.cos(0.3 * time), np.zeros(len(time))
+    force = np.column_stack([ahead, 10.0 * course_rate, still - 9.8])
+    integrals = np.vstack([[still, still, -9.8 * time], np.zeros((3, len(time)))])
+    motion = Motion(time, integrals, still, np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, 2)))
+    turning = np.column_stack([still, still, course_rate])
+
+    def axes(rate: npt.NDArray[np.float64]) -> AxesFit:
+        seen = Intervals(
+            time, np.ones(len(time)), np.full(len(time), 10.0), np.cos(0.3 * time), course_rate, force, rate
+        )
+        found = fit_axes(motion, seen, LEVEL_MOUNTING)
+        assert found is not None and found.columns is not None
+        return found
+
+    noise = 0.01 * rng.standard_normal((len(time), 3))
+    turn = axes(turning + 0.1 * noise).turn
+    assert turn is not None and turn == pytest.approx([0.0, 0.0, 1.0], abs=0.01)
+    assert axes(noise).turn is None
+
+
+def test_what_a_delay_may_be_off_by_is_what_the_filter_does_not_correct_of_the_one_that_is_found() -> None:
+    monitor = SetUpMonitor(Settings())
+    assert monitor.spread(0.3) == monitor.spread()
+    monitor.checks["gnss_delay"] = Check("gnss_delay", Verdict.CONTRADICTS, statistic=0.3, sd=0.03), 0
+    assert monitor.spread(0.3).delay_s == pytest.approx(0.03)
+    assert monitor.spread(0.26).delay_s == pytest.approx(0.05)
+    assert monitor.spread().delay_s == SetUpMonitor(Settings()).spread().delay_s
+
+
+def test_a_measurement_whose_stamp_does_not_advance_is_not_taken_twice() -> None:
+    log = MotionLog()
+    log.samples((0, 50_000_000, 100_000_000), ((0.0, 0.0, -9.81),) * 3, ((0.0, 0.0, 0.0),) * 3)
+    for stamp, north in ((10_000_000, 1.0), (10_000_000, 2.0), (5_000_000, 3.0), (90_000_000, 4.0)):
+        log.see(GnssVelocity(stamp, stamp, "gnss", (north, 0.0, 0.0), np.eye(3), 3, (0.0, 0.0, 0.0)))
+    motion = log.motion()
+    assert motion is not None and len(motion.nodes) >= 2
+    assert motion.velocities[:, 1].tolist() == [1.0, 4.0]

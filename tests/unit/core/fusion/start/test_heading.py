@@ -6,7 +6,15 @@ import pytest
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.codes import HeadingMethod
 from services.core.fusion.settings import Settings
-from services.core.fusion.start.heading import Heading, Motion, Prior, heading_of_motion, saved_heading
+from services.core.fusion.start.heading import (
+    SAVED_YAW_SD_LIMIT,
+    Heading,
+    Motion,
+    Prior,
+    heading_of_motion,
+    parked_heading,
+    saved_heading,
+)
 from services.core.fusion.start.levelling import Levelling
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector
@@ -80,3 +88,14 @@ def test_a_saved_heading_is_not_used_at_another_position_or_in_motion() -> None:
     saved = Prior(PLACE, (1.0, 1.0, 2.0), radians(70.0), radians(1.0))
     assert saved_heading(saved, levelled(0.0, drive_s=0.0), fix_at((300.0, 0.0, 0.0), sd=2.0)) is None
     assert saved_heading(saved, levelled(1.0, rest_s=0.0, rate=0.1), fix_at(STILL)) is None
+
+
+@pytest.mark.parametrize(("yaw_sd", "parked", "used"), [
+    (SAVED_YAW_SD_LIMIT, True, True), (1.001 * SAVED_YAW_SD_LIMIT, True, False), (0.01, False, False),
+])  # fmt: skip
+def test_a_saved_heading_of_a_parked_vehicle_counts_up_to_a_deviation_of_30_degrees(
+    yaw_sd: float, parked: bool, used: bool
+) -> None:
+    found = parked_heading(Prior(PLACE, SD, 1.0, yaw_sd, parked=parked), levelled(0.0, drive_s=0.0))
+    assert (found is not None) == used
+    assert found is None or (found.turn == pytest.approx(1.0, abs=1e-6) and found.sd >= yaw_sd)

@@ -32,6 +32,7 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
 from shared.messages.explanation import explain
 from shared.messages.navigation import NavigationPhase
+from tests.support.cases import each
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -244,7 +245,7 @@ def invalid(name: str) -> SavedState:
     return saved._replace(inertial=inertial, parameters=parameters, sample=read, covariance=tuple(P[UPPER].tolist()))
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "reason"),
     [
         ("indefinite", "saved state without a positive covariance"),

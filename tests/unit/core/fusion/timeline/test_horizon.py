@@ -2,11 +2,11 @@
 
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.core.fusion.timeline.horizon import STEPS_NS, Horizon
+from tests.support.cases import each
 
 MS = 1_000_000
 ALLOWANCE_NS, LONGEST_NS = 50 * MS, 2_500 * MS
@@ -16,7 +16,7 @@ def horizon() -> Horizon:
     return Horizon(ALLOWANCE_NS, LONGEST_NS)
 
 
-@pytest.mark.parametrize(
+@each(
     ("late_ms", "lag_ms"),
     [
         (-5_000, 200), (0, 200), (150, 200), (151, 300), (250, 300), (450, 500), (451, 700), (650, 700),

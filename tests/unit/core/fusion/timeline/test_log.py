@@ -159,6 +159,8 @@ def test_a_corrected_delay_moves_entries_after_a_time_and_leaves_those_out_that_
     assert [(one.time_ns, cast(Value, one).value) for one in log.entries(0, ALL)] == [
         (1_000, 1_000), (2_000, 3_000), (3_000, 4_000),
     ]  # fmt: skip
+    log.change(2_000, lambda one: one.corrected(1e-6, 0.0))  # to the time itself, up to which all is done
+    assert [one.time_ns for one in log.entries(0, ALL)] == [1_000, 2_000]
 
 
 def test_entries_are_dropped_with_the_samples() -> None:

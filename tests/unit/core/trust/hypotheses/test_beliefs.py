@@ -13,6 +13,7 @@ from services.core.trust.hypotheses.priors import PRIOR, SUSPECTED
 from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis, Outcome
 from shared.words.words import words
+from tests.support.cases import each
 
 H = Hypothesis
 EITHER, SPEEDS = ("gnss", "imu"), ("gnss", "odometer")
@@ -139,7 +140,7 @@ def test_what_was_said_is_kept_while_a_contradiction_is_open_and_forgotten_after
     assert not gone.survives and gone.probability == pytest.approx(PRIOR[H.GNSS], rel=1e-2)
 
 
-@pytest.mark.parametrize("monitor", Monitor)
+@each("monitor", Monitor)
 def test_every_accusation_of_a_source_is_explained_by_its_hypothesis(monitor: Monitor) -> None:
     for name, hypothesis in (("gnss", H.GNSS), ("imu", H.IMU), ("odometer", H.ODOMETER)):
         if (monitor, name) != (Monitor.COHERENT_SCALE, "odometer"):

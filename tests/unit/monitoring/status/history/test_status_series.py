@@ -10,6 +10,7 @@ from services.monitoring.status.series import fields, past, rings, store
 from services.monitoring.status.series.store import Series, SeriesFull
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssSatellites, Satellite
 from shared.messages.navigation import AidingKind, AidingUpdate, TruthState
+from tests.support.cases import each
 from tests.support.dashboard.status_world import solution
 
 NS = 1_000_000_000
@@ -51,7 +52,7 @@ def test_a_late_value_goes_to_its_own_period_and_filling_overwrites_nothing() ->
     assert ring.values(6, 9) == [None, 7.0, 8.0, 9.0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "unit", "axis"),
     [
         ("gnss/fix:velocity_ned_m_s.1", "m/s", "east"),

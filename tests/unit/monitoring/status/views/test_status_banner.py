@@ -27,6 +27,7 @@ from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.operation import ProcessLoad, Work
 from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.words.words import Told, stated, words
+from tests.support.cases import each
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 from tests.support.words import longest
 
@@ -77,7 +78,7 @@ def test_each_state_of_core_trust_has_its_own_word_sentence_and_action(level: Tr
 DECIDING = sorted(code for code, row in words().rows.items() if code.startswith("trust.") and row.sentence)
 
 
-@pytest.mark.parametrize("code", DECIDING)
+@each("code", DECIDING)
 def test_a_code_is_one_plain_sentence_and_its_figures_are_for_those_who_ask(code: str) -> None:
     level = TrustLevel.CAUTION
     why = longest(code, words())
@@ -100,12 +101,11 @@ def test_the_banner_speaks_every_language() -> None:
     assert all(line.action for line in shown.lines.values())
 
 
-@pytest.mark.parametrize(
+@each(
     "why",
     [(), (explain("trust.of_a_newer_release", a=1),), (explain("trust.suspected"),)],
-    ids=["a recording of an earlier release", "a newer vehicle", "values that do not fit"],
 )
-@pytest.mark.parametrize("level", TrustLevel)
+@each("level", TrustLevel)
 def test_a_message_without_codes_or_with_unknown_ones_is_shown_by_its_reason_as_it_is(
     level: TrustLevel, why: tuple[Explanation, ...]
 ) -> None:
@@ -118,7 +118,7 @@ def test_a_message_without_codes_or_with_unknown_ones_is_shown_by_its_reason_as_
     assert (shown.state, shown.action) == (Trust(level.value), words().action(explain(OF_STATE[level])))
 
 
-@pytest.mark.parametrize("code", [*DECIDING, "trust.of_a_newer_release"])
+@each("code", [*DECIDING, "trust.of_a_newer_release"])
 def test_with_every_text_replaced_by_x_the_state_and_what_is_to_be_done_are_the_same(code: str) -> None:
     why = longest(code, words()) if code in words().rows else explain(code)
     for level in TrustLevel:

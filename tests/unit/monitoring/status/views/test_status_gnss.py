@@ -35,6 +35,7 @@ from shared.messages.gnss import (
 from shared.messages.trust import MonitorTest, Outcome, TrustMonitor
 from shared.trust.result import SATELLITE_LEFT_OUT
 from tests.support.bus.envelopes import sent
+from tests.support.cases import each
 from tests.support.dashboard.status_world import trust
 
 NS = 1_000_000_000
@@ -50,7 +51,7 @@ def fix(**changes: object) -> GnssFix:
     return GnssFix.model_validate(given)
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "reason"),
     [
         ({}, "tracked; the receiver states no reason"),
@@ -103,7 +104,7 @@ def test_an_unknown_mask_is_no_reason() -> None:
     assert why_not_used(low, None) == "tracked; the receiver states no reason"
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "kind", "correction"),
     [
         ({}, "three_d", "none"),

@@ -20,6 +20,7 @@ from shared.messages.gnss import (
     GnssSignalQuality,
 )
 from shared.messages.operation import MessageUse
+from tests.support.cases import each
 
 NS = 1_000_000_000
 START_NS = 1_795_521_720 * NS  # 2026-11-24 12:02:00 UTC
@@ -204,8 +205,8 @@ def test_every_form_of_numbering_gives_the_number_in_the_system(
     assert (satellite.constellation, satellite.number, satellite.used) == (constellation, within, True)
 
 
-@pytest.mark.parametrize("step_s", [-1, 1, -3, 18])
-@pytest.mark.parametrize("kinds", [["RMC", "GGA", "3-D"], ["3-D", "GGA", "RMC"], ["RMC"]])
+@each("step_s", [-1, 1, -3, 18])
+@each("kinds", [["RMC", "GGA", "3-D"], ["3-D", "GGA", "RMC"], ["RMC"]])
 def test_a_step_of_utc_by_whole_seconds_leaves_the_stamps_even(step_s: int, kinds: list[str]) -> None:
     found = told(lambda _: kinds, [100 + k + (step_s if k >= 10 else 0) for k in range(30)])
     assert len(found.fixes) == 30

@@ -18,6 +18,7 @@ from services.parsers.gnss.protocols import FRAMINGS
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw
 from shared.messages.operation import MessageUse
 from shared.protocols.framing.framer import Framer
+from tests.support.cases import each
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -80,7 +81,7 @@ GSA = "GSA,A,3,01,02,03,04,05,06,07,08,09,10,11,12,2.2,1.2,1.9,1"
 GST = "GST,010203.50,10.0,2.0,1.0,45.0,1.5,2.5,3.5"
 
 
-@pytest.mark.parametrize("talker", ["GP", "GN", "GL", "GA", "GB", "BD", "GQ", "GI"])
+@each("talker", ["GP", "GN", "GL", "GA", "GB", "BD", "GQ", "GI"])
 def test_every_field_is_decoded_with_its_unit_for_any_talker(talker: str) -> None:
     fix = fix_of(*(talker + body for body in (RMC, GGA, GSA, GST)))
     assert (fix.fix_type, fix.carrier_solution, fix.differential) == (FixType.THREE_D, CarrierSolution.FIXED, True)

@@ -27,6 +27,7 @@ from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssOutput, GnssRaw, GnssReceiver, GnssWrite
 from shared.messages.operation import DeviceFound, DeviceState
 from shared.protocols.ubx import SYNC
+from tests.support.cases import each
 from tests.support.gnss.generation8 import Generation8, acknowledge, parse_ubx_command
 from tests.support.gnss.generation9 import Generation9
 from tests.support.gnss.ublox import valset
@@ -292,8 +293,8 @@ def test_a_receiver_that_lacks_the_fix_is_not_accepted() -> None:
 CONTROLLED = Controller().gnss_outputs
 
 
-@pytest.mark.parametrize("period_s", [1.0, 0.2, 0.1, 0.04])
-@pytest.mark.parametrize("rate_baud", [4800, 9600, 19200, 38400, 57600, 115200, 460800])
+@each("period_s", [1.0, 0.2, 0.1, 0.04])
+@each("rate_baud", [4800, 9600, 19200, 38400, 57600, 115200, 460800])
 def test_no_more_is_asked_for_than_the_port_carries(rate_baud: int, period_s: float) -> None:
     """The fix is always asked for; what is left out, and at which rate it would not be, is said."""
     wanted = FULL.model_copy(update={"outputs": CONTROLLED, "navigation_period_s": period_s})

@@ -1,6 +1,7 @@
 import contextlib
 import math
 import struct
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import astuple
 from pathlib import Path
@@ -17,7 +18,7 @@ from pyubx2.ubxtypes_core import UBX_MSGIDS
 from services.parsers.gnss.gnss_time import utc_ns
 from services.parsers.gnss.protocols import FRAMINGS
 from services.parsers.gnss.ubx import messages
-from services.parsers.gnss.ubx.epoch import DECODERS
+from services.parsers.gnss.ubx.epoch import DECODERS, EpochAssembler
 from shared.maths.dates import GPS_EPOCH_UTC_NS
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssSignal, SignalQuality
@@ -430,3 +431,17 @@ def test_nav_pvat_and_nav_pl_are_decoded_as_by_pyubx2() -> None:
     ellipse = encode("NAV-PL", version=1, plPosValid=1, plPosFrame=3, plPos1=3000, plPos2=2000, plPos3=7000)
     assert messages.decode_levels(ellipse) == messages.Levels(3.0, 7.0)
     assert messages.decode_levels(encode("NAV-PL", version=1, plPosFrame=1)) == messages.Levels(None, None)
+
+
+@pytest.mark.parametrize("kind", ["PVT", "PVAT"])
+def test_an_epoch_with_a_fix_does_not_wait_for_a_message_that_says_less(kind: str) -> None:
+    """NAV-STATUS came once behind the first fix; from the third epoch on a fix is given as it comes."""
+    fix = pvt_bytes() if kind == "PVT" else bytes(116)
+    assembler, given = EpochAssembler(Counter()), []
+    for second in range(4):
+        now = struct.pack("<I", 1000 * second)
+        given.append(len(list(assembler.take(kind, now + fix[4:], second))))
+        if second == 0:
+            status = encode("NAV-STATUS", iTOW=0, gpsFix=3, gpsFixOk=1)
+            given[-1] += len(list(assembler.take("STATUS", status, second)))
+    assert given == [0, 1, 2, 1]

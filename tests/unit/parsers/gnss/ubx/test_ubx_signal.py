@@ -26,6 +26,7 @@ from shared.messages.gnss import (
 )
 from shared.protocols.framing.framer import Framer
 from shared.protocols.ubx import SYNC
+from tests.support.cases import each
 from tests.support.data import recording
 from tests.support.gnss.ublox import parse_ubx
 
@@ -161,7 +162,7 @@ def leaves(value: object, name: str = "") -> dict[str, object]:
     return {name: value}
 
 
-@pytest.mark.parametrize(("message", "payload", "field"), RAISED, ids=[f"{row[2]}-{i}" for i, row in enumerate(RAISED)])
+@each(("message", "payload", "field"), RAISED)
 def test_each_flag_raised_alone_changes_exactly_its_own_field(
     message: tuple[int, int], payload: bytes, field: str
 ) -> None:
@@ -170,7 +171,7 @@ def test_each_flag_raised_alone_changes_exactly_its_own_field(
     assert {name for name in before if before[name] != after[name]} == {field}
 
 
-@pytest.mark.parametrize(
+@each(
     ("kind", "payload", "reason"),
     [
         ("SEC-SIG", b"\3" + security()[1:], "version"),

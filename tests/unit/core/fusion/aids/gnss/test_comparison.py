@@ -144,3 +144,11 @@ def test_corrections_of_the_filter_are_removed_from_the_velocity_gain() -> None:
     later = corrections.at(3 * 10**9)
     assert later.velocity == pytest.approx(complex(0.1, -0.2 + 2.0 * 1e-3 * STANDARD_GRAVITY))
     assert later.yaw == 0.02
+
+
+def test_a_delay_that_changes_moves_a_velocity_by_the_difference_and_back() -> None:
+    seen = GnssVelocity(10**9, 0, "gnss", (1.0, 0.0, 0.0), np.eye(3), 3, (0.0, 0.0, 0.0))
+    late = seen.corrected(0.1, 0.3)
+    assert (late.time_ns, late.corrected(0.1, 0.3)) == (700_000_000, late)
+    assert late.corrected(0.0, 0.2).time_ns == 800_000_000
+    assert late.corrected(0.0, 0.0) == seen

@@ -10,6 +10,7 @@ from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens
 from shared.page.access.peer import Peer, networks, peer_of
 from shared.runtime.config import load_vehicle, parse_vehicle
+from tests.support.cases import each
 
 VEHICLES = Path(__file__).parents[6] / "deploy" / "vehicles"
 HERE, ELSEWHERE = "127.0.0.1", "192.168.1.20"
@@ -39,7 +40,7 @@ def test_a_header_of_a_proxy_makes_a_peer_foreign(header: str) -> None:
     assert found.forwarded and not found.loopback
 
 
-@pytest.mark.parametrize(
+@each(
     ("client", "chain", "address"),
     [
         ("127.0.0.1", "203.0.113.7", "203.0.113.7"),
@@ -67,7 +68,7 @@ def test_https_is_believed_of_a_trusted_proxy() -> None:
     assert peer_of("192.0.2.1", "wss", {}, ()).encrypted
 
 
-@pytest.mark.parametrize(
+@each(
     ("rules", "here", "elsewhere", "through_proxy"),
     [
         (Rules(simulated=True), False, True, True),
@@ -92,7 +93,7 @@ def test_a_login_is_needed_unless_the_data_are_simulated_and_the_browser_is_here
     assert rules.login_needed(peer(HERE, x_forwarded_for=HERE)) is through_proxy
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "simulated"),
     [
         ("[sensors.simulator]", True),
