@@ -360,7 +360,9 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
         expect(services.get_by_text(re.compile("stale|running"))).to_have_count(0)
         page.keyboard.type("gs")
         expect(page.locator("[id='node-core.fusion']")).to_contain_text("not known")
-        expect(page.locator(".foot .problems:not(.verdict-state)")).to_contain_text("1 problem: the broker is not reachable")
+        expect(page.locator(".foot .problems:not(.verdict-state)")).to_contain_text(
+            "1 problem: the broker is not reachable"
+        )
         expect(page.get_by_role("region", name="Outages").locator("li")).to_have_count(1)
 
 

@@ -21,10 +21,11 @@ from shared.rejects import PARTS
 from shared.runtime.config import Section, Vehicle, own_fields
 from shared.words.words import PLACEHOLDER, words
 
-from .schemas import schemas_page
-from .solve.metrics.metrics import METRICS, TIMINGS
-from .solve.smoothing import SMOOTHED_METRICS
-from .solve.track import COLUMNS
+from ..schemas import schemas_page
+from ..solve.metrics.metrics import METRICS, TIMINGS
+from ..solve.smoothing import SMOOTHED_METRICS
+from ..solve.track import COLUMNS
+from .wrap import wrap
 
 BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
 FAST = (
@@ -273,7 +274,7 @@ def _wants(role: Role) -> str:
 
 def printed(root: Path) -> dict[Path, str]:
     """Make every file of the repository that is printed from code, wholly or between its markers."""
-    files = {root / "docs" / "reference" / name: text for name, text in pages().items()}
+    files = {root / "docs" / "reference" / name: wrap(text) for name, text in pages().items()}
     for name, text in blocks().items():
         lines = (root / name).read_text(encoding="utf-8").splitlines(keepends=True)
         begin, end = (next(n for n, line in enumerate(lines) if mark in line) for mark in (BEGIN, END))
