@@ -561,7 +561,7 @@ def doctor(
 
 @app.command(hidden=True)
 def reference(root: Annotated[Path, typer.Argument(help="Folder of the repository.")] = Path()) -> None:
-    """Print from code what the repository holds of it: docs/reference, the architecture's diagram, obu.target."""
+    """Print from code what the repository holds of it: docs/reference, the architecture's picture, obu.target."""
     from .reference.pages import write
 
     for path in write(root):

@@ -11,7 +11,7 @@ from services.monitoring.status.web.access.rights import GRANTED, MEANING, Right
 from services.monitoring.status.web.access.table import ROWS
 from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
-from shared.bus.contract import Json, diagram, processes_table, table, topics_table
+from shared.bus.contract import Json, processes_table, table, topics_table
 from shared.errors import UserError
 from shared.messages.trust import TrustLevel
 from shared.missing_sensors import MISSING
@@ -25,6 +25,7 @@ from ..schemas import schemas_page
 from ..solve.metrics.metrics import METRICS, TIMINGS
 from ..solve.smoothing import SMOOTHED_METRICS
 from ..solve.track import COLUMNS
+from .picture import picture
 from .wrap import wrap
 
 BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
@@ -260,10 +261,7 @@ def pages() -> dict[str, str]:
 
 def blocks() -> dict[str, str]:
     """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
-    return {
-        "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
-        **{f"deploy/systemd/{role}.target": _wants(role) for role in Role},
-    }
+    return {f"deploy/systemd/{role}.target": _wants(role) for role in Role}
 
 
 def _wants(role: Role) -> str:
@@ -275,6 +273,7 @@ def _wants(role: Role) -> str:
 def printed(root: Path) -> dict[Path, str]:
     """Make every file of the repository that is printed from code, wholly or between its markers."""
     files = {root / "docs" / "reference" / name: wrap(text) for name, text in pages().items()}
+    files[root / "docs" / "architecture.svg"] = picture()
     for name, text in blocks().items():
         lines = (root / name).read_text(encoding="utf-8").splitlines(keepends=True)
         begin, end = (next(n for n, line in enumerate(lines) if mark in line) for mark in (BEGIN, END))
