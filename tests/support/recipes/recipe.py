@@ -1,0 +1,66 @@
+"""Reads a recipe of `docs/how-to/add`: its rows say what to touch, and which test tells that it was forgotten."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from .tree import ROOT, Edit
+
+FOLDER = ROOT / "docs" / "how-to" / "add"
+DOCS = "`make docs`"
+ROW = re.compile(r"^\| (\d+)\. (.*?) \| (.*?) \| (.*?) \|$", re.MULTILINE)
+QUOTED = re.compile(r"`([^`]+)`")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of a recipe."""
+
+    number: int
+    what: str
+    files: tuple[str, ...]  # names in angle brackets stand for any
+    told_by: tuple[str, ...]  # tests, as pytest names them
+
+    @property
+    def prints(self) -> bool:
+        """Whether `make docs` does this step."""
+        return self.what.startswith(DOCS)
+
+    def names(self, path: str) -> bool:
+        """Whether the step says to touch a file."""
+        return any(re.fullmatch(pattern(file), path) for file in self.files)
+
+    def tests(self, paths: Iterable[str]) -> list[str]:
+        """Tests that tell, with the names that the angle brackets of the recipe have in files of this step."""
+        names: dict[str, str] = {}
+        for path in paths:
+            for file in self.files:
+                if matched := re.fullmatch(pattern(file), path):
+                    names |= matched.groupdict()
+        return [re.sub(r"<(\w+)>", lambda found: names[found[1]], test) for test in self.told_by]
+
+
+def pattern(file: str) -> str:
+    """Regular expression of a file's name on a page; what stands for a name in angle brackets is a group."""
+    parts = re.split(r"<(\w+)>", file)
+    seen: set[str] = set()
+    found = ""
+    for n, part in enumerate(parts):
+        if n % 2 == 0:
+            found += re.escape(part)
+        else:
+            found += f"(?P={part})" if part in seen else f"(?P<{part}>[^/]+)"
+            seen.add(part)
+    return found
+
+
+def steps_of(recipe: str) -> list[Step]:
+    """Rows of a page."""
+    text = (FOLDER / f"{recipe}.md").read_text(encoding="utf-8")
+    return [
+        Step(int(number), what, tuple(QUOTED.findall(files)), tuple(QUOTED.findall(told)))
+        for number, what, files, told in ROW.findall(text)
+    ]
+
+
+Example = tuple[tuple[Edit, ...], ...]  # of each step that is not printed, in the order of the page
