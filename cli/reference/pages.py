@@ -31,7 +31,7 @@ from .wrap import wrap
 BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
 FAST = (
     "Each topic is `obu/<vehicle>/` and the name below. Of a *fast* one the heartbeats tell how much was sent and "
-    "received (`published`, `received` of `health/+`)."
+    "received (`published`, `received` of `health/+`). `obu topics` prints the table, `obu tail TOPIC` live messages."
 )
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
@@ -245,7 +245,7 @@ def pages() -> dict[str, str]:
     """Make every page of docs/reference that is printed from code: file name and text."""
     return {
         "topics.md": f"{HEAD}# Topics\n\n{FAST}\n\n{topics_table()}\n",
-        "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
+        "processes.md": f"{HEAD}# Processes\n\n`obu run NAME` runs one of them.\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
         "`[vehicle]` holds what several of them need. `obu migrate FILE` rewrites a file of an earlier version."
         f"\n\n{configuration_pages()}",
