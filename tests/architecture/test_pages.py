@@ -21,7 +21,7 @@ def links(page: Path) -> set[Path]:
 
 def test_the_index_names_every_page() -> None:
     pages = {
-        page for folder in ("tutorials", "how-to", "explanation", "reference") for page in (DOCS / folder).glob("*.md")
+        page for folder in ("tutorials", "how-to", "explanation", "reference") for page in (DOCS / folder).rglob("*.md")
     }
     assert pages - links(DOCS / "README.md") == set()
 

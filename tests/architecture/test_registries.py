@@ -6,6 +6,7 @@ The recipes of `docs/how-to/add` rely on these tests.
 import ast
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from cli.attack_lab.cases import ATTACKS as CASES
+from cli.doctor.devices import DRIVERS
 from cli.main import IN_MODULES, command_line
 from docs.picture import DEMOS
 from services.core.fusion.hypotheses.bank import SOLVED
@@ -24,6 +26,9 @@ from services.sensors.simulator.attacks.effects import ON_INERTIAL, ON_NEIGHBOUR
 from shared.messages.navigation import AidingKind
 from shared.messages.simulation import AttackName
 from shared.messages.trust import Hypothesis
+from shared.processes import PROCESSES, Kind, ProcessRow
+from shared.rejects import reason_of
+from tests.support.reject_kinds import kinds_in_source
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("cli", "services", "shared", "fleet", "broker")
@@ -35,6 +40,7 @@ RUN = {
     *(f"cli.{module}" for module, _ in IN_MODULES.values()),
 }
 PROGRAMS = (".process", ".__main__")  # imported by the name of the process, run as programs
+NOT_OPENED = ("sensors.v2x", "sensors.power")  # a network, and what only the driver may open
 MIGRATIONS = "fleet.database.migrations."  # Alembic reads the folder
 
 
@@ -63,7 +69,8 @@ def page(name: str) -> str:
 
 def javascript(name: str, table: str) -> str:
     """Text of a table of the dashboard, which stands in one line or ends with a line of its own."""
-    found = re.search(rf"\b{table} ?[=:] ([{{\[].*?(?:[}}\]][;,]|\n}};))", (DASHBOARD / name).read_text(), re.DOTALL)
+    text = (DASHBOARD / name).read_text(encoding="utf-8")
+    found = re.search(rf"\b{table} ?[=:] ([{{\[](?:\n.*?\n[}}\]]|[^\n]*))", text, re.DOTALL)
     assert found, f"there is no table {table} in {name}"
     return found[1]
 
@@ -101,6 +108,7 @@ def test_every_page_of_the_dashboard_has_name_key_module_and_picture(name: str) 
     assert f"{name}:" in javascript("main.js", "LATER") + javascript("main.js", "loaded"), "a module in `LATER`"
     title = re.search(rf'\b{name}: "(\w+)"', javascript("words.js", "pages"))
     assert title and f"| *{title[1]}* |" in page("reference/pages.md"), "a row in docs/reference/pages.md"
+    assert re.search(rf"^  {name}: html", (DASHBOARD / "parts.js").read_text(), re.MULTILINE), "an icon in parts.js"
     assert name in {taken for *_, names in DEMOS for taken in names}, "a picture: DEMOS of docs/picture.py"
 
 
@@ -146,6 +154,38 @@ def test_every_hypothesis_has_a_prior_and_a_solution() -> None:
     by_fusion = set(SOLVED) | {Hypothesis.SATELLITES}  # of satellites core.cooperative has the solutions
     assert by_fusion == wrong, "a solution without that source: services/core/fusion/hypotheses/bank.py"
     assert set(SOLVED_BY_THE_BANK) <= by_fusion
+
+
+@pytest.mark.parametrize("row", [row for row in PROCESSES if row.kind is Kind.DEVICE_DRIVER], ids=lambda row: row.name)
+def test_obu_doctor_opens_every_device(row: ProcessRow) -> None:
+    config = import_module(f"services.{row.name}.process").Config
+    known = row.name in {*DRIVERS, *NOT_OPENED}
+    assert known or "device" not in config.model_fields, "add it to DRIVERS of cli/doctor/devices.py"
+
+
+def test_browser_tests_open_every_page() -> None:
+    for name in ("test_layout.py", "test_page_errors.py"):
+        listed = re.search(r"^PAGES = \(.*?\)", (ROOT / "tests" / "browser" / name).read_text(), re.MULTILINE)
+        missing = {page for page in pages() if listed and f'"{page}"' not in listed[0]} - {"toll"}  # of another unit
+        assert listed and not missing, f"add {missing} to PAGES of tests/browser/{name}"
+
+
+def test_every_reject_in_the_source_is_in_the_table() -> None:
+    missing = {kind: path for kind, path in kinds_in_source().items() if reason_of(kind) is None}
+    assert not missing, f"write meaning and remedy of {missing} into shared/rejects.py or their protocol"
+
+
+def test_every_statement_is_that_of_a_monitor() -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in sources("services/core"))
+    assert set(re.findall(r'\bstatement\("(\w+)"', text)) <= set(Monitor), "a member of Monitor in core/trust/facts.py"
+
+
+@pytest.mark.parametrize("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING])
+def test_some_monitor_speaks_for_every_hypothesis_and_the_map_has_its_colours(hypothesis: Hypothesis) -> None:
+    weighed = (ROOT / "services/core/trust/hypotheses/evidence.py").read_text(encoding="utf-8")
+    assert f"Hypothesis.{hypothesis.name}" in weighed, "no statement speaks for it: core/trust/hypotheses/evidence.py"
+    colours = javascript("map/style.js", "ALTERNATIVE_COLOURS")
+    assert len(re.findall(rf"\b{hypothesis}:", colours)) == 3, "a colour in each theme of map/style.js"
 
 
 def test_the_page_of_hypotheses_has_each_with_its_prior() -> None:

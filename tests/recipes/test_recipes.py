@@ -34,7 +34,7 @@ def tree(copy: Tree) -> Iterator[Tree]:
 def paired(recipe: str) -> list[tuple[Step, tuple[Edit, ...]]]:
     """Steps of a page with what the example does at each."""
     example = iter(EXAMPLES[recipe])
-    return [(step, () if step.prints else next(example)) for step in steps_of(recipe)]
+    return [(step, () if step.command else next(example)) for step in steps_of(recipe)]
 
 
 def cases() -> list[ParameterSet]:
@@ -54,13 +54,13 @@ def test_every_page_has_an_example_and_every_example_a_page() -> None:
 def test_page_and_example_name_the_same_files(recipe: str) -> None:
     steps = steps_of(recipe)
     assert [step.number for step in steps] == list(range(1, len(steps) + 1))
-    assert len([step for step in steps if not step.prints]) == len(EXAMPLES[recipe])
+    assert len([step for step in steps if not step.command]) == len(EXAMPLES[recipe])
     for step, edits in paired(recipe):
-        if not step.prints:
+        if not step.command:
             others = [edit.path for edit in edits if not step.names(edit.path)]
             assert not others, f"step {step.number} of {recipe} does not name {others}"
         unused = [file for file in step.files if not any(Step(0, "", (file,), ()).names(e.path) for e in edits)]
-        assert step.prints or not unused, f"the example of {recipe} leaves out {unused} of step {step.number}"
+        assert step.command or not unused, f"the example of {recipe} leaves out {unused} of step {step.number}"
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
@@ -72,7 +72,7 @@ def test_make_quick_runs_the_tests_that_tell(recipe: str) -> None:
         assert step.told_by, f"step {step.number} of {recipe} names no test"
         for test in step.tests(edit.path for edit in edits):
             path = PurePosixPath(test.partition("::")[0])
-            assert step.prints or PRINTED not in test, f"step {step.number} is told of by what is not printed"
+            assert step.command or PRINTED not in test, f"step {step.number} is told of by what is not printed"
             assert any(path.is_relative_to(folder) for folder in run), f"{test} is not run by make quick"
 
 
@@ -84,9 +84,9 @@ def test_the_whole_recipe_passes(recipe: str, tree: Tree) -> None:
     edits = [edit for _, made in pairs for edit in made]
     tree.edit(edits)
     for step, _ in pairs:
-        if step.prints:
-            printed = tree.print_docs()
-            assert printed == set(step.files), f"`make docs` prints {sorted(printed)} in recipe {recipe}"
+        if step.command:
+            printed = tree.printed(step.command)
+            assert printed == set(step.files), f"{step.what} prints {sorted(printed)} in recipe {recipe}"
     python = sorted({edit.path for edit in edits if edit.path.endswith(".py")})
     for rule in (("check", "--fix", "--quiet"), ("format", "--quiet"), ("check",)):
         result = tree.run("-m", "ruff", *rule, *python)

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from .tree import ROOT, Edit
 
 FOLDER = ROOT / "docs" / "how-to" / "add"
-DOCS = "`make docs`"
+# What a step runs in place of an edit, with the arguments of Python that do the same.
+COMMANDS = {
+    "`make docs`": ("-m", "cli", "reference"),
+    "`.venv/bin/python -m tests.support.words`": ("-m", "tests.support.words"),
+}
 ROW = re.compile(r"^\| (\d+)\. (.*?) \| (.*?) \| (.*?) \|$", re.MULTILINE)
 QUOTED = re.compile(r"`([^`]+)`")
 
@@ -22,9 +26,9 @@ class Step:
     told_by: tuple[str, ...]  # tests, as pytest names them
 
     @property
-    def prints(self) -> bool:
-        """Whether `make docs` does this step."""
-        return self.what.startswith(DOCS)
+    def command(self) -> tuple[str, ...]:
+        """Arguments of Python that do this step; empty of one that is done by hand."""
+        return next((command for text, command in COMMANDS.items() if self.what.startswith(text)), ())
 
     def names(self, path: str) -> bool:
         """Whether the step says to touch a file."""

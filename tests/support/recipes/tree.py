@@ -57,10 +57,12 @@ class Tree:
             path.write_text(edit.made(path.read_text(encoding="utf-8") if path.exists() else ""), encoding="utf-8")
             self._made.add(edit.path)
 
-    def print_docs(self) -> set[str]:
-        """Do what `make docs` does; gives the files that have changed by it."""
+    def printed(self, command: Iterable[str]) -> set[str]:
+        """Run what prints files; gives those that have changed by it."""
         before = self._made | self._changed()
-        self.run("-m", "cli", "reference").check_returncode()
+        result = self.run(*command)
+        if result.returncode != 0:
+            raise RuntimeError(result.stderr)
         return self._changed() - before
 
     def restore(self) -> None:
