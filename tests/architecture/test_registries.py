@@ -87,6 +87,14 @@ def test_every_module_is_imported_or_run() -> None:
     assert modules >= RUN
 
 
+def test_every_folder_of_code_is_a_package() -> None:
+    folders = {path.parent for path in sources(*PACKAGES)}
+    missing = [
+        folder for folder in folders if not (folder / "__init__.py").exists() and "migrations" not in folder.parts
+    ]
+    assert not missing, "the wheel leaves out a folder without `__init__.py`"
+
+
 def test_every_attack_changes_something_and_is_tried_and_described() -> None:
     changing = {*ON_SIGNALS, *ON_ODOMETER, *ON_INERTIAL, *ON_NEIGHBOURS}
     assert set(AttackName) == changing, "an attack without an effect: services/sensors/simulator/attacks/effects.py"
@@ -105,6 +113,8 @@ def pages() -> list[str]:
 def test_every_page_of_the_dashboard_has_name_key_module_and_picture(name: str) -> None:
     assert f"{name}:" in javascript("words.js", "pages"), "a name in `pages` of words.js"
     assert f'"{name}"' in javascript("main.js", "GO"), "a key in `GO` of main.js"
+    key = re.search(rf'(\w): "{name}"', javascript("main.js", "GO"))
+    assert key and f'["g {key[1]}", ' in (DASHBOARD / "words.js").read_text(), "its key in the help: `rows` of words.js"
     assert f"{name}:" in javascript("main.js", "LATER") + javascript("main.js", "loaded"), "a module in `LATER`"
     title = re.search(rf'\b{name}: "(\w+)"', javascript("words.js", "pages"))
     assert title and f"| *{title[1]}* |" in page("reference/pages.md"), "a row in docs/reference/pages.md"

@@ -1,6 +1,6 @@
 """Each recipe of `docs/how-to/add`, followed in a copy of the tree, and without one of its steps.
 
-`make quick` has to be content with the whole recipe, and has to tell of each step that is left out.
+`make quick` passes with the whole recipe, and fails without any one of its steps.
 """
 
 from collections.abc import Iterator
@@ -38,11 +38,14 @@ def paired(recipe: str) -> list[tuple[Step, tuple[Edit, ...]]]:
 
 
 def cases() -> list[ParameterSet]:
+    """Each file of each step, and each step that prints."""
     found = []
     for recipe in RECIPES:
-        for step in steps_of(recipe):
-            marks = () if recipe in FAST else pytest.mark.slow
-            found.append(pytest.param(recipe, step.number, marks=marks, id=f"{recipe}-{step.number}"))
+        marks = () if recipe in FAST else pytest.mark.slow
+        for step, edits in paired(recipe):
+            for path in sorted({edit.path for edit in edits}) or [""]:
+                name = f"{recipe}-{step.number}-{PurePosixPath(path).name}"
+                found.append(pytest.param(recipe, step.number, path, marks=marks, id=name))
     return found
 
 
@@ -64,15 +67,15 @@ def test_page_and_example_name_the_same_files(recipe: str) -> None:
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
-def test_make_quick_runs_the_tests_that_tell(recipe: str) -> None:
+def test_make_quick_runs_the_tests_that_fail_without_a_step(recipe: str) -> None:
     pairs = paired(recipe)
     touched = [PurePosixPath(edit.path) for _, edits in pairs for edit in edits]
     run = (*ALWAYS, *folders(touched))
     for step, edits in pairs:
-        assert step.told_by, f"step {step.number} of {recipe} names no test"
+        assert step.failing, f"step {step.number} of {recipe} names no test"
         for test in step.tests(edit.path for edit in edits):
             path = PurePosixPath(test.partition("::")[0])
-            assert step.command or PRINTED not in test, f"step {step.number} is told of by what is not printed"
+            assert step.command or PRINTED not in test, f"step {step.number} is not noticed by what is printed"
             assert any(path.is_relative_to(folder) for folder in run), f"{test} is not run by make quick"
 
 
@@ -95,10 +98,12 @@ def test_the_whole_recipe_passes(recipe: str, tree: Tree) -> None:
     assert result.returncode == 0, result.stdout[-4000:]
 
 
-@pytest.mark.parametrize(("recipe", "left_out"), cases())
-def test_a_step_that_is_left_out_is_told(recipe: str, left_out: int, tree: Tree) -> None:
+@pytest.mark.parametrize(("recipe", "number", "left_out"), cases())
+def test_what_is_left_out_fails(recipe: str, number: int, left_out: str, tree: Tree) -> None:
     pairs = paired(recipe)
-    ((step, missing),) = [pair for pair in pairs if pair[0].number == left_out]
-    tree.edit(edit for other, edits in pairs for edit in edits if other.number != left_out)
+    ((step, missing),) = [pair for pair in pairs if pair[0].number == number]
+    tree.edit(
+        edit for other, edits in pairs for edit in edits if not (other.number == number and edit.path == left_out)
+    )
     result = tree.test(step.tests(edit.path for edit in missing))
-    assert result.returncode in (1, 2, 4), f"nothing tells of step {left_out}: {result.stdout[-2000:]}"
+    assert result.returncode in (1, 2, 4), f"no test fails without {left_out or step.what}: {result.stdout[-2000:]}"

@@ -1,7 +1,7 @@
 """Examples of what is connected or simulated: a protocol, a device, an attack."""
 
 from .recipe import Example
-from .tree import Edit
+from .tree import ROOT, Edit
 
 ATTACK: Example = (
     (
@@ -46,6 +46,9 @@ PROTOCOL: Example = (
 Source: Trimble Standard Interface Protocol reference, packet structure.
 """
 
+from collections.abc import Callable
+
+from .framing.finder import Sums
 from .framing.framing import Framing
 from .protocol import Protocol
 from .undecoded import MOST_BYTES
@@ -63,19 +66,13 @@ class TsipFraming(Framing):
         end = buffer.find(b"\\x10\\x03", start + header)
         return end + 2 - start if end >= 0 else None
 
+    def fault(self, buffer: bytes | bytearray, start: int, stop: int, at: Callable[[int], Sums]) -> str | None:
+        """A packet has no checksum."""
+        return None
+
 
 PROTOCOL = Protocol(TsipFraming(), "Trimble TSIP", remedy="switch NMEA on at this port")
 ''',
-        ),
-        Edit(
-            "tests/unit/shared/protocols/test_tsip.py",
-            """from shared.protocols.tsip import TsipFraming
-
-
-def test_a_packet_ends_at_its_end_bytes() -> None:
-    packet = b"\\x10\\x8f\\xab\\x00\\x01\\x10\\x03"
-    assert TsipFraming().size(packet + b"\\x10", 0, 3) == len(packet)
-""",
         ),
     ),
     (
@@ -161,6 +158,10 @@ DEVICE: Example = (
             "deploy/systemd/obu@sensors.tilt.service.d/device.conf",
             "[Service]\nPrivateDevices=no\nDevicePolicy=closed\nDeviceAllow=char-ttyUSB rw\n"
             "SupplementaryGroups=dialout\n",
+        ),
+        Edit(
+            "deploy/systemd/obu@sensors.tilt.service.d/hot-path.conf",
+            (ROOT / "deploy/systemd/obu@core.fusion.service.d/hot-path.conf").read_text(encoding="utf-8"),
         ),
     ),
     (

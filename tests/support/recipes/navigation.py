@@ -101,89 +101,93 @@ def of_fix(fix: GnssFix, _settings: Settings) -> Iterator[StatedHeading]:
     ),
 )
 
-EVIDENCE = "services/core/evidence"
+MOTION = "services/core/motion_conflict"
+MOTION_TEST = "tests/unit/core/motion_conflict/test_process.py"
 MONITOR: Example = (
     (
         Edit(
             "services/core/trust/facts.py",
-            '    SATELLITE_COUNT = "satellite_count"  # used by the receiver\n',
-            after='    GYROSCOPE = "gyroscope"  # yaw rate against wheels, course, second antenna\n',
+            '    SPEED_RANGE = "speed_range"  # what a road vehicle can drive\n',
+            after='    MOTION_FAST = "motion_fast"  # difference of speeds over 5 s\n',
         ),
     ),
     (
         Edit(
-            f"{EVIDENCE}/satellite_count.py",
-            '''"""Number of satellites: a receiver that uses fewer than a position needs has another source."""
+            f"{MOTION}/speed_range.py",
+            '''"""Range of the odometer's speed: more than a road vehicle can drive is a wrong odometer."""
 
 from shared.messages.explanation import explain
 from shared.messages.trust import Outcome
-from shared.trust.accused import GNSS
+from shared.trust.accused import ODOMETER
 from shared.trust.result import Test, judged
 
 from .codes import Code
 
-NEEDED = 3  # with a known height
+LARGEST_M_S = 120.0
 
 
-def count_test(used: int | None) -> Test:
-    """Compare the number of satellites that a receiver uses with the least that is needed."""
-    if used is None:
-        return Test(Outcome.NOT_EVALUATED, explain(Code.NO_COUNT))
-    return judged(Test(Outcome.PASS, explain(Code.COUNT, used_count=used), accused=(GNSS,)), NEEDED - used, 0.5)
+def range_test(speed_m_s: float | None) -> Test:
+    """Compare a speed with the largest of a road vehicle."""
+    if speed_m_s is None:
+        return Test(Outcome.NOT_EVALUATED, explain(Code.NO_SPEED))
+    base = Test(Outcome.PASS, explain(Code.SPEED_RANGE), "m/s", accused=(ODOMETER,))
+    return judged(base, abs(speed_m_s), LARGEST_M_S)
 ''',
         ),
     ),
     (
         Edit(
-            f"{EVIDENCE}/process.py",
-            "from .satellite_count import count_test\n",
-            after="from .monitor import EvidenceMonitor\n",
+            f"{MOTION}/process.py",
+            "from .speed_range import range_test\n",
+            after="from .settings import Settings\n",
         ),
         Edit(
-            f"{EVIDENCE}/process.py",
-            '            yield statement("satellite_count", count_test(self._used), message.now_ns)\n',
-            after="            yield self._statement(message.now_ns)\n",
+            f"{MOTION}/process.py",
+            '                yield statement("speed_range", range_test(self._driven_m_s), time_ns)\n',
+            after='                yield statement("coherent_scale", self.inertial.verdict(time_ns), time_ns)\n',
         ),
         Edit(
-            f"{EVIDENCE}/process.py",
-            "        self._used: int | None = None  # satellites of the newest epoch\n",
-            after="        self._receivers = ChosenSource(receiver_choice)\n",
+            f"{MOTION}/process.py",
+            "        self._driven_m_s: float | None = None  # newest speed of the odometer\n",
+            after="        self._monitor = MotionMonitor(config)\n",
         ),
         Edit(
-            f"{EVIDENCE}/process.py",
-            "                    self._used = sum(satellite.used for satellite in message.satellites)\n",
-            after="                    self._monitor.satellites(message)\n",
+            f"{MOTION}/process.py",
+            "                self._driven_m_s = message.speed_m_s\n",
+            after="                self._use_odometer(message)\n",
         ),
+        Edit(MOTION_TEST, '        "speed_range",\n', after='        "motion_fast",\n        "coherent_scale",\n'),
     ),
     (
         Edit(
-            f"{EVIDENCE}/codes.py",
-            '    NO_COUNT = "evidence.no_count"\n    COUNT = "evidence.count"\n',
-            after='    SILENT = "evidence.silent"\n',
+            f"{MOTION}/codes.py",
+            '    NO_SPEED = "motion.no_speed"\n    SPEED_RANGE = "motion.speed_range"\n',
+            after='    NO_INPUT = "motion.no_input"  # has never come\n',
         ),
         Edit(
-            f"{EVIDENCE}/words.toml",
-            '[evidence.no_count]\ndetail = "no satellites are stated"\n\n'
-            '[evidence.count]\ndetail = "{used_count:number} satellites are used"\n\n[evidence.no_gain]\n',
-            instead_of="[evidence.no_gain]\n",
+            f"{MOTION}/words.toml",
+            '[motion.no_speed]\ndetail = "no speed of the odometer received yet"\n\n'
+            '[motion.speed_range]\ndetail = "{statistic:speed} by the odometer, limit {threshold:speed}"\n\n'
+            "[motion.no_input]\n",
+            instead_of="[motion.no_input]\n",
         ),
     ),
     (
         Edit(
             "services/core/trust/words.toml",
-            'satellite_count = "Number of satellites"\n',
-            after='gyroscope = "Gyroscope test"\n',
+            'speed_range = "Range of speeds"\n',
+            after='motion_fast = "Fast motion test"\n',
         ),
         Edit(
             f"{VIEWS}/dashboard/words.js",
-            '      satellite_count: "satellites that the receiver uses",\n',
+            '      speed_range: "speed of the odometer with the largest of a road vehicle",\n',
             after='      gyroscope: "yaw rate of the gyroscope against wheels, GNSS course and headings",\n',
         ),
     ),
     (
         Edit(
             "docs/explanation/trust.md",
-            "| `satellite_count` | satellites used and needed | `core.evidence` |\n| `evidence` |",
+            "| `speed_range` | speed with that of a road vehicle | `core.motion_conflict` |\n| `evidence` |",
             instead_of="| `evidence` |",
         ),
     ),

@@ -1,4 +1,4 @@
-"""Reads a recipe of `docs/how-to/add`: its rows say what to touch, and which test tells that it was forgotten."""
+"""Reads a recipe of `docs/how-to/add`: its rows say what to touch, and which test fails without it."""
 
 import re
 from collections.abc import Iterable
@@ -23,7 +23,7 @@ class Step:
     number: int
     what: str
     files: tuple[str, ...]  # names in angle brackets stand for any
-    told_by: tuple[str, ...]  # tests, as pytest names them
+    failing: tuple[str, ...]  # tests that fail without it, as pytest names them
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -35,13 +35,13 @@ class Step:
         return any(re.fullmatch(pattern(file), path) for file in self.files)
 
     def tests(self, paths: Iterable[str]) -> list[str]:
-        """Tests that tell, with the names that the angle brackets of the recipe have in files of this step."""
+        """Tests that fail without it, with the names that files of this step have for angle brackets."""
         names: dict[str, str] = {}
         for path in paths:
             for file in self.files:
                 if matched := re.fullmatch(pattern(file), path):
                     names |= matched.groupdict()
-        return [re.sub(r"<(\w+)>", lambda found: names[found[1]], test) for test in self.told_by]
+        return [re.sub(r"<(\w+)>", lambda found: names[found[1]], test) for test in self.failing]
 
 
 def pattern(file: str) -> str:
@@ -62,8 +62,8 @@ def steps_of(recipe: str) -> list[Step]:
     """Rows of a page."""
     text = (FOLDER / f"{recipe}.md").read_text(encoding="utf-8")
     return [
-        Step(int(number), what, tuple(QUOTED.findall(files)), tuple(QUOTED.findall(told)))
-        for number, what, files, told in ROW.findall(text)
+        Step(int(number), what, tuple(QUOTED.findall(files)), tuple(QUOTED.findall(tests)))
+        for number, what, files, tests in ROW.findall(text)
     ]
 
 
