@@ -40,10 +40,11 @@ class Tree:
             ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
             cwd=ROOT, capture_output=True, text=True, check=True,
         ).stdout  # fmt: skip
-        self._files = {name for name in listed.split("\0") if name and (ROOT / name).is_file()}
-        for name in self._files:
+        names = [name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+        for name in names:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
+        self._files = {name: (folder / name).read_bytes() for name in names}
         modules = Path("services/monitoring/status/dashboard/node_modules")
         if (ROOT / modules).is_dir():
             (folder / modules).symlink_to(ROOT / modules)
@@ -68,8 +69,8 @@ class Tree:
     def restore(self) -> None:
         """Return to the state of the repository."""
         for name in self._changed():
-            shutil.copy2(ROOT / name, self.folder / name)
-        for name in self._made - self._files:
+            (self.folder / name).write_bytes(self._files[name])
+        for name in self._made - self._files.keys():
             (self.folder / name).unlink(missing_ok=True)
         self._made.clear()
 
@@ -86,4 +87,4 @@ class Tree:
         return self.run("-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", *sorted(set(tests)))
 
     def _changed(self) -> set[str]:
-        return {name for name in self._files if (self.folder / name).read_bytes() != (ROOT / name).read_bytes()}
+        return {name for name, content in self._files.items() if (self.folder / name).read_bytes() != content}
