@@ -71,7 +71,10 @@ class Tree:
         for name in self._changed():
             (self.folder / name).write_bytes(self._files[name])
         for name in self._made - self._files.keys():
-            (self.folder / name).unlink(missing_ok=True)
+            path = self.folder / name
+            path.unlink(missing_ok=True)
+            if not any(kept.startswith(f"{Path(name).parent}/") for kept in self._files):
+                shutil.rmtree(path.parent, ignore_errors=True)  # a new folder, with what Python has compiled there
         self._made.clear()
 
     def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
