@@ -241,6 +241,8 @@ HYPOTHESIS: Example = (
             after='odometer = "if the odometer is wrong"\n',
         ),
         Edit("shared/words/en.toml", 'tyres = "the tyres"\n', after='gnss_and_odometer = "GNSS and odometer"\n'),
+        Edit("shared/words/de.toml", 'tyres = "Reifen"\n', after='gnss_and_odometer = "GNSS und Wegmesser"\n'),
+        Edit("shared/words/fr.toml", 'tyres = "pneus"\n', after='gnss_and_odometer = "GNSS et odomètre"\n'),
     ),
     (
         Edit(f"{VIEWS}/dashboard/trust/hypotheses.js", ' "tyres",', after='"imu", "odometer",'),
