@@ -110,7 +110,7 @@ down: ## stop the containers
 containers: | $(VENV)/.testing ## test the containers for real, where there is an engine (three minutes)
 	@$(PYTHON) -m pytest -m container $(PYTEST_ARGS)
 
-docs: setup ## print docs/reference, the architecture's diagram, obu.target and the age of tables from the code
+docs: setup ## print docs/reference, the architecture's picture, obu.target and the age of tables from the code
 	@$(PYTHON) -m cli reference
 	@$(PYTHON) -m benchmarks.tables
 

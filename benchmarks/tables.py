@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cli.campaign import code_of
+from cli.reference.wrap import wrap
 
 ROOT = Path(__file__).resolve().parents[1]
 DIGESTS = ROOT / "benchmarks" / "results" / "code.json"
@@ -52,7 +53,7 @@ def publish(path: Path, text: str) -> None:
         name = path.relative_to(ROOT).as_posix()
         digests = _digests() | {name: code_of(TABLES[name].module)}
         DIGESTS.write_text(json.dumps(digests, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    path.write_text(text, encoding="utf-8")
+    path.write_text(wrap(text), encoding="utf-8")
 
 
 def reprint(path: Path, text: str) -> None:
@@ -62,7 +63,7 @@ def reprint(path: Path, text: str) -> None:
 
 def headed(name: str, text: str) -> str:
     """Give a table with its first line where it is older than the code."""
-    body = text.split("\n\n", 1)[1] if text.startswith(OLDER) else text
+    body = wrap(text.split("\n\n", 1)[1] if text.startswith(OLDER) else text)
     table = TABLES[name]
     if _digests().get(name) == code_of(table.module):
         return body

@@ -561,8 +561,8 @@ def doctor(
 
 @app.command(hidden=True)
 def reference(root: Annotated[Path, typer.Argument(help="Folder of the repository.")] = Path()) -> None:
-    """Print from code what the repository holds of it: docs/reference, the architecture's diagram, obu.target."""
-    from .reference import write
+    """Print from code what the repository holds of it: docs/reference, the architecture's picture, obu.target."""
+    from .reference.pages import write
 
     for path in write(root):
         print(path)

@@ -1,7 +1,6 @@
 """Prints the topics and processes: Markdown tables, and an AsyncAPI 3.0 document."""
 
-import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import cast
 
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
@@ -66,28 +65,6 @@ def processes_table() -> str:
         for row in PROCESSES
     ]
     return table(("layer", "process", "purpose", "kind", "consumes", "produces"), rows)
-
-
-def diagram() -> str:
-    """Draw the layers as text, the devices at the bottom: the processes of each, what they consume and produce."""
-    lines = []
-    for number, (layer, purpose) in reversed(list(enumerate(LAYERS.items(), 1))):
-        rows = [row for row in PROCESSES if row.layer == number]
-        consumed = (name for row in rows for name in (["every topic"] if row.observes_all else row.consumes))
-        produced = (name for row in rows for name in row.produces)
-        lines += [
-            f"{number} {layer}: {purpose}",
-            f"    {'   '.join(row.short for row in rows)}",
-            *_wrapped("consume  ", consumed),
-            *_wrapped("produce  ", produced),
-            "",
-        ]
-    return "\n".join(lines[:-1])
-
-
-def _wrapped(label: str, names: Iterable[str]) -> list[str]:
-    text, indent = ", ".join(dict.fromkeys(names)), 8 * " "
-    return textwrap.wrap(text, 110, initial_indent=indent + label, subsequent_indent=indent + len(label) * " ")
 
 
 def _key(topic: Topic) -> str:

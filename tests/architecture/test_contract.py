@@ -12,7 +12,7 @@ from typing import cast
 import jsonschema
 from pydantic import BaseModel
 
-from cli import reference
+from cli.reference import pages as reference
 from shared import messages
 from shared.bus.contract import asyncapi
 from shared.messages.base import Message, Persistent, RawBytes, Sender, Stamped, Tick

@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cli.reference import pages
 from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.drift import drift_lines
 from cli.solve.metrics.errors import Errors, errors_against
@@ -13,7 +12,6 @@ from cli.solve.outages import Outages
 from cli.solve.track import Track
 from shared.messages.base import Vector3
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationState
-from tests.support.data import REPOSITORY
 from tests.support.drives.tracks import START_NS, circle, reference, solution, track
 
 S = 1_000_000_000
@@ -126,11 +124,6 @@ def test_a_gap_without_a_truth_near_its_end_is_omitted() -> None:
     made = replace(run(track([solution(0.0)]), errors), gaps=[(START_NS + 5 * S, START_NS + 15 * S)])
     found = metrics_of(made)
     assert found["outage_count"] == 0 and found["outage_end_error_median_m"] is None
-
-
-def test_the_reference_page_of_metrics_equals_the_code() -> None:
-    printed = (REPOSITORY / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
-    assert printed == pages()["metrics.md"], "run `make docs`"
 
 
 def test_errors_before_score_from_are_excluded_from_means() -> None:

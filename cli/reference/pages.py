@@ -11,7 +11,7 @@ from services.monitoring.status.web.access.rights import GRANTED, MEANING, Right
 from services.monitoring.status.web.access.table import ROWS
 from services.monitoring.status.web.routes import openapi
 from shared.attacks import ATTACKS, Parameter
-from shared.bus.contract import Json, diagram, processes_table, table, topics_table
+from shared.bus.contract import Json, processes_table, table, topics_table
 from shared.errors import UserError
 from shared.messages.trust import TrustLevel
 from shared.missing_sensors import MISSING
@@ -21,15 +21,17 @@ from shared.rejects import PARTS
 from shared.runtime.config import Section, Vehicle, own_fields
 from shared.words.words import PLACEHOLDER, words
 
-from .schemas import schemas_page
-from .solve.metrics.metrics import METRICS, TIMINGS
-from .solve.smoothing import SMOOTHED_METRICS
-from .solve.track import COLUMNS
+from ..schemas import schemas_page
+from ..solve.metrics.metrics import METRICS, TIMINGS
+from ..solve.smoothing import SMOOTHED_METRICS
+from ..solve.track import COLUMNS
+from .picture import picture
+from .wrap import wrap
 
 BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
 FAST = (
     "Each topic is `obu/<vehicle>/` and the name below. Of a *fast* one the heartbeats tell how much was sent and "
-    "received (`published`, `received` of `health/+`)."
+    "received (`published`, `received` of `health/+`). `obu topics` prints the table, `obu tail TOPIC` live messages."
 )
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
@@ -243,7 +245,7 @@ def pages() -> dict[str, str]:
     """Make every page of docs/reference that is printed from code: file name and text."""
     return {
         "topics.md": f"{HEAD}# Topics\n\n{FAST}\n\n{topics_table()}\n",
-        "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
+        "processes.md": f"{HEAD}# Processes\n\n`obu run NAME` runs one of them.\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
         "`[vehicle]` holds what several of them need. `obu migrate FILE` rewrites a file of an earlier version."
         f"\n\n{configuration_pages()}",
@@ -259,10 +261,7 @@ def pages() -> dict[str, str]:
 
 def blocks() -> dict[str, str]:
     """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
-    return {
-        "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
-        **{f"deploy/systemd/{role}.target": _wants(role) for role in Role},
-    }
+    return {f"deploy/systemd/{role}.target": _wants(role) for role in Role}
 
 
 def _wants(role: Role) -> str:
@@ -273,7 +272,8 @@ def _wants(role: Role) -> str:
 
 def printed(root: Path) -> dict[Path, str]:
     """Make every file of the repository that is printed from code, wholly or between its markers."""
-    files = {root / "docs" / "reference" / name: text for name, text in pages().items()}
+    files = {root / "docs" / "reference" / name: wrap(text) for name, text in pages().items()}
+    files[root / "docs" / "architecture.svg"] = picture()
     for name, text in blocks().items():
         lines = (root / name).read_text(encoding="utf-8").splitlines(keepends=True)
         begin, end = (next(n for n, line in enumerate(lines) if mark in line) for mark in (BEGIN, END))
