@@ -96,7 +96,7 @@ def test_a_child_is_a_process_of_its_own(children: Children) -> None:
     assert state["session"] and state["interrupt"] and state["terminate"] and not state["blocked"]
     assert state["no_new_privileges"]
     assert state["collects"] and state["frozen"]
-    assert len(state["descriptors"]) == 3, "standard input, output and errors, and none of the parent's"
+    assert len(state["descriptors"]) == 3, "standard input, output and errors, and no descriptor of the parent"
     assert state["descriptors"][0] == "/dev/null"
 
 
@@ -217,7 +217,7 @@ def test_a_parent_of_files_that_have_changed_is_replaced(tmp_path: Path, monkeyp
         warm.stop()
 
 
-def test_a_parent_with_a_second_thread_refuses_and_after_some_attempts_nobody_asks(
+def test_a_parent_with_a_second_thread_refuses_and_is_given_up_after_some_attempts(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.chdir(REPOSITORY)
