@@ -1,5 +1,6 @@
 """The `obu` command."""
 
+import difflib
 import gc
 import os
 import sys
@@ -8,12 +9,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
-from shared import ROOT
+from shared import ROOT, VERSION
 from shared.errors import BadRecording, ConfigError, UserError
 from shared.processes import BY_NAME
 from shared.runtime import reports
 
+from .catalogue import NAMES, SUMMARY, help_text
+
 GARBAGE = 50_000
+COMPLETION = ("--install-completion", "--show-completion")
 
 
 def main() -> None:
@@ -23,7 +27,7 @@ def main() -> None:
     try:
         if sys.argv[1:2] == ["run"] and len(sys.argv) == 3 and sys.argv[2] in BY_NAME:
             run(sys.argv[2])  # the processes of a vehicle start without the weight of the command line
-        else:
+        elif not answered(sys.argv[1:]):
             if sys.argv[1:2] == ["verify"]:
                 os.environ["NUMBA_DISABLE_JIT"] = "1"  # to the bit as processes of a vehicle, which lack it
             command = imported(sys.argv[1:])
@@ -47,6 +51,26 @@ def _fail(error: Exception, code: int) -> NoReturn:
     print(f"obu: {error}", file=sys.stderr)  # this is the command line
     reports.tell(error=str(error))
     sys.exit(code)
+
+
+def answered(arguments: list[str]) -> bool:
+    """Print what needs no command: the help and the version; raises `UserError` for a name that is no command."""
+    first = next(iter(arguments), "")
+    if first in NAMES or first in COMPLETION or "_OBU_COMPLETE" in os.environ:  # the shell asks for completions
+        return False
+    if first == "--version":
+        print(f"obu {VERSION}")
+    elif first in ("", "--help"):
+        print(help_text())
+        if not first:
+            sys.exit(2)
+    elif first.startswith("-"):
+        raise UserError(f"there is no option {first!r} before a command; `obu --help` lists the commands")
+    else:
+        near = difflib.get_close_matches(first, SUMMARY, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise UserError(f"there is no command {first!r}; {hint}`obu --help` lists them")
+    return True
 
 
 def keep_to_this_code() -> None:

@@ -64,3 +64,8 @@ WORKS = {
     "admission": _admission, "ingest": _ingest, "alarms": _alarms, "web": _web, "maintenance": _maintenance,
 }  # fmt: skip
 NAMES = tuple(WORKS)
+# What their works import when they begin, and the command line that leads to them: imported once for all.
+MODULES = (
+    "cli.main", "cli.centre.centre", "fleet.admission.process", "fleet.ingest.process", "fleet.alarms.process",
+    "fleet.alarms.web_hook", "fleet.database.maintenance", "fleet.web.process",
+)  # fmt: skip

@@ -17,13 +17,14 @@ import psycopg
 from sqlalchemy.exc import SQLAlchemyError
 
 from shared.errors import UserError
+from shared.runtime.warm.client import WarmStart
 
 from .admission.authority import AUTHORITY, SERVER, Authority
 from .admission.nkeys import Issuer
 from .centre import SECRETS, Centre, is_loopback
 from .database.maintenance import prepare
 from .database.refusals import reason_of
-from .processes import NAMES
+from .processes import MODULES, NAMES
 from .servers.children import Child
 from .servers.nats import EVERYWHERE, LOOPBACK, Certificates, Nats, configuration
 from .servers.postgres import name_of
@@ -33,6 +34,7 @@ log = logging.getLogger(__name__)
 AGAIN_S, LONGEST_AGAIN_S = 1.0, 60.0  # of a part that has ended at once; twice as long each time that it does so again
 STEADY_S = 10.0  # a part that has run for less has ended at once
 AWAY_S = 5.0  # in which NATS on another machine accepts a connection
+WAIT_S = 0.05  # between two looks at a parent that imports its modules
 LOGS = "logs"  # of the processes; the servers have theirs in their folders
 
 
@@ -171,15 +173,23 @@ def nats_configuration(centre: Centre, store: Path) -> str:
 
 
 class Process(Child):
-    """A process of the centre."""
+    """A process of the centre, forked from the parent of all where there is one."""
 
-    def __init__(self, name: str, folder: Path) -> None:
+    def __init__(self, name: str, folder: Path, warm: WarmStart) -> None:
         super().__init__(folder / LOGS / f"{name}.log")
-        self._command = [sys.executable, "-m", "cli", "centre", "run", name, "--folder", str(folder)]
+        self._arguments = ("centre", "run", name, "--folder", str(folder))
+        self._warm = warm
 
     def start(self) -> None:
         """Start it."""
-        self._run(self._command)
+        self._process = None
+        while not (self._warm.is_ready() or self._warm.is_given_up):
+            time.sleep(WAIT_S)
+        if self._warm.is_ready():
+            with self.log.output() as output:
+                self._process = self._warm.start(self._arguments, os.environ, output)
+        if self._process is None:
+            self._run([sys.executable, "-m", "cli", *self._arguments])
 
 
 def run(centre: Centre, ended: threading.Event, begun: Callable[[], None]) -> None:
@@ -192,6 +202,9 @@ def run(centre: Centre, ended: threading.Event, begun: Callable[[], None]) -> No
     with ExitStack() as stack:
         stack.enter_context(alone(centre.folder))
         centre.check()
+        warm = WarmStart(MODULES, "cli.__main__:main")
+        stack.callback(warm.stop)
+        warm.is_ready()  # it imports while the servers start
         try:
             (centre.folder / LOGS).mkdir(mode=0o700, exist_ok=True)
             parts = start_servers(centre, stack)
@@ -201,7 +214,7 @@ def run(centre: Centre, ended: threading.Event, begun: Callable[[], None]) -> No
             ) from error
         begun()
         for name in NAMES:
-            process = Process(name, centre.folder)
+            process = Process(name, centre.folder, warm)
             parts.append(Kept(name, process, process.start, stack))
         while not ended.wait(0.2):
             for part in parts:

@@ -214,7 +214,8 @@ def _host(supervisor: Supervisor, name: str) -> psutil.Process:
 
 
 def _hosts(supervisor: Supervisor) -> dict[str, psutil.Process]:
-    return {name: _host(supervisor, name) for name in supervisor.children}
+    hosts = {name: _host(supervisor, name) for name in supervisor.children}
+    return hosts | ({} if supervisor.parent is None else {"parent of all": psutil.Process(supervisor.parent)})
 
 
 def _cpu_s(supervisor: Supervisor) -> dict[str, float]:

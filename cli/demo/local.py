@@ -19,6 +19,7 @@ from shared.errors import UserError
 from shared.processes import Role
 from shared.runtime.config import INSTALLED_SOCKET, BrokerAddress, Table, VehicleFile, load_vehicle
 from shared.runtime.credentials import FOLDER, note_addresses
+from shared.runtime.warm.client import WarmStart
 
 from .supervisor import Supervisor
 
@@ -182,14 +183,23 @@ def unit_file(path: Path | None, role: Role | None) -> VehicleFile:
 
 
 def unit(
-    vehicle: VehicleFile, environment: dict[str, str], logs: Path | None = None, broker: list[str] | None = None
+    vehicle: VehicleFile,
+    environment: dict[str, str],
+    logs: Path | None = None,
+    broker: list[str] | None = None,
+    *,
+    forked: bool = True,
 ) -> Supervisor:
     """Put every process of a vehicle, and its broker if given, under one supervisor.
 
     Consumers start before producers, and the recorder listens before the others start and ends after them, so that a
-    recording is complete and can be verified.
+    recording is complete and can be verified. Its processes are `forked` from one parent, or each starts by itself.
     """
-    supervisor = Supervisor({**os.environ, **environment}, logs)
+    warm = None
+    if forked:
+        modules = ["shared.runtime.live", *(f"services.{name}.process" for name in vehicle.processes)]
+        warm = WarmStart(modules, "cli.__main__:main")
+    supervisor = Supervisor({**os.environ, **environment}, logs, warm=warm)
     if broker:
         supervisor.add("broker", broker, throughout=True)
     for name in reversed(vehicle.processes):

@@ -9,11 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from shared.errors import UserError
 from shared.runtime.reports import VARIABLE, read_report
+from shared.runtime.warm.client import Forked, WarmStart
 
 from .signs_of_life import SignsOfLife
 
@@ -41,7 +43,8 @@ class Child:
     report: Path | None = None  # file of what it tells beside its exit code
     signs: SignsOfLife = field(default_factory=SignsOfLife)
     seen: float | None = None  # when the last sign of this run came
-    process: subprocess.Popen[bytes] | None = None
+    arguments: Sequence[str] = ()  # of `obu`, with which the warm parent starts it; () of another program
+    process: subprocess.Popen[bytes] | Forked | None = None
     started: float = 0.0
     next_start: float = 0.0
     failures: int = 0
@@ -57,8 +60,12 @@ class Supervisor:
     no more is killed, and restarted.
     """
 
-    def __init__(self, environment: Mapping[str, str], log_folder: Path | None = None) -> None:
+    def __init__(
+        self, environment: Mapping[str, str], log_folder: Path | None = None, *, warm: WarmStart | None = None
+    ) -> None:
+        """Start nothing yet; with `warm`, processes of the unit are forked from its parent."""
         self._environment = dict(environment)
+        self._warm = warm
         self._log_folder = log_folder
         self._watched = time.monotonic()
         self.children: dict[str, Child] = {}
@@ -80,6 +87,7 @@ class Supervisor:
         """Add a process of the unit."""
         command = [sys.executable, "-m", "cli", "run", name]
         self.add(name, command, throughout=throughout, start_limit_s=START_S)
+        self.children[name].arguments = ("run", name)
 
     def watch(self) -> None:
         """Start the children that are due, detect those that ended, kill those that hang; to be called often."""
@@ -111,6 +119,8 @@ class Supervisor:
                 _wait_for_end(child, deadline if not throughout else deadline + LAST_STOP_S)
         for child in self.children.values():
             child.signs.close()
+        if self._warm is not None:
+            self._warm.stop()
 
     def raise_rejected(self) -> None:
         """Raise `UserError` with the report of a child that exited with `EX_CONFIG`."""
@@ -118,6 +128,11 @@ class Supervisor:
             if child.misconfigured and child.report is not None:
                 error = read_report(child.report).error
                 raise UserError(f"{child.name} does not start: {error or f'its log is {child.log_file}'}")
+
+    @property
+    def parent(self) -> int | None:
+        """Process from which those of the unit are forked."""
+        return self._warm.pid if self._warm is not None else None
 
     def alive(self) -> int:
         """Number of running children."""
@@ -132,20 +147,24 @@ class Supervisor:
         )
 
     def _start(self, child: Child) -> None:
-        output = child.log_file.open("ab") if child.log_file else None
+        """Start a child; one that waits for the warm parent is started by a later call."""
+        warm = self._warm if child.arguments else None
+        if warm is not None and not warm.is_given_up and not warm.is_ready():
+            return
         if child.report is not None:
             child.report.unlink(missing_ok=True)
-        try:
-            child.process = subprocess.Popen(
-                [*_end_with_parent(), *child.command],
-                env={**self._environment, "NOTIFY_SOCKET": child.signs.address, VARIABLE: str(child.report or "")},
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT if output else None,
-            )
-        finally:
-            if output:
-                output.close()
+        environment = {**self._environment, "NOTIFY_SOCKET": child.signs.address, VARIABLE: str(child.report or "")}
+        with child.log_file.open("ab") if child.log_file else nullcontext() as output:
+            if warm is None or warm.is_given_up:
+                child.process = subprocess.Popen(
+                    [*_end_with_parent(), *child.command],
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT if output else None,
+                )
+            else:
+                child.process = warm.start(child.arguments, environment, output.fileno() if output else None)
         child.started, child.seen = time.monotonic(), None
 
     def _ended(self, child: Child, code: int, now: float) -> None:

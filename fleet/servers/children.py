@@ -7,6 +7,8 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from shared.runtime.warm.client import Forked
+
 from .logs import BoundedLog
 
 END_S = 20.0  # in which a program must end by itself
@@ -18,7 +20,7 @@ class Child:
     def __init__(self, log: Path, ends_by: signal.Signals = signal.SIGTERM, user: str | None = None) -> None:
         self.log = BoundedLog(log)
         self._ends_by, self._user = ends_by, user
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: subprocess.Popen[bytes] | Forked | None = None
 
     @property
     def pid(self) -> int | None:

@@ -4,11 +4,11 @@ The starter names the file in an environment variable, which the command takes o
 children do not write there. What is printed is for people, and read by nothing.
 """
 
+import json
 import logging
 import os
+from dataclasses import asdict, dataclass
 from pathlib import Path
-
-from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..bounded import read_bytes
 
@@ -19,10 +19,10 @@ MAXIMUM_BYTES = 100_000
 LENGTH = 1000  # of a text
 
 
-class Report(BaseModel):
+@dataclass(frozen=True)
+class Report:
     """What is known of a command that runs or has ended."""
 
-    model_config = ConfigDict(frozen=True, strict=True)
     error: str = ""  # why it failed, in a sentence
     finding: str = ""  # what it found, in a sentence
     port: int | None = None  # where it serves a page
@@ -45,7 +45,7 @@ def tell(*, error: str = "", finding: str = "", port: int | None = None) -> None
     report = Report(error=error[:LENGTH], finding=finding[:LENGTH], port=port)
     fresh = _Place.path.with_name(f"{_Place.path.name}.new")
     try:
-        fresh.write_text(report.model_dump_json(), encoding="utf-8")
+        fresh.write_text(json.dumps(asdict(report)), encoding="utf-8")
         fresh.replace(_Place.path)
     except OSError as failed:
         log.warning("what was found cannot be told to the program that waits for it: %s", failed)
@@ -53,7 +53,9 @@ def tell(*, error: str = "", finding: str = "", port: int | None = None) -> None
 
 def read_report(path: Path) -> Report:
     """Read a report; an empty one of a command that wrote none."""
+    from pydantic import TypeAdapter  # every command imports this module, and the shortest must not wait for it
+
     try:
-        return Report.model_validate_json(read_bytes(path, MAXIMUM_BYTES))
-    except (OSError, ValidationError, ValueError):
+        return TypeAdapter(Report).validate_json(read_bytes(path, MAXIMUM_BYTES), strict=True)
+    except (OSError, ValueError):
         return Report()

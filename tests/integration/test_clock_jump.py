@@ -29,7 +29,7 @@ def clock_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(SOURCE), "-ldl"], check=True)
     path.write_bytes(struct.pack("q", 0))
     monkeypatch.setenv("LD_PRELOAD", str(library))
-    monkeypatch.setenv("JUMPING_CLOCK", str(path))
+    monkeypatch.setenv("LD_JUMPING_CLOCK", str(path))
     return path
 
 

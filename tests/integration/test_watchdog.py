@@ -177,13 +177,16 @@ SPEAKERS = {
 }  # fmt: skip
 
 
+def broker_port(demo: Demo) -> int:
+    return int((demo.folder / "credentials" / "address").read_text().split()[0].rpartition(":")[2])
+
+
 @on_mosquitto
 def test_invalid_payloads_on_the_bus_are_counted_and_end_no_process(unit: Unit) -> None:
     demo = unit.demo
     children = {child.pid for child in psutil.Process(demo.process.pid).children()}
-    state = Path(demo.child("run core.fusion").environ()["OBU_STATE"])
-    port = int((state / "credentials" / "address").read_text().split()[0].rpartition(":")[2])
-    intruder.let_in(state / "rules", demo.child(BROKER_PROCESS[unit.kind]), port)
+    port = broker_port(demo)
+    intruder.let_in(demo.folder / "rules", demo.child(BROKER_PROCESS[unit.kind]), port)
     for name, speaker in SPEAKERS.items():
         sender = b'{"sender":{"process":"%s","incarnation":1,"sequence":1},' % speaker.encode()
         with intruder.client(port) as client:
@@ -221,10 +224,9 @@ def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Pat
     False on a machine that is so busy that the start takes longer than a warm start allows: nothing is compared then.
     """
     folder.mkdir()
-    address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
-    bus = Bus("observer", "demo", address,
+    bus = Bus("observer", "demo", BrokerAddress(port=broker_port(demo)),
               [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
-              Path(demo.child("run core.fusion").environ()["OBU_STATE"]), observer=True)  # fmt: skip
+              demo.folder, observer=True)  # fmt: skip
     solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the incarnation of their producer
     truth: dict[int, TruthState] = {}
     reasons: list[str] = []

@@ -1,5 +1,5 @@
 /* A library for LD_PRELOAD that moves the calendar clock of a program, and leaves the monotonic clock alone.
-   JUMPING_CLOCK names a file with the offset in seconds, a native 64 bit number, which may change at any time. */
+   LD_JUMPING_CLOCK names a file with the offset in seconds, a native 64 bit number, which may change at any time. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -13,7 +13,7 @@
 static volatile int64_t *offset_s;
 
 __attribute__((constructor)) static void map_the_file(void) {
-    const char *path = getenv("JUMPING_CLOCK");
+    const char *path = getenv("LD_JUMPING_CLOCK");
     int file = path ? open(path, O_RDONLY | O_CLOEXEC) : -1;
     if (file < 0) return;
     void *page = mmap(NULL, sizeof *offset_s, PROT_READ, MAP_SHARED, file, 0);

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from broker import local_config
+from cli.commands.unit import _await_broker
 from cli.demo.local import LocalBroker, free_port, local_broker, reaches_broker
 from cli.doctor import _broker
-from cli.main import _await_broker
 from shared.bus.bus import Bus
 from shared.runtime.config import LONGEST_SOCKET, SOCKET, BrokerAddress, broker_address, parse_vehicle
 from shared.topics import BY_NAME

@@ -1,0 +1,188 @@
+"""The side of the supervisor: it keeps a parent ready, asks it for processes, and waits for them."""
+
+import array
+import json
+import logging
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+
+from .kernel import adopt_orphans
+from .rights import Rights, Start
+
+log = logging.getLogger(__name__)
+
+ANSWER_S = 5.0  # for which the supervisor waits; a fork takes some milliseconds
+READY_S = 90.0  # in which a parent must have imported its modules
+FAILURES = 3  # of parents in a row that were never ready: from then on processes start by themselves
+POLL_S = 0.02
+# Of the environment, what an interpreter needs: the rest is of the children, and may hold secrets.
+KEPT = ("PATH", "HOME", "LANG", "LANGUAGE", "TZ", "VIRTUAL_ENV", "XDG_CACHE_HOME")
+KEPT_PREFIXES = ("LC_", "LD_", "PYTHON")
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_DISABLE_JIT": "1"}
+
+
+class Forked:
+    """A process that the parent has forked: a child of this process, with what `subprocess.Popen` offers."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self.returncode: int | None = None
+
+    def poll(self) -> int | None:
+        """Its exit code, or None while it runs."""
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; raises `subprocess.TimeoutExpired`."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if timeout is not None and deadline is not None and time.monotonic() >= deadline:
+                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
+            time.sleep(POLL_S)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it."""
+        self.send_signal(signal.SIGKILL)
+
+
+class WarmStart:
+    """Keeps one parent, and replaces it when it ends, hangs or no longer is of the files on the disk."""
+
+    def __init__(self, modules: Sequence[str], entry: str) -> None:
+        """Make no parent yet; it imports `modules`, and its children call `entry`, written as module:function."""
+        self._modules, self._entry = tuple(modules), entry
+        self._parent: subprocess.Popen[bytes] | None = None
+        self._connection: socket.socket | None = None
+        self._since = 0.0
+        self._ready = False
+        self._failures = 0 if sys.platform == "linux" else FAILURES
+
+    @property
+    def pid(self) -> int | None:
+        """Process of the parent."""
+        return self._parent.pid if self._parent is not None else None
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether no parent can be made; processes then start by themselves."""
+        return self._failures >= FAILURES
+
+    def is_ready(self) -> bool:
+        """Whether a process can be started now; makes a parent where there is none."""
+        if self.is_given_up:
+            return False
+        if self._parent is None:
+            self._begin()
+        elif self._parent.poll() is not None:
+            self._drop("has ended", failed=not self._ready)
+        elif not self._ready:
+            self._ready = self._answer(0.0) is not None
+            if not self._ready and time.monotonic() - self._since > READY_S:
+                self._drop("was not ready in time")
+        return self._ready
+
+    def start(
+        self,
+        arguments: Sequence[str],
+        environment: Mapping[str, str],
+        output: int | None = None,
+        rights: Rights | None = None,
+    ) -> Forked | None:
+        """Start a process with arguments of `obu`; None if the parent did not, which is replaced.
+
+        `output` is the descriptor of its log; without one it writes where this process does. Orphans are adopted for
+        the moment of the fork alone, so that this process is the parent of what it asked for, and of nothing else.
+        """
+        if self._connection is None:
+            return None
+        adopt_orphans()
+        try:
+            return self._start(arguments, environment, output, rights or Rights())
+        finally:
+            adopt_orphans(adopt=False)
+
+    def stop(self) -> None:
+        """End the parent; its children go on."""
+        self._close()
+
+    def _start(
+        self, arguments: Sequence[str], environment: Mapping[str, str], output: int | None, rights: Rights
+    ) -> Forked | None:
+        assert self._connection is not None
+        request = json.dumps(Start(tuple(arguments), os.getpid(), rights).to_json()).encode()
+        variables = os.memfd_create("environment", os.MFD_CLOEXEC)
+        try:
+            os.write(variables, json.dumps(dict(environment)).encode())
+            written = (1, 2) if output is None else (output, output)
+            descriptors = array.array("i", (*written, variables))
+            self._connection.sendmsg([request], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, descriptors)])
+        except OSError as error:
+            self._drop(f"does not listen: {error.strerror}")
+            return None
+        finally:
+            os.close(variables)
+        answer = self._answer(ANSWER_S)
+        if answer is None:
+            self._drop("does not answer")
+            return None
+        pid = answer.get("pid")
+        if isinstance(pid, int):
+            self._failures = 0
+            return Forked(pid)
+        self._drop(str(answer.get("refused")), failed=not answer.get("stale"))
+        return None
+
+    def _begin(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        kept = {k: v for k, v in os.environ.items() if k in KEPT or k.startswith(KEPT_PREFIXES)}
+        end_with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
+        with theirs:
+            self._parent = subprocess.Popen(
+                [*end_with_us, sys.executable, "-m", __package__, str(theirs.fileno()), self._entry, *self._modules],
+                env=kept | ONE_THREAD, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()], start_new_session=True,
+            )  # fmt: skip
+        self._connection, self._since, self._ready = ours, time.monotonic(), False
+
+    def _answer(self, seconds: float) -> dict[str, object] | None:
+        assert self._connection is not None
+        self._connection.settimeout(seconds or 1e-3)
+        try:
+            text = self._connection.recv(4096)
+            answer = json.loads(text) if text else None
+        except (OSError, ValueError):
+            return None
+        return answer if isinstance(answer, dict) else None
+
+    def _drop(self, reason: str, *, failed: bool = True) -> None:
+        """Give up a parent, so that the next one is made."""
+        log.warning("the parent of the processes %s; another one takes its place", reason)
+        self._failures += failed
+        self._close()
+
+    def _close(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        if self._parent is not None:
+            self._parent.kill()
+            self._parent.wait()
+        self._parent, self._connection, self._ready = None, None, False
