@@ -14,8 +14,9 @@ import typer
 from typer.core import TyperGroup
 
 from cli.attack_lab.cases import ATTACKS as CASES
+from cli.catalogue import COMMANDS
 from cli.doctor.devices import DRIVERS
-from cli.main import IN_MODULES, command_line
+from cli.main import command_line
 from docs.picture import DEMOS
 from services.core.fusion.hypotheses.bank import SOLVED
 from services.core.trust.facts import Monitor
@@ -37,7 +38,7 @@ RUN = {
     "broker.probe",
     "services.monitoring.status.series.recorded",
     "shared.recording.summary",
-    *(f"cli.{module}" for module, _ in IN_MODULES.values()),
+    *(f"cli.{module}" for module, _ in COMMANDS.values()),
 }
 PROGRAMS = (".process", ".__main__")  # imported by the name of the process, run as programs
 NOT_OPENED = ("sensors.v2x", "sensors.power")  # a network, and what only the driver may open

@@ -66,7 +66,14 @@ def layers() -> int:
 ''',
         ),
     ),
-    (Edit("cli/main.py", '    "layers": ("layers", "layers"),\n', after='    "enrol": ("enrol", "enrol"),\n'),),
+    (
+        Edit(
+            "cli/catalogue.py",
+            '    Entry(LOOK, "layers", "Print the layers of the unit, and what each does."),\n',
+            after='    Entry(LOOK, "tail", "Print the messages of a running unit as they are received, one per line."),\n',
+        ),
+        Edit("cli/catalogue.py", '    "layers": ("layers", "layers"),\n', after='    "enrol": ("enrol", "enrol"),\n'),
+    ),
     (Edit("docs/how-to/upgrade.md", "\n`obu layers` prints the layers.\n", after="# Upgrade\n"),),
 )
 
