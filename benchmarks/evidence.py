@@ -83,9 +83,9 @@ def main(arguments: Sequence[str]) -> int:
         signer = key.signer()
         spent: dict[bool, list[tuple[float, int]]] = {False: [], True: []}
         for number in range(ROUNDS):
-            for signs, found in spent.items():
+            for signs, row in spent.items():
                 path = folder / f"{number}-{signs}.mcap"
-                found.append(write(path, envelopes, signer if signs else None))
+                row.append(write(path, envelopes, signer if signs else None))
         checked_s = min(check_s(folder / f"{number}-True.mcap", key.ring) for number in range(ROUNDS))
     (plain_s, plain), (signed_s, size) = min(spent[False]), min(spent[True])
     percent = 100.0 * (signed_s - plain_s) / duration_s

@@ -88,7 +88,7 @@ def counted(epochs: Iterator[Sequence[Result]]) -> list[Count]:
 
 def motion(seed: int, seconds: int) -> list[Count]:
     """All tests of core.motion_conflict on a random drive whose odometer has a scale and a delay."""
-    found = {(one.test, one.design): one for rate in DESIGN_RATES for one in motion_at(seed, seconds, rate)}
+    found = {(count.test, count.design): count for rate in DESIGN_RATES for count in motion_at(seed, seconds, rate)}
     return list(found.values())  # tests whose rate is no setting count once
 
 
@@ -135,12 +135,12 @@ def inertial(seed: int, seconds: int) -> list[Count]:
             received: list[SpoofingIn] = [message]
             if not isinstance(message, Tick):
                 solved = fusion.handle(message)
-                received = [*(one for one in solved if isinstance(one, NavigationSolution | FilterState)), message]
+                received = [*(item for item in solved if isinstance(item, NavigationSolution | FilterState)), message]
             tests = [
                 test
                 for monitor in monitors
-                for one in received
-                for statement in monitor.handle(one)
+                for item in received
+                for statement in monitor.handle(item)
                 if isinstance(statement, TrustMonitor)
                 for test in statement.tests
             ]
@@ -167,14 +167,14 @@ def jobs_of(monitor: str, epochs: int) -> list[campaign.Job[list[Count]]]:
 def summed(drives: Iterable[Sequence[Count]]) -> list[Count]:
     """Put the counts of several drives together."""
     total: dict[Key, Count] = {}
-    for one in (count for counts in drives for count in counts):
-        known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0, 0))
-        total[one.test, one.design] = Count(
-            one.test,
-            one.design,
-            known.evaluations + one.evaluations,
-            known.episodes + one.episodes,
-            known.accusing + one.accusing,
+    for item in (count for counts in drives for count in counts):
+        known = total.get((item.test, item.design), Count(item.test, item.design, 0, 0, 0))
+        total[item.test, item.design] = Count(
+            item.test,
+            item.design,
+            known.evaluations + item.evaluations,
+            known.episodes + item.episodes,
+            known.accusing + item.accusing,
         )
     return list(total.values())
 
@@ -183,13 +183,13 @@ def table(monitor: str, counts: Sequence[Count]) -> Table:
     """Observed rates with their intervals."""
     rows = [
         (
-            one.test,
-            "-" if one.design is None else f"{one.design:.0e}",
-            *map(str, (one.evaluations, one.accusing, one.episodes)),
-            f"{one.interval[0]:.1e} to {one.interval[1]:.1e}",
-            one.verdict,
+            count.test,
+            "-" if count.design is None else f"{count.design:.0e}",
+            *map(str, (count.evaluations, count.accusing, count.episodes)),
+            f"{count.interval[0]:.1e} to {count.interval[1]:.1e}",
+            count.verdict,
         )
-        for one in counts
+        for count in counts
     ]
     interval = f"{100 * CONFIDENCE:.0f} % interval"
     columns = ("test", "design", "evaluations", "accusing", "episodes", interval, "design rate")
@@ -202,7 +202,7 @@ def document(epochs: int, found: Mapping[str, Sequence[Count]]) -> dict[str, obj
         "made": datetime.now(UTC).date().isoformat(),
         "epochs": epochs,
         "monitors": {
-            monitor: [{**asdict(one), "interval": one.interval, "verdict": one.verdict} for one in counts]
+            monitor: [{**asdict(count), "interval": count.interval, "verdict": count.verdict} for count in counts]
             for monitor, counts in found.items()
         },
     }
@@ -238,7 +238,7 @@ def main() -> int:
     if campaign.worth_storing(options, *outcomes.values()) and options.out:
         options.out.write_text(text + "\n", encoding="utf-8")
     complete = all(outcome.complete for outcome in outcomes.values())
-    return 1 if not complete or any(one.verdict == "too many" for counts in found.values() for one in counts) else 0
+    return 1 if not complete or any(count.verdict == "too many" for counts in found.values() for count in counts) else 0
 
 
 if __name__ == "__main__":

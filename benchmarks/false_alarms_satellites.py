@@ -104,8 +104,8 @@ def plain(rates: tuple[float, ...], epochs: int, seed: int = 1) -> list[Count]:
         for _ in range(each):
             errors = (geometry.sd * rng.standard_normal(len(geometry.sd))).tolist()
             noisy = tuple(
-                replace(one, pseudorange_m=one.pseudorange_m + error)
-                for one, error in zip(epoch.measurements, errors, strict=True)
+                replace(measurement, pseudorange_m=measurement.pseudorange_m + error)
+                for measurement, error in zip(epoch.measurements, errors, strict=True)
             )
             verdict = SatelliteMonitor(settings).evaluate(RawEpoch(epoch.gps_time_ns, noisy), store)
             failed = verdict.outcome is not Outcome.PASS
@@ -170,7 +170,9 @@ def bank(rate: float, runs: int, epochs: int, white: bool, seed: int = 1) -> lis
     """Count exclusions that begin."""
     epoch, _, geometry = next(exact_epochs())
     geometry = replace(geometry, noise_sd=geometry.sd) if white else geometry
-    systems = tuple(int(one.satellite.constellation is Constellation.GALILEO) for one in epoch.measurements)
+    systems = tuple(
+        int(measurement.satellite.constellation is Constellation.GALILEO) for measurement in epoch.measurements
+    )
     drives, alarms, accusing = Drives(geometry, systems, runs, seed), 0, 0
     filters = LeaveOneOutBank(drives.start, len(systems), BankSettings(rate))
     for second in range(epochs):
@@ -196,12 +198,12 @@ def main() -> int:
         for rate in RATES
     ]
     outcome = campaign.run("alarms-satellites", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
-    counts = [one for found in outcome.results for one in found]
+    counts = [count for result in outcome.results for count in result]
     console = Console()
     console.print(printed(table("satellites", counts)))
     console.print(CAMPAIGN.note(options.runs))
     campaign.worth_storing(options, outcome)
-    return 1 if not outcome.complete or any(one.verdict == "too many" for one in counts) else 0
+    return 1 if not outcome.complete or any(count.verdict == "too many" for count in counts) else 0
 
 
 if __name__ == "__main__":

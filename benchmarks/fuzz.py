@@ -259,8 +259,8 @@ def main() -> None:
         print(
             f"{name}: seed {options.seed}, {inputs} inputs in {options.seconds:g} s, {len(found)} failures", flush=True
         )
-        for one in found:
-            print(f"  {one}")
+        for item in found:
+            print(f"  {item}")
         failed = failed or bool(found)
     sys.exit(failed)
 

@@ -55,7 +55,8 @@ VALUES: tuple[Callable[[], object], ...] = (
         float("inf"), "", "\0", "a\0b", "\N{GRINNING FACE}", "x" * 20_000, "uplink/gap", "9" * 5000, b"", bytes(8),
         bytes(32), bytes(70_000),
     )),
-    lambda: [], lambda: {}, lambda: [0] * 5000, lambda: {str(one): one for one in range(5000)}, lambda: {"\0": 1},
+    lambda: [], lambda: {}, lambda: [0] * 5000, lambda: {str(number): number for number in range(5000)},
+    lambda: {"\0": 1},
     lambda: _nested(8), lambda: _nested(40),
 )  # fmt: skip
 
@@ -115,7 +116,7 @@ def read_batch(data: bytes) -> Genuine:
     if found.batch.kind is Kind.POSITIONS:
         newest(found.batch)
         last_position(found.batch)
-    json.dumps([one.content for one in found.batch.events], allow_nan=False)
+    json.dumps([event.content for event in found.batch.events], allow_nan=False)
     return found
 
 
@@ -123,7 +124,7 @@ def batches() -> list[object]:
     """Content of a batch of each kind."""
     unit = Unit(VEHICLE)
     made = unit.positions((0, 0, 5)), unit.events("trust/event", "toll/transaction"), unit.gap(9, 30)
-    return [cbor2.loads(zlib.decompress(unsealed(one).message.payload)) for one in made]
+    return [cbor2.loads(zlib.decompress(unsealed(payload).message.payload)) for payload in made]
 
 
 def _json(content: object) -> bytes:
@@ -235,14 +236,14 @@ def readers() -> Iterator[dict[str, Reader]]:
         watch = {"topics": ["gnss/fix"], "for_s": 30, "watchers": 1}
         certificate = x509.load_pem_x509_certificate(renew["certificate"].encode())
         request = x509.load_pem_x509_csr(enrol["request"].encode())
-        der = [one.public_bytes(serialization.Encoding.DER) for one in (certificate, request)]
+        der = [item.public_bytes(serialization.Encoding.DER) for item in (certificate, request)]
         deep_json = b"[" * DEEP_JSON
         refused = (ValidationError, Refusal, BadRequest)
         answer = {**admission.answer(enrol["request"]), "certificate": ""}
         identity = json.loads((admission.folder / CENTRE).read_bytes())
         yield {
             "batch": Reader(batches(), _batch, read_batch, (BadBatch,), b"\xd2" + b"\x81" * DEEP_CBOR),
-            "receipt": Reader([receipt], lambda one: cbor2.dumps(one, canonical=True), Receipt.decode, (BadCbor,),
+            "receipt": Reader([receipt], lambda item: cbor2.dumps(item, canonical=True), Receipt.decode, (BadCbor,),
                               b"\x81" * DEEP_CBOR),
             "watch": Reader([watch], _json, lambda data: Watch().take(data, 0), (BadWatch,), b"[" * 4000),
             "enrol": Reader([enrol], _json, admission.enrol, refused, deep_json),

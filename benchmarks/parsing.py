@@ -37,7 +37,7 @@ same frames. The goal is 2 MB/s, half a core for 1 MB/s.
 
 def longest_frames() -> dict[str, bytes]:
     """The longest frame of each kind that the simulated receiver sends in a minute."""
-    data = b"".join(one.data for one in messages("urban", 1, 60.0) if isinstance(one, GnssRaw))
+    data = b"".join(message.data for message in messages("urban", 1, 60.0) if isinstance(message, GnssRaw))
     found: dict[str, bytes] = {}
     for frame in Framer(FRAMINGS).feed(data):
         name = UBX_MSGIDS.get(frame.data[2:4], "") if frame.protocol == "UBX" else ""

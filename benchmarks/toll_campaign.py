@@ -489,7 +489,7 @@ def stored() -> Result:
 
 def _result(path: Path) -> Result:
     content = json.loads(path.read_text(encoding="utf-8"))
-    return Result(**{one.name: content[one.name] for one in fields(Result) if one.name in content})
+    return Result(**{field.name: content[field.name] for field in fields(Result) if field.name in content})
 
 
 def main() -> None:
@@ -501,8 +501,8 @@ def main() -> None:
     jobs = [Job(f"part {seed}", part, (seed, PASSAGES, KILLS, VEHICLES)) for seed in seeds]
     outcome = run("toll", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
     result = Result()
-    for one in outcome.results:
-        result = result.plus(one)
+    for item in outcome.results:
+        result = result.plus(item)
     print(result.as_json())
     if worth_storing(options, outcome):
         store(result)

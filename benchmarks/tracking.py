@@ -66,7 +66,7 @@ def batches(seconds: float) -> list[tuple[float, str]]:
     period_s = 1.0 / (VEHICLES * RATE_HZ)
     sent = [(k * period_s, fleet[k % VEHICLES]) for k in range(round(seconds / period_s))]
     found = []
-    for number, group in groupby(sent, key=lambda one: int(one[0] / BATCH_S + 1e-9)):
+    for number, group in groupby(sent, key=lambda pair: int(pair[0] / BATCH_S + 1e-9)):
         cams = tuple(vehicle.cam(plaza, t) for t, vehicle in group)
         end_s = (number + 1) * BATCH_S
         received_ns = START_NS + round(end_s * SECOND_NS)
@@ -95,12 +95,16 @@ def measure(seconds: float) -> Result:
         read_s += time.process_time() - read
         out += process.handle(message)
         write = time.process_time()
-        for one in out:
-            one.model_dump_json()
+        for item in out:
+            item.model_dump_json()
         end = time.process_time()
         written_s += end - write
         costs.append(end - begin)
-        said += [one.state.value for one in out if isinstance(one, TollPassage) and not one.checkpoint]
+        said += [
+            toll_passage.state.value
+            for toll_passage in out
+            if isinstance(toll_passage, TollPassage) and not toll_passage.checkpoint
+        ]
     cams = len(inputs) * round(VEHICLES * RATE_HZ * BATCH_S)
     p50, p99 = np.percentile(np.array(costs) * 1e3, [50.0, 99.0]).tolist()
     return Result(

@@ -167,7 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cells: dict[str, list[float]] = {}
     for number, rate in outcome.numbered:
         cells.setdefault(jobs[number].name, []).append(rate)
-    rates = {name: float(np.quantile(found, FOUND)) for name, found in cells.items()}
+    rates = {name: float(np.quantile(cell, FOUND)) for name, cell in cells.items()}
     Console().print(printed(table(rates, within)))
     print(CAMPAIGN.note(options.runs))
     if campaign.worth_storing(options, outcome):
@@ -184,7 +184,7 @@ def table(rates: Mapping[str, float], within: Sequence[int]) -> Table:
     ]
     return Table(
         "Smallest turn rate that nine of ten runs find [deg/s]",
-        ("drive", "within", *(one.value for one in Grade)),
+        ("drive", "within", *(grade.value for grade in Grade)),
         rows,
     )
 

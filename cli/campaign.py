@@ -65,7 +65,7 @@ class Job(Generic[Found]):
     def key(self) -> str:
         """Digest of everything that the result depends on."""
         there = [(path, path.stat()) for path in self.reads if path.exists()]
-        stamps = [(str(path), found.st_size, found.st_mtime_ns) for path, found in there]
+        stamps = [(str(path), stat_result.st_size, stat_result.st_mtime_ns) for path, stat_result in there]
         code = [code_of(module) for module in (self.work.__module__, *self.also)]
         what = self.arguments if self.identity is None else self.identity
         known = (code, self.work.__qualname__, what, stamps)
@@ -97,7 +97,7 @@ class Outcome(Generic[Found]):
     @property
     def results(self) -> list[Found]:
         """The results alone."""
-        return [one for _, one in self.numbered]
+        return [item for _, item in self.numbered]
 
     @property
     def complete(self) -> bool:
@@ -131,14 +131,14 @@ def run(
     waiting = {number: job for number, job in enumerate(jobs) if number not in found}
     with suppress(KeyboardInterrupt), progress_on(console) as progress:
         task = progress.add_task(name, total=len(waiting))
-        for number, one in _done(waiting, workers, executor):
+        for number, failure in _done(waiting, workers, executor):
             progress.update(task, advance=1, description=f"{name}: {jobs[number].name}")
-            if isinstance(one, Failure):
-                console.print(f"{name}: {jobs[number].name} failed: {one.reason}", markup=False, soft_wrap=True)
+            if isinstance(failure, Failure):
+                console.print(f"{name}: {jobs[number].name} failed: {failure.reason}", markup=False, soft_wrap=True)
                 continue
             if not smoke:
-                _keep(jobs[number], one, paths[number])
-            found[number] = one
+                _keep(jobs[number], failure, paths[number])
+            found[number] = failure
     return Outcome(sorted(found.items(), key=itemgetter(0)), len(jobs))
 
 
@@ -359,7 +359,7 @@ def _at_least_one(text: str) -> int:
 
 def worth_storing(options: argparse.Namespace, *outcomes: Outcome[Any]) -> bool:
     """Whether results replace the stored ones; if not, say why on standard error."""
-    missing = sum(one.planned - len(one.numbered) for one in outcomes)
+    missing = sum(outcome.planned - len(outcome.numbered) for outcome in outcomes)
     console = Console(stderr=True)
     if missing:
         console.print(f"{missing} jobs are not done: nothing is stored, and the same command goes on with them.")

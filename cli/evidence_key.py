@@ -46,10 +46,16 @@ def show() -> int:
     key = _key_file()
     current, ring = _current(key), accepted_keys(None)
     print(f"private key: {key.path}")
-    for one in ring.keys:
-        since = f"since {_date(one.made_ns)}" if one.made_ns else ""
-        state = f"until {_date(one.retired_ns)}" if one.retired_ns else "signs now" if one.key_id == current else ""
-        print(f"{one.key_id}  {since}  {state}".rstrip())
+    for public_key in ring.keys:
+        since = f"since {_date(public_key.made_ns)}" if public_key.made_ns else ""
+        state = (
+            f"until {_date(public_key.retired_ns)}"
+            if public_key.retired_ns
+            else "signs now"
+            if public_key.key_id == current
+            else ""
+        )
+        print(f"{public_key.key_id}  {since}  {state}".rstrip())
     return 0
 
 

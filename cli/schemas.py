@@ -58,8 +58,9 @@ class _Document:
         operations = cast("dict[str, Json]", self._document["operations"]).values()
         for key, channel in cast("dict[str, Json]", self._document["channels"]).items():
             (message,) = cast("Json", channel["messages"])
-            bindings = [one["bindings"] for one in operations if one["channel"] == _reference("channels", key)
-                        and "bindings" in one]  # fmt: skip
+            bindings = [operation["bindings"] for operation in operations
+            if operation["channel"] == _reference("channels", key)
+                        and "bindings" in operation]  # fmt: skip
             name = str(channel["address"]).removeprefix("obu/{vehicle}/")
             yield f"`{name}`", message, f"`{digest([message, bindings[:1]], {})}`"
 

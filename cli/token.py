@@ -50,14 +50,14 @@ def list_tokens() -> int:
         raise UserError(f"cannot read {tokens.path}: {tokens.problem}; run this as the user who runs the unit")
     now_s = time.time()
     rows = [
-        (one.name, one.role, _day(one.created_s), _end(one.expires_s), one.hash[:SHOWN_OF_HASH],
-         str(sum(session.token == one.name for session in content.sessions)))
-        for one in content.tokens if one.expires_s is None or one.expires_s > now_s
+        (token.name, token.role, _day(token.created_s), _end(token.expires_s), token.hash[:SHOWN_OF_HASH],
+         str(sum(session.token == token.name for session in content.sessions)))
+        for token in content.tokens if token.expires_s is None or token.expires_s > now_s
     ]  # fmt: skip
-    named = {one.name for one in content.tokens}
+    named = {token.name for token in content.tokens}
     rows += [
-        (one.token, one.role, _day(one.created_s), _end(one.expires_s), "used", "1")
-        for one in content.sessions if one.token not in named and one.expires_s > now_s
+        (session.token, session.role, _day(session.created_s), _end(session.expires_s), "used", "1")
+        for session in content.sessions if session.token not in named and session.expires_s > now_s
     ]  # fmt: skip
     if not rows:
         print("no tokens; make a link with `obu token show-link`, or a token with `obu token add NAME`")

@@ -71,19 +71,19 @@ def verify_toll(
     with progress_on(Console(stderr=True)) as progress:
         packs = (each for path in evidence for each in _checked(path, ring, outcomes))
         total = sum(map(count, evidence))
-        for found, outcome, text in progress.track(packs, total=total, description="verifying"):
-            pack = None if found.damage else parse(found)
-            passage_id = pack.charged.passage_id if pack else found.name
+        for item, outcome, text in progress.track(packs, total=total, description="verifying"):
+            pack = None if item.damage else parse(item)
+            passage_id = pack.charged.passage_id if pack else item.name
             if passage and not passage_id.startswith(passage):
                 continue
             number += 1
             outcomes.append(outcome)
-            problems = [found.damage] if pack is None else differences_of(found, pack)
+            problems = [item.damage] if pack is None else differences_of(item, pack)
             wrong += bool(problems) or outcome in (Outcome.EDITED, Outcome.FOREIGN)
             _print(passage_id, pack, problems, text)
             if export and pack is not None:
                 export.mkdir(parents=True, exist_ok=True)
-                (export / f"{passage_id}.json").write_bytes(with_seal(found))
+                (export / f"{passage_id}.json").write_bytes(with_seal(item))
     if not number and gravest(outcomes) is Outcome.VERIFIED:
         raise UserError(f"no evidence of {passage or 'a charge'} in {', '.join(map(str, evidence))}")
     print(f"{number - wrong} of {number} charges verified")

@@ -53,12 +53,12 @@ def python_packages(execute: Run, environment: Path = ENVIRONMENT) -> list[str]:
         except (ValueError, KeyError, TypeError) as error:
             raise Unasked(_last(done.stderr)) from error
         # pip-audit ends with 0 also where the source knew none of the packages, which is no answer about them.
-        if unknown := sorted(one["name"] for one in answers if "vulns" not in one):
+        if unknown := sorted(answer["name"] for answer in answers if "vulns" not in answer):
             raise Unasked(f"it does not know {_some(unknown)} of {len(answers)} packages")
         found += [
-            f"{one['name']} {one['version']}: {weakness['id']}, corrected in {_some(weakness['fix_versions'])}"
-            for one in answers
-            for weakness in one["vulns"]
+            f"{answer['name']} {answer['version']}: {weakness['id']}, corrected in {_some(weakness['fix_versions'])}"
+            for answer in answers
+            for weakness in answer["vulns"]
         ]
     return found
 

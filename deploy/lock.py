@@ -86,8 +86,8 @@ def ask_pip(versions: Mapping[str, str], options: list[str]) -> Files:
             raise RuntimeError(f"pip could not tell the hashes; check its index, then run `make lock` again\n{said}")
         chosen = json.loads(report.read_text())["install"]
     return {
-        canonicalize_name(one["metadata"]["name"]): one["download_info"]["archive_info"]["hashes"]["sha256"]
-        for one in chosen
+        canonicalize_name(item["metadata"]["name"]): item["download_info"]["archive_info"]["hashes"]["sha256"]
+        for item in chosen
     }
 
 

@@ -186,10 +186,10 @@ class Centre:
         ports = [(settings.listen, "mqtt_port"), (settings.listen, "enrol_port"), (settings.web_listen, "web_port")]
         if is_loopback(settings.nats_host):
             ports.append((LOOPBACK, "nats_port"))
-        for (_, one), (_, other) in combinations(ports, 2):  # whatever the address: 0.0.0.0 takes the port of each
-            if getattr(settings, one) == getattr(settings, other):
+        for (_, name), (_, other) in combinations(ports, 2):  # whatever the address: 0.0.0.0 takes the port of each
+            if getattr(settings, name) == getattr(settings, other):
                 raise UserError(
-                    f"{self.folder / FILE}: {one} and {other} are both {getattr(settings, one)}; "
+                    f"{self.folder / FILE}: {name} and {other} are both {getattr(settings, name)}; "
                     "give each a port of its own"
                 )
         for host, name in ports:

@@ -40,18 +40,18 @@ class AttackRow:
     @property
     def defaults(self) -> dict[str, float]:
         """Default of each parameter."""
-        return {one.name: one.default for one in self.parameters}
+        return {parameter.name: parameter.default for parameter in self.parameters}
 
     def complete(self, given: Mapping[str, float]) -> dict[str, float]:
         """Fill up given parameters, possibly shortened, with the defaults; raises ValueError for what cannot be."""
         return self.defaults | dict(self._checked(name, value) for name, value in given.items())
 
     def _checked(self, name: str, value: float) -> tuple[str, float]:
-        known = [one for one in self.parameters if one.name == name] or [
-            one for one in self.parameters if name and one.name.startswith(name)
+        known = [parameter for parameter in self.parameters if parameter.name == name] or [
+            parameter for parameter in self.parameters if name and parameter.name.startswith(name)
         ]
         if len(known) != 1:
-            names = ", ".join(one.name for one in self.parameters) or "none"
+            names = ", ".join(parameter.name for parameter in self.parameters) or "none"
             raise ValueError(f"{self.name} has no parameter {name[:40]!r}; its parameters: {names}")
         one = known[0]
         if not (isfinite(value) and one.least <= value <= one.greatest):

@@ -91,14 +91,14 @@ def load_toml(text: str) -> dict[str, object]:
     """
     if len(text) > TOML_BYTES:
         raise TooMuch(f"it has more than {_size(TOML_BYTES)}")
-    bare = _TOML_TEXTS.sub(lambda found: "" if found["comment"] else "q", text)
+    bare = _TOML_TEXTS.sub(lambda match: "" if match["comment"] else "q", text)
     if bare.count("=") + bare.count("[") + bare.count(",") > TOML_KEYS:
         raise TooMuch(f"it has more than {TOML_KEYS} keys and values")
     depth = deepest = 0
     for bracket in _TOML_BRACKETS.finditer(bare):
         depth = depth + 1 if bracket[0] in "[{" else max(depth - 1, 0)
         deepest = max(deepest, depth)
-    dotted = max((found[0].count(".") for found in _TOML_DOTTED.finditer(bare)), default=0)
+    dotted = max((match[0].count(".") for match in _TOML_DOTTED.finditer(bare)), default=0)
     if deepest + dotted > TOML_DEPTH:
         raise TooMuch(f"it has more than {TOML_DEPTH} levels")
     return tomllib.loads(text)

@@ -114,8 +114,8 @@ def _lz4(data: bytes, limit: int, found: bytearray) -> bool:
 
 
 _UNPACKERS = {
-    "gzip": lambda data, limit, found: _deflated(data, limit, found, 16 + zlib.MAX_WBITS),
-    "zlib": lambda data, limit, found: _deflated(data, limit, found, zlib.MAX_WBITS),
+    "gzip": lambda data, limit, item: _deflated(data, limit, item, 16 + zlib.MAX_WBITS),
+    "zlib": lambda data, limit, item: _deflated(data, limit, item, zlib.MAX_WBITS),
     "zstd": _zstd,
     "lz4": _lz4,
 }

@@ -79,7 +79,7 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
             navigation.propagate_covariance()
         if stamps[i] % EPOCH_NS:
             continue
-        outcomes = [o for one in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.use(navigation, one)]
+        outcomes = [o for fix in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.use(navigation, fix)]
         navigation.propagate_covariance()
         times.append(stamps[i] * 1e-9)
         errors.append(sizes_of(navigation, error_of(navigation, drive, first + i, biases[i])))

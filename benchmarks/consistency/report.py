@@ -85,7 +85,7 @@ def run(case: Model | Unit, seed: int) -> Sizes:
 
 def row_of(name: str, runs: Sequence[Sizes]) -> Row:
     """Put runs together; instants at which not all of them have a solution are left out."""
-    errors = np.array([one.errors for one in runs])
+    errors = np.array([run.errors for run in runs])
     errors = errors[:, np.isfinite(errors).all(axis=(0, 2))]
     means = errors.mean(axis=0)
     nees, inside = {}, {}
@@ -93,7 +93,7 @@ def row_of(name: str, runs: Sequence[Sizes]) -> Row:
         low, high = band(len(runs), dimension(block))
         nees[block] = float(means[:, k].mean())
         inside[block] = float(((low <= means[:, k]) & (means[:, k] <= high)).mean())
-    velocity, position = np.sqrt(np.nanmean(np.array([one.innovations for one in runs]), axis=(0, 1))).tolist()
+    velocity, position = np.sqrt(np.nanmean(np.array([run.innovations for run in runs]), axis=(0, 1))).tolist()
     return Row(name, len(runs), nees, inside, (velocity, position))
 
 

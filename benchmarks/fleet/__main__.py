@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     plans = SMOKE if options.smoke else SHORT if options.short else PLANS
     load = os.getloadavg()[0]
     outcomes = {name: _run(plan) for name, plan in plans.items() if options.only in (None, name)}
-    whole = all(one.verdict.holds and not one.waiting for one in outcomes.values())
+    whole = all(outcome.verdict.holds and not outcome.waiting for outcome in outcomes.values())
     if options.short or options.smoke or options.only:
         return 0 if whole else 1
     goals = _goals(outcomes)

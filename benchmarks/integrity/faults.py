@@ -100,7 +100,7 @@ def faults_of(seed: int) -> tuple[str, list[ScheduledAttack]]:
     kind = KINDS[seed % len(KINDS)]
     kinds = [kind] if kind != "two" else rng.permutation(KINDS[:3])[:2].tolist()
     start_s, duration_s = rng.uniform(EARLIEST_S, LATEST_S), rng.uniform(SHORTEST_S, LONGEST_S)
-    return kind, [schedule(f"{_fault(rng, one)}@{start_s:.1f}:{duration_s:.1f}") for one in kinds]
+    return kind, [schedule(f"{_fault(rng, kind)}@{start_s:.1f}:{duration_s:.1f}") for kind in kinds]
 
 
 def drive_of(seed: int) -> Faulty:
@@ -114,7 +114,8 @@ def drive_of(seed: int) -> Faulty:
     safe = np.array([verdict is TrustLevel.SAFE for verdict in timeline.verdict_at(times)], dtype=bool)
     step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     names = " and ".join(
-        f"{one.attack}({', '.join(f'{key}={value:g}' for key, value in one.parameters.items())})" for one in faults
+        f"{fault.attack}({', '.join(f'{key}={value:g}' for key, value in fault.parameters.items())})"
+        for fault in faults
     )
     text = f"{names} at {faults[0].start_s:.0f} s for {faults[0].duration_s:.0f} s"
     largest = float(share.max()) if len(share) else 0.0
@@ -125,11 +126,11 @@ def rows_of(drives: Sequence[Faulty]) -> list[Row]:
     """Make one row a kind."""
     rows = []
     for kind in KINDS:
-        found = [one for one in drives if one.kind == kind]
+        found = [drive for drive in drives if drive.kind == kind]
         if found:
-            above = sum(one.above_s > 0.0 for one in found)
+            above = sum(faulty.above_s > 0.0 for faulty in found)
             interval = binomial_interval(above, len(found))
-            safe = sum(one.safe_above_s > 0.0 for one in found)
+            safe = sum(faulty.safe_above_s > 0.0 for faulty in found)
             rows.append(Row(kind, len(found), above, interval, safe, PRIOR[kind], PRIOR[kind] * above / len(found),
                             PRIOR[kind] * interval[1]))  # fmt: skip
     return rows
@@ -144,7 +145,7 @@ def page(drives: Sequence[Faulty], made: str) -> list[str]:
     """Draw up the page, line by line."""
     rows = rows_of(drives)
     total, most = sum(row.product for row in rows), sum(row.at_most for row in rows)
-    worst = sorted((one for one in drives if one.above_s > 0.0), key=lambda one: -one.largest_share)
+    worst = sorted((drive for drive in drives if drive.above_s > 0.0), key=lambda faulty: -faulty.largest_share)
     return [
         "# Protection levels under random faults",
         "",
@@ -168,9 +169,9 @@ def page(drives: Sequence[Faulty], made: str) -> list[str]:
         "| drive | fault | above, s | above while SAFE, s | error / level, largest |",
         "| --- | --- | ---: | ---: | ---: |",
         *(
-            f"| {one.drive}, {one.seed} | {one.fault} | {one.above_s:.1f} | {one.safe_above_s:.1f} "
-            f"| {one.largest_share:.2f} |"
-            for one in worst
+            f"| {faulty.drive}, {faulty.seed} | {faulty.fault} | {faulty.above_s:.1f} | {faulty.safe_above_s:.1f} "
+            f"| {faulty.largest_share:.2f} |"
+            for faulty in worst
         ),
     ]
 

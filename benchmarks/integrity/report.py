@@ -85,14 +85,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def rows_of(judged: Sequence[Judged]) -> list[Row]:
     """Make one row a case, of all its runs."""
-    groups = [(case.name, [one for one in judged if one.case == case.name]) for case in CASES]
+    groups = [(case.name, [item for item in judged if item.case == case.name]) for case in CASES]
     return [row_of(name, runs) for name, runs in groups if runs]
 
 
 def row_of(name: str, runs: Sequence[Judged]) -> Row:
     """Put runs together."""
-    error = np.concatenate([one.error_m for one in runs])
-    level = np.concatenate([one.level_m for one in runs])
+    error = np.concatenate([run.error_m for run in runs])
+    level = np.concatenate([run.level_m for run in runs])
     share = error / level
     above, worst = (share > 1.0).mean(axis=0).tolist(), share.max(axis=0).tolist()
     ratio, median = (1.0 / np.median(share, axis=0)).tolist(), np.median(level, axis=0).tolist()

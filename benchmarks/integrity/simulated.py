@@ -104,7 +104,9 @@ def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     origin = Geodetic(*drive.position[0].tolist())
     places = np.array([solution.position for solution in found])
     off = ned_track(places, origin) - ned_track(drive.position[rows], origin)
-    levels = np.array([(one.protection_level_horizontal, one.protection_level_vertical) for one in found])
+    levels = np.array(
+        [(solution.protection_level_horizontal, solution.protection_level_vertical) for solution in found]
+    )
     return Judged(case.name, drive.seed, np.column_stack([np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])]), levels)
 
 

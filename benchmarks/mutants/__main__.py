@@ -42,13 +42,13 @@ def candidates(root: Path) -> list[Site]:
 def equivalent(site: Site, source: str) -> str | None:
     """Why a fault changes nothing that the program does; None of one that does."""
     here = {"path": site.path.as_posix(), "line": source.splitlines()[site.line - 1].strip()}
-    known = (one for one in EQUIVALENTS if one == here | {"replacement": site.replacement, "why": one["why"]})
-    return next((str(one["why"]) for one in known), None)
+    known = (item for item in EQUIVALENTS if item == here | {"replacement": site.replacement, "why": item["why"]})
+    return next((str(item["why"]) for item in known), None)
 
 
 def table(found: Sequence[Tried], seed: int, number_of_candidates: int) -> str:
     """Page of a run."""
-    counts = Counter(one.outcome for one in found)
+    counts = Counter(tried.outcome for tried in found)
     return "\n".join([
         "# Faults put into the code on purpose", "",
         f"`python -m benchmarks.mutants --seed {seed} --number {len(found)}`, {datetime.now(UTC):%Y-%m-%d}: "
@@ -58,7 +58,7 @@ def table(found: Sequence[Tried], seed: int, number_of_candidates: int) -> str:
         "they lie in a file that imports it, or in the nearest folder.", "",
         "| place | kind | in its place | outcome | tests chosen by, or why it changes nothing |",
         "| --- | --- | --- | --- | --- |",
-        *(one.row for one in found), "",
+        *(tried.row for tried in found), "",
     ])  # fmt: skip
 
 
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     page = table(found, options.seed, len(places))
     if options.store:
         publish(ROOT / RESULT, page)
-    return int(any(one.outcome in NOT_FOUND for one in found))
+    return int(any(tried.outcome in NOT_FOUND for tried in found))
 
 
 if __name__ == "__main__":

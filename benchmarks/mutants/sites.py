@@ -55,7 +55,7 @@ class Site(NamedTuple):
 
 def _offset(lines: Sequence[str], line: int, column: int) -> int:
     """Offset [bytes] of a place; the columns of a syntax tree count bytes."""
-    return sum(len(one.encode()) for one in lines[: line - 1]) + column
+    return sum(len(name.encode()) for name in lines[: line - 1]) + column
 
 
 def sites_of(path: Path, source: str) -> list[Site]:
@@ -112,7 +112,7 @@ def _faults(node: ast.expr | ast.stmt) -> Iterator[tuple[Kind, str]]:
 
 
 def _is_text(*nodes: ast.expr) -> bool:
-    return any(isinstance(one, ast.JoinedStr) or isinstance(getattr(one, "value", None), str) for one in nodes)
+    return any(isinstance(node, ast.JoinedStr) or isinstance(getattr(node, "value", None), str) for node in nodes)
 
 
 def _text(node: ast.expr) -> str:

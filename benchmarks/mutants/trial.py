@@ -77,7 +77,9 @@ class Copy:
                 os.utime(target, ns=(before.st_atime_ns, before.st_mtime_ns))  # or its compiled file would be old
             if outcome != "killed" or self._passes(test):
                 return Tried(site, outcome, how, test)
-            left = [*left, "--deselect", test] if how in ("folder", "import") else [one for one in left if one != test]
+            left = (
+                [*left, "--deselect", test] if how in ("folder", "import") else [name for name in left if name != test]
+            )
         return Tried(site, "untested", how)
 
     def _outcome(self, tests: Sequence[str]) -> tuple[str, str]:

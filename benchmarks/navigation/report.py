@@ -244,16 +244,16 @@ def _costs(document: Document) -> Iterator[tuple[str, ...]]:
     for name, cost in document["speed"].items():
         yield "ours", name, f"{cost['us_per_sample']:.2f}", f"{cost['peak_mb']:.0f}"
     for peer, result in document["peers"].items():
-        for name, found in result["sets"].items():
-            yield peer, name, f"{found['us_per_sample']:.2f}", f"{found['peak_mb']:.0f}"
+        for name, set_result in result["sets"].items():
+            yield peer, name, f"{set_result['us_per_sample']:.2f}", f"{set_result['peak_mb']:.0f}"
 
 
 def _peers(peers: dict[str, PeerResult]) -> Iterator[str]:
     for name, result in peers.items():
         if result["absent"] is not None:
             yield f"{name}: not run. {result['absent']}"
-        for case, found in result["sets"].items():
-            yield f"{name} on {case}: " + ", ".join(f"{key} {value}" for key, value in found["accuracy"].items())
+        for case, set_result in result["sets"].items():
+            yield f"{name} on {case}: " + ", ".join(f"{key} {value}" for key, value in set_result["accuracy"].items())
 
 
 def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:

@@ -105,7 +105,7 @@ def metrics_of(
     runs: dict[str, list[Solved | None]] = {key: [] for key in cases}
     for number, job in enumerate(jobs):
         runs[job.name].append(found.get(number))
-    return {key: judged(cases[key], [one for one in each if one]) for key, each in runs.items() if all(each)}
+    return {key: judged(cases[key], [solved for solved in each if solved]) for key, each in runs.items() if all(each)}
 
 
 def judged(case: Case, runs: Sequence[Solved]) -> Metrics:

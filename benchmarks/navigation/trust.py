@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     imported = import_drives(names, workers=options.workers, fresh=options.fresh)
     jobs = [solve_job(name, name) for name in names]
     solved = campaign.run("drives-trust", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
-    drives = {names[number]: kept(one.metrics) for number, one in solved.numbered}
+    drives = {names[number]: kept(item.metrics) for number, item in solved.numbered}
     document = Document(measured_at=datetime.now(UTC).isoformat(timespec="seconds"), machine=machine(), drives=drives)
     print(page(document))
     if campaign.worth_storing(options, imported, solved) and not options.only:
@@ -112,8 +112,8 @@ def page(document: Document) -> str:
 
 def rows(drives: Mapping[str, Verdicts]) -> Iterator[tuple[str, ...]]:
     """One row for each drive."""
-    for name, found in drives.items():
-        metrics, seconds = found["metrics"], found["seconds"] or {}
+    for name, drive in drives.items():
+        metrics, seconds = drive["metrics"], drive["seconds"] or {}
         yield (
             name,
             _said(metrics["duration_s"], "{:.0f} s"),

@@ -123,12 +123,12 @@ def table(rows: Sequence[Row]) -> str:
         "| later wrong by 15° | best that positions allow |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for one in rows:
-        bound = "" if one.bound is None else f"{100.0 * one.bound:.0f} %"
-        slowest = f"over {WATCHED_S:.0f} s" if one.slowest_s == inf else f"{one.slowest_s:.1f} s"
-        passed = f"{one.passed} of {one.starts}"
+    for row in rows:
+        bound = "" if row.bound is None else f"{100.0 * row.bound:.0f} %"
+        slowest = f"over {WATCHED_S:.0f} s" if row.slowest_s == inf else f"{row.slowest_s:.1f} s"
+        passed = f"{row.passed} of {row.starts}"
         lines.append(
-            f"| {one.name} | {one.settings} | {passed} | {one.median_s:.1f} s | {slowest} | {one.wrong} | {bound} |"
+            f"| {row.name} | {row.settings} | {passed} | {row.median_s:.1f} s | {slowest} | {row.wrong} | {bound} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -153,12 +153,12 @@ def store(rows: Sequence[Row], each: int) -> None:
     tables.publish(RESULTS.joinpath("starts.md"), f"{TITLE}{SIZE.note(each)}\n\n{table(rows)}")
     figures = [
         {
-            "receiver": one.name,
-            "bias_stated": one.settings,
-            "passed": one.passed,
-            "starts": one.starts,
-            "bound": one.bound,
+            "receiver": row.name,
+            "bias_stated": row.settings,
+            "passed": row.passed,
+            "starts": row.starts,
+            "bound": row.bound,
         }
-        for one in rows
+        for row in rows
     ]
     RESULTS.joinpath("starts.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")

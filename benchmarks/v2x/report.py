@@ -269,7 +269,7 @@ class Listener:
             message = envelope.decode()
             if isinstance(message, CamList):
                 self.decoding_s += time.process_time() - started
-                self.ages_ns += [envelope.received_ns - found.received_ns for found in message.cams]
+                self.ages_ns += [envelope.received_ns - cam.received_ns for cam in message.cams]
             elif isinstance(message, TollTracks):
                 self.tracks = len(message.tracks)
                 self.track_ages_ns.append(envelope.received_ns - message.sampled_ns)

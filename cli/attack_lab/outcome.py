@@ -147,21 +147,21 @@ def answers(runs: Sequence[Run]) -> list[Answer]:
 def _answer(attack: str, group: Sequence[Run]) -> Answer:
     found = [outcome(*run) for run in group]
     row = BY_NAME[_attack_of(group[0][0])]
-    detected, right = sum(one.detected for one in found), sum(one.right for one in found)
-    shares = [one.above_level_fraction for one in found if one.above_level_fraction is not None]
-    left_safe = [one.not_safe_after_s for one in found if one.not_safe_after_s is not None]
-    again = [one.usable_again_s for one in found if one.usable_again_s is not None]
-    ends = [one.end for one in found if one.end is not None]
+    detected, right = sum(outcome.detected for outcome in found), sum(outcome.right for outcome in found)
+    shares = [outcome.above_level_fraction for outcome in found if outcome.above_level_fraction is not None]
+    left_safe = [outcome.not_safe_after_s for outcome in found if outcome.not_safe_after_s is not None]
+    again = [outcome.usable_again_s for outcome in found if outcome.usable_again_s is not None]
+    ends = [outcome.end for outcome in found if outcome.end is not None]
     end = max(ends, key=lambda point: point.error_m[0] or 0.0, default=None)
     return Answer(
         attack, " or ".join((row.accused or "nobody", *row.also)), len(found),
         detected, binomial_interval(detected, len(found)), right, binomial_interval(right, len(found)),
-        _all(one.accused for one in found), _all(one.accused_after for one in found),
-        _all(one.healthy_excluded for one in found),
-        sum(one.safe_s for one in found), sum(one.safe_above_level_s for one in found),
-        sum(one.safe_above_limit_s for one in found), float(np.mean(shares)) if shares else None,
-        (_worst(one.safe_error_m[0] for one in found), _worst(one.safe_error_m[1] for one in found)),
-        max(one.healthy_excluded_s for one in found), max(one.excluded_after_s for one in found),
+        _all(outcome.accused for outcome in found), _all(outcome.accused_after for outcome in found),
+        _all(outcome.healthy_excluded for outcome in found),
+        sum(outcome.safe_s for outcome in found), sum(outcome.safe_above_level_s for outcome in found),
+        sum(outcome.safe_above_limit_s for outcome in found), float(np.mean(shares)) if shares else None,
+        (_worst(outcome.safe_error_m[0] for outcome in found), _worst(outcome.safe_error_m[1] for outcome in found)),
+        max(outcome.healthy_excluded_s for outcome in found), max(outcome.excluded_after_s for outcome in found),
         len(left_safe), max(left_safe, default=None), len(again), max(again, default=None),
         end.error_m if end else (None, None), end.level_m if end else (None, None),
     )  # fmt: skip

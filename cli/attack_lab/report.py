@@ -107,8 +107,8 @@ def write(folder: Path, card: dict[str, object], runs: Sequence[Run]) -> None:
 def page(card: dict[str, object], runs: Sequence[Run]) -> str:
     """Create the page without external resources."""
     figures = "\n".join(
-        f"<h2>{escape(one.title)}</h2>\n<figure>{one.svg}<figcaption>{escape(one.caption)}</figcaption></figure>"
-        for one in _figures(runs)
+        f"<h2>{escape(figure.title)}</h2>\n<figure>{figure.svg}<figcaption>{escape(figure.caption)}</figcaption></figure>"
+        for figure in _figures(runs)
     )
     share = card["safe_share_clean"]
     lead = "No clean drive was run."
@@ -249,11 +249,11 @@ def detection_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
     last = ("undetected error", "SAFE above limit", "SAFE again")
     head = ["attack", "runs", *(name.replace("_", " ") for name in monitors), *last]
     rows = []
-    for attack, found in by_attack.items():
+    for attack, item in by_attack.items():
         worst, after_s = harm[attack].largest_undetected_error_m, harm[attack].safe_again_s
         again = f"{harm[attack].recovered}" + ("" if after_s is None else f" ({after_s:.0f} s)")
         rows.append([
-            attack, str(found[0].runs), *(_shown(row) for row in found),
+            attack, str(item[0].runs), *(_shown(row) for row in item),
             "unknown" if worst is None else f"{worst:.1f} m", f"{harm[attack].hazardous_s:.0f} s", again,
         ])  # fmt: skip
     return head, rows

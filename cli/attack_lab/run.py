@@ -47,7 +47,7 @@ def simulated(drive: str, seed: int, duration_s: float, attacks: Sequence[Schedu
     """Run the whole unit over a simulated drive with any number of attacks."""
     vehicle = load_vehicle(SIMULATED)
     settings = vehicle.section("sensors.simulator", Simulator)
-    neighbours = NEIGHBOURS if any(ATTACK_ROWS[one.attack].accused == "neighbour" for one in attacks) else 0
+    neighbours = NEIGHBOURS if any(ATTACK_ROWS[attack.attack].accused == "neighbour" for attack in attacks) else 0
     equipment = Equipment(settings.protocols, settings.mounting_rpy_deg, settings.second_antenna_m, neighbours)
     end_ns = DEFAULT_START_NS + round(duration_s * NS)
     world = World(scenario_of(drive, seed), seed, DEFAULT_START_NS, equipment, attacks)

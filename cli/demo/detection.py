@@ -35,7 +35,9 @@ def signs(state: TrustState, attack: AttackName) -> tuple[str, ...]:
     found = [f"{name} excluded" for name, is_so in excluded if is_so]
     found += [f"verdict {state.state}"] if state.state in ALARMS else []
     for monitor in state.monitors:
-        accused = [one for one in monitor.accused if (reference(one).kind is ReferenceKind.NEIGHBOUR) == by_neighbours]
+        accused = [
+            name for name in monitor.accused if (reference(name).kind is ReferenceKind.NEIGHBOUR) == by_neighbours
+        ]
         if monitor.outcome is Outcome.ACCUSES and accused:
             found.append(f"{monitor.monitor} suspects {', '.join(accused)}")
     return tuple(found)

@@ -50,7 +50,7 @@ def _findings(vehicle_path: Path | None, *, probe: bool) -> Iterator[Finding]:
     if probe:
         yield from other_ports(vehicle)
     yield from _v2x(vehicle)
-    yield from (Finding(*one) for one in corrections_set_up(vehicle))
+    yield from (Finding(*pair) for pair in corrections_set_up(vehicle))
     yield from _broker_stores(folder)
     broker = _broker()
     yield broker

@@ -55,7 +55,7 @@ def unit(vehicle: VehicleFile) -> Iterator[Finding]:
         yield from messages(name, [health for health in healths if health.process == name])
     if {"sensors.gnss", "sensors.simulator"} & set(vehicle.processes):
         yield from receiver(heard, configured=vehicle.section("controller.mode", Controller).configure_gnss)
-    yield from (Finding(*one) for one in corrections(vehicle, heard))
+    yield from (Finding(*correction) for correction in corrections(vehicle, heard))
 
 
 def _listen(vehicle: VehicleFile) -> tuple[list[ProcessHealth], list[Message], int, str | None]:

@@ -107,7 +107,7 @@ def _lines(source: Source, to: Format, topic: str | None, period_s: float) -> It
     name = source.recording.path.stem
     if to is Format.RINEX:
         return _rinex(source, name)
-    topic = topic or next((one for one in (SOLUTIONS, FIXES) if source.has(one)), None)
+    topic = topic or next((name for name in (SOLUTIONS, FIXES) if source.has(name)), None)
     if topic is None or not source.has(topic):
         held = ", ".join(sorted(source.topics)[:12]) or f"nothing that can be read{_problems(source)}"
         raise UserError(

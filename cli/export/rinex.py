@@ -39,15 +39,15 @@ class Content:
         """Take note of an epoch."""
         self.first_ns = epoch.gps_time_ns if self.first_ns is None else self.first_ns
         self.leap_seconds = epoch.leap_seconds if self.leap_seconds is None else self.leap_seconds
-        for one in epoch.measurements:
-            name = satellite(one)
-            if name is None or one.signal is None:
+        for measurement in epoch.measurements:
+            name = satellite(measurement)
+            if name is None or measurement.signal is None:
                 continue
-            if one.glonass_frequency_number is not None:
-                self.channels[name] = one.glonass_frequency_number
+            if measurement.glonass_frequency_number is not None:
+                self.channels[name] = measurement.glonass_frequency_number
             codes = self.codes.setdefault(name[0], [])
-            if f"C{one.signal}" not in codes:
-                codes += [kind + one.signal for kind in KINDS]
+            if f"C{measurement.signal}" not in codes:
+                codes += [kind + measurement.signal for kind in KINDS]
 
 
 def satellite(one: RawMeasurement) -> str | None:
@@ -101,10 +101,10 @@ def epoch_lines(epochs: Iterable[GnssRawEpoch], content: Content) -> Iterator[st
     locks: dict[tuple[str, str], float] = {}
     for epoch in epochs:
         rows: dict[str, dict[str, str]] = {}
-        for one in epoch.measurements:
-            name = satellite(one)
-            if name is not None and one.signal is not None:
-                rows.setdefault(name, {}).update(_fields(one, _indicator(name, one, locks)))
+        for measurement in epoch.measurements:
+            name = satellite(measurement)
+            if name is not None and measurement.signal is not None:
+                rows.setdefault(name, {}).update(_fields(measurement, _indicator(name, measurement, locks)))
         if not rows:
             continue
         yield f"> {_calendar(epoch.gps_time_ns, '4d', '11.7f', '02d')}  0{len(rows):3d}\n"

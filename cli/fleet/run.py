@@ -109,7 +109,7 @@ def run(
     work = [_job(command, path, digest, words, out) for digest, path in _distinct(recordings).items()]
     with cluster(scheduler, jobs) as client:
         outcome = run_campaign(f"fleet-{command}", work, fresh=fresh, executor=client.get_executor())
-    rows = [asdict(one) for one in outcome.results]
+    rows = [asdict(result) for result in outcome.results]
     (out / "summary.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
     _show(outcome.results, outcome.planned, out)
     return 0 if outcome.complete else 1
@@ -231,8 +231,10 @@ def cluster(scheduler: str | None, jobs: int) -> "Iterator[Client]":
 
 def _show(found: Sequence[Done], planned: int, out: Path) -> None:
     table = Table("recording", "code", "seconds", "result")
-    for one in found[:SHOWN]:
-        table.add_row(Path(one.recording).name, str(one.code), f"{one.seconds:.1f}", shorten(one.said, SHOWN_LETTERS))
+    for done in found[:SHOWN]:
+        table.add_row(
+            Path(done.recording).name, str(done.code), f"{done.seconds:.1f}", shorten(done.said, SHOWN_LETTERS)
+        )
     console = Console()
     console.print(table)
     more = f"{len(found) - SHOWN} more in" if len(found) > SHOWN else "also in"

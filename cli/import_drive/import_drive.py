@@ -164,7 +164,7 @@ def _beginning(path: Path) -> list[str]:
 
 def body_from_phone(axes: str) -> npt.NDArray[np.float64]:
     """Rotation to body axes from signed letters of the phone's axes, as in "y,x,-z"."""
-    rows = [one.strip().lower() for one in axes.split(",")]
+    rows = [name.strip().lower() for name in axes.split(",")]
     matrix = np.array([[float(row.lstrip("-+") == axis) for axis in "xyz"] for row in rows]).reshape(len(rows), 3)
     matrix *= np.array([[-1.0 if row.startswith("-") else 1.0] for row in rows])
     if matrix.shape != (3, 3) or round(float(np.linalg.det(matrix))) != 1:

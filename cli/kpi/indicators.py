@@ -233,8 +233,8 @@ def _integrity(drive: Observed, usable: Mask | None, grid: Stamps) -> dict[str, 
     known = np.isfinite(drive.errors.protection_m.sum(axis=1))
     stamps = drive.errors.stamps_ns[known]
     weights = _weights_s(stamps)
-    for one in protected(drive.errors, drive.alert_limits_m):
-        found |= _protected(one, weights, None if usable is None else _at(usable, grid, stamps))
+    for item in protected(drive.errors, drive.alert_limits_m):
+        found |= _protected(item, weights, None if usable is None else _at(usable, grid, stamps))
     return found
 
 
@@ -269,7 +269,7 @@ def _geometry(drive: Observed) -> dict[str, Value]:
     dops = {name: _known([getattr(fix, name) for fix in drive.fixes]) for name in ("hdop", "pdop", "vdop")}
     used = _known([fix.satellites_used for fix in drive.fixes])
     strengths = _known([
-        one.cn0_db_hz for epoch in drive.satellites for one in epoch.satellites if one.used
+        satellite.cn0_db_hz for epoch in drive.satellites for satellite in epoch.satellites if satellite.used
     ])  # fmt: skip
     return {
         **{f"{name}_median": _quantile(values, 0.5) for name, values in dops.items()},

@@ -90,8 +90,8 @@ def reproduce(runs: int, progress: bool) -> Paper:
     jobs: list[Callable[[], Row | Sensitivity]] = [partial(row, k, runs, SEED) for k in range(len(RATIOS))]
     jobs += [partial(sensitivity, assumption, runs) for assumption in ASSUMPTIONS]
     done = list(in_parallel(_call, jobs, WORKERS, progress))
-    rows = [one for one in done if isinstance(one, Row)]
-    changed = [one for one in done if isinstance(one, Sensitivity)]
+    rows = [row for row in done if isinstance(row, Row)]
+    changed = [sensitivity for sensitivity in done if isinstance(sensitivity, Sensitivity)]
     tables = [
         _rates_table(rows, runs),
         _positions_table(rows),
@@ -111,10 +111,10 @@ def _call(job: Callable[[], Row | Sensitivity]) -> Row | Sensitivity:
 def _steps(rows: Sequence[Row]) -> list[str]:
     """Missed steps of the printed test above the published ones, as far as these runs have them."""
     return [
-        f"Missed step at a ratio of {one.ratio}: {one.open_loop.missed_step:.2f} % with the printed test "
-        f"({one.snooping.missed_step:.2f} % with Baarda's), published {one.published.missed_step} %."
-        for one in rows
-        if one.open_loop.missed_step > 1.5 * one.published.missed_step and one.open_loop.missed_step > 1.0
+        f"Missed step at a ratio of {row.ratio}: {row.open_loop.missed_step:.2f} % with the printed test "
+        f"({row.snooping.missed_step:.2f} % with Baarda's), published {row.published.missed_step} %."
+        for row in rows
+        if row.open_loop.missed_step > 1.5 * row.published.missed_step and row.open_loop.missed_step > 1.0
     ]
 
 
@@ -132,7 +132,7 @@ def sensitivity(assumption: Assumption, runs: int) -> Sensitivity:
 
 def mean_rates(rows: Sequence[Row], method: str) -> Rates:
     """Mean over the ratios."""
-    false_alarm, step, ramp = np.mean([astuple(getattr(one, method)) for one in rows], axis=0).tolist()
+    false_alarm, step, ramp = np.mean([astuple(getattr(row, method)) for row in rows], axis=0).tolist()
     return Rates(false_alarm, step, ramp)
 
 
@@ -144,10 +144,12 @@ def deviations(rows: Sequence[Row], changed: Sequence[Sensitivity]) -> list[str]
     for name, value, expected in zip(names, astuple(found), astuple(MEAN_OF_RATIOS), strict=True):
         if value > expected + POINTS:
             texts.append(f"open loop, mean of ten ratios: {name} {value:.2f} %, reference {expected} % + {POINTS}")
-    for one in changed:
-        name, expected = one.assumption.name, one.assumption.missed_ramp
-        if one.rates.missed_ramp > expected + POINTS and name != NO_TOLERANCE:
-            texts.append(f"{name}: missed ramp {one.rates.missed_ramp:.1f} %, reference {expected} % + {POINTS}")
+    for sensitivity in changed:
+        name, expected = sensitivity.assumption.name, sensitivity.assumption.missed_ramp
+        if sensitivity.rates.missed_ramp > expected + POINTS and name != NO_TOLERANCE:
+            texts.append(
+                f"{name}: missed ramp {sensitivity.rates.missed_ramp:.1f} %, reference {expected} % + {POINTS}"
+            )
     for one_row in rows:
         bank = one_row.leave_one_out
         if bank.missed_ramp > 60.0:
@@ -165,8 +167,8 @@ def _rates_text(rates: Rates) -> str:
 
 def _rates_table(rows: Sequence[Row], runs: int) -> Table:
     found = [
-        (f"{one.ratio}", _rates_text(one.published), *(_rates_text(getattr(one, m)) for m in METHODS.values()))
-        for one in rows
+        (f"{row.ratio}", _rates_text(row.published), *(_rates_text(getattr(row, m)) for m in METHODS.values()))
+        for row in rows
     ]
     means = (_rates_text(mean_rates(rows, method)) for method in ("published", *METHODS.values()))
     title = f"False alarms, missed step, missed ramp [%]; {runs} runs of 90 epochs a ratio"
@@ -175,7 +177,7 @@ def _rates_table(rows: Sequence[Row], runs: int) -> Table:
 
 
 def _positions_table(rows: Sequence[Row]) -> Table:
-    ratio = {one.ratio: one for one in rows}
+    ratio = {row.ratio: row for row in rows}
     found = [
         (f"{method}, {value}", *(f"{ratio[value].position_m[method][phase]:.1f}" for phase in scenario.PHASES))
         for value in (1.0, 0.5, 0.1)
@@ -188,8 +190,12 @@ def _positions_table(rows: Sequence[Row]) -> Table:
 
 def _sensitivity_table(changed: Sequence[Sensitivity]) -> Table:
     found = [
-        (one.assumption.name, *(f"{v:.2f}" for v in astuple(one.rates)), f"{one.assumption.missed_ramp}")
-        for one in changed
+        (
+            sensitivity.assumption.name,
+            *(f"{v:.2f}" for v in astuple(sensitivity.rates)),
+            f"{sensitivity.assumption.missed_ramp}",
+        )
+        for sensitivity in changed
     ]
     columns = ("", "false alarm", "step", "ramp", "ramp, reference")
     return Table("False alarms and misses [%] with one assumption changed, ratio 0.5", columns, found)
@@ -239,7 +245,9 @@ def _thresholds_table() -> Table:
     def biases(values: Sequence[float]) -> str:
         return " ".join(f"{value:.1f}" for value in values)
 
-    rows = [(name, biases(one.local_m), biases(one.baarda_m), f"{one.hpl_m:.1f}") for name, one in splits().items()]
+    rows = [
+        (name, biases(split.local_m), biases(split.baarda_m), f"{split.hpl_m:.1f}") for name, split in splits().items()
+    ]
     title = (
         f"Bias [m] that fires the local tests of the four real satellites (step: 50 m); HPL, limit {ALERT_LIMIT_M:g} m"
     )
@@ -252,32 +260,32 @@ def _document(rows: Sequence[Row], changed: Sequence[Sensitivity], runs: int) ->
         "columns": ["false_alarm_percent", "missed_step_percent", "missed_ramp_percent"],
         "ratios": [
             {
-                "ratio": one.ratio,
-                "position_rms_m": one.position_m,
-                **{name: astuple(getattr(one, name)) for name in ("published", *METHODS.values())},
+                "ratio": row.ratio,
+                "position_rms_m": row.position_m,
+                **{name: astuple(getattr(row, name)) for name in ("published", *METHODS.values())},
             }
-            for one in rows
+            for row in rows
         ],
         "mean": {name: astuple(mean_rates(rows, name)) for name in ("published", *METHODS.values())},
-        "sensitivities": {one.assumption.name: astuple(one.rates) for one in changed},
-        "reference_missed_ramp_percent": {one.name: one.missed_ramp for one in ASSUMPTIONS},
-        "splits": {name: asdict(one) for name, one in splits().items()},
+        "sensitivities": {sensitivity.assumption.name: astuple(sensitivity.rates) for sensitivity in changed},
+        "reference_missed_ramp_percent": {assumption.name: assumption.missed_ramp for assumption in ASSUMPTIONS},
+        "splits": {name: asdict(split) for name, split in splits().items()},
         "alert_limit_m": ALERT_LIMIT_M,
     }
 
 
 def _figures(rows: Sequence[Row]) -> list[Figure]:
     drawn: list[Figure] = []
-    ratios = [one.ratio for one in rows]
+    ratios = [row.ratio for row in rows]
     labels = {"false_alarm": "false alarms [%]", "missed_step": "missed step [%]", "missed_ramp": "missed ramp [%]"}
     with figure("Rates over the ratio", drawn.append, columns=3) as panels:
         for axes, (name, label) in zip(panels, labels.items(), strict=True):
             for text, method in {"paper": "published", **METHODS}.items():
-                axes.plot(ratios, [getattr(getattr(one, method), name) for one in rows], marker=".", label=text)
+                axes.plot(ratios, [getattr(getattr(row, method), name) for row in rows], marker=".", label=text)
             axes.set(xlabel="ratio of the range-rate deviation", ylabel=label)
         panels[2].legend()
     with figure("Position errors", drawn.append) as (axes,):
-        chosen = next(one for one in rows if one.ratio == 0.5).position_m
+        chosen = next(row for row in rows if row.ratio == 0.5).position_m
         for offset, (method, errors) in enumerate(chosen.items()):
             axes.bar(np.arange(len(errors)) + 0.16 * offset, list(errors.values()), 0.15, label=method)
         axes.set(ylabel="horizontal RMS [m], ratio 0.5")

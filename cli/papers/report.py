@@ -92,8 +92,8 @@ def publish(paper: Paper, *, json: bool, out: Path | None) -> int:
 def _write(paper: Paper, out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for one in paper.figures:
-            (out / one.file).write_text(one.svg, encoding="utf-8")
+        for figure in paper.figures:
+            (out / figure.file).write_text(figure.svg, encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}; choose another folder with --out") from error
 
@@ -120,7 +120,7 @@ def _print(paper: Paper, console: Console, out: Path | None) -> None:
         for remark in remarks:
             console.print(f"[bold]{heading}:[/] {escape(remark)}", highlight=False)
     if out is not None:
-        names = ", ".join(one.file for one in paper.figures)
+        names = ", ".join(figure.file for figure in paper.figures)
         console.print(f"Figures in {out}: {names}", highlight=False)
     for deviation in paper.deviations:
         console.print(f"[red]limit exceeded:[/] {escape(deviation)}", highlight=False)

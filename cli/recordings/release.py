@@ -51,6 +51,6 @@ def _decisive(schema: bytes) -> object:
 
 def _without_descriptions(value: object, *, of_names: bool = False) -> object:
     if isinstance(value, dict):
-        kept = value.items() if of_names else ((key, one) for key, one in value.items() if key not in SAID)
-        return {key: _without_descriptions(one, of_names=key in ("properties", "$defs")) for key, one in kept}
-    return [_without_descriptions(one) for one in value] if isinstance(value, list) else value
+        kept = value.items() if of_names else ((key, item) for key, item in value.items() if key not in SAID)
+        return {key: _without_descriptions(item, of_names=key in ("properties", "$defs")) for key, item in kept}
+    return [_without_descriptions(item) for item in value] if isinstance(value, list) else value

@@ -74,7 +74,7 @@ def verify(
     if process is not None and process not in wanted:
         raise UserError(f"{process!r} cannot be repeated; name one of {', '.join(sorted(wanted))}")
     checked = check_signatures(files, key)
-    outcome = gravest([one for file in checked for one in file.outcomes])
+    outcome = gravest([outcome for file in checked for outcome in file.outcomes])
     if not as_json:
         _print_signatures(checked)
     repeated = None if signatures else _repeat(files, {process} if process else wanted, vehicle, Console(stderr=True))
@@ -100,10 +100,12 @@ class Repeated:
     @property
     def code(self) -> int:
         """Exit code: 0 if all is identical and something was compared."""
-        verdicts = {one.verdict for one in self.findings}
+        verdicts = {finding.verdict for finding in self.findings}
         if not self.can or (Verdict.OTHER_RELEASE in verdicts and Verdict.DIFFERENT not in verdicts):
             return OTHER_RELEASE
-        return 0 if verdicts == {Verdict.IDENTICAL} and any(one.compared for one in self.findings) else DIFFERENT
+        return (
+            0 if verdicts == {Verdict.IDENTICAL} and any(finding.compared for finding in self.findings) else DIFFERENT
+        )
 
     @property
     def remedy(self) -> str:
@@ -132,15 +134,15 @@ def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None, console: 
     repetitions = audit.finish()
     if not repetitions:
         raise UserError("the recording holds no message of a process of layers 2 to 4; record a running unit")
-    return Repeated(release, tuple(one.finding(release) for one in repetitions))
+    return Repeated(release, tuple(repetition.finding(release) for repetition in repetitions))
 
 
 def _document(checked: Sequence[Checked], repeated: Repeated | None, code: int) -> dict[str, object]:
     """The result for programs."""
-    files = [{**asdict(one), "outcome": one.outcome.name.lower()} for one in checked]
+    files = [{**asdict(item), "outcome": item.outcome.name.lower()} for item in checked]
     found = {} if repeated is None else {
         "release": {"version": repeated.release.version or None, "is_this": repeated.release.is_this},
-        "processes": [{**asdict(one), "verdict": one.verdict.name.lower()} for one in repeated.findings],
+        "processes": [{**asdict(finding), "verdict": finding.verdict.name.lower()} for finding in repeated.findings],
     }  # fmt: skip
     return {"code": code, "files": files, **found}
 
@@ -150,15 +152,18 @@ def _finding(checked: Sequence[Checked], repeated: Repeated | None, code: int) -
     if repeated is not None and code == OTHER_RELEASE:
         return repeated.remedy
     if repeated is not None and code in (0, DIFFERENT):
-        others = [one for one in repeated.findings if one.verdict is not Verdict.IDENTICAL]
-        return ", ".join(f"{one.process}: {one.verdict}" for one in others) or "every process repeats its messages"
+        others = [finding for finding in repeated.findings if finding.verdict is not Verdict.IDENTICAL]
+        return (
+            ", ".join(f"{finding.process}: {finding.verdict}" for finding in others)
+            or "every process repeats its messages"
+        )
     return next(file.text for file in checked if code in file.outcomes)
 
 
 def _print_signatures(checked: Sequence[Checked]) -> None:
-    for one in checked:
-        print(f"{one.file}: {one.text}")
-        for more in (one.facts, one.gap):
+    for item in checked:
+        print(f"{item.file}: {item.text}")
+        for more in (item.facts, item.gap):
             if more is not None:
                 print(f"  {more}")
 
@@ -250,16 +255,16 @@ def _print(repeated: Repeated, console: Console) -> None:
     for title in ("process", "started (UTC)", "consumed", "compared", "unrecorded", "verdict"):
         right = title in ("consumed", "compared", "unrecorded")
         table.add_column(title, justify="right" if right else "left", no_wrap=True)
-    for one in repeated.findings:
-        started = datetime.fromtimestamp(one.incarnation // 1_000_000_000, UTC)
-        numbers = (str(number) for number in (one.consumed, one.compared, one.unrecorded))
-        table.add_row(one.process, f"{started:%m-%d %H:%M:%S}", *numbers, one.verdict.value)
+    for finding in repeated.findings:
+        started = datetime.fromtimestamp(finding.incarnation // 1_000_000_000, UTC)
+        numbers = (str(number) for number in (finding.consumed, finding.compared, finding.unrecorded))
+        table.add_row(finding.process, f"{started:%m-%d %H:%M:%S}", *numbers, finding.verdict.value)
     if repeated.findings:
         Console().print(table)
-    for one in repeated.findings:
-        if one.reason:
-            console.print(f"{one.process}: {one.reason}", markup=False, highlight=False)
-    verdicts = {one.verdict for one in repeated.findings}
+    for finding in repeated.findings:
+        if finding.reason:
+            console.print(f"{finding.process}: {finding.reason}", markup=False, highlight=False)
+    verdicts = {finding.verdict for finding in repeated.findings}
     if Verdict.INCOMPLETE in verdicts:
         console.print(INCOMPLETE)
     if Verdict.OTHER_RELEASE in verdicts or not repeated.can:

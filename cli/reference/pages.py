@@ -115,7 +115,7 @@ def attacks_page() -> str:
     rows = [
         (
             f"`{row.name}`", row.purpose, " or ".join((row.accused or "nobody", *row.also)),
-            "<br>".join(_parameter(one) for one in row.parameters) or "none",
+            "<br>".join(_parameter(parameter) for parameter in row.parameters) or "none",
         )
         for row in ATTACKS
     ]  # fmt: skip

@@ -80,7 +80,7 @@ class Track:
     def stamps_of(self, phase: NavigationPhase) -> list[int]:
         """Stamps [ns] of the solutions of a phase."""
         stamps = self.stamps_ns.tolist()
-        return [at_ns for at_ns, one in zip(stamps, self.phases, strict=True) if one is phase]
+        return [at_ns for at_ns, navigation_phase in zip(stamps, self.phases, strict=True) if navigation_phase is phase]
 
     def columns(self, first: str, count: int = 3) -> FloatArray:
         """Adjacent columns from a name on, shape (rows, count)."""

@@ -90,4 +90,6 @@ class Revocation:
 def _connections_in(answer: dict[str, Any], vehicle: str) -> list[tuple[str, int]]:
     server = str(answer["server"]["id"])
     connections = answer.get("data", {}).get("connections") or ()
-    return [(server, int(one["cid"])) for one in connections if one.get("authorized_user") == vehicle]
+    return [
+        (server, int(connection["cid"])) for connection in connections if connection.get("authorized_user") == vehicle
+    ]

@@ -141,7 +141,7 @@ class WebHooks:
         async with self._db.cursor(row_factory=dict_row) as cursor:
             rows = await (await cursor.execute(DUE, (list(self._waiting),))).fetchall()
         tenants = [(tenant, list(some)) for tenant, some in groupby(rows, lambda row: int(row["tenant_id"]))]
-        await asyncio.gather(*(self._tell(self._db, *one) for one in tenants))
+        await asyncio.gather(*(self._tell(self._db, *tenant) for tenant in tenants))
 
     async def close(self) -> None:
         """End the connection."""

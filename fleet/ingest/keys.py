@@ -58,7 +58,7 @@ class Keys:
         now = self._now_s()
         if len(self._known) > MOST_KEYS:
             self._known.clear()
-        wanted = [one for one in key_ids if now - self._known.get(one, (-FRESH_S, None))[0] >= FRESH_S]
+        wanted = [key_id for key_id in key_ids if now - self._known.get(key_id, (-FRESH_S, None))[0] >= FRESH_S]
         if wanted:
             found = {row.key_id: row for row in self._ask(wanted)}
             for key_id in wanted:

@@ -87,7 +87,7 @@ class Ingest:
         self._withheld.subtract(counts)
         self._withheld += Counter()  # without those that are told
         self._flood_s = time.monotonic()
-        most = sorted(counts, key=lambda one: -counts[one])[:5]
+        most = sorted(counts, key=lambda pair: -counts[pair])[:5]
         log.warning("without a receipt, beyond the budget: %d batches of %d vehicles, most of %s", sum(counts.values()),
                     len({vehicle for vehicle, _ in counts}), ", ".join(vehicle for vehicle, _ in most))  # fmt: skip
 
@@ -115,21 +115,21 @@ class Ingest:
         """
         answers: dict[str, list[Stored | Refused]] = defaultdict(list)
         forgeries, withheld = Counts(), Counts()
-        self._keys.load({one.sealed.key for one in group if one.sealed is not None})
+        self._keys.load({arrived.sealed.key for arrived in group if arrived.sealed is not None})
         genuine: list[Genuine] = []
         at_ms = self._clock_ms()
-        for one in group:
-            key = None if one.sealed is None else self._keys.find(one.sealed.key)
-            found = verified(one, key, at_ms)
-            if (whose := self._withheld_by(one, found, Limits() if key is None else key.limits)) is not None:
-                withheld[one.vehicle, whose] += 1
+        for arrived in group:
+            key = None if arrived.sealed is None else self._keys.find(arrived.sealed.key)
+            found = verified(arrived, key, at_ms)
+            if (whose := self._withheld_by(arrived, found, Limits() if key is None else key.limits)) is not None:
+                withheld[arrived.vehicle, whose] += 1
                 continue
             if isinstance(found, Genuine):
                 genuine.append(found)
                 continue
-            answers[one.vehicle].append(found)
+            answers[arrived.vehicle].append(found)
             if found.reason not in (FORMAT, KEY):
-                forgeries[one.vehicle, found.reason] += 1
+                forgeries[arrived.vehicle, found.reason] += 1
         changed, refused = self._store.store(genuine) if genuine else ([], {})
         for batch in genuine:
             reason = refused.get(batch.digest)

@@ -252,7 +252,7 @@ class Store:
     def _halves(self, batches: Sequence[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
         """Store what can be: few transactions more for each that cannot, those of one vehicle beside each other."""
         changed, refused = list[Changed](), dict[bytes, str]()
-        ordered = sorted(batches, key=lambda one: one.vehicle)
+        ordered = sorted(batches, key=lambda genuine: genuine.vehicle)
         middle = len(ordered) // 2
         for some in (ordered[:middle], ordered[middle:]):
             found, why = self.store(some)
@@ -261,16 +261,22 @@ class Store:
         return changed, refused
 
     def _store(self, batches: Sequence[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
-        usable = list({(one.vehicle, one.digest): one for one in batches}.values())
-        epochs = {(one.vehicle, one.batch.epoch_ms): one.tenant_id for one in usable if one.aside is None}
+        usable = list({(batch.vehicle, batch.digest): batch for batch in batches}.values())
+        epochs = {
+            (genuine.vehicle, genuine.batch.epoch_ms): genuine.tenant_id for genuine in usable if genuine.aside is None
+        }
         self._make_epochs(epochs)
-        self._make_days({one.day for one in usable if one.aside is None and one.batch.kind is not Kind.GAP})
+        self._make_days(
+            {genuine.day for genuine in usable if genuine.aside is None and genuine.batch.kind is not Kind.GAP}
+        )
         with self._connection().transaction(), self._connection().cursor() as cursor:
             wait_for_erasures(cursor)
             missing = epochs.keys() - set(cursor.execute(LOCK_EPOCHS, _columns(epochs)))
             self._epochs -= missing
-            beyond = {one.digest: EPOCHS for one in usable if (one.vehicle, one.batch.epoch_ms) in missing}
-            changed, refused = self._write(cursor, [one for one in usable if one.digest not in beyond])
+            beyond = {
+                genuine.digest: EPOCHS for genuine in usable if (genuine.vehicle, genuine.batch.epoch_ms) in missing
+            }
+            changed, refused = self._write(cursor, [genuine for genuine in usable if genuine.digest not in beyond])
         return changed, refused | beyond
 
     def _write(self, cursor: psycopg.Cursor, batches: list[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
@@ -289,12 +295,14 @@ class Store:
         cursor.execute(INSERT_SEGMENT)
         if events:
             cursor.execute(INSERT_EVENT)
-        for one in by_kind(batches, Kind.GAP):
-            cursor.execute(UPSERT_GAP, _values(one))
-        aside = [one for one in batches if one.aside is not None]
-        for one in sorted(aside, key=lambda one: one.digest):  # two ingests may hold them in another order
-            cursor.execute(SET_ASIDE, _values(one))
-        changed = self._update_now(cursor, [one for one in segments if one.digest not in {*refused, *erased}])
+        for genuine in by_kind(batches, Kind.GAP):
+            cursor.execute(UPSERT_GAP, _values(genuine))
+        aside = [batch for batch in batches if batch.aside is not None]
+        for genuine in sorted(aside, key=lambda item: item.digest):  # two ingests may hold them in another order
+            cursor.execute(SET_ASIDE, _values(genuine))
+        changed = self._update_now(
+            cursor, [segment for segment in segments if segment.digest not in {*refused, *erased}]
+        )
         return changed, refused
 
     def _make_epochs(self, epochs: dict[tuple[str, int], int]) -> None:
@@ -319,31 +327,32 @@ class Store:
     def _copy_segments(cursor: psycopg.Cursor, segments: Iterable[Genuine]) -> None:
         with cursor.copy(COPY_SEGMENT) as copy:
             copy.set_types(SEGMENT_TYPES)
-            for one in segments:
-                batch = one.batch
+            for segment in segments:
+                batch = segment.batch
                 copy.write_row((
-                    one.day, one.vehicle, batch.epoch_ms, batch.first, batch.count, int(batch.kind), *batch.span_ms,
-                    one.worst, one.tenant_id, one.digest, one.data,
+                    segment.day, segment.vehicle, batch.epoch_ms, batch.first, batch.count, int(batch.kind),
+                    *batch.span_ms,
+                    segment.worst, segment.tenant_id, segment.digest, segment.data,
                 ))  # fmt: skip
 
     @staticmethod
     def _copy_events(cursor: psycopg.Cursor, batches: Iterable[Genuine]) -> None:
         with cursor.copy(COPY_EVENT) as copy:
-            for one in batches:
-                for number, event in enumerate(one.batch.events, one.batch.first):
+            for batch in batches:
+                for number, event in enumerate(batch.batch.events, batch.batch.first):
                     text = json.dumps(event.content)
                     copy.write_row((
-                        one.vehicle, one.batch.epoch_ms, number, one.tenant_id, event.utc_ms, event.name, text,
-                        one.digest,
+                        batch.vehicle, batch.batch.epoch_ms, number, batch.tenant_id, event.utc_ms, event.name, text,
+                        batch.digest,
                     ))  # fmt: skip
 
     @staticmethod
     def _update_now(cursor: psycopg.Cursor, segments: Iterable[Genuine]) -> list[Changed]:
         with cursor.copy(COPY_NOW) as copy:
             copy.set_types(NOW_TYPES)
-            for one in segments:
-                if one.batch.kind is Kind.POSITIONS:
-                    copy.write_row(_now_row(one))
+            for segment in segments:
+                if segment.batch.kind is Kind.POSITIONS:
+                    copy.write_row(_now_row(segment))
         cursor.execute(UPDATE_NOW)
         names = [column.name for column in cursor.description or ()]
         return [dict(zip(names, row, strict=True)) for row in cursor]
@@ -365,9 +374,10 @@ def _twice(segments: Sequence[Genuine]) -> dict[bytes, str]:
     """Find batches of a group with the same sequence numbers as an earlier one of it, and other content."""
     first: dict[tuple[str, int, int], bytes] = {}
     return {
-        one.digest: CONFLICT
-        for one in segments
-        if first.setdefault((one.vehicle, one.batch.epoch_ms, one.batch.first), one.digest) != one.digest
+        segment.digest: CONFLICT
+        for segment in segments
+        if first.setdefault((segment.vehicle, segment.batch.epoch_ms, segment.batch.first), segment.digest)
+        != segment.digest
     }
 
 

@@ -60,7 +60,7 @@ class Genuine:
     @property
     def worst(self) -> int | None:
         """Gravest verdict; None of events."""
-        return max((one.verdict for one in self.batch.reports), default=None)
+        return max((report.verdict for report in self.batch.reports), default=None)
 
 
 def verified(arrived: Arrived, key: Key | None, now_ms: int) -> Genuine | Refused:
@@ -109,9 +109,9 @@ def newest(batch: Batch) -> tuple[Report, int, bool]:
 
 def last_position(batch: Batch) -> Report | None:
     """Give the newest report with a position."""
-    return next((one for one in reversed(batch.reports) if one.latitude_e7 is not None), None)
+    return next((report for report in reversed(batch.reports) if report.latitude_e7 is not None), None)
 
 
 def by_kind(batches: "list[Genuine]", kind: Kind) -> "list[Genuine]":
     """Choose those of a kind that are not set aside."""
-    return [one for one in batches if one.batch.kind is kind and one.aside is None]
+    return [batch for batch in batches if batch.batch.kind is kind and batch.aside is None]

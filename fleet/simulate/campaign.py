@@ -156,14 +156,14 @@ class Campaign:
     @property
     def made(self) -> list[Made]:
         """The truth list: every batch of the outboxes in memory."""
-        return [one for car in self._cars for one in car.outbox.made]
+        return [made for car in self._cars for made in car.outbox.made]
 
     def _simulate(self, folder: Path) -> Outcome:
         plan, traffic = self._plan, self._traffic
         entered = self._entered()
         now_ms = time.time_ns() // 1_000_000
-        for number, one in enumerate(entered[plan.durable :], plan.durable):
-            self._cars.append(self._car(number, one, now_ms))
+        for number, item in enumerate(entered[plan.durable :], plan.durable):
+            self._cars.append(self._car(number, item, now_ms))
         self._say(f"{len(self._cars)} vehicles have their reports; connecting")
         joined_s = time.monotonic()
         for car in self._cars:
@@ -225,8 +225,8 @@ class Campaign:
         plan, settings = self._plan, self._centre.settings
         for part in range(min(plan.unit_processes, len(entered))):
             vehicles = [
-                (number, one.name, one.secret.hex(), one.tls)
-                for number, one in enumerate(entered)
+                (number, item.name, item.secret.hex(), item.tls)
+                for number, item in enumerate(entered)
                 if number % plan.unit_processes == part
             ]
             orders = Orders(
@@ -269,7 +269,7 @@ class Campaign:
     def _kill_of(self, part: str) -> Callable[[], None]:
         def work() -> None:
             if part == UNIT:
-                done = sum(one.kill() for one in self._working) > 0
+                done = sum(unit_process.kill() for unit_process in self._working) > 0
             else:
                 done = processes.kill(self._centre.folder, part) is not None
             if done:
@@ -284,7 +284,7 @@ class Campaign:
 
     def _turn(self, what: str) -> None:
         self._traffic.turn()
-        self._working = [one for one in self._working if not one.look()]
+        self._working = [unit_process for unit_process in self._working if not unit_process.look()]
         if self._meter is not None and time.monotonic() > self._sampled_s + SAMPLED_S:
             self._meter.sample()
             self._sampled_s = time.monotonic()

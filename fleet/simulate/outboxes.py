@@ -124,15 +124,15 @@ class MemoryOutbox:
     def take(self, receipt: Receipt, now_s: float) -> list[float]:
         """Settle what a receipt names; what is refused stays open, and is counted."""
         taken = []
-        for one in receipt.stored:
-            entry = self._open.pop(one.digest, None)
+        for stored in receipt.stored:
+            entry = self._open.pop(stored.digest, None)
             if entry is None:
                 self.repeated_receipts += 1
                 continue
-            self._flying.pop(one.digest, None)
-            self._resting.pop(one.digest, None)
+            self._flying.pop(stored.digest, None)
+            self._resting.pop(stored.digest, None)
             taken.append(now_s - (entry.first_s if entry.first_s is not None else now_s))
-        self.refused.update(one.reason for one in receipt.refused)
+        self.refused.update(refused.reason for refused in receipt.refused)
         return taken
 
     def restart(self) -> None:

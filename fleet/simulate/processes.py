@@ -57,7 +57,7 @@ class Meter:
         self._folder = folder
         self.cpu_s = dict.fromkeys(PARTS, 0.0)
         self.memory_mb = dict.fromkeys(PARTS, 0.0)  # the most of each
-        self._last = {part: one.cpu_s for part, one in usage(folder).items()}
+        self._last = {part: item.cpu_s for part, item in usage(folder).items()}
 
     def sample(self) -> None:
         """Read the counters of the kernel."""

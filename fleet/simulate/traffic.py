@@ -80,7 +80,7 @@ class Traffic:
         wait_s = self._timers[0][0] - time.monotonic() if self._timers else LONGEST_WAIT_S
         for key, _ in self._selector.select(max(0.0, min(wait_s, LONGEST_WAIT_S))):
             self._work(key.data)
-        for vehicle in [one for one, until_s in self._setting_up.items() if time.monotonic() > until_s]:
+        for vehicle in [item for item, until_s in self._setting_up.items() if time.monotonic() > until_s]:
             self._drop(vehicle, "it does not answer")
 
     def pump(self, vehicle: Vehicle) -> None:

@@ -54,7 +54,7 @@ def write(path: Path, made: Iterable[Made]) -> None:
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(Made._fields)
-            writer.writerows((*one[:-1], one.digest.hex()) for one in made)
+            writer.writerows((*item[:-1], item.digest.hex()) for item in made)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}; name another file with --out") from error
 
@@ -62,7 +62,7 @@ def write(path: Path, made: Iterable[Made]) -> None:
 def compared(dsn: str, vehicles: list[str], made: Iterable[Made]) -> Verdict:
     """Compare the truth list with the database, batch by batch; raises `UserError`."""
     truth = set(made)
-    found = Verdict(made=sum(one.reports for one in truth))
+    found = Verdict(made=sum(made.reports for made in truth))
     rows = Counter[Made]()
     ends: dict[tuple[str, int], list[tuple[int, int]]] = defaultdict(list)
     sums = Counter[tuple[str, int]]()
@@ -74,9 +74,9 @@ def compared(dsn: str, vehicles: list[str], made: Iterable[Made]) -> Verdict:
             ends[one.vehicle, one.epoch_ms].append((one.first, one.first + one.reports))
         counted = {(row[0], row[1]): row[2] for row in db.execute(COUNTED, (vehicles,))}
     found.stored = sums.total()
-    found.lost = sum(one.reports for one in truth - rows.keys())
-    found.foreign = sum(one.reports or 1 for one in rows.keys() - truth)
-    found.double = sum(one.reports * (number - 1) for one, number in rows.items()) + sum(map(_overlap, ends.values()))
+    found.lost = sum(made.reports for made in truth - rows.keys())
+    found.foreign = sum(made.reports or 1 for made in rows.keys() - truth)
+    found.double = sum(made.reports * (number - 1) for made, number in rows.items()) + sum(map(_overlap, ends.values()))
     wrong = [key for key in sums.keys() | counted.keys() if sums[key] != counted.get(key, 0)]
     if wrong:
         found.faults.append(f"the counters of {len(wrong)} vehicles differ from their rows, as of {wrong[0][0]}")
@@ -103,7 +103,7 @@ def chained(dsn: str, vehicle: str, done: set[int], begun: set[int]) -> Verdict:
             if batch.kind is not Kind.POSITIONS:
                 found.faults.append(f"{vehicle}: a batch that was never made at {batch.first}")
             epoch, following, previous = batch.epoch_ms, batch.first + batch.count, chain_digest(data)
-            stamps.update(one.utc_ms for one in batch.reports)
+            stamps.update(report.utc_ms for report in batch.reports)
     found.stored = stamps.total()
     found.lost = len(done - stamps.keys())
     found.double = found.stored - len(stamps)
@@ -114,8 +114,8 @@ def chained(dsn: str, vehicle: str, done: set[int], begun: set[int]) -> Verdict:
 def summed(verdicts: Iterable[Verdict]) -> Verdict:
     """Sum of many."""
     total = Verdict()
-    for one in verdicts:
-        total = total.add(one)
+    for verdict in verdicts:
+        total = total.add(verdict)
     return total
 
 

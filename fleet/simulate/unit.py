@@ -63,7 +63,7 @@ class Truth:
 
     def write(self, letter: str, vehicle: str, rows: list[Report]) -> None:
         """Add a line with one system call."""
-        os.write(self._file, f"{letter} {vehicle} {' '.join(str(one.utc_ms) for one in rows)}\n".encode())
+        os.write(self._file, f"{letter} {vehicle} {' '.join(str(row.utc_ms) for row in rows)}\n".encode())
 
 
 def read_truth(folder: Path) -> tuple[dict[str, set[int]], dict[str, set[int]]]:

@@ -44,9 +44,9 @@ def _texts(content: Mapping[str, Any], spoken: Words) -> dict[str, object]:
     monitors = content.get("monitors")
     if isinstance(monitors, list):
         found["monitors"] = [
-            {**one, "reason": _told(one.get("reason"), one.get("reason_code"), spoken)}
-            if isinstance(one, Mapping) else one
-            for one in monitors[:LISTED]
+            {**monitor, "reason": _told(monitor.get("reason"), monitor.get("reason_code"), spoken)}
+            if isinstance(monitor, Mapping) else monitor
+            for monitor in monitors[:LISTED]
         ]  # fmt: skip
     return found
 

@@ -87,9 +87,9 @@ class KeyRing:
                 keys += cls.read(path).keys
                 continue
             found = [base64.b64decode("".join(body.split()), validate=True) for body in PEM.findall(text)]
-            if not found or not all(len(one) == len(SPKI) + 32 and one.startswith(SPKI) for one in found):
+            if not found or not all(len(payload) == len(SPKI) + 32 and payload.startswith(SPKI) for payload in found):
                 raise ValueError(f"{path} holds no Ed25519 public key in PEM")
-            keys += [PublicKey(_name(one[len(SPKI) :]), one[len(SPKI) :]) for one in found]
+            keys += [PublicKey(_name(payload[len(SPKI) :]), payload[len(SPKI) :]) for payload in found]
         return cls(tuple(keys))
 
     def write(self, path: Path) -> None:

@@ -95,7 +95,7 @@ class Batch:
         """First and last time [ms, UTC]; a clock that was set back may have mixed them."""
         if self.gap is not None:
             return self.gap.from_ms, self.gap.to_ms
-        times = [one.utc_ms for one in self.reports] or [one.utc_ms for one in self.events]
+        times = [report.utc_ms for report in self.reports] or [event.utc_ms for event in self.events]
         return min(times), max(times)
 
 
@@ -110,7 +110,7 @@ def encode(batch: Batch) -> bytes:
         columns: object = list(batch.gap)
     else:
         columns = [_differences(column) for column in zip(*batch.reports, strict=True)]
-    events = [[one.utc_ms, one.name, dict(one.content)] for one in batch.events]
+    events = [[event.utc_ms, event.name, dict(event.content)] for event in batch.events]
     head = [VERSION, int(batch.kind), batch.epoch_ms, batch.first, batch.count, batch.previous]
     data = zlib.compress(encoded([*head, columns, events]))
     decode(data)
@@ -165,7 +165,7 @@ def _body(head: Batch, columns: list[object], events: list[object]) -> Batch:
         return Batch(head.kind, *given, reports=tuple(_reports(columns, head.count)))
     if columns or len(events) != head.count or head.count > MOST_EVENTS:
         raise BadBatch("events with positions, too many of them, or not as many as it says")
-    return Batch(head.kind, *given, events=tuple(_event(one) for one in events))
+    return Batch(head.kind, *given, events=tuple(_event(event) for event in events))
 
 
 def _gap(columns: list[object]) -> Gap:

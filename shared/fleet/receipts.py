@@ -37,7 +37,9 @@ class Receipt:
 
     def encode(self) -> bytes:
         """Encode it as CBOR."""
-        return encoded({"stored": [list(one) for one in self.stored], "refused": [list(one) for one in self.refused]})
+        return encoded(
+            {"stored": [list(stored) for stored in self.stored], "refused": [list(refused) for refused in self.refused]}
+        )
 
     @classmethod
     def decode(cls, data: bytes) -> "Receipt":

@@ -101,10 +101,10 @@ class Decimator:
         self._newest_ns, late = int(reached[-1]), times_ns <= reached[:-1]
         usable: npt.NDArray[np.bool_] = finite & ~beyond & ~late
         if not usable.all():
-            for reason, found in (
+            for reason, item in (
                 ("imu: value is beyond every sensor's range", beyond),
                 ("imu: stamp is not after the one before", late & ~beyond),
                 ("imu: value is not a number", ~(finite | late | beyond)),
             ):
-                self._rejected.update({reason: int(found.sum())} if found.any() else {})
+                self._rejected.update({reason: int(item.sum())} if item.any() else {})
         return usable

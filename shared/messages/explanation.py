@@ -99,4 +99,4 @@ def _plain(value: object) -> object:
         return value.value
     if isinstance(value, float):
         return float(f"{min(max(value, -LARGEST_STATISTIC), LARGEST_STATISTIC):.{SIGNIFICANT}g}")
-    return tuple(_plain(one) for one in value) if isinstance(value, list | tuple) else value
+    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value

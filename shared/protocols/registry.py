@@ -17,11 +17,11 @@ BY_NAME = {protocol.name: protocol for protocol in PROTOCOLS}
 
 def check(protocols: Iterable[Protocol]) -> None:
     """Raise ValueError for two protocols that can begin alike, or have one name; the text says which."""
-    for one, other in combinations(protocols, 2):
-        if one.name == other.name:
-            raise ValueError(f"two protocols have the name {one.name}")
-        if can_begin_alike(one.framing, other.framing):
-            raise ValueError(f"{one.name} and {other.name} can begin alike: make `begins` of one of them longer")
+    for protocol, other in combinations(protocols, 2):
+        if protocol.name == other.name:
+            raise ValueError(f"two protocols have the name {protocol.name}")
+        if can_begin_alike(protocol.framing, other.framing):
+            raise ValueError(f"{protocol.name} and {other.name} can begin alike: make `begins` of one of them longer")
 
 
 def read_at(kind: str) -> tuple[str, ...]:

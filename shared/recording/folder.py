@@ -200,8 +200,8 @@ class RecordingFolder:
         self.close()
         if path is None or not path.exists():
             return
-        for one in (path, path.parent):
-            _sync_path(one)
+        for item in (path, path.parent):
+            _sync_path(item)
 
     def close(self) -> None:
         """Finish the recording in progress; a file without a message is removed."""

@@ -295,7 +295,7 @@ def _faulty(recording: Recording, walk: _Walk, first: Seal | None, ring: KeyRing
     proven = walk.proven.seal if walk.proven else None
     library = _library(recording)
     if first is not None and not library.startswith(LIBRARY) and not walk.others and not walk.intact:
-        content = _Content(recording, [found.seal for found in walk.seals])
+        content = _Content(recording, [seal.seal for seal in walk.seals])
         try:
             fault = content.fault(walk)
         except MALFORMED:
@@ -342,7 +342,7 @@ class _Content:
         names = {(seal.recording, seal.key) for seal in self._seals}
         if len(names) > 1:
             return "it holds parts of several recordings"
-        digests = {found.seal.number: found.digest for found in walk.seals}
+        digests = {seal.seal.number: seal.digest for seal in walk.seals}
         if any(seal.previous != digests[seal.number - 1] for seal in self._seals[1:]):
             return "a seal was replaced"
         context = context_of(self._recording.metadata, self._recording.attachments)

@@ -95,14 +95,14 @@ class Index:
             if opcode == Opcode.STATISTICS
         ]
         expected = Statistics(
-            attachment_count=sum(isinstance(one, AttachmentIndex) for one in self.others),
+            attachment_count=sum(isinstance(item, AttachmentIndex) for item in self.others),
             channel_count=sum(opcode == Opcode.CHANNEL for opcode, _ in found),
             channel_message_counts=dict(+self.counts),
             chunk_count=len(self.chunks),
             message_count=self.counts.total(),
             message_end_time=max((chunk.message_end_time for chunk in self.chunks), default=0),
             message_start_time=min((chunk.message_start_time for chunk in self.chunks), default=0),
-            metadata_count=sum(isinstance(one, MetadataIndex) for one in self.others),
+            metadata_count=sum(isinstance(item, MetadataIndex) for item in self.others),
             schema_count=sum(opcode == Opcode.SCHEMA for opcode, _ in found),
         )
         return read == [expected]
@@ -166,7 +166,11 @@ def _has_offsets(found: list[tuple[int, bytes]], begin: int) -> bool:
             groups.setdefault(opcode, [place, end])[1] = end
         place = end
     expected = {(opcode, start, end - start) for opcode, (start, end) in groups.items()}
-    named = {(one.group_opcode, one.group_start, one.group_length) for one in listed if one.group_length}
+    named = {
+        (summary_offset.group_opcode, summary_offset.group_start, summary_offset.group_length)
+        for summary_offset in listed
+        if summary_offset.group_length
+    }
     return named == expected
 
 

@@ -190,7 +190,7 @@ class Recording:
                 except MALFORMED:
                     continue
                 known[schema.id] = schema.data
-        return {one.topic: known[one.schema_id] for one in channels.values() if one.schema_id in known}
+        return {channel.topic: known[channel.schema_id] for channel in channels.values() if channel.schema_id in known}
 
     def summary(self) -> bytes:
         """Give the summary section; empty for a recording that was not closed, or whose summary is damaged."""

@@ -72,7 +72,7 @@ class Seal:
             )  # fmt: skip
         except (KeyError, ValueError):
             return None
-        if not all(DIGEST.fullmatch(one) for one in (*found.chain, found.previous or "0" * 64)):
+        if not all(DIGEST.fullmatch(name) for name in (*found.chain, found.previous or "0" * 64)):
             return None  # anybody can sign anything with a key of their own
         return found if fields.get("format") == FORMAT and is_genuine(KIND, fields) else None
 

@@ -64,7 +64,7 @@ def _agreed_offset_ns(state_dir: Path) -> tuple[int, str | None]:
 
 def is_full(path: Path) -> bool:
     """Whether the disk of a path, which need not exist, has no room for a file."""
-    there = next((one for one in (path, *path.resolve().parents) if one.exists()), None)
+    there = next((item for item in (path, *path.resolve().parents) if item.exists()), None)
     if there is None:
         return False
     disk = os.statvfs(there)

@@ -61,7 +61,7 @@ class ImuMounting(Section):
     @field_validator("body_from_sensor")
     @classmethod
     def _is_orthogonal(cls, rows: Matrix3) -> Matrix3:
-        product = [sum(a * b for a, b in zip(one, other, strict=True)) for one in rows for other in rows]
+        product = [sum(a * b for a, b in zip(row, other, strict=True)) for row in rows for other in rows]
         if any(abs(value - (1.0 if place % 4 == 0 else 0.0)) > ORTHOGONAL for place, value in enumerate(product)):
             raise ValueError("the rows must be perpendicular to each other and of length one")
         return rows

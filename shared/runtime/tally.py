@@ -23,7 +23,7 @@ Teller = tuple[str, bool]  # process, and whether it is about what it published
 def told(health: ProcessHealth) -> Iterator[tuple[Carried, bool]]:
     """Yield what a heartbeat tells of fast topics, and whether the process has published them."""
     for published, carried in ((True, health.published), (False, health.received)):
-        yield from ((one, published) for one in carried if one.topic in BY_NAME and BY_NAME[one.topic].fast)
+        yield from ((item, published) for item in carried if item.topic in BY_NAME and BY_NAME[item.topic].fast)
 
 
 @dataclass

@@ -81,14 +81,14 @@ def dated(new: Test, old: Test | None, time_ns: int) -> Test:
 
 def deciding(tests: Collection[Test]) -> Test:
     """Sum up tests of which each may accuse: the one of the largest weight, accused as narrowly as one of them does."""
-    first = max(tests, key=lambda one: one.weight)
-    same = [one.since_ns for one in tests if one.outcome is first.outcome and one.since_ns is not None]
-    accusing = [one for one in tests if one.accuses]
-    suspect = [one.suspect_since_ns for one in accusing if one.suspect_since_ns is not None]
+    first = max(tests, key=lambda test: test.weight)
+    same = [test.since_ns for test in tests if test.outcome is first.outcome and test.since_ns is not None]
+    accusing = [test for test in tests if test.accuses]
+    suspect = [test.suspect_since_ns for test in accusing if test.suspect_since_ns is not None]
     return replace(
         first, since_ns=min(same, default=None), suspect_since_ns=min(suspect, default=None),
-        accused=min((one.accused for one in accusing), key=len, default=()),
-        doubtful=any(one.doubtful for one in tests),
+        accused=min((test.accused for test in accusing), key=len, default=()),
+        doubtful=any(test.doubtful for test in tests),
     )  # fmt: skip
 
 

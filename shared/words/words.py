@@ -171,14 +171,14 @@ class Words:
 
     def references(self, named: Sequence[Reference]) -> str:
         """Names of references: "GNSS or the odometer"."""
-        return self._joined([self._reference(one) for one in named], self.format["or"])
+        return self._joined([self._reference(reference) for reference in named], self.format["or"])
 
     def _render(
         self, template: str, explanation: Explanation, zone: tzinfo = UTC, clauses: Mapping[str, str] | None = None
     ) -> str | None:
         """Fill the placeholders; None where a value is missing or does not fit, as in a message of another release."""
         try:
-            filled = PLACEHOLDER.sub(lambda found: self._filled(found, explanation, zone, clauses or {}), template)
+            filled = PLACEHOLDER.sub(lambda match: self._filled(match, explanation, zone, clauses or {}), template)
         except (KeyError, TypeError, ValueError, OverflowError, OSError):
             return None
         return filled or None
@@ -199,7 +199,7 @@ class Words:
             number = degrees(_number(value)) if name.endswith("_rad") else _number(value)
             return QUANTITIES[kind][1](number).replace(".", self.format["decimal"])
         if isinstance(value, tuple):
-            return self._joined([self._single(one, kind) for one in value], self.format[found[3] or "or"])
+            return self._joined([self._single(item, kind) for item in value], self.format[found[3] or "or"])
         return self._single(value, kind)
 
     def _single(self, value: Value, table: str | None) -> str:
@@ -233,7 +233,7 @@ def said(text: str, code: Explanation | None, zone: tzinfo = UTC) -> str:
 
 def reason(*explanations: Explanation) -> str:
     """Render the English details of codes of one's own, as they stand in messages."""
-    return "; ".join(words().detail(one) or one.code for one in explanations)[:REASON_LENGTH]
+    return "; ".join(words().detail(explanation) or explanation.code for explanation in explanations)[:REASON_LENGTH]
 
 
 def stated(explanation: Explanation) -> Told:
@@ -265,8 +265,8 @@ def _read(path: Path, base: Words, owner: str | None = None) -> Words:
     """Add the rows and names of a file to those that were read before."""
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     names = dict(base.names)
-    for table, found in cast(Tables, data.pop("names", {})).items():
-        names[table] = {**names.get(table, {}), **found}
+    for table, record in cast(Tables, data.pop("names", {})).items():
+        names[table] = {**names.get(table, {}), **record}
     how = {**base.format, **cast("dict[str, str]", data.pop("format", {}))}
     owners = {owner} if owner else set(OWNERS)
     if foreign := set(data) - owners:

@@ -109,7 +109,7 @@ def test_processes_read_their_own_secrets_and_not_those_of_others(reachable: Pat
             assert not readable & {"authority/ca.key", "secrets/issuer", "nats/nats.conf"}
         elif name == "admission":
             own = {"nats-admission", "nats-callout", "nats-system", "database-admission", "issuer"}
-            assert secrets == {f"secrets/{one}" for one in own}
+            assert secrets == {f"secrets/{item}" for item in own}
             assert "authority/ca.key" in readable
         else:
             assert secrets == {f"secrets/nats-{name}", f"secrets/database-{name}"}

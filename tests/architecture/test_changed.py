@@ -15,11 +15,11 @@ from tests.support.changed import folders
     ("tests/integration/test_demo.py", []), ("docs/README.md", []), ("Makefile", []),
 ])  # fmt: skip
 def test_the_tests_of_a_file_are_in_the_nearest_folder(path: str, tests: list[str]) -> None:
-    assert [str(found) for found in folders([PurePosixPath(path)])] == tests
+    assert [str(folder) for folder in folders([PurePosixPath(path)])] == tests
 
 
 def test_a_folder_is_named_once_whatever_changed_in_it() -> None:
     paths = ["services/core/trust/verdict.py", "services/core/trust/hypotheses/beliefs.py",
              "tests/unit/core/trust/test_verdict.py", "shared/maths/kalman.py"]  # fmt: skip
-    found = [str(one) for one in folders(map(PurePosixPath, paths))]
+    found = [str(folder) for folder in folders(map(PurePosixPath, paths))]
     assert found == ["tests/unit/core/trust", "tests/unit/shared/maths"]

@@ -51,7 +51,8 @@ UNITS = (
 
 def all_messages() -> list[type[Message]]:
     modules = [
-        importlib.import_module(f"shared.messages.{found.name}") for found in pkgutil.iter_modules(messages.__path__)
+        importlib.import_module(f"shared.messages.{iter_module.name}")
+        for iter_module in pkgutil.iter_modules(messages.__path__)
     ]
     return sorted(
         {
@@ -100,7 +101,7 @@ def test_tables_that_agree_have_no_contradiction_and_a_topic_may_hold_digits() -
 def test_a_row_that_contradicts_another_is_named_with_what_to_change(
     processes: tuple[ProcessRow, ...], topics: tuple[Topic, ...], text: str
 ) -> None:
-    assert [found for found in contradictions(processes, topics) if text in found]
+    assert [contradiction for contradiction in contradictions(processes, topics) if text in contradiction]
 
 
 def test_what_every_process_produces_is_derived() -> None:

@@ -74,7 +74,7 @@ def kinds_asked_for(path: Path) -> Iterator[str]:
             asked = [node.cls]
         elif isinstance(node, ast.Compare) and "type" in map(called, (node.left, *node.comparators)):
             asked = [node.left, *node.comparators]
-        names = (part.id for one in asked for part in ast.walk(one) if isinstance(part, ast.Name))
+        names = (part.id for expr in asked for part in ast.walk(expr) if isinstance(part, ast.Name))
         yield from (name for name in names if name in of_aids)
 
 

@@ -55,9 +55,9 @@ def test_the_tests_run_on_the_versions_that_the_vehicle_runs() -> None:
 def test_every_installation_insists_on_the_hashes() -> None:
     for place in ("Makefile", "deploy/Dockerfile"):
         commands = (ROOT / place).read_text().replace("\\\n", " ").splitlines()
-        installs = [one for one in commands if "pip" in one and " -r " in one]
+        installs = [command for command in commands if "pip" in command and " -r " in command]
         assert installs, place
-        assert all("--require-hashes" in one for one in installs), place
+        assert all("--require-hashes" in install for install in installs), place
 
 
 def test_the_image_leaves_out_whole_lines_of_the_lock() -> None:

@@ -16,7 +16,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *(ROOT / "benchmarks").
 def links(page: Path) -> set[Path]:
     """Files of the repository that a page links."""
     text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    return {(page.parent / found).resolve() for found in LINK.findall(text) if "://" not in found}
+    return {(page.parent / item).resolve() for item in LINK.findall(text) if "://" not in item}
 
 
 def test_the_index_names_every_page() -> None:

@@ -195,7 +195,7 @@ def test_every_statement_is_that_of_a_monitor() -> None:
     assert set(re.findall(r'\bstatement\("(\w+)"', text)) <= set(Monitor), "a member of Monitor in core/trust/facts.py"
 
 
-@pytest.mark.parametrize("hypothesis", [one for one in Hypothesis if one is not Hypothesis.NOTHING])
+@pytest.mark.parametrize("hypothesis", [Hypothesi for Hypothesi in Hypothesis if Hypothesi is not Hypothesis.NOTHING])
 def test_some_monitor_speaks_for_every_hypothesis_and_the_map_has_its_colours(hypothesis: Hypothesis) -> None:
     weighed = (ROOT / "services/core/trust/hypotheses/evidence.py").read_text(encoding="utf-8")
     assert f"Hypothesis.{hypothesis.name}" in weighed, "no statement speaks for it: core/trust/hypotheses/evidence.py"

@@ -229,7 +229,7 @@ def test_after_a_kill_of_the_page_s_process_everything_of_before_is_still_there(
     after: dict[str, Any] = {path: demo.get(path) for path in before}
     for old, new in pairs_of(before, after):
         assert old and new[: len(old)] == old
-    events, events_after = (found["/api/trust"]["events"] for found in (before, after))  # listed newest first
+    events, events_after = (record["/api/trust"]["events"] for record in (before, after))  # listed newest first
     assert events_after[len(events_after) - len(events) :] == events
     demo.wait(
         lambda: len(lost_of(before[chart], demo.get(chart))) <= UNWRITTEN_S,
@@ -241,7 +241,7 @@ def pairs_of(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[li
     """Tracks in the sky, bands of the page GNSS, changes and events of the verdict, outages: before and after."""
     for name, track in before["/api/gnss/tracks"]["gnss0"].items():
         yield track, after["/api/gnss/tracks"]["gnss0"][name]
-    bands = [found["/api/gnss"]["receivers"][0]["bands"] for found in (before, after)]
+    bands = [record["/api/gnss"]["receivers"][0]["bands"] for record in (before, after)]
     yield from ((bands[0][name], bands[1][name]) for name in ("fix", "correction"))
     yield before["/api/trust"]["history"]["changes"], after["/api/trust"]["history"]["changes"]
     yield before["/api/outages"]["closed"][::-1], after["/api/outages"]["closed"][::-1]

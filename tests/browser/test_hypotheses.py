@@ -71,8 +71,8 @@ def test_the_map_draws_the_alternatives_while_one_is_suspected_and_as_somebody_c
     suspected, unit.beliefs = (
         unit.beliefs,
         tuple(
-            one.model_copy(update={"survives": one.hypothesis is Hypothesis.NOTHING, "since_ns": None})
-            for one in unit.beliefs
+            belief.model_copy(update={"survives": belief.hypothesis is Hypothesis.NOTHING, "since_ns": None})
+            for belief in unit.beliefs
         ),
     )
     expect(layer).not_to_be_checked()

@@ -51,7 +51,7 @@ def test_without_a_login_the_page_asks_for_one_and_is_readable(
     assert ground == ("rgb(13, 19, 24)" if theme.endswith("dark") else "rgb(238, 241, 245)")
     page.evaluate(AXE.read_text(encoding="utf-8"))
     found = page.evaluate("axe.run()")["violations"]
-    assert not found, [(one["id"], one["help"]) for one in found]
+    assert not found, [(item["id"], item["help"]) for item in found]
 
 
 @pytest.mark.parametrize("theme", ["light", "phone-dark"])

@@ -83,7 +83,9 @@ def test_an_m8_without_a_fix_is_recognised_configured_and_told(
         for name in ("parsers.gnss", "controller.mode", "sensors.gnss"):
             unit.start(name)
         unit.until(lambda: bool(of(unit, "gnss/configuration", GnssConfiguration)))
-        unit.until(lambda: any(one.gives_position for one in of(unit, "gnss/receiver", GnssReceiver)))
+        unit.until(
+            lambda: any(gnss_receiver.gives_position for gnss_receiver in of(unit, "gnss/receiver", GnssReceiver))
+        )
         (result, *_) = of(unit, "gnss/configuration", GnssConfiguration)
         assert result.accepted and (result.reason or "").startswith("9600 baud carry 1.0 kB/s; "), "the fix first"
         assert (result.model, result.protocol, result.dynamic_model) == ("NEO-M8N-0", "UBX 18.00", "automotive")

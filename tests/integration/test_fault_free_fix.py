@@ -25,28 +25,28 @@ ROW = 3  # satellite of an epoch
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
     parsed = OfflineUnit(parse_vehicle(""), PARSERS).run(messages("parking_lot", 1, 70.0))
-    return [one for one in parsed if hasattr(one, "sampled_ns")]
+    return [message for message in parsed if hasattr(message, "sampled_ns")]
 
 
 def faulty(drive: list[Message]) -> Iterator[Message]:
     """The drive with a longer pseudorange of one satellite for ten seconds, and the resulting fixes of the receiver."""
-    origin_ns = next(one.sampled_ns for one in drive if isinstance(one, GnssFix))
-    for one in drive:
-        since_ns = one.sampled_ns - origin_ns if isinstance(one, GnssFix | GnssRawEpoch) else 0
+    origin_ns = next(message.sampled_ns for message in drive if isinstance(message, GnssFix))
+    for message in drive:
+        since_ns = message.sampled_ns - origin_ns if isinstance(message, GnssFix | GnssRawEpoch) else 0
         if not BEGIN_NS <= since_ns < END_NS:
-            yield one
-        elif isinstance(one, GnssRawEpoch):
-            rows = list(one.measurements)
+            yield message
+        elif isinstance(message, GnssRawEpoch):
+            rows = list(message.measurements)
             true_m = rows[ROW].pseudorange_m
             assert true_m is not None
             rows[ROW] = rows[ROW].model_copy(update={"pseudorange_m": true_m + PUSH_M})
-            yield one.model_copy(update={"measurements": tuple(rows)})
-        elif isinstance(one, GnssFix) and one.latitude_deg is not None and one.longitude_deg is not None:
-            place = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), 0.0)
+            yield message.model_copy(update={"measurements": tuple(rows)})
+        elif isinstance(message, GnssFix) and message.latitude_deg is not None and message.longitude_deg is not None:
+            place = Geodetic(radians(message.latitude_deg), radians(message.longitude_deg), 0.0)
             latitude, _, _ = geodetic_from_ned_difference((MOVED_M, 0.0, 0.0), place)
-            yield one.model_copy(update={"latitude_deg": degrees(latitude)})
+            yield message.model_copy(update={"latitude_deg": degrees(latitude)})
         else:
-            yield one
+            yield message
 
 
 @pytest.fixture(scope="module")
@@ -55,49 +55,57 @@ def published(drive: list[Message]) -> list[Message]:
 
 
 def test_the_fault_free_fix_replaces_that_of_the_receiver(published: list[Message]) -> None:
-    replaced = {one.sampled_ns for one in published if isinstance(one, FaultFreeFix)}
+    replaced = {message.sampled_ns for message in published if isinstance(message, FaultFreeFix)}
     assert len(replaced) >= 5
     used = {
-        one.sampled_ns: one
-        for one in published
-        if isinstance(one, AidingUpdate) and one.kind is AidingKind.GNSS_POSITION and one.sampled_ns in replaced
+        message.sampled_ns: message
+        for message in published
+        if isinstance(message, AidingUpdate)
+        and message.kind is AidingKind.GNSS_POSITION
+        and message.sampled_ns in replaced
     }
-    assert set(used) == replaced and all(one.used for one in used.values()), "the last outcome of each epoch"
-    assert max(abs(one.innovation[0]) for one in used.values()) < MOVED_M / 2.0, "not those of the receiver"
+    assert set(used) == replaced and all(aiding_update.used for aiding_update in used.values()), (
+        "the last outcome of each epoch"
+    )
+    assert max(abs(aiding_update.innovation[0]) for aiding_update in used.values()) < MOVED_M / 2.0, (
+        "not those of the receiver"
+    )
 
 
 def test_an_excluded_satellite_is_a_finding_and_no_accusation(
     published: list[Message],
 ) -> None:
     accusing = [
-        one
-        for one in published
-        if isinstance(one, TrustMonitor) and one.monitor == "satellites" and one.outcome is Outcome.ACCUSES
+        message
+        for message in published
+        if isinstance(message, TrustMonitor) and message.monitor == "satellites" and message.outcome is Outcome.ACCUSES
     ]
     [name] = accusing[0].accused
-    known = [one for one in published if isinstance(one, NavigationState) and one.satellites_left_out]
-    assert {one.satellites_left_out for one in known} == {(name,)}
+    known = [message for message in published if isinstance(message, NavigationState) and message.satellites_left_out]
+    assert {navigation_state.satellites_left_out for navigation_state in known} == {(name,)}
     verdicts = [
-        one
-        for one in published
-        if isinstance(one, TrustState) and known[0].sampled_ns < one.sampled_ns <= known[-1].sampled_ns
+        message
+        for message in published
+        if isinstance(message, TrustState) and known[0].sampled_ns < message.sampled_ns <= known[-1].sampled_ns
     ]
-    assert verdicts and not any(one.row == 5 or one.gnss_excluded for one in verdicts)
-    assert any(f"satellite {name} is excluded" in one.findings for one in verdicts)
-    last = [one for one in published if isinstance(one, NavigationState)][-1]
+    assert verdicts and not any(verdict.row == 5 or verdict.gnss_excluded for verdict in verdicts)
+    assert any(f"satellite {name} is excluded" in verdict.findings for verdict in verdicts)
+    last = [message for message in published if isinstance(message, NavigationState)][-1]
     assert last.satellites_left_out == (), "the receiver's own fix is used again"
 
 
 def test_gnss_is_accused_where_raw_measurements_end_while_a_satellite_is_excluded(drive: list[Message]) -> None:
     def cut() -> Iterator[Message]:
         raw_epochs = 0
-        for one in faulty(drive):
-            raw_epochs += isinstance(one, GnssRawEpoch)
-            if not (isinstance(one, GnssRawEpoch) and raw_epochs > 50):
-                yield one
+        for message in faulty(drive):
+            raw_epochs += isinstance(message, GnssRawEpoch)
+            if not (isinstance(message, GnssRawEpoch) and raw_epochs > 50):
+                yield message
 
-    found = [one for one in OfflineUnit(parse_vehicle(""), CORE).run(cut()) if isinstance(one, TrustMonitor)]
-    satellites = [one for one in found if one.monitor == "satellites"]
+    found = [
+        message for message in OfflineUnit(parse_vehicle(""), CORE).run(cut()) if isinstance(message, TrustMonitor)
+    ]
+    satellites = [trust_monitor for trust_monitor in found if trust_monitor.monitor == "satellites"]
     why = satellites[-1].reason_code
     assert satellites[-1].accused == ("gnss",)
     assert why is not None and why.code == Code.SILENT_AFTER_EXCLUSION

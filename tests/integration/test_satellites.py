@@ -22,7 +22,7 @@ PUSHED_EPOCH = 40
 
 def statements(scenario: str, seed: int, duration_s: float) -> list[TrustMonitor]:
     unit = OfflineUnit(parse_vehicle(""), NAMES)
-    found = [one for one in unit.run(messages(scenario, seed, duration_s)) if isinstance(one, TrustMonitor)]
+    found = [message for message in unit.run(messages(scenario, seed, duration_s)) if isinstance(message, TrustMonitor)]
     for name in NAMES:
         process: Any = unit.process(name)
         assert not process.rejects
@@ -32,13 +32,18 @@ def statements(scenario: str, seed: int, duration_s: float) -> list[TrustMonitor
 @pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
 def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_complete(scenario: str, seed: int) -> None:
     found = statements(scenario, seed, 60.0)
-    assert {one.monitor for one in found} == {"satellites"} and len(found) > 55
+    assert {trust_monitor.monitor for trust_monitor in found} == {"satellites"} and len(found) > 55
     begin, later = found[0], found[EPHEMERIDES_S + 2 :]
     assert begin.outcome is Outcome.NOT_EVALUATED and begin.reason
     why = found[10].reason_code
     assert why is not None and (why.code, why.values["known_count"]) == (Code.EPHEMERIDES_MISSING, 0)
-    assert {one.outcome for one in later} == {Outcome.PASS} and len(later) > 20
-    assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in later)
+    assert {trust_monitor.outcome for trust_monitor in later} == {Outcome.PASS} and len(later) > 20
+    assert all(
+        trust_monitor.statistic is not None
+        and trust_monitor.threshold
+        and trust_monitor.statistic < trust_monitor.threshold
+        for trust_monitor in later
+    )
 
 
 def test_in_a_tunnel_the_monitor_is_not_evaluated_with_a_reason() -> None:
@@ -76,7 +81,11 @@ def test_a_pseudorange_error_of_50_m_on_one_satellite_is_excluded_in_its_epoch(r
     found = list(with_push(row))
     (_, before), (name, at_once), *later = found[PUSHED_EPOCH - 2 :]
     assert before.outcome is Outcome.PASS
-    for one in (at_once, *(statement for _, statement in later)):
-        assert (one.outcome, one.accused) == (Outcome.ACCUSES, (name,))
-        assert one.suspect_since_ns == before.sampled_ns
-        assert one.statistic is not None and one.threshold is not None and one.statistic < one.threshold
+    for trust_monitor in (at_once, *(statement for _, statement in later)):
+        assert (trust_monitor.outcome, trust_monitor.accused) == (Outcome.ACCUSES, (name,))
+        assert trust_monitor.suspect_since_ns == before.sampled_ns
+        assert (
+            trust_monitor.statistic is not None
+            and trust_monitor.threshold is not None
+            and trust_monitor.statistic < trust_monitor.threshold
+        )

@@ -613,8 +613,8 @@ def test_a_command_of_the_operator_is_published_as_it_was_given(server: Running)
     given = {"request_id": "r7", "command": "select_source", "source": "gnss1"}
     answer = change(server.address, "/api/command", given)
     assert (answer.status_code, answer.json()) == (202, {"request_id": "r7"})
-    eventually(lambda: any(isinstance(one, ModeCommand) for one in server.bus.published))
-    (published,) = [one for one in server.bus.published if isinstance(one, ModeCommand)]
+    eventually(lambda: any(isinstance(message, ModeCommand) for message in server.bus.published))
+    (published,) = [message for message in server.bus.published if isinstance(message, ModeCommand)]
     assert (published.command, published.source) == (OperatorCommand.SELECT_SOURCE, "gnss1")
 
 

@@ -89,11 +89,11 @@ def test_every_explanation_of_a_monitor_has_words(computed: list[Row]) -> None:
         for row in computed
         if row["type"] == "TrustMonitor"
     ]
-    explained: list[TrustMonitor | MonitorTest] = [*monitors, *(test for one in monitors for test in one.tests)]
+    explained: list[TrustMonitor | MonitorTest] = [*monitors, *(test for monitor in monitors for test in monitor.tests)]
     assert len(explained) > 60
-    for one in explained:
-        assert one.reason_code is not None
-        assert words().detail(complete(one.reason_code, one)), one.reason_code
+    for item in explained:
+        assert item.reason_code is not None
+        assert words().detail(complete(item.reason_code, item)), item.reason_code
 
 
 TEXTS = frozenset(("reason", "reasons", "findings", "missing", "exclusion_declined", "held_reason", "sentence"))
@@ -103,7 +103,7 @@ class Wordless(OfflineUnit):
     """The unit, with every text that explains something replaced by "x" before another process reads it."""
 
     def _handled(self, name: str, message: Message) -> Iterator[Message]:
-        return (wordless(one) for one in super()._handled(name, message))
+        return (wordless(item) for item in super()._handled(name, message))
 
 
 def wordless(message: Message) -> Message:
@@ -115,15 +115,15 @@ def blank(value: object, *, text: bool) -> object:
     if isinstance(value, Message):
         return wordless(value)
     if type(value) is tuple:  # named tuples hold no texts
-        return tuple(blank(one, text=text) for one in value)
+        return tuple(blank(item, text=text) for item in value)
     return "x" if text and type(value) is str else value  # words of enumerations are not texts
 
 
 def decisions(table: list[Row]) -> list[object]:
     def kept(value: object) -> object:
         if isinstance(value, dict):
-            return {name: kept(one) for name, one in value.items() if name not in TEXTS}
-        return [kept(one) for one in value] if isinstance(value, list) else value
+            return {name: kept(item) for name, item in value.items() if name not in TEXTS}
+        return [kept(item) for item in value] if isinstance(value, list) else value
 
     return [kept(row) for row in table]
 

@@ -27,11 +27,11 @@ TURNED = Path(__file__).parents[1] / "golden" / "releases" / "0_1_0_turned_imu.m
 
 
 def solutions(messages: list[Message]) -> dict[int, NavigationSolution]:
-    return {one.sampled_ns: one for one in messages if isinstance(one, NavigationSolution)}
+    return {message.sampled_ns: message for message in messages if isinstance(message, NavigationSolution)}
 
 
 def forces(messages: Iterable[Message]) -> FloatArray:
-    batches = [one.specific_force_body_m_s2 for one in messages if isinstance(one, ImuSamples)]
+    batches = [message.specific_force_body_m_s2 for message in messages if isinstance(message, ImuSamples)]
     return np.concatenate(batches)
 
 
@@ -43,12 +43,12 @@ def test_a_drive_of_release_0_1_0_with_a_turned_imu_has_the_solution_of_that_rel
         unit = OfflineUnit(vehicle, ["core.fusion"])
         now = solutions(list(unit.run(inputs_of(recording).messages(vehicle))))
     assert len(recorded) >= 5
-    for stamp, one in recorded.items():
+    for stamp, navigation_solution in recorded.items():
         assert (now[stamp].latitude_deg, now[stamp].longitude_deg) == pytest.approx(
-            (one.latitude_deg, one.longitude_deg), abs=1e-8
+            (navigation_solution.latitude_deg, navigation_solution.longitude_deg), abs=1e-8
         )
-        assert now[stamp].yaw_rad == pytest.approx(one.yaw_rad, abs=1e-3)
-        assert now[stamp].velocity_ned_m_s == pytest.approx(one.velocity_ned_m_s, abs=0.01)
+        assert now[stamp].yaw_rad == pytest.approx(navigation_solution.yaw_rad, abs=1e-3)
+        assert now[stamp].velocity_ned_m_s == pytest.approx(navigation_solution.velocity_ned_m_s, abs=0.01)
 
 
 def test_another_mounting_in_the_file_that_is_given_turns_the_samples(tmp_path: Path) -> None:

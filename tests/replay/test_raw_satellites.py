@@ -48,8 +48,8 @@ def station() -> Station:
     ephemerides, ionosphere = read_rinex_navigation((folder / "07590920.05n").read_text())
     epochs, position = read_rinex_observations((folder / "07590920.05o").read_text())
     store = EphemerisStore(kept=100)
-    for one in ephemerides:
-        store.add(one)
+    for ephemeride in ephemerides:
+        store.add(ephemeride)
     store.ionosphere = ionosphere
     assert position is not None and len(epochs) == 120 and not store.rejected
     return epochs, store, np.array(position)
@@ -80,8 +80,11 @@ def pushes(
         clean = SatelliteMonitor().evaluate(epoch, store)
         for finding in clean.findings if clean.dof >= 2 else ():
             measurements = tuple(
-                replace(one, pseudorange_m=one.pseudorange_m + bias_m * (one.satellite == finding.satellite))
-                for one in epoch.measurements
+                replace(
+                    measurement,
+                    pseudorange_m=measurement.pseudorange_m + bias_m * (measurement.satellite == finding.satellite),
+                )
+                for measurement in epoch.measurements
             )
             verdict = SatelliteMonitor().evaluate(replace(epoch, measurements=measurements), store)
             yield verdict, finding.satellite, finding.mdb_m, finding.mib_m
@@ -127,8 +130,8 @@ def base_station() -> Station:
     messages = [message for _, message in UBXReader(BytesIO(data), protfilter=4)]
     ephemerides, epochs = read_rtcm(messages, round(midnight.total_seconds()) * 10**9)
     store = EphemerisStore()
-    for one in ephemerides:
-        store.add(one)
+    for ephemeride in ephemerides:
+        store.add(ephemeride)
     base = next(message for message in messages if message.identity == "1006")
     return epochs, store, np.array((base.DF025, base.DF026, base.DF027))
 
@@ -168,14 +171,14 @@ def test_galileo_ephemerides_give_the_directions_that_the_receiver_states() -> N
                 before = store.select(satellite, now_ns)
                 after = store.add_words(satellite, words, now_ns)
                 if after is not None and not isinstance(before, str) and before.issue != after.issue:
-                    apart = [np.array(satellite_state(one, now_ns).position_e) for one in (before, after)]
+                    apart = [np.array(satellite_state(ephemeris, now_ns).position_e) for ephemeris in (before, after)]
                     issues.setdefault(satellite, []).append(float(np.linalg.norm(apart[1] - apart[0])))
             elif message.identity == "NAV-SAT" and here is not None and epoch % 7 == 0:
                 off += list(_angles_off(message, store, now_ns, here, model))
     assert not store.rejected
     assert len(off) > 1000 and np.abs(off).max() < 1.1, "[deg]; whole degrees, and updated every few seconds"
     assert np.abs(np.mean(off, axis=0)).max() < 0.05
-    jumps = [jump for one in issues.values() for jump in one]
+    jumps = [jump for issue in issues.values() for jump in issue]
     assert len(jumps) > 10 and np.median(jumps) < 0.5 and max(jumps) < 3.0, "[m] between successive issues"
 
 
@@ -212,13 +215,15 @@ def test_every_position_without_a_satellite_is_within_its_level_and_no_separatio
     for epoch in epochs:
         _, said = hypotheses_of(epoch, store)
         assert len(said.solutions) >= 12
-        for one in said.solutions:
-            there = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), one.height_ellipsoid_m)
+        for solution in said.solutions:
+            there = Geodetic(
+                radians(solution.latitude_deg), radians(solution.longitude_deg), solution.height_ellipsoid_m
+            )
             error = to_ned @ (np.array(ecef_from_geodetic(there)) - truth)
-            assert np.hypot(*error[:2]) < one.protection_level_horizontal_m
-            assert abs(error[2]) < one.protection_level_vertical_m
-            assert one.separation is not None and one.separation_limit is not None
-            assert one.separation < one.separation_limit
+            assert np.hypot(*error[:2]) < solution.protection_level_horizontal_m
+            assert abs(error[2]) < solution.protection_level_vertical_m
+            assert solution.separation is not None and solution.separation_limit is not None
+            assert solution.separation < solution.separation_limit
             tried += 1
     assert tried > 400
 
@@ -235,12 +240,17 @@ def test_without_the_satellite_that_is_50_m_off_the_residuals_are_the_smallest(
             if finding.mib_m is None or finding.mib_m >= 50.0:
                 continue
             measurements = tuple(
-                replace(one, pseudorange_m=one.pseudorange_m + bias_m * (one.satellite == finding.satellite))
-                for one in epoch.measurements
+                replace(
+                    measurement,
+                    pseudorange_m=measurement.pseudorange_m + bias_m * (measurement.satellite == finding.satellite),
+                )
+                for measurement in epoch.measurements
             )
             _, said = hypotheses_of(replace(epoch, measurements=measurements), store)
-            singles = [one for one in said.solutions if len(one.left_out) == 1]
-            assert min(singles, key=lambda one: one.innovations or 0.0).left_out == (str(finding.satellite),)
+            singles = [solution for solution in said.solutions if len(solution.left_out) == 1]
+            assert min(singles, key=lambda hypothesis_solution: hypothesis_solution.innovations or 0.0).left_out == (
+                str(finding.satellite),
+            )
             assert said.solutions[0].left_out == (str(finding.satellite),)
             tried += 1
     assert tried > 30

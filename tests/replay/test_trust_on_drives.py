@@ -91,7 +91,7 @@ def assert_harmless(
     harm = harm_of(reference, run.track, plain.track, lever_arm_b=arm)
     settled = errors_against(reference, run.track, lever_arm_b=arm).since(int(run.verdicts.edges_ns[0]) + SETTLED_NS)
     limits = vehicle.facts.alert_limits_m
-    above = [float((one.error_m > one.level_m).mean()) for one in protected(settled, limits)[:1]]
+    above = [float((item.error_m > item.level_m).mean()) for item in protected(settled, limits)[:1]]
     assert isinstance(harm, Harm), "the truth covers the drive"
     broken = [
         sentence

@@ -14,9 +14,9 @@ from cli.campaign import Outcome, in_processes
 @pytest.fixture(scope="module")
 def judged() -> list[Judged]:
     found = {}
-    for number, one in in_processes(dict(enumerate(jobs_of(len(CASES), first_seed=5000))), 2):
-        assert isinstance(one, Judged), one
-        found[number] = one
+    for number, item in in_processes(dict(enumerate(jobs_of(len(CASES), first_seed=5000))), 2):
+        assert isinstance(item, Judged), item
+        found[number] = item
     return [found[number] for number in sorted(found)]
 
 
@@ -32,15 +32,15 @@ def test_the_median_ratio_of_levels_to_errors_is_below_10(judged: list[Judged]) 
 
 
 def test_levels_grow_by_half_in_outages(judged: list[Judged]) -> None:
-    for one in judged:
-        assert one.level_m[:, 0].max() > 1.5 * one.level_m[:, 0].min(), one.case
+    for item in judged:
+        assert item.level_m[:, 0].max() > 1.5 * item.level_m[:, 0].min(), item.case
 
 
 def test_the_table_has_every_case_and_exceeded_levels_fail_the_command(
     judged: list[Judged], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(report, "RESULTS", tmp_path)
-    exceeded = [Judged(one.case, one.seed, 3.0 * one.level_m, one.level_m) for one in judged]
+    exceeded = [Judged(item.case, item.seed, 3.0 * item.level_m, item.level_m) for item in judged]
     found = Outcome(list(enumerate(exceeded)), len(exceeded))
     monkeypatch.setattr(campaign, "run", lambda *_, **__: found)
     assert report.main(["--short"]) == 1 and not list(tmp_path.iterdir()), "the short form stores nothing"

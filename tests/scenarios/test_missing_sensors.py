@@ -101,7 +101,7 @@ def run(
 
 
 def solutions(out: Sequence[Message]) -> list[NavigationSolution]:
-    return [one for one in out if isinstance(one, NavigationSolution)]
+    return [message for message in out if isinstance(message, NavigationSolution)]
 
 
 def errors(solution: NavigationSolution) -> tuple[npt.NDArray[np.float64], float]:
@@ -118,22 +118,27 @@ def test_without_an_imu_each_fix_is_published_and_the_verdict_is_caution() -> No
     out = list(run(fixes()))
     found = solutions(out)
     assert len(found) >= len(fixes()) - 6
-    assert {one.phase for one in found} == {NavigationPhase.GNSS_ONLY}
-    outside = [hypot(*errors(one)[0][:2]) > (one.protection_level_horizontal_m or 0.0) for one in found]
+    assert {navigation_solution.phase for navigation_solution in found} == {NavigationPhase.GNSS_ONLY}
+    outside = [
+        hypot(*errors(navigation_solution)[0][:2]) > (navigation_solution.protection_level_horizontal_m or 0.0)
+        for navigation_solution in found
+    ]
     assert not any(outside)
-    moving = [one for one in found if hypot(*one.velocity_ned_m_s) > 5.0]
-    assert max(abs(degrees(errors(one)[1])) for one in moving) < 15.0
-    verdicts = [one for one in out if isinstance(one, TrustState)]
+    moving = [
+        navigation_solution for navigation_solution in found if hypot(*navigation_solution.velocity_ned_m_s) > 5.0
+    ]
+    assert max(abs(degrees(errors(navigation_solution)[1])) for navigation_solution in moving) < 15.0
+    verdicts = [message for message in out if isinstance(message, TrustState)]
     assert verdicts[0].state is TrustLevel.INITIALISING
     assert verdicts[-1].state is TrustLevel.CAUTION
     assert verdicts[-1].reason_codes[0].code == NO_INERTIAL_UNIT
 
 
 def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
-    nothing = [one.model_copy(update={"fix_type": FixType.NONE, "latitude_deg": None}) for one in fixes(40.0)]
+    nothing = [fix.model_copy(update={"fix_type": FixType.NONE, "latitude_deg": None}) for fix in fixes(40.0)]
     out = list(run([*fixes(0.0, 40.0), *nothing]))
-    assert max(one.sampled_ns for one in solutions(out)) < EPOCH_NS + 40 * S
-    assert [one for one in out if isinstance(one, TrustState)][-1].state is TrustLevel.NO_FIX
+    assert max(solution.sampled_ns for solution in solutions(out)) < EPOCH_NS + 40 * S
+    assert [message for message in out if isinstance(message, TrustState)][-1].state is TrustLevel.NO_FIX
 
 
 @pytest.mark.parametrize(
@@ -147,29 +152,50 @@ def test_with_neither_imu_nor_gnss_there_is_no_fix() -> None:
 def test_a_gap_of_the_imu_is_survived_by_fixes_and_the_kept_heading(gaps: tuple[tuple[float, float], ...]) -> None:
     """At 1 Hz two positions are 2 s apart at most, and the filter goes on 1.3 s after the gap at the latest."""
     found = solutions(list(run([*fixes(), *samples(*gaps)])))
-    times_s = np.array([(one.sampled_ns - EPOCH_NS) / S for one in found])
+    times_s = np.array([(navigation_solution.sampled_ns - EPOCH_NS) / S for navigation_solution in found])
     begin_s, end_s = gaps[0][0], gaps[-1][1]
     assert np.diff(times_s[times_s > begin_s - 0.5]).max() < 2.05
-    during = {one.phase for one, at_s in zip(found, times_s, strict=True) if begin_s + 1.0 < at_s < end_s - 0.05}
+    during = {
+        navigation_solution.phase
+        for navigation_solution, at_s in zip(found, times_s, strict=True)
+        if begin_s + 1.0 < at_s < end_s - 0.05
+    }
     assert NavigationPhase.GNSS_ONLY in during
     after = [
-        one
-        for one, at_s in zip(found, times_s, strict=True)
-        if at_s > end_s and one.phase is NavigationPhase.NAVIGATING
+        navigation_solution
+        for navigation_solution, at_s in zip(found, times_s, strict=True)
+        if at_s > end_s and navigation_solution.phase is NavigationPhase.NAVIGATING
     ]
     assert (after[0].sampled_ns - EPOCH_NS) / S < end_s + 1.35
-    kept = [one for one in after if (one.sampled_ns - EPOCH_NS) / S < end_s + 5.0]
-    assert max(errors(one)[1] ** 2 / one.attitude_cov_ned_rad2[5] for one in kept) < 9.0
-    assert max(abs(degrees(errors(one)[1])) for one in kept) < 6.0
-    assert all(hypot(*errors(one)[0][:2]) < (one.protection_level_horizontal_m or 0.0) for one in found)
+    kept = [
+        navigation_solution
+        for navigation_solution in after
+        if (navigation_solution.sampled_ns - EPOCH_NS) / S < end_s + 5.0
+    ]
+    assert (
+        max(
+            errors(navigation_solution)[1] ** 2 / navigation_solution.attitude_cov_ned_rad2[5]
+            for navigation_solution in kept
+        )
+        < 9.0
+    )
+    assert max(abs(degrees(errors(navigation_solution)[1])) for navigation_solution in kept) < 6.0
+    assert all(
+        hypot(*errors(navigation_solution)[0][:2]) < (navigation_solution.protection_level_horizontal_m or 0.0)
+        for navigation_solution in found
+    )
 
 
 def test_a_parked_vehicle_keeps_its_heading_over_a_gap() -> None:
     """The drive stands for 20 s; a saved heading starts the filter after levelling for 15 s."""
     begin_s, end_s, stop_s = 16.8, 19.0, 20.4
-    received = [one for one in samples((begin_s, end_s)) if one.received_ns < EPOCH_NS + stop_s * S]
-    found = [one for one in solutions(list(run([*fixes(0.0, stop_s), *received], parked()))) if one.phase in SOLVED]
-    times_s = [(one.sampled_ns - EPOCH_NS) / S for one in found]
+    received = [sample for sample in samples((begin_s, end_s)) if sample.received_ns < EPOCH_NS + stop_s * S]
+    found = [
+        solution
+        for solution in solutions(list(run([*fixes(0.0, stop_s), *received], parked())))
+        if solution.phase in SOLVED
+    ]
+    times_s = [(navigation_solution.sampled_ns - EPOCH_NS) / S for navigation_solution in found]
     assert min(times_s) < begin_s, "the filter runs before the gap"
     assert min(at_s for at_s in times_s if at_s > end_s) < end_s + 1.35
     assert abs(degrees(errors(found[-1])[1])) < 3.0
@@ -178,26 +204,29 @@ def test_a_parked_vehicle_keeps_its_heading_over_a_gap() -> None:
 
 def test_without_gnss_a_parked_vehicle_starts_at_its_saved_position() -> None:
     """Initialising, then dead reckoning from where it was parked; its errors stay within the level."""
-    received = [one for one in samples() if one.received_ns < EPOCH_NS + 30 * S]
+    received = [sample for sample in samples() if sample.received_ns < EPOCH_NS + 30 * S]
     out = list(run(received, parked(), {"alignment.without_gnss_s": 17.0}))
     found = solutions(out)
-    assert {one.phase for one in found} == {NavigationPhase.COASTING}
+    assert {navigation_solution.phase for navigation_solution in found} == {NavigationPhase.COASTING}
     assert 17.0 < (found[0].sampled_ns - EPOCH_NS) / S < 17.5
-    assert all(hypot(*errors(one)[0][:2]) < (one.protection_level_horizontal_m or 0.0) for one in found)
-    states = [one for one in out if isinstance(one, TrustState)]
+    assert all(
+        hypot(*errors(navigation_solution)[0][:2]) < (navigation_solution.protection_level_horizontal_m or 0.0)
+        for navigation_solution in found
+    )
+    states = [message for message in out if isinstance(message, TrustState)]
     assert states[0].state is TrustLevel.INITIALISING
-    assert TrustLevel.DEAD_RECKONING in {one.state for one in states}
-    assert any(one.reason_codes[0].code == NO_GNSS_YET for one in states)
+    assert TrustLevel.DEAD_RECKONING in {state.state for state in states}
+    assert any(state.reason_codes[0].code == NO_GNSS_YET for state in states)
 
 
 def test_a_position_saved_on_the_move_is_no_place_to_start_from() -> None:
-    received = [one for one in samples() if one.received_ns < EPOCH_NS + 25 * S]
+    received = [sample for sample in samples() if sample.received_ns < EPOCH_NS + 25 * S]
     assert not solutions(list(run(received, parked(stationary=False), {"alignment.without_gnss_s": 17.0})))
 
 
 def test_a_vehicle_that_has_moved_is_not_where_it_was_saved() -> None:
     """It drives off before the time is over."""
-    received = [one for one in samples() if one.received_ns < EPOCH_NS + 35 * S]
+    received = [sample for sample in samples() if sample.received_ns < EPOCH_NS + 35 * S]
     assert not solutions(list(run(received, parked(), {"alignment.without_gnss_s": 24.0})))
 
 
@@ -210,8 +239,8 @@ def test_without_gnss_and_imu_excluded_by_trust_nothing_is_published() -> None:
         alert_limit_vertical_m=20.0,
     )  # fmt: skip
     out: list[Message] = [*process.handle(excluded)]
-    out += [one for fix in fixes() for one in process.handle(fix)]
+    out += [item for fix in fixes() for item in process.handle(fix)]
     assert not solutions(out)
-    states = [one for one in out if isinstance(one, NavigationState)]
+    states = [message for message in out if isinstance(message, NavigationState)]
     assert states[-1].phase is NavigationPhase.WAITING_FOR_IMU
     assert "GNSS is excluded: no position" in states[-1].reason

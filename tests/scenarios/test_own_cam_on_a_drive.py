@@ -45,9 +45,9 @@ def drive() -> tuple[list[Cam], list[TruthState]]:
             case NavigationSolution(phase=NavigationPhase.NAVIGATING) if first_ns is None:
                 first_ns = message.sampled_ns
             case V2xSend():
-                for found in other.handle(cams.batch([message.data], message.received_ns + 20_000_000)):
-                    assert isinstance(found, CamList)
-                    received += found.cams
+                for cam_list in other.handle(cams.batch([message.data], message.received_ns + 20_000_000)):
+                    assert isinstance(cam_list, CamList)
+                    received += cam_list.cams
     assert first_ns is not None
     assert not other.rejects
     return [cam for cam in received if cam.sampled_ns > first_ns + 20 * NS], truth

@@ -109,7 +109,7 @@ def test_a_wrong_saved_heading_is_corrected_within_5_5_s_of_moving_off(receiver:
     for i, navigator in start.lead(made, 25.0):
         solution = navigator.solution()
         errors[i] = degrees(start.yaw_error(i, solution)) if solution else inf
-        reasons |= {one.code for one in navigator.why}
+        reasons |= {explanation.code for explanation in navigator.why}
     wrong = [i for i, error in errors.items() if error != inf and abs(error) > 20.0]
     assert max(wrong) < 850, "5.5 s after moving off, 3.5 s after 3 m/s"
     assert max(abs(errors[i]) for i in range(1200, 2499)) < 3.0

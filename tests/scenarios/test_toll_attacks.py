@@ -52,7 +52,7 @@ def test_frames_replayed_after_65_s_charge_nobody_again(tmp_path: Path, omitted_
     assert list(role.outcomes().values()) == [CHARGED]
     role.drive(CYCLE_S + 20.0)
     assert (role.state().transactions, role.state().in_review) == (1, 0)
-    assert len({one.passage_id for one in role.statements}) == 1
+    assert len({statement.passage_id for statement in role.statements}) == 1
     refused = role.parser.rejects["header_time"] if attack == "as received" else role.core.rejects["replayed"]  # type: ignore[union-attr]
     assert refused == 200 - round(omitted_s * 10)
 
@@ -68,7 +68,7 @@ def test_a_second_receiver_that_misses_the_first_frames_makes_no_second_charge(
     late = Role(tmp_path, (CAR,), pulses_s=(CROSSING_S,))
     late.is_lost = lambda t, _vehicle: t < omitted_s
     late.drive(40.0)
-    assert {one.passage_id for one in late.statements if one.state is CHARGED} - {first}, "another ID"
+    assert {statement.passage_id for statement in late.statements if statement.state is CHARGED} - {first}, "another ID"
     assert late.state().transactions - late.state().reversals == 1
     assert late.outcomes()[first] is CHARGED
 
@@ -83,13 +83,13 @@ def test_an_unregistered_vehicle_1_5_m_ahead_never_makes_a_passage_free(
     pulses = (CROSSING_S - 0.075, CROSSING_S) if real else (CROSSING_S,)
     role = Role(tmp_path, (ghost, CAR), pulses_s=pulses, detectors=detectors)
     role.drive(60.0)
-    of_car = next(one.passage_id for one in role.statements if one.station_ids == (7,))
+    of_car = next(statement.passage_id for statement in role.statements if statement.station_ids == (7,))
     assert PassageState.VOID not in role.outcomes().values()
     if real or not detectors:
         assert role.outcomes()[of_car] is CHARGED and role.reviews() == []
     else:
         assert set(role.outcomes().values()) == {SUSPECT} and len(role.outcomes()) == 2
-        review = next(one for one in role.reviews() if one.passage_id == of_car)
+        review = next(review for review in role.reviews() if review.passage_id == of_car)
         assert (review.contract, review.amount_cents, len(review.overlaps)) == ("contract of 7", 240, 1)
 
 

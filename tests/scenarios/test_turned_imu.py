@@ -49,13 +49,16 @@ def driven(rpy_deg: tuple[float, float, float]) -> list[Message]:
 )
 def test_a_unit_with_a_turned_imu_is_safe_and_no_monitor_suspects_a_sensor(rpy_deg: tuple[float, float, float]) -> None:
     made = driven(rpy_deg)
-    verdicts = [one.state for one in made if isinstance(one, TrustState)]
+    verdicts = [message.state for message in made if isinstance(message, TrustState)]
     assert TrustLevel.UNSAFE not in verdicts and verdicts[-30:] == [TrustLevel.SAFE] * 30
-    inertial = [one for one in made if isinstance(one, TrustMonitor) and one.monitor.startswith("inertial")]
-    assert any(one.statistic is not None for one in inertial), "they were evaluated"
-    last = [one for one in made if isinstance(one, NavigationSolution)][-1]
+    inertial = [
+        message for message in made if isinstance(message, TrustMonitor) and message.monitor.startswith("inertial")
+    ]
+    assert any(trust_monitor.statistic is not None for trust_monitor in inertial), "they were evaluated"
+    last = [message for message in made if isinstance(message, NavigationSolution)][-1]
     truth = min(
-        (one for one in made if isinstance(one, TruthState)), key=lambda one: abs(one.sampled_ns - last.sampled_ns)
+        (message for message in made if isinstance(message, TruthState)),
+        key=lambda truth_state: abs(truth_state.sampled_ns - last.sampled_ns),
     )
     assert abs((last.yaw_rad - truth.yaw_rad + pi) % (2.0 * pi) - pi) < 0.05 if truth.yaw_rad is not None else False
     north_m = (last.latitude_deg - truth.latitude_deg) * 111_000.0

@@ -39,7 +39,7 @@ def each(names: str | tuple[str, ...], cases: Iterable[object]) -> Callable[[Tes
                 named = "; ".join(error.__notes__[-1] for error in failures[:10])
                 raise BaseExceptionGroup(f"{len(failures)} of {len(listed)} cases fail, {named}", failures)
 
-        kept = [one for name, one in signature.parameters.items() if name not in given]
+        kept = [parameter for name, parameter in signature.parameters.items() if name not in given]
         with_every_case.__signature__ = signature.replace(parameters=kept)  # type: ignore[attr-defined]
         return with_every_case
 

@@ -16,7 +16,9 @@ UNIT = PurePosixPath("tests/unit")
 def changed(base: str) -> list[PurePosixPath]:
     """Files that differ from a commit, committed or not, and new ones."""
     commands = (["git", "diff", "--name-only", base], ["git", "ls-files", "--others", "--exclude-standard"])
-    found = [subprocess.run(one, cwd=ROOT, capture_output=True, text=True, check=True).stdout for one in commands]
+    found = [
+        subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout for command in commands
+    ]
     return [PurePosixPath(line) for text in found for line in text.splitlines()]
 
 
@@ -36,7 +38,7 @@ def tests_of(path: PurePosixPath) -> PurePosixPath | None:
 def folders(paths: Iterable[PurePosixPath]) -> list[PurePosixPath]:
     """Folders of tests, without those that lie in another one of them."""
     found = {tests for path in paths if (tests := tests_of(path)) is not None}
-    return sorted(one for one in found if not any(parent in found for parent in one.parents))
+    return sorted(path for path in found if not any(parent in found for parent in path.parents))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ PROCESS = process("core.motion_conflict")
 def longest(code: str, spoken: Words) -> Explanation:
     """An explanation with the longest values that the words of a code name."""
     row, english = spoken.row(code), words().row(code)
-    texts = [getattr(one, field) for one in (row, english) for field in FIELDS]
+    texts = [getattr(item, field) for item in (row, english) for field in FIELDS]
     found = {match[1]: match[2] for text in texts for match in PLACEHOLDER.finditer(text)}
     values = {name: _value(name, kind, spoken) for name, kind in found.items() if kind != CLAUSE and name != SUBJECT}
     subject = Reference(kind=ReferenceKind.SOURCE, name="imu") if code.startswith("trust.") else PROCESS

@@ -73,7 +73,7 @@ def _period(step_s: float, usual_s: float, stated_s: float | None) -> tuple[str,
         name: period for name, period in PERIODS_S.items()
         if -1e-6 <= period - step_s <= _tolerance(period, usual_s) and period > 10.0 * usual_s
     }  # fmt: skip
-    name = min(fits, key=lambda one: fits[one] - step_s, default=None)
+    name = min(fits, key=lambda name: fits[name] - step_s, default=None)
     return None if name is None else (name, fits[name])
 
 

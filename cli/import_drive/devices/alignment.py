@@ -45,10 +45,10 @@ class Device:
         """Add a time to its stamps; those within the lines of a CAN log follow."""
         portions = [
             Portion(
-                one.time_ns + by_ns,
-                shifted_lines(one.data, by_ns) if self.stamped.kind is FileKind.CAN else one.data,
+                portion.time_ns + by_ns,
+                shifted_lines(portion.data, by_ns) if self.stamped.kind is FileKind.CAN else portion.data,
             )
-            for one in self.stamped.portions
+            for portion in self.stamped.portions
         ]
         return replace(self, stamped=replace(self.stamped, portions=portions))
 
@@ -82,28 +82,28 @@ def aligned(
     UserError
         A clock without a date cannot be aligned.
     """
-    sentences = [f"{one.path.name} {note}." for one in devices for note in one.stamped.notes]
-    moved = [one if one.shift_ns is None else one.shifted(one.shift_ns) for one in devices]
+    sentences = [f"{device.path.name} {note}." for device in devices for note in device.stamped.notes]
+    moved = [device if device.shift_ns is None else device.shifted(device.shift_ns) for device in devices]
     if len(moved) == 1:
-        read = [replace(one, messages=made(one)) for one in moved]
+        read = [replace(device, messages=made(device)) for device in moved]
     else:
-        read = [_decoded(one, vehicle, made) for one in moved]
+        read = [_decoded(device, vehicle, made) for device in moved]
     reference = _reference(read)
     found = []
-    for one in read:
-        settled = one is reference or one.shift_ns is not None or one.stamped.kind is FileKind.CORRECTIONS
-        if not settled and one.stamped.clock is not ClockKind.UTC:
-            shift_ns, sentence = _shift(reference, one, vehicle, progress)
-            found.append(_decoded(one.shifted(shift_ns), vehicle, made))
+    for device in read:
+        settled = device is reference or device.shift_ns is not None or device.stamped.kind is FileKind.CORRECTIONS
+        if not settled and device.stamped.clock is not ClockKind.UTC:
+            shift_ns, sentence = _shift(reference, device, vehicle, progress)
+            found.append(_decoded(device.shifted(shift_ns), vehicle, made))
             sentences.append(sentence)
         else:
-            found.append(one)
+            found.append(device)
     if reference.stamped.clock is not ClockKind.UTC:
         sentences.append(
             f"{reference.path.name} tells no date: its clock begins on 2000-01-01. To move it: "
             f"--shift {reference.path.name}=SECONDS."
         )
-    motions = {reference.path.name: reference.motion} | {one.path.name: one.motion for one in found}
+    motions = {reference.path.name: reference.motion} | {device.path.name: device.motion for device in found}
     sentences += told({name: motion for name, motion in motions.items() if motion is not None})
     return found, sentences
 
@@ -119,8 +119,8 @@ def _decoded(device: Device, vehicle: VehicleFile, made: Maker) -> Device:
 def _reference(devices: Sequence[Device]) -> Device:
     """The file whose clock the others follow: one with a date before one without, a receiver before the rest."""
     return min(
-        (one for one in devices if one.stamped.kind is not FileKind.CORRECTIONS),
-        key=lambda one: (one.stamped.clock is not ClockKind.UTC, one.stamped.kind is not FileKind.RECEIVER),
+        (device for device in devices if device.stamped.kind is not FileKind.CORRECTIONS),
+        key=lambda device: (device.stamped.clock is not ClockKind.UTC, device.stamped.kind is not FileKind.RECEIVER),
         default=devices[0],
     )
 
@@ -165,14 +165,16 @@ def _refined(
         return shift_s, COARSE_S
     by_ns = round(shift_s * NS)
     samples = [
-        one.model_copy(update={
-            "received_ns": one.received_ns + by_ns, "sampled_ns": tuple(stamp + by_ns for stamp in one.sampled_ns),
+        message.model_copy(update={
+            "received_ns": message.received_ns + by_ns, "sampled_ns": tuple(stamp + by_ns
+            for stamp in message.sampled_ns),
         })
-        for one in device.decoded
-        if isinstance(one, ImuSamples)
+        for message in device.decoded
+        if isinstance(message, ImuSamples)
     ]  # fmt: skip
     merged: list[ImuSamples | GnssFix] = sorted(
-        (*samples, *(one for one in reference.decoded if isinstance(one, GnssFix))), key=lambda one: one.received_ns
+        (*samples, *(message for message in reference.decoded if isinstance(message, GnssFix))),
+        key=lambda item: item.received_ns,
     )
     shown = progress.track(merged, description=f"aligning {device.path.name}")
     try:

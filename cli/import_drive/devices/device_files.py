@@ -101,8 +101,12 @@ def import_devices(
         devices = _read_all(forms, shifts, progress)
         devices, sentences = aligned(devices, file, _messages_of(file), progress)
         parts = [
-            Part(one.path.name, _digest(one.path), Converted(one.messages, one.stamped.rows, one.stamped.rejects))
-            for one in devices
+            Part(
+                device.path.name,
+                _digest(device.path),
+                Converted(device.messages, device.stamped.rows, device.stamped.rejects),
+            )
+            for device in devices
         ]
         if not any(part.converted.messages for part in parts):
             raise UserError(f"{files[0]} holds no message with a valid checksum; give the file as the device wrote it")

@@ -187,7 +187,7 @@ def agreement_of(first: Motion, second: Motion) -> Agreement | None:
             pairs.append(((a - np.mean(a)) / spread_a, (b - np.mean(b)) / spread_b))
     if not pairs:
         return None
-    of_first, of_second = (len(one) for one in pairs[0])
+    of_first, of_second = (len(pair) for pair in pairs[0])
     shorter = min(of_first, of_second)
     ends = np.arange(1, of_first + of_second)
     counts = np.minimum(np.minimum(ends, ends[::-1]), shorter)

@@ -102,7 +102,7 @@ def parse_mapping(text: str, path: str) -> Mapping:
 
 def _explain(error: ValidationError) -> str:
     """Describe the first fault, with a suggestion for an unknown key; unknown keys are reported before missing ones."""
-    first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
+    first = min(error.errors(), key=lambda error_details: error_details["type"] != "extra_forbidden")
     path = ".".join(str(part) for part in first["loc"]) or "mapping"
     if first["type"] == "missing":
         return f"{path} is missing"

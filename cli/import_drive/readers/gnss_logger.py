@@ -91,7 +91,7 @@ def read_log(lines: Iterable[str]) -> Log:
     """Read all lines; those without a header, or with too few fields, are counted and rejected."""
     log, headers = Log(), dict[str, tuple[str, ...]]()
     for line in lines:
-        fields = [one.strip() for one in line.lstrip("# ").strip().split(",")]
+        fields = [name.strip() for name in line.lstrip("# ").strip().split(",")]
         if line.startswith("#"):
             if len(fields) > 1:
                 names = (name.lower() for name in fields[1:])

@@ -59,7 +59,7 @@ def compare_phone(folder: Path) -> Comparison:
     speeds = [speeds_of(positions, LONGEST_S) for positions in solved.values()]
     both = sorted(set(speeds[0]) & set(speeds[1]))
     differences = np.array([abs(speeds[0][t] - speeds[1][t]) for t in both]) / KM_H
-    return Comparison({name: len(found) for name, found in solved.items()}, len(epochs), differences)
+    return Comparison({name: len(record) for name, record in solved.items()}, len(epochs), differences)
 
 
 def station_speeds(folder: Path) -> FloatArray:
@@ -68,8 +68,8 @@ def station_speeds(folder: Path) -> FloatArray:
     epochs, _ = read_rinex_observations((folder / "07590920.05o").read_text())
     store, monitor, positions = EphemerisStore(kept=100), SatelliteMonitor(), {}
     store.ionosphere = ionosphere
-    for one in ephemerides:
-        store.add(one)
+    for ephemeride in ephemerides:
+        store.add(ephemeride)
     for epoch in epochs:
         solution = monitor.evaluate(epoch, store).solution
         if solution is not None:

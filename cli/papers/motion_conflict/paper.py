@@ -68,8 +68,8 @@ def reproduce(drives: int, progress: bool) -> Paper:
     jobs = [(scenario, seed) for scenario in SCENARIOS for seed in range(1, drives + 1)]
     measured = list(in_parallel(measure, jobs, WORKERS, progress))
     found = Findings(
-        {name: break_points(Drive(name)) for name in PROFILES}, [one.result for one in measured], None, None, [],
-        {kind: [row for one in measured if one.result.kind == kind for row in one.alike] for kind in SCENARIOS},
+        {name: break_points(Drive(name)) for name in PROFILES}, [item.result for item in measured], None, None, [],
+        {kind: [row for item in measured if item.result.kind == kind for row in item.alike] for kind in SCENARIOS},
     )  # fmt: skip
     found = with_recordings(found)
     tables = [_break_points(found), _detections(found), _random_drives(found), _alike(found), *_systems(found)]
@@ -152,11 +152,11 @@ def _detections(found: Findings) -> Table:
     for kind, drives in _kinds(found).items():
         for fault in FAULTS:
             chosen = [drive.faults[fault] for drive in drives]
-            windows = sum(one.windows for one in chosen)
+            windows = sum(statistics.windows for statistics in chosen)
             shares = [100.0 * sum(counts) / windows for counts in (
-                [one.mean_above for one in chosen], [one.median_above for one in chosen]
+                [statistics.mean_above for statistics in chosen], [statistics.median_above for statistics in chosen]
             )]  # fmt: skip
-            largest = max(one.mean for one in chosen), max(one.median for one in chosen)
+            largest = max(statistics.mean for statistics in chosen), max(statistics.median for statistics in chosen)
             rows.append(
                 (f"{kind}, {fault}", str(windows), *(f"{v:.2f}" for v in largest), *(f"{v:.1f} %" for v in shares))
             )
@@ -188,16 +188,16 @@ def _alike(found: Findings) -> Table:
     rows = []
     for kind, runs in found.alike.items():
         for factor in ALIKE_FACTORS:
-            chosen = [one for one in runs if one.factor == factor]
+            chosen = [run for run in runs if run.factor == factor]
             largest, above = (
-                max(one.tachograph.mean for one in chosen),
-                sum(one.tachograph.mean_above for one in chosen),
+                max(alike.tachograph.mean for alike in chosen),
+                sum(alike.tachograph.mean_above for alike in chosen),
             )
-            accused = sum(one.bends is not None for one in chosen)
+            accused = sum(alike.bends is not None for alike in chosen)
             rows.append((
                 f"{kind}, both speeds times {factor:.2f}", f"{largest:.2f} km/h, {above} windows above",
-                f"{accused} of {len(chosen)}", _range([one.bends for one in chosen], 1.0),
-                _range([one.after_s for one in chosen], 1.0),
+                f"{accused} of {len(chosen)}", _range([alike.bends for alike in chosen], 1.0),
+                _range([alike.after_s for alike in chosen], 1.0),
             ))  # fmt: skip
     columns = ("", "tachograph, MT", "centripetal speed: drives accused", "after bends", "after [s]")
     return Table("GNSS and odometer falsified alike, from the middle of the drive on", columns, rows)
@@ -264,7 +264,7 @@ def _deviations(found: Findings) -> list[str]:
         if max(nominal.mean, nominal.median) > NOMINAL_LIMIT_KM_H:
             texts.append(f"{kind}: statistics of {nominal.mean:.2f} and {nominal.median:.2f} km/h without a fault")
     for kind, runs in found.alike.items():
-        false = sum(one.bends is not None for one in runs if one.factor == 1.0)
+        false = sum(run.bends is not None for run in runs if run.factor == 1.0)
         if false:
             texts.append(f"{kind}: {false} drives accused by the centripetal speed without a fault")
     for drive in found.drives:
@@ -304,11 +304,11 @@ def _document(found: Findings) -> dict[str, object]:
         "falsified_alike": {
             kind: [
                 {
-                    "factor": one.factor, "largest_trimmed_mean_km_h": one.tachograph.mean,
-                    "trimmed_mean_above": one.tachograph.mean_above, "bends": one.bends, "after_s": one.after_s,
-                    "bends_of_the_drive": one.total, "suspect_time_before_it": one.before,
+                    "factor": run.factor, "largest_trimmed_mean_km_h": run.tachograph.mean,
+                    "trimmed_mean_above": run.tachograph.mean_above, "bends": run.bends, "after_s": run.after_s,
+                    "bends_of_the_drive": run.total, "suspect_time_before_it": run.before,
                 }
-                for one in runs
+                for run in runs
             ]
             for kind, runs in found.alike.items()
         },
@@ -354,8 +354,8 @@ def _draw_sweeps(drawn: list[Figure]) -> None:
             )
             for axes, (label, points) in zip(panels, swept, strict=True):
                 steps = [step for step, _ in points]
-                line = axes.plot(steps, [found.mean for _, found in points], label=f"{name}, MT")[0]
-                axes.plot(steps, [found.median for _, found in points], "--", color=line.get_color(),
+                line = axes.plot(steps, [statistics.mean for _, statistics in points], label=f"{name}, MT")[0]
+                axes.plot(steps, [statistics.median for _, statistics in points], "--", color=line.get_color(),
                           label=f"{name}, median")  # fmt: skip
                 axes.set(xlabel=label, ylim=(0.0, 40.0))
         for axes in panels:

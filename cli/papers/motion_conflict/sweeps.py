@@ -125,8 +125,8 @@ def scale_break_points(drive: Speeds) -> tuple[float | None, float | None]:
 
 
 def _crossings(swept: list[tuple[float, Statistics]]) -> tuple[float | None, float | None]:
-    mean = next((step for step, found in swept if found.mean > LIMIT_KM_H), None)
-    return mean, next((step for step, found in swept if found.median > LIMIT_KM_H), None)
+    mean = next((step for step, statistics in swept if statistics.mean > LIMIT_KM_H), None)
+    return mean, next((step for step, statistics in swept if statistics.median > LIMIT_KM_H), None)
 
 
 def break_points(drive: Speeds) -> BreakPoints:

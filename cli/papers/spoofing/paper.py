@@ -297,8 +297,10 @@ def _barometer_table(found: Findings) -> Table:
     false, detected = found.without_barometer
     whole = found.modes[Mode.GYROSCOPE]
     rows: list[tuple[str, ...]] = [("false detections", f"{whole.false['any']:.2f}", f"{false:.2f}")]
-    for name, one in detected.items():
-        rows.append((name, *(f"{d.share(SOON_S):.0f}, {d.share(LATER_S):.0f}" for d in (whole.detected[name], one))))
+    for name, detection in detected.items():
+        rows.append(
+            (name, *(f"{d.share(SOON_S):.0f}, {d.share(LATER_S):.0f}" for d in (whole.detected[name], detection)))
+        )
     columns = ("mode G [%]", "with barometer", "without")
     return Table("A phone without barometer: detected within 30 and 60 s", columns, rows)
 
@@ -325,12 +327,12 @@ def _document(found: Findings) -> dict[str, object]:
     def attacks(detected: dict[str, Detection]) -> dict[str, object]:
         return {
             name: {
-                "attacks": one.attacks,
-                "within_30_s_percent": one.share(SOON_S),
-                "within_60_s_percent": one.share(LATER_S),
-                "median_delay_s": one.median_s,
+                "attacks": detection.attacks,
+                "within_30_s_percent": detection.share(SOON_S),
+                "within_60_s_percent": detection.share(LATER_S),
+                "median_delay_s": detection.median_s,
             }
-            for name, one in detected.items()
+            for name, detection in detected.items()
         }
 
     return {
@@ -399,7 +401,7 @@ def _figures(found: Findings) -> list[Figure]:
         panels[0].legend()
     with figure("Detected attacks", drawn.append) as (axes,):
         for offset, (mode, result) in enumerate(found.modes.items()):
-            shares = [one.share(SOON_S) for one in result.detected.values()]
+            shares = [detection.share(SOON_S) for detection in result.detected.values()]
             axes.bar(np.arange(len(ATTACKS)) + 0.2 * offset, shares, 0.18, label=mode.value)
         axes.set_xticks(np.arange(len(ATTACKS)) + 0.3, list(ATTACKS), fontsize=7)
         axes.set(ylabel="detected within 30 s [%]", ylim=(0.0, 125.0))

@@ -109,7 +109,11 @@ def follow(tracker: Tracker, cams: Sequence[Observation]) -> Run:
         estimates = tracker.update(tracker.predict(estimates, dt), cam)
         found.append(estimates)
     step_s = (process_time() - begin) / (len(cams) - 1)
-    return Run(np.array([one.mean for one in found]), np.array([one.probability[:, -1] for one in found]), step_s)
+    return Run(
+        np.array([estimates.mean for estimates in found]),
+        np.array([estimates.probability[:, -1] for estimates in found]),
+        step_s,
+    )
 
 
 def compare(noise: Noise, runs: int, seed: int) -> Result:

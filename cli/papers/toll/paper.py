@@ -65,15 +65,22 @@ def reproduce(runs: int, progress: bool) -> Paper:
         {
             "runs": runs,
             "filters": [
-                {"noise": one.noise.name, "raw_m2": one.raw, "mse_m2": one.mse, "probability_of_ctra": one.manoeuvre}
-                for one in results
+                {
+                    "noise": result.noise.name,
+                    "raw_m2": result.raw,
+                    "mse_m2": result.mse,
+                    "probability_of_ctra": result.manoeuvre,
+                }
+                for result in results
             ],
             "paper_mse_m2": PAPER_MSE | {"GPS": PAPER_RAW},
-            "step_s": {name: dict(zip(map(str, VEHICLES), found, strict=True)) for name, found in times.items()},
+            "step_s": {name: dict(zip(map(str, VEHICLES), time, strict=True)) for name, time in times.items()},
             "mercator_mse_m2": {"tangent_plane": mercator[0], "mercator": mercator[1]},
-            "lanes": [asdict(one) for one in decisions[:-1]],
+            "lanes": [asdict(decision) for decision in decisions[:-1]],
             "raw_lanes_expected": {
-                rule: [lane_decisions.expected_raw(one.errors, ends_are_open=is_open) for one in decisions[:-1]]
+                rule: [
+                    lane_decisions.expected_raw(decision.errors, ends_are_open=is_open) for decision in decisions[:-1]
+                ]
                 for rule, is_open in RULES.items()
             },
             "lanes_of_corrected_vehicles": asdict(decisions[-1]),
@@ -104,14 +111,14 @@ def _decide(job: tuple[Errors, int, bool]) -> Decisions:
 def filter_deviations(results: Sequence[Result], runs: int) -> list[str]:
     """Mean square errors above the reference, the first noise model being white; smaller ones are no deviation."""
     found = []
-    for one in results:
-        largest, scale = RATIO_TOLERANCE.get(one.noise.name, inf), max(1.0, sqrt(20 / runs))
-        for name, reference in one.noise.reference.items():
+    for result in results:
+        largest, scale = RATIO_TOLERANCE.get(result.noise.name, inf), max(1.0, sqrt(20 / runs))
+        for name, reference in result.noise.reference.items():
             tolerance = min(largest, SHARE_TOLERANCE * reference) * scale if largest < inf else inf
-            ratio = one.mse[name] / one.raw
+            ratio = result.mse[name] / result.raw
             if ratio > reference + tolerance:
                 found.append(
-                    f"{one.noise.name}, {name}: ratio {ratio:.4f}, reference {reference:.4f} + {tolerance:.3f}"
+                    f"{result.noise.name}, {name}: ratio {ratio:.4f}, reference {reference:.4f} + {tolerance:.3f}"
                 )
     white = results[0]
     best = min(white.mse[name] for name in SINGLE)
@@ -130,15 +137,16 @@ def lane_deviations(decisions: Sequence[Decisions]) -> list[str]:
     limits = (
         ("most probable lane right with filter and delta, first row", first.most_probable >= 0.90),
         ("filter alone not worse than raw positions by 5 points, first row", first.filtered >= first.raw - 0.05),
-        ("at most 1 % of the decided lanes wrong", max(one.decided_wrong for one in decisions) <= 0.01),
+        ("at most 1 % of the decided lanes wrong", max(decision.decided_wrong for decision in decisions) <= 0.01),
         ("a wrong sign of the delta is worse than none", first.wrong_sign < first.raw),
         ("vehicles that are corrected already keep their lanes", corrected.most_probable >= 0.90),
     )
     found = [f"{name}: not met" for name, met in limits if not met]
-    for one, reference in zip(decisions[:-1], REFERENCE, strict=False):
-        if 100.0 * one.filtered_delta < reference[3] - 5.0:
+    for decision, reference in zip(decisions[:-1], REFERENCE, strict=False):
+        if 100.0 * decision.filtered_delta < reference[3] - 5.0:
             found.append(
-                f"{_name(one)}: {100 * one.filtered_delta:.0f} % right with delta, reference {reference[3]} - 5 %"
+                f"{_name(decision)}: {100 * decision.filtered_delta:.0f} % right with delta, "
+                f"reference {reference[3]} - 5 %"
             )
     return found
 
@@ -147,14 +155,15 @@ def _raw_lanes(decisions: Sequence[Decisions]) -> str:
     """Say why fewer raw positions are in their lane than in the reference."""
     closed, opened = (
         ", ".join(
-            f"{100 * lane_decisions.expected_raw(one.errors, ends_are_open=is_open):.0f}" for one in decisions[:-1]
+            f"{100 * lane_decisions.expected_raw(decision.errors, ends_are_open=is_open):.0f}"
+            for decision in decisions[:-1]
         )
         for is_open in RULES.values()
     )
     sds = (
         (row[0] / 100.0 - p) / sqrt(p * (1.0 - p) / REFERENCE_RUNS)
-        for one, row in zip(decisions, REFERENCE, strict=False)
-        for p in [lane_decisions.expected_raw(one.errors)]
+        for decision, row in zip(decisions, REFERENCE, strict=False)
+        for p in [lane_decisions.expected_raw(decision.errors)]
     )
     stated = ", ".join(str(row[0]) for row in REFERENCE)
     return (
@@ -193,8 +202,8 @@ def _all_noises(results: Sequence[Result]) -> Table:
 
     return Table(
         "MSE over that of raw positions: ours/reference simulation, by model of the GNSS error",
-        ("filter", *(one.noise.name for one in results)),
-        [(name, *(cell(one, name) for one in results)) for name in TRACKERS],
+        ("filter", *(result.noise.name for result in results)),
+        [(name, *(cell(result, name) for result in results)) for name in TRACKERS],
     )
 
 
@@ -202,7 +211,7 @@ def _modes(results: Sequence[Result]) -> Table:
     return Table(
         "Mean probability of CTRA in the IMM (reference: 1.000, 1.000, 0.006)",
         ("noise", *filters.PHASES),
-        [(one.noise.name, *(f"{one.manoeuvre[phase]:.3f}" for phase in filters.PHASES)) for one in results],
+        [(result.noise.name, *(f"{result.manoeuvre[phase]:.3f}" for phase in filters.PHASES)) for result in results],
     )
 
 
@@ -211,8 +220,8 @@ def _times(times: dict[str, list[float]]) -> Table:
         "Processor time of one step (prediction and correction) of a batch",
         ("filter", *(f"{count} vehicle{'s' if count > 1 else ''}, µs" for count in VEHICLES), "µs a vehicle"),
         [
-            (name, *(f"{1e6 * value:.0f}" for value in found), f"{1e6 * found[-1] / VEHICLES[-1]:.1f}")
-            for name, found in times.items()
+            (name, *(f"{1e6 * value:.0f}" for value in time), f"{1e6 * time[-1] / VEHICLES[-1]:.1f}")
+            for name, time in times.items()
         ],
     )
 
@@ -229,17 +238,17 @@ def _percent(value: float, reference: int | None = None) -> str:
 def _lanes(decisions: Sequence[Decisions]) -> Table:
     rows = [
         (
-            _name(one),
+            _name(decision),
             *(
                 _percent(value, reference)
                 for value, reference in zip(
-                    (one.raw, one.raw_delta, one.filtered, one.filtered_delta), row, strict=True
+                    (decision.raw, decision.raw_delta, decision.filtered, decision.filtered_delta), row, strict=True
                 )
             ),
-            _percent(one.wrong_sign),
-            f"{one.lateral_rms_m:.2f}",
+            _percent(decision.wrong_sign),
+            f"{decision.lateral_rms_m:.2f}",
         )
-        for one, row in zip(decisions, REFERENCE, strict=False)
+        for decision, row in zip(decisions, REFERENCE, strict=False)
     ]
     return Table(
         "Ours, not in the paper: right lane in % (reference), lateral rms; errors common/vehicle/white/unit",
@@ -252,15 +261,15 @@ def _shares(decisions: Sequence[Decisions]) -> Table:
     rows = [
         (
             name,
-            _percent(one.most_probable),
-            _percent(one.decided),
-            f"{100 * one.decided_wrong:.2f}",
-            _percent(1.0 - one.decided),
-            _percent(one.careless_decided),
-            _percent(one.careless_wrong),
+            _percent(item.most_probable),
+            _percent(item.decided),
+            f"{100 * item.decided_wrong:.2f}",
+            _percent(1.0 - item.decided),
+            _percent(item.careless_decided),
+            _percent(item.careless_wrong),
         )
-        for name, one in [
-            *((_name(one), one) for one in decisions[:-1]),
+        for name, item in [
+            *((_name(decision), decision) for decision in decisions[:-1]),
             (f"{_name(decisions[-1])}, corrected", decisions[-1]),
         ]
     ]
@@ -316,9 +325,9 @@ def _figures(results: Sequence[Result], decisions: Sequence[Decisions]) -> list[
     with figure("Lane decisions", found.append) as axes:
         places = np.arange(len(ROWS))
         for k, column in enumerate(("raw", "raw_delta", "filtered", "filtered_delta")):
-            shares = [getattr(one, column) for one in decisions[:-1]]
+            shares = [getattr(decision, column) for decision in decisions[:-1]]
             axes[0].bar(places + 0.2 * (k - 1.5), shares, 0.2, label=column.replace("_", " + "))
-        axes[0].set_xticks(places, [_name(one) for one in decisions[:-1]])
+        axes[0].set_xticks(places, [_name(decision) for decision in decisions[:-1]])
         axes[0].set(ylabel="share in the right lane", title="ours, not in the paper", ylim=(0.0, 1.15))
         axes[0].legend(ncols=4)
     found.append(_raw_lanes_figure(decisions))
@@ -333,11 +342,11 @@ def _raw_lanes_figure(decisions: Sequence[Decisions]) -> Figure:
         for rule, is_open in RULES.items():
             shares = [lane_decisions.expected_raw(Errors(sd, 0.0, 0.0, 0.0), ends_are_open=is_open) for sd in sds]
             axes[0].plot(sds, shares, label=rule)
-        places = [one.errors.raw_sd for one in decisions[:-1]]
+        places = [decision.errors.raw_sd for decision in decisions[:-1]]
         stated = np.array([row[0] for row in REFERENCE]) / 100.0
         spread = 2.0 * np.sqrt(stated * (1.0 - stated) / REFERENCE_RUNS)
         axes[0].errorbar(places, stated, spread, fmt="o", capsize=3, label="reference, 150 runs, two sd")
-        axes[0].plot(places, [one.raw for one in decisions[:-1]], "x", label="ours")
+        axes[0].plot(places, [decision.raw for decision in decisions[:-1]], "x", label="ours")
         axes[0].set(
             xlabel="standard deviation of a raw position [m]", ylabel="share in the right lane", ylim=(0.0, 1.05)
         )

@@ -113,20 +113,20 @@ def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected
 def integrity_metrics(errors: Errors, alert_limits_m: Sequence[float]) -> dict[str, float | int | None]:
     """Compute the metrics of `INTEGRITY`; empty without truth or protection levels."""
     found: dict[str, float | int | None] = {}
-    for one in protected(errors, alert_limits_m):
-        regions, count = one.regions(), len(one.error_m)
-        misled = int((one.error_m > one.level_m).sum())
-        share = one.error_m / np.maximum(one.level_m, 1e-9)
+    for item in protected(errors, alert_limits_m):
+        regions, count = item.regions(), len(item.error_m)
+        misled = int((item.error_m > item.level_m).sum())
+        share = item.error_m / np.maximum(item.level_m, 1e-9)
         numbers: dict[str, float | int] = {
-            "median_m": float(np.median(one.level_m)),
-            "available_fraction": float(np.mean(one.level_m <= one.alert_limit_m)),
+            "median_m": float(np.median(item.level_m)),
+            "available_fraction": float(np.mean(item.level_m <= item.alert_limit_m)),
             "judged_count": count,
             "misleading_count": misled,
             "misleading_fraction": misled / count,
-            "misleading_proven_fraction": float(one.proven.mean()),
+            "misleading_proven_fraction": float(item.proven.mean()),
             "hazardous_fraction": regions[Region.HAZARDOUS] / count,
             "ratio_median": float(1.0 / max(np.median(share), 1e-9)),
             "error_share_max": float(share.max()),
         }
-        found |= {f"protection_{one.axis}_{name}": value for name, value in numbers.items()}
+        found |= {f"protection_{item.axis}_{name}": value for name, value in numbers.items()}
     return found

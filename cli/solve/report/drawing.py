@@ -77,9 +77,9 @@ def stacked_axes(
 
 def label_decades(*axes: "Axis") -> None:
     """Label logarithmic axes with 10⁻² as plain text: as formulae the labels take a seventh of the time of a report."""
-    for one in axes:
-        if one.get_scale() == "log":
-            one.set_major_formatter(lambda value, _: "10" + str(round(log10(value))).translate(SUPERSCRIPTS))
+    for axis in axes:
+        if axis.get_scale() == "log":
+            axis.set_major_formatter(lambda value, _: "10" + str(round(log10(value))).translate(SUPERSCRIPTS))
 
 
 def inline_svg(svg: str, title: str, variables: Mapping[str, str] = VARIABLES) -> str:

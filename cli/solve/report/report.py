@@ -133,7 +133,7 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
 
 def document(heading: Heading, metrics: dict[str, Value]) -> dict[str, object]:
     """What metrics.json holds: the verdict in a sentence and as codes, then every metric."""
-    codes = [one.model_dump(mode="json", exclude_none=True) for one in judgement(metrics)]
+    codes = [explanation.model_dump(mode="json", exclude_none=True) for explanation in judgement(metrics)]
     return {"verdict": verdict(metrics, heading.clocks), "verdict_codes": codes, **as_objects(metrics)}
 
 
@@ -141,8 +141,8 @@ def verdict(metrics: dict[str, Value], clocks: Sequence[str] = ()) -> str:
     """Judge the drive in sentences: those of the codes, and what the comparison of the clocks says."""
     codes = judgement(metrics)
     if clocks and codes[0].code == Code.UNSOUND:
-        return " ".join([reason(codes[0]), *clocks, *(reason(one) for one in codes[2:])])
-    return " ".join(reason(one) for one in codes)
+        return " ".join([reason(codes[0]), *clocks, *(reason(code) for code in codes[2:])])
+    return " ".join(reason(code) for code in codes)
 
 
 def judgement(metrics: dict[str, Value]) -> list[Explanation]:

@@ -131,7 +131,7 @@ class WatchGate:
         return row if row["utc_ms"] is not None else None
 
     async def _open(self, visitor: Visitor, vehicle: str, last: Row | None) -> Session:
-        of_tenant = sum(one.tenant_id == visitor.tenant_id for one in self._sessions.values())
+        of_tenant = sum(session.tenant_id == visitor.tenant_id for session in self._sessions.values())
         if of_tenant >= MOST_OF_TENANT or len(self._sessions) >= MOST:
             raise HTTPException(503, SHARE if of_tenant >= MOST_OF_TENANT else FULL, {"Retry-After": "30"})
         watched = Watched(vehicle, last, self._pages, self._map_file)

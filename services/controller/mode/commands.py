@@ -109,7 +109,11 @@ class Commands:
     def _reset(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
         unit, receiver, start_ns = self._unit, self._receiver(command), self._unit.now_ns
         said = unit.said
-        if said is not None and said.source == receiver and not any(one.startswith("UBX") for one in said.messages):
+        if (
+            said is not None
+            and said.source == receiver
+            and not any(message.startswith("UBX") for message in said.messages)
+        ):
             raise Refused(f"{receiver} sends no UBX, and takes no such command: switch it off and on instead")
         unit.search_again()
         is_lost = False
@@ -151,9 +155,9 @@ class Commands:
             for sources in kinds:
                 sources.wanted = None
             return None, []
-        wanted: Sources | None = next((one for one in kinds if command.source in one.names(unit.now_ns)), None)
+        wanted: Sources | None = next((kind for kind in kinds if command.source in kind.names(unit.now_ns)), None)
         if wanted is None:
-            known = ", ".join(name for one in kinds for name in one.names(unit.now_ns)) or "none"
+            known = ", ".join(name for kind in kinds for name in kind.names(unit.now_ns)) or "none"
             raise Refused(f"no device {command.source} is received; received are: {known}")
         wanted.wanted = command.source
 

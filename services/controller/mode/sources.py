@@ -81,7 +81,7 @@ class Sources:
 
     def names(self, now_ns: int) -> list[str]:
         """Devices that are not silent."""
-        return [name for name, one in self._sources.items() if now_ns - one.received_ns <= self._silent_ns]
+        return [name for name, source in self._sources.items() if now_ns - source.received_ns <= self._silent_ns]
 
     def choose(self, now_ns: int) -> str | None:
         """Select a device; None if none is active."""
@@ -137,7 +137,7 @@ class Sources:
 
     def age_s(self, now_ns: int) -> float | None:
         """Time since the last message of any device of this kind."""
-        return age_s(max((one.received_ns for one in self._sources.values()), default=None), now_ns)
+        return age_s(max((source.received_ns for source in self._sources.values()), default=None), now_ns)
 
 
 def age_s(at_ns: int | None, now_ns: int) -> float | None:

@@ -125,7 +125,12 @@ class Unit:
             speed_source=self.speed.choose(self.now_ns),
             time_to_first_fix_s=self.first_fix_s,
             sources=tuple(name for kind in kinds for name in kind.names(self.now_ns)),
-            switches=tuple(sorted((one for kind in kinds for one in kind.switches), key=lambda one: one.sampled_ns)),
+            switches=tuple(
+                sorted(
+                    (switch for kind in kinds for switch in kind.switches),
+                    key=lambda source_switch: source_switch.sampled_ns,
+                )
+            ),
             power_off=power_off or None,
         )
 

@@ -53,7 +53,7 @@ MOST_NAMED = 16  # satellites or neighbours in an explanation; more at once are 
 
 def references(found: "Iterable[SatelliteId | NeighbourFinding]") -> tuple[Reference, ...]:
     """References of satellites or neighbours, the first ones of many."""
-    return tuple(one.reference for one in islice(found, MOST_NAMED))
+    return tuple(item.reference for item in islice(found, MOST_NAMED))
 
 
 @dataclass(frozen=True)

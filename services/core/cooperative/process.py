@@ -138,7 +138,9 @@ class Process:
             return
         self._epoch_ns = message.sampled_ns
         self._now(message.sampled_ns)
-        measurements = tuple(measured for one in message.measurements if (measured := _measurement(one)))
+        measurements = tuple(
+            measured for measurement in message.measurements if (measured := _measurement(measurement))
+        )
         epoch = RawEpoch(message.gps_time_ns, measurements)
         reports = tuple(self._reports_until(message.sampled_ns))
         plain, cooperative = self._evaluate(epoch, reports)
@@ -211,7 +213,7 @@ class Process:
     def _now(self, time_ns: int) -> None:
         """Note the time, and drop lists of a later one: they came before the time was known."""
         self._now_ns = time_ns
-        for states in [one for one in self._neighbours if one.sampled_ns > time_ns + AHEAD_NS]:
+        for states in [neighbour for neighbour in self._neighbours if neighbour.sampled_ns > time_ns + AHEAD_NS]:
             self._rejected["neighbour_from_the_future"] += len(states.neighbours)
             self._neighbours.remove(states)
         self._radio_ns = min(self._radio_ns, time_ns + AHEAD_NS)
@@ -222,7 +224,7 @@ class Process:
         while self._neighbours and self._neighbours[0].sampled_ns <= time_ns:
             states = self._neighbours.popleft()
             gps_time_ns = states.sampled_ns + self._gps_minus_obu_ns
-            yield from (_report(one, gps_time_ns) for one in states.neighbours)
+            yield from (_report(neighbour, gps_time_ns) for neighbour in states.neighbours)
 
     def _use_bits(self, message: GnssNavigationBits) -> None:
         if (message.constellation.value, message.signal) not in SIGNALS:

@@ -63,7 +63,11 @@ class SatelliteStatements:
             suspect_since_ns=time_ns if self._passed_ns is None else self._passed_ns,
         )  # fmt: skip
         tests = {**_satellite_tests(verdict), **dict(_cooperative_tests(cooperative))}
-        levels = [one.hpl_m for one in (plain, cooperative) if one and one.hpl_m is not None]
+        levels = [
+            satellite_verdict.hpl_m
+            for satellite_verdict in (plain, cooperative)
+            if satellite_verdict and satellite_verdict.hpl_m is not None
+        ]
         if levels:
             tests[LEVEL] = _level_test(min(levels), self._alert_limit_m)
         stated = self._stated(found, time_ns, tests)

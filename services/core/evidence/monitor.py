@@ -139,12 +139,12 @@ class EvidenceMonitor:
         """Use the C/N0 of the used satellites: their median, and their standard deviation."""
         s, time_ns = self.settings, message.sampled_ns
         self._drift.heard(time_ns)
-        self._compare_drift(time_ns, sum(one.used for one in message.satellites))
-        known = [one for one in message.satellites if one.used and one.cn0_db_hz is not None]
+        self._compare_drift(time_ns, sum(satellite.used for satellite in message.satellites))
+        known = [satellite for satellite in message.satellites if satellite.used and satellite.cn0_db_hz is not None]
         self.newest_ns = max(self.newest_ns or time_ns, time_ns)
         if len(known) < s.least_satellites:
             return
-        cn0 = np.array([one.cn0_db_hz for one in known], dtype=float)
+        cn0 = np.array([satellite.cn0_db_hz for satellite in known], dtype=float)
         level, mean = float(np.median(cn0)), self._level.value
         limit = s.level_limit_db_hz if mean is None else min(s.level_limit_db_hz, mean + s.level_rise_db)
         code = Code.LEVEL if mean is None else Code.LEVEL_AND_MEAN
@@ -152,7 +152,7 @@ class EvidenceMonitor:
         self.tests["cn0_level"].evaluated(time_ns, evaluation(level, limit, "dB-Hz", why))
         if not self.tests["cn0_level"].accuses(time_ns):
             self._level.update(time_ns, level)
-        elevations = [one.elevation_rad for one in known if one.elevation_rad is not None]
+        elevations = [satellite.elevation_rad for satellite in known if satellite.elevation_rad is not None]
         if elevations and degrees(max(elevations) - min(elevations)) >= s.least_elevation_range_deg:
             spread = max(float(np.std(cn0, ddof=1)), 0.1)
             why = explain(Code.SPREAD, satellites_count=len(cn0), spread_db=spread, least_db=s.least_spread_db)
@@ -178,7 +178,7 @@ class EvidenceMonitor:
         """Use the most severe state; a detector that is off or cannot tell says nothing."""
         known = [(SEVERITY[state], who, state) for who, state in states if state in SEVERITY]
         if known:
-            severity, who, state = max(known, key=lambda one: one[0])
+            severity, who, state = max(known, key=lambda pair: pair[0])
             if isinstance(who, Part):
                 why = explain(Code.SPOOFING if name == "spoofing_flag" else Code.JAMMING, part=who, state=state)
             else:

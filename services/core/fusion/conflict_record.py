@@ -20,7 +20,7 @@ def held_numbers(held: Disagreement) -> tuple[float, ...]:
     """Numbers of a disagreement in a message; none of one that is closed."""
     if not held.is_open:
         return ()
-    return tuple(max(-LARGEST_M, min(LARGEST_M, one)) for one in (*held.vector_n, *held.spread, *held.slack))
+    return tuple(max(-LARGEST_M, min(LARGEST_M, value)) for value in (*held.vector_n, *held.spread, *held.slack))
 
 
 def held_of(message: FilterState | ConflictRecord) -> Disagreement:

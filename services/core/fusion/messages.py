@@ -69,7 +69,8 @@ def use_trust_state(navigator: Navigator, state: TrustState) -> None:
     suspect = [belief.since_ns for belief in surviving if belief.since_ns is not None]
     navigator.believe(
         [belief.hypothesis for belief in surviving], min(suspect, default=since_ns), imu_excluded=state.imu_excluded,
-        of_gnss=sum(one.probability for one in surviving if one.hypothesis in OF_GNSS) if state.beliefs else 1.0,
+        of_gnss=sum(belief.probability for belief in surviving if belief.hypothesis in OF_GNSS)
+        if state.beliefs else 1.0,
     )  # fmt: skip
 
 
@@ -77,27 +78,27 @@ def hypotheses_message(navigator: Navigator) -> TrustHypotheses:
     """Solutions of the bank at the horizon."""
     solutions: list[HypothesisSolution] = []
     missing: list[tuple[Hypothesis, Explanation]] = []
-    for found in navigator.bank.alternatives():
-        if not isinstance(found, Alternative):
-            missing.append(found)
+    for alternative in navigator.bank.alternatives():
+        if not isinstance(alternative, Alternative):
+            missing.append(alternative)
             continue
         solutions.append(
             HypothesisSolution(
-                hypothesis=found.hypothesis,
-                left_out=found.left_out,
-                since_ns=found.since_ns,
-                latitude_deg=degrees(found.position.latitude),
-                longitude_deg=degrees(found.position.longitude),
-                height_ellipsoid_m=found.position.height,
-                velocity_ned_m_s=found.velocity,
-                position_cov_ned_m2=found.position_cov,
-                protection_level_horizontal_m=found.levels[0],
-                protection_level_vertical_m=found.levels[1],
-                apart_ned_m=found.apart_n,
-                separation=found.separation,
+                hypothesis=alternative.hypothesis,
+                left_out=alternative.left_out,
+                since_ns=alternative.since_ns,
+                latitude_deg=degrees(alternative.position.latitude),
+                longitude_deg=degrees(alternative.position.longitude),
+                height_ellipsoid_m=alternative.position.height,
+                velocity_ned_m_s=alternative.velocity,
+                position_cov_ned_m2=alternative.position_cov,
+                protection_level_horizontal_m=alternative.levels[0],
+                protection_level_vertical_m=alternative.levels[1],
+                apart_ned_m=alternative.apart_n,
+                separation=alternative.separation,
                 separation_limit=SEPARATION_LIMIT,
-                innovations=found.innovations,
-                odometer_innovations=found.odometer_innovations,
+                innovations=alternative.innovations,
+                odometer_innovations=alternative.odometer_innovations,
             )
         )
     return TrustHypotheses(

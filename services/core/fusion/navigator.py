@@ -366,7 +366,7 @@ class Navigator:
         attitude_cov[2, :2] = attitude_cov[:2, 2] = 0.0
         attitude_cov[2, 2] = state.heading_variance
         covariances = state.position_cov, state.velocity_cov, attitude_cov
-        position, velocity, attitude = (upper(one.tolist()) for one in covariances)
+        position, velocity, attitude = (upper(covariance.tolist()) for covariance in covariances)
         return solution._replace(
             position=state.position,
             velocity=state.velocity,

@@ -95,7 +95,7 @@ class UncertaintyCache:
     def of(self, navigation: ErrorStateFilter, monitor: ErrorMonitor) -> Uncertainty:
         """Uncertainty of a filter; covariance and statistics are never changed in place, so identity is enough."""
         key = navigation.P, monitor, self.spread
-        if self._key is None or any(one is not other for one, other in zip(self._key, key, strict=True)):
+        if self._key is None or any(value is not other for value, other in zip(self._key, key, strict=True)):
             time_ns, _, velocity, _ = navigation.inertial
             P = navigation.P
             position_cov = P[em.POSITION, em.POSITION]

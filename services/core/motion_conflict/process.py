@@ -68,7 +68,9 @@ class Process:
             common_sd=config.inertial_scale_sd, rejected=self._monitor.rejected,
         )  # fmt: skip
         self._newest_ns, self._odometer = 0, config.odometer
-        self._speed, self._imu, self._fix = (ChosenSource(one) for one in (speed_choice, imu_choice, gnss_choice))
+        self._speed, self._imu, self._fix = (
+            ChosenSource(function) for function in (speed_choice, imu_choice, gnss_choice)
+        )
         self._imu_source = ""  # of the newest samples
         self._earlier: LearnedScale | None = None  # of an earlier drive, until the first inertial sample
         self._taught = 0  # bends in what was published

@@ -37,12 +37,14 @@ class Lesson:
 
     def heed(self, state: TrustState) -> None:
         """Use the verdict: whether there is a conflict, and whether another source vouches for GNSS."""
-        accusing = any(one.outcome is Outcome.ACCUSES for one in state.monitors)
+        accusing = any(monitor.outcome is Outcome.ACCUSES for monitor in state.monitors)
         self._quiet, self._heard_ns = state.suspect_since_ns is None and not accusing, state.sampled_ns
         suspect_ns = state.suspect_since_ns
         while suspect_ns is not None and self._windows and self._windows[-1].end_ns > suspect_ns:
             self._windows.pop()
-        self._vouched = any(one.monitor in VOUCHING and one.outcome is Outcome.PASS for one in state.monitors)
+        self._vouched = any(
+            monitor.monitor in VOUCHING and monitor.outcome is Outcome.PASS for monitor in state.monitors
+        )
 
     def add(self, time_ns: int, window: Window | None, long_statistics: Iterable[float]) -> None:
         """Keep a window, once, if it can be learned from."""

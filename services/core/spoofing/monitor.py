@@ -497,11 +497,11 @@ def _least_drag(result: LongResult, threshold: float, length_s: int) -> float:
 
 def _at(published: deque[Published], time_ns: int) -> Published | None:
     """The one of a time, None without one."""
-    for one in reversed(published):
-        if one.sampled_ns < time_ns - MATCH_NS:
+    for navigation_solution in reversed(published):
+        if navigation_solution.sampled_ns < time_ns - MATCH_NS:
             return None
-        if one.sampled_ns <= time_ns + MATCH_NS:
-            return one
+        if navigation_solution.sampled_ns <= time_ns + MATCH_NS:
+            return navigation_solution
     return None
 
 

@@ -78,7 +78,7 @@ class Config(Settings):
         values = dict(given)
         if vehicle := vehicle_in(info.context):
             sections = {"gnss": _gnss_of_fusion(vehicle), "long": _long_of_fusion(vehicle)}
-            values |= {key: {**found, **given.get(key, {})} for key, found in sections.items()}
+            values |= {key: {**section, **given.get(key, {})} for key, section in sections.items()}
             if isinstance(name := values.get("profile"), str):
                 values["profile"] = read_profile(Path(vehicle.path).parent / name)
         grade = values.get("grade")

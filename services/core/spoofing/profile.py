@@ -211,8 +211,8 @@ def _bounded(profile: Profile, stated: Profile) -> Profile:
     """Limit what was learned to `MOST_GRADES` times the limits of a stated grade."""
     sigma = {
         metric: tuple(
-            min(one, MOST_GRADES * stated.threshold * most / profile.threshold)
-            for one, most in zip(values, stated.sigma.get(metric, values), strict=True)
+            min(value, MOST_GRADES * stated.threshold * most / profile.threshold)
+            for value, most in zip(values, stated.sigma.get(metric, values), strict=True)
         )
         for metric, values in profile.sigma.items()
     }

@@ -234,7 +234,9 @@ class Core:
             self.register(station)
         for delta in deltas:
             self.use_delta(delta)
-        open_ids = {one.passage_id: set(one.station_ids) for one in message.passages if not one.state.is_final}
+        open_ids = {
+            passage.passage_id: set(passage.station_ids) for passage in message.passages if not passage.state.is_final
+        }
         stations: set[int] = set()  # of the passages that have begun
         self._ready_ns, self._table.on_time, said = 0, True, list[Statement]()
         batch: dict[int, Cam] = {}
@@ -252,7 +254,11 @@ class Core:
         self._taken += [(offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame)) for cam, offset_ns in cams]
         for cam, offset_ns in cams:
             self._table.continue_clock(cam.station_id, offset_ns)
-        return [one for one in said if isinstance(one, TollPassage) and one.state.is_final]
+        return [
+            toll_passage
+            for toll_passage in said
+            if isinstance(toll_passage, TollPassage) and toll_passage.state.is_final
+        ]
 
     def use(self, cams: Sequence[Cam]) -> Iterator[Statement]:
         """Use a batch of CAM."""
@@ -273,7 +279,7 @@ class Core:
         self._delete_silent(now_ns)
         self._contracts = {station: until for station, until in self._contracts.items() if until > now_ns}
         repeated = list(self._unsettled.values())[:REPEATED]
-        for passage in [one for one in self._passages.values() if not one.state.is_final]:
+        for passage in [item for item in self._passages.values() if not item.state.is_final]:
             if now_ns - passage.here.time_ns > self._settings.passage.lost_after_s * SECOND_NS:
                 passage.lose()
                 yield self._ended(passage, now_ns)
@@ -290,7 +296,7 @@ class Core:
         silent = {track.number for track in self._table.delete_silent(now_ns)}
         known = {track.number for track in self._table.tracks}
         self._journeys = {number: journey for number, journey in self._journeys.items() if number in known}
-        for passage in [one for one in self._passages.values() if one.track is not None and one.track not in known]:
+        for passage in [item for item in self._passages.values() if item.track is not None and item.track not in known]:
             if passage.state.is_final:
                 self._forget(passage)
             elif passage.track in silent:
@@ -562,7 +568,7 @@ class Core:
     def _continued(self, statement: TollPassage) -> Passage:
         """Make a passage from the ledger's newest statement on it."""
         north, east = self._plaza.plane(statement.latitude_deg, statement.longitude_deg)
-        posterior = {one.lane: one.probability for one in statement.lanes}
+        posterior = {lane.lane: lane.probability for lane in statement.lanes}
         lanes = tuple(posterior.get(lane.name, 0.0) for lane in self._plaza.lanes)
         lane = int(np.argmax(lanes))
         projection = self._geometry.project(np.array([[east, north]]))
@@ -585,7 +591,7 @@ class Core:
         )
         crossing = None
         if statement.crossing_ns is not None:
-            names = [one.name for one in self._plaza.lanes]
+            names = [lane.name for lane in self._plaza.lanes]
             decided = names.index(statement.lane) if statement.lane in names else None
             crossing = Crossing(
                 statement.crossing_ns, statement.crossing_sd_s or 0.0, decided, lanes, statement.delta_ns
@@ -792,7 +798,7 @@ def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequen
         )
     for delta in deltas:
         core.use_delta(delta)
-    return [one for cam in cams for one in core.use([cam]) if isinstance(one, TollPassage)]
+    return [toll_passage for cam in cams for toll_passage in core.use([cam]) if isinstance(toll_passage, TollPassage)]
 
 
 def _row(location: Location, k: int) -> Location:

@@ -55,8 +55,8 @@ def observation(measured: Sequence[Measured], white_sd: float) -> Observation:
         Heading counter-clockwise from east; what a CAM calls unavailable is not available.
     """
     z, sd, available = (np.zeros((len(measured), SIZE)), np.ones((len(measured), SIZE)), [])
-    for k, one in enumerate(measured):
-        cam = one.cam
+    for k, item in enumerate(measured):
+        cam = item.cam
         values = (
             None if cam.heading_rad is None else 0.5 * pi - cam.heading_rad,
             cam.speed_m_s,
@@ -69,8 +69,8 @@ def observation(measured: Sequence[Measured], white_sd: float) -> Observation:
             cam.longitudinal_acceleration_confidence_m_s2,
             cam.yaw_rate_confidence_rad_s,
         )
-        z[k] = (one.east, one.north, *(value or 0.0 for value in values))
-        position_sd = max(min(white_sd, one.stated_sd or white_sd), LEAST_POSITION_SD)
+        z[k] = (item.east, item.north, *(value or 0.0 for value in values))
+        position_sd = max(min(white_sd, item.stated_sd or white_sd), LEAST_POSITION_SD)
         sd[k] = (
             position_sd,
             position_sd,

@@ -179,7 +179,7 @@ class Passage:
 
         Which of two vehicles at one place is there, the detectors decide: the ledger counts their pulses.
         """
-        self.overlaps = [one.passage_id for one in overlapped][:OVERLAPS]
+        self.overlaps = [passage.passage_id for passage in overlapped][:OVERLAPS]
         if self.doubt:
             self.state, self.why = PassageState.SUSPECT, self.doubt
 

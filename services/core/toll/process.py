@@ -160,7 +160,7 @@ class Process:
             return statement
         cams = [cam for frame in evidence.frames if (cam := self._decoded(frame))]
         derived = derive(self._plaza, self._settings, cams, evidence.deltas)
-        again = next((one for one in derived if one.state is PassageState.CROSSED), None)
+        again = next((toll_passage for toll_passage in derived if toll_passage.state is PassageState.CROSSED), None)
         return statement.model_copy(update={"derivable": again is not None and again.lane == statement.lane})
 
     def _decoded(self, frame: EvidenceFrame) -> Cam | None:

@@ -164,9 +164,9 @@ class TrackTable:
         while waiting:
             first: dict[int, Measured] = {}
             later = []
-            for one in waiting:
-                if first.setdefault(one.cam.station_id, one) is not one:
-                    later.append(one)
+            for item in waiting:
+                if first.setdefault(item.cam.station_id, item) is not item:
+                    later.append(item)
             if updates := self._round(list(first.values())):
                 yield updates
             waiting = later
@@ -226,19 +226,19 @@ class TrackTable:
         """Use one CAM of each of several stations."""
         known, new_tracks = [], []
         self._busy.clear()
-        for one in map(self._on_unit_time, measured):
-            track = self.by_station.get(one.cam.station_id)
+        for item in map(self._on_unit_time, measured):
+            track = self.by_station.get(item.cam.station_id)
             if track is None:
-                new_tracks.append(one)
-            elif one.time_ns <= track.updated_ns:
+                new_tracks.append(item)
+            elif item.time_ns <= track.updated_ns:
                 self.rejected["late_or_repeated"] += 1
-            elif one.time_ns - track.updated_ns > self._settings.deleted_after_s * 1e9:
+            elif item.time_ns - track.updated_ns > self._settings.deleted_after_s * 1e9:
                 self._delete(track)
-                new_tracks.append(one)
+                new_tracks.append(item)
             else:
-                known.append((track, one))
+                known.append((track, item))
         updates = self._continue(known, new_tracks) if known else []
-        return updates + [update for one in new_tracks if (update := self._start_track(one))]
+        return updates + [update for new_track in new_tracks if (update := self._start_track(new_track))]
 
     def _continue(self, known: Sequence[tuple[Track, Measured]], new_tracks: list[Measured]) -> list[Update]:
         """Use the CAM of existing tracks inside their gates.
@@ -246,24 +246,24 @@ class TrackTable:
         A station ID whose CAM are outside the gate several times is used by another vehicle now: its track is deleted,
         and the CAM is added to `new_tracks`.
         """
-        dt = np.array([(one.time_ns - track.updated_ns) * 1e-9 for track, one in known])
+        dt = np.array([(measured.time_ns - track.updated_ns) * 1e-9 for track, measured in known])
         predicted = self._imm.predict(self.estimates([track for track, _ in known]), dt)
-        away = predicted.mean[:, :2] - np.array([[one.east, one.north] for _, one in known])
+        away = predicted.mean[:, :2] - np.array([[measured.east, measured.north] for _, measured in known])
         variance = np.trace(predicted.cov[:, :2, :2], axis1=1, axis2=2)
         inside = np.hypot(away[:, 0], away[:, 1]) <= self._settings.gate_m + 5.0 * np.sqrt(variance)
-        for (track, one), is_inside in zip(known, inside, strict=True):
+        for (track, item), is_inside in zip(known, inside, strict=True):
             track.jumps = 0 if is_inside else track.jumps + 1
             if not is_inside:
                 self.rejected["outside_gate"] += 1
                 if track.jumps >= self._settings.jumps:
                     self._delete(track)
-                    new_tracks.append(one)
+                    new_tracks.append(item)
         used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
         if used:
-            seen = observation([one for _, one in used], self._white_sd)
+            seen = observation([measured for _, measured in used], self._white_sd)
             self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
         self._busy.update(track.number for track, _ in used)
-        return [self._noted(track, one, born=False) for track, one in used]
+        return [self._noted(track, measured, born=False) for track, measured in used]
 
     def _start_track(self, one: Measured) -> Update | None:
         """Begin a track with a CAM of an unknown station."""

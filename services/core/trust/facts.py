@@ -154,11 +154,13 @@ class Facts:
     @property
     def surviving(self) -> tuple[Posterior, ...]:
         """Hypotheses of a fault that survive, the most probable first."""
-        return tuple(one for one in self.beliefs if one.survives and one.hypothesis is not Hypothesis.NOTHING)
+        return tuple(
+            belief for belief in self.beliefs if belief.survives and belief.hypothesis is not Hypothesis.NOTHING
+        )
 
     def survivor(self, hypothesis: Hypothesis) -> Posterior | None:
         """A hypothesis of a fault if it survives."""
-        return next((one for one in self.surviving if one.hypothesis is hypothesis), None)
+        return next((posterior for posterior in self.surviving if posterior.hypothesis is hypothesis), None)
 
     def survives(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis survives."""

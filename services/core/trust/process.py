@@ -208,8 +208,8 @@ class Process:
             state=level,
             since_ns=facts.time_ns if before is None or changed else before.since_ns,
             row=found.row,
-            reasons=tuple(reason(one) for one in found.reasons),
-            findings=tuple(reason(one) for one in found.findings),
+            reasons=tuple(reason(explanation) for explanation in found.reasons),
+            findings=tuple(reason(finding) for finding in found.findings),
             reason_codes=found.reasons,
             finding_codes=found.findings,
             gnss_excluded=admission.excluded,
@@ -361,13 +361,13 @@ class Process:
         if newest is None or self._time_ns - newest.sampled_ns > ALTERNATIVES_NS:
             return {}
         return {
-            one.hypothesis: Alternative(
-                hypot(*one.apart_ned_m[:2]),
-                one.protection_level_horizontal_m,
-                one.separation is not None and one.separation_limit is not None
-                and one.separation <= one.separation_limit,
+            solution.hypothesis: Alternative(
+                hypot(*solution.apart_ned_m[:2]),
+                solution.protection_level_horizontal_m,
+                solution.separation is not None and solution.separation_limit is not None
+                and solution.separation <= solution.separation_limit,
             )
-            for one in newest.solutions
+            for solution in newest.solutions
         }  # fmt: skip
 
     def _confirmed(self, admission: Admission) -> bool:
@@ -389,11 +389,12 @@ def _held_why(state: NavigationState | None) -> tuple[Explanation, ...]:
 
 def _beliefs(facts: Facts) -> Iterator[Belief]:
     """Posteriors with the solutions that belong to them, as a message."""
-    for one in facts.beliefs:
-        other = facts.alternatives.get(one.hypothesis)
+    for belief in facts.beliefs:
+        other = facts.alternatives.get(belief.hypothesis)
         yield Belief(
-            hypothesis=one.hypothesis, prior=one.prior, probability=min(1.0, one.probability), survives=one.survives,
-            acted_on=one.acted_on, reason=reason(one.why), reason_code=one.why, since_ns=one.since_ns,
+            hypothesis=belief.hypothesis, prior=belief.prior, probability=min(1.0, belief.probability),
+            survives=belief.survives,
+            acted_on=belief.acted_on, reason=reason(belief.why), reason_code=belief.why, since_ns=belief.since_ns,
             distance_m=None if other is None else other.distance_m, level_m=None if other is None else other.level_m,
         )  # fmt: skip
 

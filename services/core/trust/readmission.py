@@ -165,7 +165,7 @@ def judge_gnss(facts: Facts) -> Judgement:
     alone = facts.exclusion_declined and level_m is None  # the level holds the difference
     useful = level_m is not None and level_m <= USEFUL_LIMITS * facts.limits.horizontal_m
     came_back = facts.gnss_was_apart and useful and ratio is not None and ratio <= AGREES
-    present = [one for one in accusing if not (came_back and one.monitor in REACHING_BACK)]
+    present = [statement for statement in accusing if not (came_back and statement.monitor in REACHING_BACK)]
     agrees = not present and (is_lost(facts) or (passing and (compared or alone) and not _may_be_alike(facts)))
     accused = bool(present) and found is not None
     decided, since_ns = facts.acts_on(Hypothesis.GNSS), None if found is None else found.since_ns

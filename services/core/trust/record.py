@@ -88,5 +88,5 @@ def _kept(record: TrustRecord) -> tuple[object, ...]:
     return (
         record.moving, record.confirmed_ns is None, record.suspect_since_ns, record.imu_suspect_since_ns,
         record.alike_since_ns, record.disturbed_since_ns, record.odometer_excluded,
-        tuple(sorted(one.hypothesis for one in record.beliefs)),
+        tuple(sorted(belief.hypothesis for belief in record.beliefs)),
     )  # fmt: skip

@@ -94,7 +94,7 @@ def _cause_of_conflict(facts: Facts) -> Explanations:
         return (explain(Code.UNSAFE_DEAD_RECKONING),)
     if surviving := _surviving(facts):
         code = Code.UNSAFE_SUSPECTED if len(surviving) <= NAMED_MAXIMUM else Code.UNSAFE_MANY_SUSPECTED
-        return (explain(code, suspects=[one.hypothesis for one in surviving]), *_probabilities(surviving))
+        return (explain(code, suspects=[posterior.hypothesis for posterior in surviving]), *_probabilities(surviving))
     return (explain(Code.UNSAFE_CONFLICT),) if facts.conflict_open else _still_off(facts)
 
 
@@ -107,7 +107,7 @@ def _still_off(facts: Facts) -> Explanations:
     ]
     if not any(of_held):
         return ()
-    why = {one.code for one in facts.held_why}
+    why = {explanation.code for explanation in facts.held_why}
     if HELD_AFTER_LOSS in why and not HELD_OFFSETS & why:
         return (explain(Code.UNSAFE_HELD_AFTER_LOSS),)
     if HELD_AT_START in why:
@@ -137,9 +137,9 @@ def _held(facts: Facts) -> Explanations:
 def _not_reached(facts: Facts) -> Explanations:
     """Row 4: a hypothesis to whose solution the level does not reach."""
     unknown = tuple(
-        explain(Code.NO_OTHER_SOLUTION, hypothesis=one.hypothesis)
-        for one in facts.surviving
-        if _is_unknown(facts, one.hypothesis)
+        explain(Code.NO_OTHER_SOLUTION, hypothesis=posterior.hypothesis)
+        for posterior in facts.surviving
+        if _is_unknown(facts, posterior.hypothesis)
     )
     found = (*_conflict(facts), *_satellite_fault(facts), *unknown)
     if not found or found[0].code == Code.SATELLITE_IN_USE or _excluded(facts) or not facts.surviving:
@@ -224,14 +224,16 @@ def _unresolved(facts: Facts) -> Explanations:
 def _surviving(facts: Facts) -> tuple[Posterior, ...]:
     """Hypotheses that lower the verdict: not a satellite that is left out."""
     outside = not _satellite_fault(facts)
-    return tuple(one for one in facts.surviving if not (one.hypothesis is Hypothesis.SATELLITES and outside))
+    return tuple(
+        posterior for posterior in facts.surviving if not (posterior.hypothesis is Hypothesis.SATELLITES and outside)
+    )
 
 
 def _of_hypotheses(facts: Facts) -> Explanations:
     """Between which hypotheses nothing decides, or which one is acted on, and what the monitors say."""
     surviving = _surviving(facts)
-    suspects = [one.hypothesis for one in surviving]
-    said = [one for one in facts.accusing(tuple(Monitor)) if one.monitor is not Monitor.EVIDENCE]
+    suspects = [posterior.hypothesis for posterior in surviving]
+    said = [statement for statement in facts.accusing(tuple(Monitor)) if statement.monitor is not Monitor.EVIDENCE]
     rest = (*_probabilities(surviving), *_statements(said), *_declined(facts), *_both_sides(facts))
     if len(suspects) == 1 and _is_left_out(suspects[0], facts):
         return (explain(Code.SOURCE_LEFT_OUT, hypothesis=suspects[0]), *rest)
@@ -241,7 +243,10 @@ def _of_hypotheses(facts: Facts) -> Explanations:
 
 
 def _probabilities(posteriors: Iterable[Posterior]) -> Explanations:
-    return tuple(explain(Code.HYPOTHESIS, hypothesis=one.hypothesis, probability=one.probability) for one in posteriors)
+    return tuple(
+        explain(Code.HYPOTHESIS, hypothesis=posterior.hypothesis, probability=posterior.probability)
+        for posterior in posteriors
+    )
 
 
 def _declined(facts: Facts) -> Explanations:
@@ -250,7 +255,7 @@ def _declined(facts: Facts) -> Explanations:
 
 def _decider(facts: Facts) -> str:
     """What would decide between the hypotheses that survive."""
-    names = {one.hypothesis for one in facts.surviving}
+    names = {posterior.hypothesis for posterior in facts.surviving}
     if Hypothesis.GNSS_AND_ODOMETER in names:
         return "bends"
     if names >= {Hypothesis.GNSS, Hypothesis.IMU} and not facts.odometer_in_use:
@@ -380,7 +385,9 @@ def _consequence(name: str, facts: Facts) -> Code:
 def _safe(facts: Facts) -> Explanation:
     """Why the position can be used."""
     (_, horizontal_m, horizontal_limit_m), (_, vertical_m, vertical_limit_m) = axes(facts)
-    without = any(one.acted_on for one in facts.surviving)  # what survives in a position that is SAFE is left out
+    without = any(
+        posterior.acted_on for posterior in facts.surviving
+    )  # what survives in a position that is SAFE is left out
     return explain(
         Code.SAFE_WITHOUT_SATELLITES if without else Code.SAFE, horizontal_m=horizontal_m, vertical_m=vertical_m,
         horizontal_limit_m=horizontal_limit_m, vertical_limit_m=vertical_limit_m,
@@ -394,7 +401,7 @@ def verdict(facts: Facts) -> Verdict:
         return Verdict(TrustLevel.SAFE, len(ROWS) + 1, (_safe(facts),), findings(facts))
     row, state, _ = matching[0]
     reasons: list[Explanation] = []
-    for explanation in (one for _, _, found in matching for one in found):
+    for explanation in (item for _, _, pair in matching for item in pair):
         if explanation not in reasons:  # two rows may rest on the same statement
             reasons.append(explanation)
     return Verdict(state, row, tuple(reasons[:REASONS_MAXIMUM]), findings(facts))

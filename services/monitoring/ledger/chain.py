@@ -158,7 +158,7 @@ class Chain:
                 fields["broken"] = fields["broken"] or f"entry {signed_number} was not as it had been signed"
             elif number > signed_number:
                 ranges = [fields["unsigned"], f"{signed_number + 1}-{number}"]
-                fields["unsigned"] = " ".join(one for one in ranges if one)
+                fields["unsigned"] = " ".join(filter(None, ranges))
         if fields["broken"]:
             self._tell(f"the chain of bookings is broken: {fields['broken']}; compare it with the operator's copies")
         return fields

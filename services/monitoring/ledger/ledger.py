@@ -832,7 +832,7 @@ class Ledger:
             RECENT,
         )
         ended += [(row["sampled_ns"], _missed(row)) for row in missed]
-        ended.sort(key=lambda one: one[0], reverse=True)
+        ended.sort(key=lambda pair: pair[0], reverse=True)
         stored = self._store.rows("SELECT passage_id, statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT)
         open_ = [self._read(TollPassage, row["statement"], row["passage_id"]) for row in stored]
         open_ += list(self._unregistered.values())[-RECENT:]
@@ -859,7 +859,9 @@ def _interval(message: TollPassage) -> tuple[int, int]:
 
 def _names(message: TollPassage, contracts: set[tuple[str, str]]) -> list[str]:
     """What a vehicle is known by."""
-    return [f"station {one}" for one in message.station_ids] + [f"contract {one}" for one, _ in sorted(contracts)]
+    return [f"station {station_id}" for station_id in message.station_ids] + [
+        f"contract {name}" for name, _ in sorted(contracts)
+    ]
 
 
 def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:

@@ -66,7 +66,9 @@ def prove_ledger(path: Path, ring: KeyRing) -> LedgerProof:
         if current is not None and not _has_numbers(current):
             current = None
         days = {name: genuine(DAY, text) for name, text in statements.items() if name != NEWEST}
-        numbers = [int(one["number"]) for one in (current, *days.values()) if one is not None and _has_numbers(one)]
+        numbers = [
+            int(record["number"]) for record in (current, *days.values()) if record is not None and _has_numbers(record)
+        ]
         signed = int(current["number"]) if current else 0
         entries = _Entries(dict.fromkeys(numbers, ""), [*_ranges(current or {}), (signed + 1, sys.maxsize)])
         _check_rows(database, entries, proof)
@@ -188,8 +190,8 @@ def _has_numbers(fields: Mapping[str, str]) -> bool:
 
 
 def _ranges(fields: Mapping[str, str]) -> Iterator[tuple[int, int]]:
-    for one in fields.get("unsigned", "").split():
-        first, _, last = one.partition("-")
+    for name in fields.get("unsigned", "").split():
+        first, _, last = name.partition("-")
         yield int(first), int(last)
 
 

@@ -94,7 +94,7 @@ class Servers:
             else:
                 self._exchange(cast(Client, key.data), events)
         now_s = time.monotonic()
-        for client in [one for one in self.clients if one.pause_at_s is not None and one.pause_at_s <= now_s]:
+        for client in [item for item in self.clients if item.pause_at_s is not None and item.pause_at_s <= now_s]:
             client.pause_at_s = None
             self._queue(client, client.peer.pause())
 

@@ -406,7 +406,9 @@ class State:
             self.verdict = replace(shown, since_ns=since_ns)
         trust = self.newest(TrustState, "trust/state", now_ns, live=True) if self.verdict.state in KNOWN else None
         ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
-        beliefs = {one.hypothesis.value: float(f"{one.probability:.3g}") for one in trust.beliefs} if trust else {}
+        beliefs = (
+            {belief.hypothesis.value: float(f"{belief.probability:.3g}") for belief in trust.beliefs} if trust else {}
+        )
         if self.trust_history.add(now_ns, self.verdict.state, ratios, beliefs):
             known = {name: round(ratio, 4) for name, ratio in ratios.items() if ratio is not None}
             self._unsaved.append(

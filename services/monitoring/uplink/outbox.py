@@ -234,8 +234,8 @@ class Outbox:
         gone: list[int] = []
         refused = 0
         with self._transaction(durable=False):  # after a power cut they are sent, and receipted, once more
-            for one in stored:
-                if (row := self._named(*one)) is not None:
+            for item in stored:
+                if (row := self._named(*item)) is not None:
                     self._db.execute("DELETE FROM batch WHERE id = ?", (row[0],))
                     gone.append(row[0])
                     refused += row[1]
@@ -337,7 +337,7 @@ class Outbox:
     def _replace(self, run: list[Row], signer: Signer) -> int:
         """Put a gap in the place of adjoining batches, and of gaps beside them; return the number of reports."""
         batches = [unsealed(bytes(self.content(row.id) or b"")).batch for row in run]
-        dropped = sum(one.count for one in batches)
+        dropped = sum(batch.count for batch in batches)
         ids, last = [row.id for row in run], run[-1].digest
         before = self._gap_at("first + count = ?", batches[0].epoch_ms, batches[0].first)
         after = self._gap_at("first = ?", batches[0].epoch_ms, batches[-1].first + batches[-1].count)
@@ -348,11 +348,11 @@ class Outbox:
             ids.append(after[0])
             batches.append(after[1])
             last = after[1].gap.last
-        head, spans = batches[0], [one.span_ms for one in batches]
+        head, spans = batches[0], [batch.span_ms for batch in batches]
         gap = Gap(min(begin for begin, _ in spans), max(end for _, end in spans), last)
-        count = sum(one.count for one in batches)
+        count = sum(batch.count for batch in batches)
         batch = Batch(Kind.GAP, head.epoch_ms, head.first, count, head.previous, gap=gap)
-        self._db.executemany("DELETE FROM batch WHERE id = ?", [(one,) for one in ids])
+        self._db.executemany("DELETE FROM batch WHERE id = ?", [(row,) for row in ids])
         self._insert(batch, seal(batch, signer, self._chain.vehicle), ids[0])
         return dropped
 
@@ -470,6 +470,6 @@ def _batch(kind: Kind, chain: _Chain, items: Sequence[Report | Event | Lost]) ->
     if isinstance(lost := items[0], Lost):  # no batch of these was made: the chain goes on as it was before them
         gap = Gap(lost.from_ms, lost.to_ms, chain.previous)
         return Batch(kind, *head, lost.number, chain.previous, gap=gap)
-    reports = tuple(one for one in items if isinstance(one, Report))
-    events = tuple(one for one in items if isinstance(one, Event))
+    reports = tuple(report for report in items if isinstance(report, Report))
+    events = tuple(event for event in items if isinstance(event, Event))
     return Batch(kind, *head, len(items), chain.previous, reports, events)

@@ -131,12 +131,12 @@ def event_of(message: Message, topic: str, utc_ms: int, *, places: bool) -> Even
     match message:
         case TrustEvent():
             content = message.model_dump(mode="json", exclude_none=True, exclude={"monitors"})
-            accusing = [one for one in message.monitors if one.outcome is Outcome.ACCUSES]
+            accusing = [monitor for monitor in message.monitors if monitor.outcome is Outcome.ACCUSES]
             content["monitors"] = [
-                one.model_dump(
+                trust_monitor.model_dump(
                     mode="json", include={"monitor", "outcome", "reason", "reason_code", "accused"}, exclude_none=True
                 )
-                for one in accusing
+                for trust_monitor in accusing
             ]
         case Outage() | TollTransaction() | Origin():
             content = message.model_dump(mode="json", exclude_none=True)
@@ -151,7 +151,7 @@ def without_places(content: Mapping[str, object]) -> dict[str, object]:
     for name, value in content.items():
         if name.startswith(PLACES):
             continue
-        found[name] = [_without_places(one) for one in value] if isinstance(value, list) else _without_places(value)
+        found[name] = [_without_places(item) for item in value] if isinstance(value, list) else _without_places(value)
     return found
 
 

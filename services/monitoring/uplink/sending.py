@@ -89,14 +89,14 @@ class Sending:
             self._probe_ns = 0  # the reason is no more: the others follow at once
         self._tally.receipted += len(gone)
         unknown = len(receipt.stored) - len(gone)
-        for one in receipt.refused:
-            row = self.outbox.refuse(one.digest, one.reason, now_ns)
+        for item in receipt.refused:
+            row = self.outbox.refuse(item.digest, item.reason, now_ns)
             if row is None:
                 unknown += 1
                 continue
             self._tally.refused += 1
             gone.append(row.id)
-            if one.reason == CONFLICT:
+            if item.reason == CONFLICT:
                 self._solve_conflict(row, signer, now_ns, utc_ms)
         if unknown:  # repeated, or of a batch that is now part of a gap
             self._rejects["receipt of no batch"] += unknown
@@ -135,10 +135,10 @@ class Sending:
         event = self._free(now_ns, kind=Kind.EVENTS)
         if busy:
             # An event that was never sent takes the place of positions.
-            positions = [one for one in self._flights.values() if one.row.kind != Kind.EVENTS]
+            positions = [flight for flight in self._flights.values() if flight.row.kind != Kind.EVENTS]
             if event is None or event.id in self._resting or not positions:
                 return None
-            oldest = min(positions, key=lambda one: one.sent_ns)
+            oldest = min(positions, key=lambda flight: flight.sent_ns)
             self._rest(oldest.row.id)
             return event
         if event is not None:

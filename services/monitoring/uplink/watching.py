@@ -71,5 +71,5 @@ def _read(payload: bytes) -> tuple[frozenset[str], float, int]:
         case {"topics": list() as topics, "for_s": int() | float() as for_s, "watchers": int() as watchers} if (
             0 <= for_s <= MOST_WATCH_S and 0 <= watchers <= MOST_WATCHERS
         ):
-            return frozenset(one for one in topics if isinstance(one, str)) & LIVE_WORDS, for_s, watchers
+            return frozenset(topic for topic in topics if isinstance(topic, str)) & LIVE_WORDS, for_s, watchers
     raise BadWatch("it has not topics, a time of at most 60 s and a number of watchers")

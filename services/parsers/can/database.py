@@ -102,9 +102,9 @@ class SignalDecoder:
         self._decode_error = DecodeError
         database = load(text)
         self._messages = _Messages(database)
-        for one in wanted:
-            message, signal = _found(database, one.signal)
-            self._entries.setdefault(_identifier(message), []).append(_Entry(one, signal, *_factor(one, signal)))
+        for item in wanted:
+            message, signal = _found(database, item.signal)
+            self._entries.setdefault(_identifier(message), []).append(_Entry(item, signal, *_factor(item, signal)))
 
     def name_of(self, frame: CanFrame) -> str | None:
         """Name of the message that a frame is, by the file."""
@@ -136,12 +136,14 @@ class SignalDecoder:
         except (self._decode_error, *FOREIGN):  # such as an undefined value of the multiplexer
             self._rejects["dbc_frame"] += 1
             return []
-        present = [one for one in entries if one.signal.name in values]  # the others are of other multiplexer values
+        present = [
+            entry for entry in entries if entry.signal.name in values
+        ]  # the others are of other multiplexer values
         if present:
             if len(self._last_ns) >= MOST_STAMPS:
                 del self._last_ns[next(iter(self._last_ns))]
             self._last_ns[key] = received_ns
-        decoded = (self._checked(one, values[one.signal.name]) for one in present)
+        decoded = (self._checked(entry, values[entry.signal.name]) for entry in present)
         return [value for value in decoded if value is not None]
 
     def _values(self, message: "Message", data: bytes, entries: list[_Entry]) -> dict[str, float]:
@@ -153,7 +155,7 @@ class SignalDecoder:
         )
         if missing > 0:
             whole = message.decode(data + bytes(missing), decode_choices=False)
-            if any(one.signal.name in whole and one.signal.name not in values for one in entries):
+            if any(entry.signal.name in whole and entry.signal.name not in values for entry in entries):
                 self._rejects["dbc_frame"] += 1
         return values
 
@@ -178,12 +180,12 @@ class _Messages:
     """
 
     def __init__(self, database: "Database") -> None:
-        self._exact = {_identifier(one): one for one in database.messages}
+        self._exact = {_identifier(message): message for message in database.messages}
         self._groups: dict[int, dict[int, Message]] = {}  # parameter group -> sender -> message
-        for one in database.messages:
-            if _is_j1939(database, one):
-                senders = self._groups.setdefault(parameter_group(one.frame_id), {})
-                senders.setdefault(sender_of(one.frame_id), one)
+        for message in database.messages:
+            if _is_j1939(database, message):
+                senders = self._groups.setdefault(parameter_group(message.frame_id), {})
+                senders.setdefault(sender_of(message.frame_id), message)
 
     def find(self, frame: CanFrame) -> "Message | None":
         """The message that a frame is; None if the file has none."""
@@ -309,11 +311,11 @@ def _insist_on_bounds(text: str) -> None:
     messages = list(MESSAGE.finditer(text))
     if len(messages) > MOST_MESSAGES or text.count("SG_") > MOST_SIGNALS:
         raise ValueError(f"it has more than {MOST_MESSAGES} messages or {MOST_SIGNALS} signals")
-    for found in messages:
-        if len(found[2]) > 5 or int(found[2]) > LONGEST_MESSAGE:
-            raise ValueError(f"its message {found[1][:40]} has more than {LONGEST_MESSAGE} bytes, the most of a bus")
-    for found in SIGNAL.finditer(text):
-        if any(len(number) > 5 or int(number) > 8 * LONGEST_MESSAGE for number in found.groups()):
+    for message in messages:
+        if len(message[2]) > 5 or int(message[2]) > LONGEST_MESSAGE:
+            raise ValueError(f"its message {message[1][:40]} has more than {LONGEST_MESSAGE} bytes, the most of a bus")
+    for match in SIGNAL.finditer(text):
+        if any(len(number) > 5 or int(number) > 8 * LONGEST_MESSAGE for number in match.groups()):
             raise ValueError(f"a signal of it is outside the {LONGEST_MESSAGE} bytes of a message")
 
 

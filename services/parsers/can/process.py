@@ -163,7 +163,7 @@ class Process:
                 sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
                 received_ns=received_ns,
                 source=_named(bus, self._wheels, frame),
-                **{f"{one.name}_m_s": one.value for one in speeds},
+                **{f"{speed.name}_m_s": speed.value for speed in speeds},
             )
         if self._signals:
             for value in self._signals.decode(frame, received_ns, bus):
@@ -222,4 +222,4 @@ def _signals(config: Config) -> list[Wanted]:
     """The named quantities of the DBC file; raises `UserError` for the name of a wheel."""
     if wheel := next((name for name in config.signals if name in WHEELS), None):
         raise UserError(f"[parsers.can.signals] {wheel}: write the signals of wheels into wheel_speed_signals")
-    return [Wanted(name, one.signal, one.unit, one.scale) for name, one in config.signals.items()]
+    return [Wanted(name, signal.signal, signal.unit, signal.scale) for name, signal in config.signals.items()]

@@ -76,5 +76,9 @@ class Receiver:
     def _written(
         self, said: Iterator[bytes | GnssConfiguration], now_ns: int
     ) -> Iterator[GnssWrite | GnssConfiguration]:
-        for one in said:
-            yield GnssWrite(received_ns=now_ns, source=self._stream.source, data=one) if isinstance(one, bytes) else one
+        for gnss_configuration in said:
+            yield (
+                GnssWrite(received_ns=now_ns, source=self._stream.source, data=gnss_configuration)
+                if isinstance(gnss_configuration, bytes)
+                else gnss_configuration
+            )

@@ -48,7 +48,7 @@ class LineForm(Section):
     @model_validator(mode="after")
     def _numbered(self) -> "LineForm":
         columns = (*self.acceleration, *self.rate, *([self.time] if self.time else []))
-        if self.form == "csv" and not all(one.isdecimal() and 1 <= int(one) <= 200 for one in columns):
+        if self.form == "csv" and not all(column.isdecimal() and 1 <= int(column) <= 200 for column in columns):
             raise ValueError("columns of csv lines are numbers from 1 to 200")
         return self
 

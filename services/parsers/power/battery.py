@@ -86,7 +86,7 @@ class Decoder:
         if self._voltage_v is None or abs(voltage_v - self._voltage_v) <= LARGEST_STEP_V:
             self._voltage_v, self._step_v = voltage_v, []
             return True
-        agreeing = [one for one in self._step_v if abs(one - voltage_v) <= LARGEST_STEP_V]
+        agreeing = [value for value in self._step_v if abs(value - voltage_v) <= LARGEST_STEP_V]
         self._step_v = [*agreeing[-STEPS:], voltage_v]
         if len(self._step_v) <= STEPS:
             return False

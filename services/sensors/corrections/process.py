@@ -110,8 +110,10 @@ class Process:
     def _wait(self) -> None:
         """Wait for bytes of a source, or for the peer of a connection that has something to be sent."""
         connections = [source.connection for source in self._sources if source.connection is not None]
-        readers = [one.sock for one in connections if one.sock is not None]
-        writers = [one.sock for one in connections if one.sock is not None and one.wants_write]
+        readers = [connection.sock for connection in connections if connection.sock is not None]
+        writers = [
+            connection.sock for connection in connections if connection.sock is not None and connection.wants_write
+        ]
         select.select(readers, writers, [], WAIT_S)
 
     def _handle(self, bus: Bus, envelopes: Sequence[Envelope]) -> None:
@@ -146,11 +148,15 @@ class Process:
         self._next_statement_s, self._phases = now_s + STATEMENT_S, phases
         stated = tuple(source.statement(now_s) for source in self._sources)
         bus.publish(CorrectionSources(now_ns=bus.now_ns(), sources=stated))
-        for one in stated:
-            if one.reason != self._logged.get(one.source):
-                self._logged[one.source] = one.reason
-                level = logging.WARNING if one.phase in (SourcePhase.WAITING, SourcePhase.REFUSED) else logging.INFO
-                log.log(level, "%s: %s", one.source, one.reason)
-        faults = [f"{one.address.name}: {one.fault}" for one in self._sources if one.fault]
-        delivers = any(one.phase is SourcePhase.RECEIVING for one in stated)
+        for correction_source in stated:
+            if correction_source.reason != self._logged.get(correction_source.source):
+                self._logged[correction_source.source] = correction_source.reason
+                level = (
+                    logging.WARNING
+                    if correction_source.phase in (SourcePhase.WAITING, SourcePhase.REFUSED)
+                    else logging.INFO
+                )
+                log.log(level, "%s: %s", correction_source.source, correction_source.reason)
+        faults = [f"{source.address.name}: {source.fault}" for source in self._sources if source.fault]
+        delivers = any(correction_source.phase is SourcePhase.RECEIVING for correction_source in stated)
         bus.last_error = None if delivers or not faults else faults[0][:400]

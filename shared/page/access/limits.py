@@ -52,10 +52,10 @@ class Connections:
         place = self._place(client)
         of_client = [entry for entry in self._open.items() if entry[1][0] == place]
         if len(of_client) >= self._limit_of(client):
-            self._make_room([one for _, (_, one) in of_client])
-        if sum(one[0] == place for one in self._open.values()) < self._limit_of(client):
+            self._make_room([limited_http for _, (_, limited_http) in of_client])
+        if sum(pair[0] == place for pair in self._open.values()) < self._limit_of(client):
             if len(self._open) >= self.maximum:
-                self._make_room([one for _, one in self._open.values()])
+                self._make_room([limited_http for _, limited_http in self._open.values()])
             if len(self._open) < self.maximum:
                 self._open[transport] = place, protocol
                 return True
@@ -78,7 +78,7 @@ class Connections:
 
     def _make_room(self, candidates: list["LimitedHttp"]) -> None:
         """Close the oldest connection without a request; they are in the order of their begin."""
-        idle = next((one for one in candidates if one.idle), None)
+        idle = next((candidate for candidate in candidates if candidate.idle), None)
         if idle is not None:
             self.leave(idle.transport)
             idle.transport.abort()
@@ -193,5 +193,5 @@ def limit_logs(names: Iterable[str]) -> None:
     """Limit what clients can make this process write: by the server, and by loggers of these names."""
     for name in (__name__, "uvicorn.error", *names):
         logger = logging.getLogger(name)
-        if not any(isinstance(one, RateLimit) for one in logger.filters):
+        if not any(isinstance(present, RateLimit) for present in logger.filters):
             logger.addFilter(RateLimit())

@@ -45,7 +45,7 @@ def peer_of(client: str | None, scheme: str, headers: Mapping[str, str], trusted
         return Peer(str(address), address.is_loopback and not forwarded, forwarded, False, encrypted)
     chain = [as_address(part.strip()) for part in headers.get("x-forwarded-for", "").split(",")]
     # The last one that is not a proxy of our own: what stands before it was stated by the client.
-    found = next((one for one in reversed(chain) if one is None or not contains(trusted, one)), chain[0])
+    found = next((item for item in reversed(chain) if item is None or not contains(trusted, item)), chain[0])
     encrypted = encrypted or headers.get("x-forwarded-proto", "").split(",")[-1].strip().lower() == "https"
     return Peer(str(found or address), False, True, True, encrypted)
 

@@ -73,7 +73,7 @@ class FrameFinder(ABC, Generic[F]):
     def _ripe(self, before: int, end: int) -> Iterator[F]:
         """Judge the candidates whose last byte has arrived, in their order."""
         waiting = self._waiting
-        ripe = [one for at in range(before + 1, end + 1) for one in waiting.pop(at, ())] if waiting else []
+        ripe = [pair for at in range(before + 1, end + 1) for pair in waiting.pop(at, ())] if waiting else []
         for start, stop, sums in sorted(ripe):
             if (frame := self._judge(start, stop, sums)) is not None:
                 yield frame

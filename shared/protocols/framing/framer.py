@@ -40,7 +40,7 @@ class Framer(FrameFinder[Frame]):
         super().__init__(rejects)
         self._s, self._w, self._c = [0], [0], [0]
         self._framings: dict[int, list[Framing]] = {}  # by their first byte: nearly always one
-        for framing, first in ((one, first) for one in framings for first in _first_bytes(one)):
+        for framing, first in ((item, first) for item in framings for first in _first_bytes(item)):
             self._framings.setdefault(first, []).append(framing)
         complete = b"|".join(framing.starts for framing in framings)
         begun = b"|".join(framing.begun for framing in framings)
@@ -69,7 +69,7 @@ class Framer(FrameFinder[Frame]):
         framings = self._framings[self._buffer[start]]
         if len(framings) == 1:
             return framings[0]
-        return next((one for one in framings if one.sync.match(self._buffer, start)), framings[0])
+        return next((framing for framing in framings if framing.sync.match(self._buffer, start)), framings[0])
 
     def _size(self, start: int, match: re.Match[bytes]) -> int | None:
         framing = self._framing_at(start)

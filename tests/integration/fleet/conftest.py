@@ -37,5 +37,5 @@ def link() -> Iterator[Callable[..., Link]]:
         return made[-1]
 
     yield connect
-    for one in made:
-        one.close()
+    for item in made:
+        item.close()

@@ -538,7 +538,11 @@ def test_a_token_for_any_name_takes_no_name_that_somebody_has(folder: Path, tmp_
 
 def test_a_token_is_listed_and_withdrawn(folder: Path, tmp_path: Path) -> None:
     url, token = token_for(folder, "car-later")
-    (line,) = [one for one in obu("centre", "tokens", folder=folder).stdout.splitlines() if "car-later" in one]
+    (line,) = [
+        splitline
+        for splitline in obu("centre", "tokens", folder=folder).stdout.splitlines()
+        if "car-later" in splitline
+    ]
     done = obu("centre", "revoke", line.split()[0], folder=folder)
     assert (done.returncode, done.stdout) == (0, "1 unused token ended\n")
     with pytest.raises(UserError, match="has expired; ask for another"):

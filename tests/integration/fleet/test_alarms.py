@@ -64,8 +64,8 @@ def put(dsn: str, now_ms: int) -> Iterator[Put]:
     store = Store(dsn)
 
     def put(unit: Unit, *batches: bytes) -> None:
-        for one in genuine(store, unit, batches, now_ms):
-            assert store.store([one])[1] == {}
+        for item in genuine(store, unit, batches, now_ms):
+            assert store.store([item])[1] == {}
 
     yield put
     store.close()

@@ -100,6 +100,6 @@ def test_a_vehicle_connects_by_its_own_client_id_alone(
 def test_connections_of_one_certificate_replace_one_another(folder: Path, tmp_path: Path, link: Connect) -> None:
     identity = enrolled(folder, tmp_path, "twin-1")
     links = [link(identity) for _ in range(6)]
-    eventually(lambda: sum(not one.ended for one in links) <= 1)
+    eventually(lambda: sum(not link.ended for link in links) <= 1)
     time.sleep(1.0)  # NATS holds a client id that is replaced again and again for a second
     assert link(identity).ready

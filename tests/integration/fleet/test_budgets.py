@@ -92,7 +92,7 @@ def test_a_flood_of_any_kind_is_withheld_and_an_honest_vehicle_beside_it_is_stor
     heard, store = Receipts(), Store(ingest_dsn)
     ingest = Ingest(heard, store, lambda: NOW_MS)  # type: ignore[arg-type]
     number = 600
-    sent = [one for _ in range(number) for one in (("flood", make(flood)), ("honest", honest.positions()))]
+    sent = [pair for _ in range(number) for pair in (("flood", make(flood)), ("honest", honest.positions()))]
     asyncio.run(drive(ingest, sent))
     store.close()
     limit = 0.1 * MB + 262_144  # of the budget at once, and one batch beyond it
@@ -102,10 +102,10 @@ def test_a_flood_of_any_kind_is_withheld_and_an_honest_vehicle_beside_it_is_stor
         row = db.execute("SELECT coalesce(sum(octet_length(content::text)), 0) FROM event").fetchone()
         assert row is not None and row[0] < limit
         alarms = db.execute("SELECT vehicle, kind, detail->>'budget', (detail->>'withheld')::int FROM alarm").fetchall()
-        assert [one for one in alarms if one[0] == "flood"] == [
+        assert [alarm for alarm in alarms if alarm[0] == "flood"] == [
             ("flood", "flood", VEHICLE, number - heard.stored["flood"])
         ]
-        assert not [one for one in alarms if one[0] == "honest"]
+        assert not [alarm for alarm in alarms if alarm[0] == "honest"]
     assert heard.stored["honest"] == number
 
 
@@ -188,7 +188,7 @@ def test_a_tenant_leaves_room_and_turns_to_others_whatever_it_sends() -> None:
             waiting.add(1, Arrived(f"flood-{number}", b"", None))
     assert len(waiting) == MOST / 2
     assert all(waiting.add(2, Arrived("honest", bytes([n]), None)) for n in range(4))
-    group = [one for one in waiting.take(20) if one.vehicle == "honest"]
-    assert [one.data for one in group] == [b"\0", b"\1", b"\2", b"\3"]
+    group = [arrived for arrived in waiting.take(20) if arrived.vehicle == "honest"]
+    assert [arrived.data for arrived in group] == [b"\0", b"\1", b"\2", b"\3"]
     assert len(waiting.take(MOST)) == MOST / 2 - 16 and len(waiting) == 0
     assert waiting.add(1, Arrived("flood-1", b"", None))

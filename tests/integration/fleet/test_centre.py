@@ -55,7 +55,7 @@ def test_a_topic_of_another_vehicle_does_not_arrive_and_a_foreign_signature_is_r
     refused: list[str] = []
 
     def both_are_refused() -> bool:
-        refused[:] = [one.reason for receipt in vehicle.receipts for one in receipt.refused]
+        refused[:] = [refused.reason for receipt in vehicle.receipts for refused in receipt.refused]
         return len(refused) == 2
 
     eventually(both_are_refused)

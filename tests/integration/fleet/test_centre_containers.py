@@ -118,14 +118,14 @@ def test_what_is_killed_is_back_and_the_next_report_is_stored(
 ) -> None:
     for service in SERVICES:
         kill(f"{centre.project}-{service}-1", "obu-centre:local", signal.SIGKILL)
-    eventually(lambda: all(centre.inspect(one, "{{.RestartCount}}") != "0" for one in SERVICES), within_s=60)
+    eventually(lambda: all(centre.inspect(name, "{{.RestartCount}}") != "0" for name in SERVICES), within_s=60)
     eventually(centre.runs, within_s=60)
     _send(identity, unit.positions())
 
 
 def test_all_end_in_time_when_they_are_told(centre: Composed, identity: UplinkIdentity) -> None:
     centre.compose("stop")
-    assert {one: centre.inspect(one, "{{.State.ExitCode}}") for one in SERVICES} == dict.fromkeys(SERVICES, "0")
+    assert {name: centre.inspect(name, "{{.State.ExitCode}}") for name in SERVICES} == dict.fromkeys(SERVICES, "0")
 
 
 def _send(identity: UplinkIdentity, batch: bytes) -> None:
@@ -140,7 +140,7 @@ def _send(identity: UplinkIdentity, batch: bytes) -> None:
             until = time.monotonic() + 5.0
             while not link.receipts and time.monotonic() < until:
                 time.sleep(0.1)
-            return any(one.stored for one in link.receipts)
+            return any(receipt.stored for receipt in link.receipts)
         finally:
             link.close()
 

@@ -139,8 +139,8 @@ def test_ingest_stores_as_its_own_user(as_process: dict[str, str], dsn: str) -> 
     keys.load({unit.signer.key_id})
     made = unit.positions((0, 5)), unit.events("trust/event"), unit.gap(20, 5), unit.gap(10, 30)
     arrived = [Arrived.of("car-1", data) for data in made]
-    found = [verified(one, keys.find(unit.signer.key_id), unit.now_ms) for one in arrived]
-    changed, refused = store.store([one for one in found if isinstance(one, Genuine)])
+    found = [verified(item, keys.find(unit.signer.key_id), unit.now_ms) for item in arrived]
+    changed, refused = store.store([genuine for genuine in found if isinstance(genuine, Genuine)])
     store.tell_forgeries({("car-1", "signature"): 1}, unit.now_ms)
     store.close()
     assert (changed[0]["vehicle"], refused) == ("car-1", {})
@@ -184,7 +184,7 @@ def test_each_tenant_keeps_its_own_number_of_days_and_charges_apart(dsn: str, ow
     long, short = tenant(dsn, "long", {}), tenant(dsn, "short", {})
     owner.execute("UPDATE tenant SET retention_days = 90 WHERE tenant_id = %s", (long,))
     owner.execute("UPDATE tenant SET retention_days = 10, toll_retention_days = 60 WHERE tenant_id = %s", (short,))
-    for number, (age, tenant_id) in enumerate((age, one) for one in (long, short) for age in (5, 50, 95)):
+    for number, (age, tenant_id) in enumerate((age, item) for item in (long, short) for age in (5, 50, 95)):
         put(owner, TODAY - timedelta(days=age), tenant_id, number)
         put_event(owner, TODAY - timedelta(days=age), tenant_id, "trust/event", 2 * number)
         put_event(owner, TODAY - timedelta(days=age), tenant_id, "toll/transaction", 2 * number + 1)

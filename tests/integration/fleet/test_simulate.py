@@ -46,8 +46,8 @@ def test_a_row_that_is_gone_a_foreign_and_an_overlapping_one_are_found(centre: C
     outcome = campaign.run()
     assert outcome.verdict.holds
     made = campaign.made
-    vehicles = sorted({one.vehicle for one in made})
-    gone = sum(one.reports for one in made if one.vehicle == vehicles[0])
+    vehicles = sorted({item.vehicle for item in made})
+    gone = sum(item.reports for item in made if item.vehicle == vehicles[0])
     with psycopg.connect(centre.owner_dsn) as db:
         db.execute("DELETE FROM segment WHERE vehicle = %s", vehicles[:1])
         db.execute(

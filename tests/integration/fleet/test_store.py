@@ -209,7 +209,7 @@ def test_an_outbox_or_a_stamp_of_the_future_does_not_hold_the_newest_report(dsn:
     now_ms = time.time_ns() // 1_000_000
     fast = Unit(unit.vehicle, 1, now_ms + 2 * DAY_MS)  # its clock was wrong when the outbox was made
     fast.now_ms = now_ms
-    assert [one.aside for one in genuine(store, unit, [fast.positions([0])], now_ms)] == ["future"]
+    assert [item.aside for item in genuine(store, unit, [fast.positions([0])], now_ms)] == ["future"]
     unit.now_ms = now_ms + DAY_MS // 2
     store.store(genuine(store, unit, [unit.positions([0])], now_ms))
     ((shown_ms,),) = rows(dsn, "SELECT utc_ms FROM vehicle_now")
@@ -346,7 +346,7 @@ def test_a_gap_that_grows_while_it_is_stored_is_counted_once(dsn: str, store: St
 def test_what_two_ingests_hold_in_another_order_makes_neither_fail(dsn: str, store: Store, unit: Unit) -> None:
     for turn in range(10):
         parts = [Unit("car-1", epoch_ms=START_MS + 100 * turn + number) for number in range(20)]
-        gaps = genuine(store, unit, [one.gap(10, 5) for one in parts])
+        gaps = genuine(store, unit, [part.gap(10, 5) for part in parts])
         ahead = Unit("car-1", epoch_ms=START_MS + 100 * turn + 50)
         ahead.now_ms += 30 * DAY_MS
         aside = genuine(store, unit, [ahead.positions() for _ in range(20)])
@@ -363,11 +363,11 @@ def test_batches_that_the_database_does_not_take_cost_others_few_transactions(ds
     hostile = Unit("car-9", 9)
     hostile.enter(dsn)
     honest = [Unit(f"car-{number}", number + 10) for number in range(20, 60)]
-    for one in honest:
-        one.enter(dsn)
+    for unit in honest:
+        unit.enter(dsn)
     most = 1 << 53
     store.store(genuine(store, hostile, [hostile.gap(0, most - 1)]))
-    group = [found for one in honest for found in genuine(store, one, [one.positions() for _ in range(5)])]
+    group = [item for unit in honest for item in genuine(store, unit, [unit.positions() for _ in range(5)])]
     bad = genuine(store, hostile, [hostile.gap(first, most - first) for first in range(1, 5)])
     for number, refused in enumerate(bad):
         group.insert(number * 50, refused)
@@ -379,7 +379,7 @@ def test_batches_that_the_database_does_not_take_cost_others_few_transactions(ds
             return super()._store(batches)
 
     counting = Counting(dsn)
-    assert counting.store(group)[1] == dict.fromkeys((one.digest for one in bad), "format")
+    assert counting.store(group)[1] == dict.fromkeys((genuine.digest for genuine in bad), "format")
     counting.close()
     assert rows(dsn, "SELECT count(*) FROM segment") == [(200,)]
     assert len(tried) < 30, "one transaction each would hold up the whole centre"
@@ -417,11 +417,11 @@ def test_whatever_a_vehicle_signs_is_stored_or_refused_and_holds_up_nobody(dsn: 
 def test_more_lost_reports_than_there_are_numbers_are_refused(dsn: str, store: Store, unit: Unit) -> None:
     most = 1 << 53
     gaps = [unit.gap(0, most - 1), unit.gap(1, most - 1), unit.gap(2, most - 2)]
-    for one in genuine(store, unit, gaps):
-        store.store([one])
+    for item in genuine(store, unit, gaps):
+        store.store([item])
     assert rows(dsn, "SELECT lost FROM epoch") == [(most - 1,)]
     honest = genuine(store, unit, [unit.positions()])
-    assert store.store([*genuine(store, unit, gaps[1:]), *honest])[1].keys() == {chain_digest(one) for one in gaps[1:]}
+    assert store.store([*genuine(store, unit, gaps[1:]), *honest])[1].keys() == {chain_digest(gap) for gap in gaps[1:]}
     with psycopg.connect(dsn) as db:
         judge(db, START_MS, START_MS)
 
@@ -457,7 +457,7 @@ def test_a_vehicle_that_floods_has_a_share_of_what_waits_and_no_more(store: Stor
             await ingest._take(Msg(None, "obu.car-1.uplink.batch", data=b"%d" % number))  # type: ignore[arg-type]
         await ingest._take(Msg(None, "obu.car-2.uplink.batch", data=b"other"))  # type: ignore[arg-type]
         assert len(ingest._waiting) == SHARE + 1
-        assert [one.vehicle for one in ingest._waiting.take(SHARE + 1)][:3] == ["car-1", "car-2", "car-1"]
+        assert [arrived.vehicle for arrived in ingest._waiting.take(SHARE + 1)][:3] == ["car-1", "car-2", "car-1"]
         await ingest._take(Msg(None, "obu.car-1.uplink.batch", data=b"again"))  # type: ignore[arg-type]
         assert len(ingest._waiting) == 1
 
@@ -483,7 +483,7 @@ def test_what_a_whole_group_changes_fits_into_messages(dsn: str, store: Store) -
     ]
     for unit in units:
         unit.enter(dsn)
-    changed, refused = store.store([one for unit in units for one in genuine(store, unit, [unit.positions()])])
+    changed, refused = store.store([item for unit in units for item in genuine(store, unit, [unit.positions()])])
     assert len(changed) == GROUP and refused == {}
     heard = Heard()
     answers = {unit.vehicle: [Stored(START_MS, 0, bytes(8))] for unit in units}

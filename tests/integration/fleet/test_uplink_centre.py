@@ -53,12 +53,12 @@ def test_what_a_unit_reports_with_a_wrong_clock_is_kept_once_and_what_follows_is
 
     query = "SELECT content FROM {} WHERE vehicle = '" + name + "'"
     kept = [rows(folder, query.format(table)) for table in ("segment", "set_aside")]
-    batches = [unsealed(cast(bytes, row[0])).batch for found in kept for row in found]
-    numbers = sorted(number for one in batches for number in range(one.first, one.first + one.count))
+    batches = [unsealed(cast(bytes, row[0])).batch for item in kept for row in item]
+    numbers = sorted(number for batch in batches for number in range(batch.first, batch.first + batch.count))
     assert numbers == list(range(len(numbers))) and len(numbers) >= 170
-    jumps = [one.name for batch in batches for one in batch.events]
+    jumps = [event.name for batch in batches for event in batch.events]
     assert jumps == ["uplink/clock"] * 2
     assert bool(kept[1]) == (wrong_days != -1)
-    last_ms = max((one for one in batches if one.reports), key=lambda one: one.first).reports[-1].utc_ms
+    last_ms = max((batch for batch in batches if batch.reports), key=lambda batch: batch.first).reports[-1].utc_ms
     assert rows(folder, f"SELECT utc_ms FROM vehicle_now WHERE vehicle = '{name}'") == [(last_ms,)]
     unit.close()

@@ -58,9 +58,9 @@ def test_reports_reach_a_real_broker_over_tls_and_receipts_empty_the_outbox(
     unit.work_until(lambda: unit.state_message().connected and is_drained(unit))
 
     reports = centre.memory.reports()
-    times = [one.utc_ms for one in reports]
+    times = [report.utc_ms for report in reports]
     assert len(reports) >= 50 and times == sorted(set(times))
-    assert all(one.latitude_e7 is not None and one.level_dm == 33 and one.verdict == 0 for one in reports)
+    assert all(report.latitude_e7 is not None and report.level_dm == 33 and report.verdict == 0 for report in reports)
     unit.close()
     centre.close()
 
@@ -81,7 +81,7 @@ def test_a_day_without_a_centre_arrives_once_and_in_one_chain(
         network.weather.is_away = False
         unit.work_until(lambda: unit.state_message().connected and is_drained(unit))
 
-        times = [one.utc_ms for one in centre.memory.reports()]
+        times = [report.utc_ms for report in centre.memory.reports()]
         assert len(times) >= 3 * 3600 + 300 + 21 * 60 - 11 and times == sorted(set(times))
         assert times[-1] - times[0] >= 86_400_000
         assert max(centre.memory.arrivals.values()) == 1
@@ -101,7 +101,7 @@ def test_batches_and_receipts_that_are_lost_repeated_and_reordered_are_stored_on
     # Ten seconds of the unit in each turn: what got no receipt is sent again.
     unit.work_until(lambda: unit.state_message().connected and is_drained(unit), step_s=0.5)
 
-    times = [one.utc_ms for one in centre.memory.reports()]
+    times = [report.utc_ms for report in centre.memory.reports()]
     assert times == sorted(set(times)) and len(times) >= 589
     assert all(up.counts[what] and down.counts[what] for what in ("lost", "repeated", "held"))
     unit.close()
@@ -125,7 +125,7 @@ def test_a_network_that_resets_within_packets_and_a_broker_that_is_killed_cost_n
         network.cut()
         unit.work_until(lambda: is_drained(unit), step_s=0.1)
 
-        times = [one.utc_ms for one in centre.memory.reports()]
+        times = [report.utc_ms for report in centre.memory.reports()]
         assert times == sorted(set(times)) and len(times) >= 889
         unit.close()
         centre.close()
@@ -171,9 +171,9 @@ def test_events_and_changes_of_the_verdict_overtake_a_backlog(
 
     assert arrived[0].kind is Kind.EVENTS and arrived[0].events[0].content["after"] == "unsafe"
     # The newest is that with the changed verdict, or one that was made while the unit connected.
-    assert arrived[1].reports[-1].verdict != 0 and arrived[1].first == max(one.first for one in arrived[:6])
+    assert arrived[1].reports[-1].verdict != 0 and arrived[1].first == max(batch.first for batch in arrived[:6])
     assert arrived[2].first == 0
-    assert [one.first for one in arrived[2:20]] == sorted(one.first for one in arrived[2:20])
+    assert [batch.first for batch in arrived[2:20]] == sorted(batch.first for batch in arrived[2:20])
     unit.close()
     centre.close()
     network.close()

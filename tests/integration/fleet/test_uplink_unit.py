@@ -54,8 +54,8 @@ def test_a_unit_reports_is_watched_and_loses_nothing_when_it_is_killed(outer: Br
     assert len(centre.live) == seen, "nothing is passed on when nobody watches"
     unit.drive_until(lambda: unit.states[-1].backlog_batches == 0)
 
-    times = [one.utc_ms for one in memory.reports()]
-    assert all(one.verdict == 0 for one in memory.reports()), "a start is no loss of the position"
+    times = [report.utc_ms for report in memory.reports()]
+    assert all(report.verdict == 0 for report in memory.reports()), "a start is no loss of the position"
     assert times == sorted(set(times)) and len(times) >= 5
     assert len({batch.epoch_ms for batch in memory.chain()}) == 1
     centre.close()

@@ -140,7 +140,7 @@ def test_the_end_of_an_alarm_is_told_as_well_and_each_message_is_signed(hooks: H
             db.execute(over, hooks.tenants)
         await hooks.process.turn()
         await hooks.process.turn()
-        messages = [parsed(one) for one in seen]
+        messages = [parsed(payload) for payload in seen]
         assert [(name, content["until_ms"]) for name, content in messages] == [
             ("alarm_1_raised", None), ("alarm_1_ended", 20), ("alarm_2_ended", 2),
         ]  # fmt: skip
@@ -304,7 +304,7 @@ def test_the_address_that_was_checked_is_the_one_that_is_used(hooks: Hooks, answ
         async def getaddrinfo(host: str, port: int, **_: object) -> list[tuple[object, ...]]:
             asked.append(host)
             found = ["93.184.216.34"] if len(asked) == 1 else answers
-            return [(socket.AF_INET6 if ":" in one else socket.AF_INET, 1, 6, "", (one, port)) for one in found]
+            return [(socket.AF_INET6 if ":" in name else socket.AF_INET, 1, 6, "", (name, port)) for name in found]
 
         async def open_connection(host: str, port: int, **_: object) -> None:
             connected.append(host)

@@ -115,7 +115,7 @@ def test_of_one_address_the_oldest_idle_connection_gives_way(tmp_path: Path, mon
         last = stack.enter_context(opened(port))
         assert status_of(last) == b"HTTP/1.1 200 OK"
         assert is_closed(first)
-        assert [status_of(one) for one in others] == [b"HTTP/1.1 200 OK"] * 3
+        assert [status_of(socket) for socket in others] == [b"HTTP/1.1 200 OK"] * 3
 
 
 def test_where_every_connection_is_busy_a_further_one_is_refused(
@@ -126,7 +126,7 @@ def test_where_every_connection_is_busy_a_further_one_is_refused(
     with status_server(tmp_path) as server, ExitStack() as stack:
         port = port_of(server)
         busy = [stack.enter_context(opened(port)) for _ in range(4)]
-        assert [status_of(one, events) for one in busy] == [b"HTTP/1.1 200 OK"] * 4
+        assert [status_of(socket, events) for socket in busy] == [b"HTTP/1.1 200 OK"] * 4
         assert is_closed(stack.enter_context(opened(port)))
         busy.pop().close()
 
@@ -195,10 +195,10 @@ def ended(flood: list[socket.socket]) -> int:
     One whose last packet of the handshake was dropped is open for the client alone, until it sends something.
     """
     poll = select.poll()
-    for one in flood:
+    for item in flood:
         with suppress(OSError):
-            one.send(b"G")
-        poll.register(one, select.POLLIN | select.POLLHUP | select.POLLERR)
+            item.send(b"G")
+        poll.register(item, select.POLLIN | select.POLLHUP | select.POLLERR)
     return len(poll.poll(0))
 
 
@@ -215,4 +215,4 @@ def test_what_visitors_cause_is_written_a_few_times_a_minute(tmp_path: Path) -> 
     names = (limits.__name__, "uvicorn.error", login.__name__, page_errors.__name__)
     with status_server(tmp_path, unit=False):
         for name in names:
-            assert any(isinstance(one, limits.RateLimit) for one in logging.getLogger(name).filters), name
+            assert any(isinstance(present, limits.RateLimit) for present in logging.getLogger(name).filters), name

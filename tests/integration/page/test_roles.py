@@ -57,13 +57,13 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
 def routes_of(found: list[BaseRoute]) -> set[tuple[str, str]]:
     """Methods and paths of an application; HEAD is that of GET."""
     listed: set[tuple[str, str]] = set()
-    for one in found:
-        if isinstance(one, WebSocketRoute):
-            listed.add((WEBSOCKET, one.path))
-        elif isinstance(one, Route | APIRoute):
-            listed |= {(method, one.path) for method in one.methods or () if method != "HEAD"}
+    for base_route in found:
+        if isinstance(base_route, WebSocketRoute):
+            listed.add((WEBSOCKET, base_route.path))
+        elif isinstance(base_route, Route | APIRoute):
+            listed |= {(method, base_route.path) for method in base_route.methods or () if method != "HEAD"}
         else:
-            listed |= routes_of(list(getattr(one, "routes", ()) or one.original_router.routes))  # type: ignore[attr-defined]
+            listed |= routes_of(list(getattr(base_route, "routes", ()) or base_route.original_router.routes))  # type: ignore[attr-defined]
     return listed
 
 

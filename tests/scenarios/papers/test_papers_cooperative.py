@@ -32,17 +32,19 @@ def test_the_command_prints_every_ratio_and_writes_figures(
 ) -> None:
     publish(paper, json=True, out=tmp_path)
     document = json.loads(capsys.readouterr().out)
-    assert [one["ratio"] for one in document["ratios"]] == list(RATIOS)
+    assert [item["ratio"] for item in document["ratios"]] == list(RATIOS)
     assert document["mean"]["published"] == pytest.approx([2.83, 0.457, 47.27], abs=0.005)
-    assert set(document["sensitivities"]) == {one.name for one in ASSUMPTIONS}
+    assert set(document["sensitivities"]) == {assumption.name for assumption in ASSUMPTIONS}
     assert len(list(tmp_path.glob("*.svg"))) == 2
 
 
 def test_white_errors_of_the_reference_do_not_change_the_missed_ramp() -> None:
-    chosen = [one for one in ASSUMPTIONS if one.reference_error_m is not None]
+    chosen = [assumption for assumption in ASSUMPTIONS if assumption.reference_error_m is not None]
     assert len(chosen) == 4
-    for one in chosen:
-        assert sensitivity(one, 500).rates.missed_ramp == pytest.approx(one.missed_ramp, abs=1.5), one.name
+    for assumption in chosen:
+        assert sensitivity(assumption, 500).rates.missed_ramp == pytest.approx(assumption.missed_ramp, abs=1.5), (
+            assumption.name
+        )
 
 
 def test_the_four_highest_satellites_as_real_ones_make_the_test_blind_for_the_step() -> None:

@@ -34,10 +34,10 @@ def test_both_speeds_falsified_alike_pass_the_tachographs_test_and_are_found_in_
     alike = paper.document["falsified_alike"]
     assert isinstance(alike, dict) and set(alike) == {"highway", "urban"}
     for runs in alike.values():
-        by_factor = {one["factor"]: one for one in runs}
+        by_factor = {run["factor"]: run for run in runs}
         assert by_factor[1.0]["bends"] is None
-        assert all(one["trimmed_mean_above"] == 0 for one in runs), "the difference of both speeds stays as it was"
-    town = {one["factor"]: one for one in alike["urban"]}
+        assert all(run["trimmed_mean_above"] == 0 for run in runs), "the difference of both speeds stays as it was"
+    town = {item["factor"]: item for item in alike["urban"]}
     assert town[1.1]["bends"] <= 5 and town[1.1]["suspect_time_before_it"]
     assert town[1.03]["bends"] is not None
 

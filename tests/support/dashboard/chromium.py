@@ -57,7 +57,7 @@ def _note_errors(browser: Browser) -> None:
         def made(*arguments: object, **options: object) -> BrowserContext | Page:
             opened = make(*arguments, **options)
             context = opened if isinstance(opened, BrowserContext) else opened.context
-            context.on("weberror", lambda found: uncaught.append(found.error.stack or str(found.error)))
+            context.on("weberror", lambda web_error: uncaught.append(web_error.error.stack or str(web_error.error)))
             return opened
 
         return made

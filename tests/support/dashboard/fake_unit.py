@@ -161,7 +161,7 @@ class FakeBus:
 
     def carried(self, producer: str) -> tuple[Carried, ...]:
         """What a process has published of fast topics, as its heartbeat tells it."""
-        return tuple(one for (name, _), one in self._carried.items() if name == producer)
+        return tuple(carried for (name, _), carried in self._carried.items() if name == producer)
 
     def feed_bytes(self, topic: str, body: bytes, producer: str, *, delay_s: float = 0) -> Envelope:
         """Put any payload onto the bus, also an invalid one."""
@@ -271,17 +271,17 @@ class FakeUnit:
         if "core.trust" in self.silent | self.lost:
             return
         if isinstance(message, TrustMonitor | NavigationSolution | NavigationState | Tick):
-            for found in self.trust.handle(message):
-                if isinstance(found, TrustState) and self.beliefs:
+            for trust_state in self.trust.handle(message):
+                if isinstance(trust_state, TrustState) and self.beliefs:
                     suspected = explain("trust.unsafe_suspected", suspects=(Hypothesis.GNSS, Hypothesis.IMU))
                     more = {
                         "beliefs": self.beliefs,
-                        "reason_codes": (suspected, *found.reason_codes),
-                        "reasons": (reason(suspected), *found.reasons),
+                        "reason_codes": (suspected, *trust_state.reason_codes),
+                        "reasons": (reason(suspected), *trust_state.reasons),
                     }
-                    self.bus.feed(found.model_copy(update=more), "core.trust")
+                    self.bus.feed(trust_state.model_copy(update=more), "core.trust")
                 else:
-                    self.bus.feed(found, "core.trust")
+                    self.bus.feed(trust_state, "core.trust")
 
     def command(self, message: SimulationAttack) -> None:
         """Note an attack, or the end of those that were active, and answer as the simulator does."""
@@ -614,12 +614,13 @@ class FakeUnit:
         )
         signals = tuple(
             GnssSignal(
-                constellation=one.constellation, number=one.number, signal=one.signal, cn0_db_hz=one.cn0_db_hz,
+                constellation=measurement.constellation, number=measurement.number, signal=measurement.signal,
+                cn0_db_hz=measurement.cn0_db_hz,
                 quality=SignalQuality.CARRIER_LOCKED if used else SignalQuality.CODE_LOCKED, healthy=True,
                 pseudorange_used=used, carrier_phase_used=used, doppler_used=used, corrected=False,
             )
-            for one in measurements
-            for used in (one.number <= 17 and one.signal == "1C",)
+            for measurement in measurements
+            for used in (measurement.number <= 17 and measurement.signal == "1C",)
         )  # fmt: skip
         yield (
             "parsers.gnss",

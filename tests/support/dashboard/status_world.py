@@ -171,7 +171,7 @@ def trust(
     row, code = DECIDING[level]
     codes = why or (() if "reasons" in changes else (explain(code),))
     base = TrustState(
-        sampled_ns=now_ns, state=level, since_ns=START_NS, row=row, reasons=tuple(reason(one) for one in codes),
+        sampled_ns=now_ns, state=level, since_ns=START_NS, row=row, reasons=tuple(reason(code) for code in codes),
         reason_codes=codes, alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0, monitors=(monitor(now_ns),),
     )  # fmt: skip
     return base.model_copy(update=changes)

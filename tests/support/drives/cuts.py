@@ -113,7 +113,7 @@ def cut_drive(
     world = World(scenario_of(scenario, seed), seed, DEFAULT_START_NS, equipment, attacks)
     end_ns = DEFAULT_START_NS + round(duration_s * NS)
     unit, collector = CutUnit(vehicle, cut), Collector()
-    for due_ns, message in takewhile(lambda one: one[0] <= end_ns, world):
+    for due_ns, message in takewhile(lambda pair: pair[0] <= end_ns, world):
         for out in unit.run(due_ns, message):
             collector.add(out)
     lever_arm = vehicle.facts.gnss.lever_arm_body_m

@@ -123,12 +123,14 @@ def recorded(messages: Sequence[Message], settings: Settings) -> Recorded:
     fixes, speeds = [], []
     for message in messages:
         if isinstance(message, GnssFix):
-            seen = {type(one).__name__: one for one in of_fix(message, settings)}
+            seen = {type(measurement).__name__: measurement for measurement in of_fix(message, settings)}
             if (position := seen.get("GnssPosition")) is not None:
                 fixes.append(Fix(message.sampled_ns, np.array(position.position), _velocity(seen.get("GnssVelocity"))))  # type: ignore[attr-defined]
         elif isinstance(message, VehicleSpeed | WheelSpeeds):
-            found = (one for one in measurements_of(message, settings) if isinstance(one, WheelSpeed))
-            speeds += [(one.time_ns, one.speed) for one in found]
+            found = (
+                measurement for measurement in measurements_of(message, settings) if isinstance(measurement, WheelSpeed)
+            )
+            speeds += [(wheel_speed.time_ns, wheel_speed.speed) for wheel_speed in found]
     return Recorded(
         np.array([t for batch in batches for t in batch.sampled_ns], dtype=np.int64),
         np.array([f for batch in batches for f in batch.specific_force_body_m_s2]),

@@ -144,7 +144,7 @@ def solved(fusion: Fusion, messages: Iterable[Input]) -> Iterator[Fused]:
     """Deliver messages to core.fusion."""
     for message in messages:
         published = () if isinstance(message, Tick) else fusion.handle(message)
-        yield message, [one for one in published if isinstance(one, NavigationSolution | FilterState)]
+        yield message, [item for item in published if isinstance(item, NavigationSolution | FilterState)]
 
 
 def run(fusion: Fusion, process: Process, messages: Iterator[Input]) -> Result:

@@ -36,7 +36,7 @@ class Run:
     def accusing(self, second: int) -> set[tuple[str, ...]]:
         """Names by the windows that accuse after a number of seconds."""
         found = self.verdicts[second - 1].values()
-        return {one.accused for one in found if one.outcome is Outcome.ACCUSES}
+        return {test.accused for test in found if test.outcome is Outcome.ACCUSES}
 
     def first(self, after: int = 0) -> int | None:
         """First second of an accusation after a time."""

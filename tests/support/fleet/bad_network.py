@@ -49,8 +49,8 @@ class BadNetwork:
 
     def cut(self) -> None:
         """Reset every connection."""
-        for one in list(self._open):
-            self._reset(one)
+        for connection in list(self._open):
+            self._reset(connection)
 
     def close(self) -> None:
         self._stopping.set()
@@ -113,9 +113,9 @@ class BadNetwork:
         self._stopping.wait(wait_s)
 
     def _end(self, *sockets: socket.socket) -> None:
-        for one in sockets:
-            self._open.discard(one)
-            one.close()
+        for item in sockets:
+            self._open.discard(item)
+            item.close()
 
     def _reset(self, one: socket.socket) -> None:
         """Close with RST, and not with FIN."""

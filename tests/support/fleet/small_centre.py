@@ -77,7 +77,7 @@ class Memory:
 
     def reports(self) -> list[Report]:
         """Every report in the order of the chain."""
-        return [one for batch in self.chain() for one in batch.reports]
+        return [report for batch in self.chain() for report in batch.reports]
 
 
 class Courier:

@@ -45,12 +45,16 @@ class WatchedUnit:
             return
         topics = self.requests[-1]["topics"]
         assert isinstance(topics, list)
-        for one in envelopes:
+        for envelope in envelopes:
             # Several monitors share a topic: each has a turn of its own.
-            key = f"{one.topic} {one.producer} {len(one.payload)}" if one.topic == "trust/monitor" else one.topic
-            if one.topic in topics and one.received_ns >= self._due_ns.get(key, 0):
-                self._due_ns[key] = one.received_ns + PERIOD_NS
-                await self._client.publish(subject(self.vehicle, f"{LIVE}/{one.topic}"), one.payload)
+            key = (
+                f"{envelope.topic} {envelope.producer} {len(envelope.payload)}"
+                if envelope.topic == "trust/monitor"
+                else envelope.topic
+            )
+            if envelope.topic in topics and envelope.received_ns >= self._due_ns.get(key, 0):
+                self._due_ns[key] = envelope.received_ns + PERIOD_NS
+                await self._client.publish(subject(self.vehicle, f"{LIVE}/{envelope.topic}"), envelope.payload)
 
 
 @contextmanager

@@ -52,8 +52,8 @@ def constellation() -> list[Ephemeris]:
 
 def filled_store() -> EphemerisStore:
     store = EphemerisStore()
-    for one in constellation():
-        store.add(one)
+    for ephemeris in constellation():
+        store.add(ephemeris)
     store.ionosphere = IONOSPHERE
     return store
 
@@ -86,15 +86,15 @@ def raw_epoch(
     model = ErrorModel()
     velocity_e = np.zeros(3) if velocity_e is None else velocity_e
     measurements = []
-    for one in constellation():
-        if one.satellite.constellation not in systems:
+    for ephemeris in constellation():
+        if ephemeris.satellite.constellation not in systems:
             continue
-        distance, sight = sight_of(one, position_e, gps_time_ns)
+        distance, sight = sight_of(ephemeris, position_e, gps_time_ns)
         geometry = Sky((sight,), gps_time_ns, IONOSPHERE, model).geometry(position_e)
         if geometry.elevation[0] < radians(mask_deg):
             continue
-        own = clock_m if one.satellite.constellation == Constellation.GPS else galileo_clock_m
-        state = satellite_state(one, gps_time_ns, distance / SPEED_OF_LIGHT)
+        own = clock_m if ephemeris.satellite.constellation == Constellation.GPS else galileo_clock_m
+        state = satellite_state(ephemeris, gps_time_ns, distance / SPEED_OF_LIGHT)
         # The time tag has the clock error of the receiver, and so has the transmission time derived from it.
         pseudorange = distance + own - SPEED_OF_LIGHT * state.clock_s + float(geometry.delay[0])
         sight_e = geometry.ned_from_ecef.T @ geometry.line_of_sight_n[0]
@@ -103,7 +103,7 @@ def raw_epoch(
         if rng is not None:
             pseudorange += float(geometry.sd[0]) * rng.standard_normal()
             rate += model.range_rate_sd_m_s * rng.standard_normal()
-        measurements.append(Measurement(one.satellite, pseudorange, -rate * L1_FREQUENCY / SPEED_OF_LIGHT, 48.0))
+        measurements.append(Measurement(ephemeris.satellite, pseudorange, -rate * L1_FREQUENCY / SPEED_OF_LIGHT, 48.0))
     # receiver stamps are ahead by its clock error
     return RawEpoch(gps_time_ns + round(clock_m / SPEED_OF_LIGHT * 1e9), tuple(measurements))
 
@@ -113,8 +113,10 @@ def pushed(epoch: RawEpoch, satellite: SatelliteId, bias_m: float) -> RawEpoch:
     return replace(
         epoch,
         measurements=tuple(
-            replace(one, pseudorange_m=one.pseudorange_m + bias_m) if one.satellite == satellite else one
-            for one in epoch.measurements
+            replace(measurement, pseudorange_m=measurement.pseudorange_m + bias_m)
+            if measurement.satellite == satellite
+            else measurement
+            for measurement in epoch.measurements
         ),
     )
 

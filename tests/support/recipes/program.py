@@ -70,7 +70,8 @@ def layers() -> int:
         Edit(
             "cli/catalogue.py",
             '    Entry(LOOK, "layers", "Print the layers of the unit, and what each does."),\n',
-            after='    Entry(LOOK, "tail", "Print the messages of a running unit as they are received, one per line."),\n',
+            after='    Entry(LOOK, "tail"'
+            + ', "Print the messages of a running unit as they are received, one per line."),\n',
         ),
         Edit("cli/catalogue.py", '    "layers": ("layers", "layers"),\n', after='    "enrol": ("enrol", "enrol"),\n'),
     ),

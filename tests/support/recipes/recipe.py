@@ -41,7 +41,7 @@ class Step:
             for file in self.files:
                 if matched := re.fullmatch(pattern(file), path):
                     names |= matched.groupdict()
-        return [re.sub(r"<(\w+)>", lambda found: names[found[1]], test) for test in self.failing]
+        return [re.sub(r"<(\w+)>", lambda match: names[match[1]], test) for test in self.failing]
 
 
 def pattern(file: str) -> str:

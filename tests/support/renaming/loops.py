@@ -167,6 +167,17 @@ def names(root: cst.CSTNode) -> Iterator[cst.Name]:
             todo.extend(node.children)
 
 
+def imports(tree: cst.CSTNode) -> set[str]:
+    """Names that a file imports."""
+    bound: set[str] = set()
+    for node in tree.children:
+        if isinstance(node, cst.ImportAlias):
+            name = node.asname.name if node.asname else node.name
+            bound |= {name.value} if isinstance(name, cst.Name) else set()
+        bound |= imports(node)
+    return bound
+
+
 def binders(root: cst.CSTNode, enclosing: tuple[Binder, ...] = ()) -> Iterator[Binder]:
     """Outer ones first."""
     for node in root.children:
@@ -215,13 +226,14 @@ class LoopNames:
         every = list(binders(tree))
         wanted, loose = self._uses(every)
         scope_of = {id(name): scope for scope in functions(tree) for name in names(scope)}  # inner scopes win
+        imported = imports(tree)
         new: dict[int, str] = {}
         given: dict[int, set[str]] = {}  # new names by binder
         for binder in every:
             for variable, uses in sorted(wanted.get(id(binder), {}).items()):
                 scope = scope_of[id(uses[0])]
                 in_scope = {name.value for name in loose if scope_of[id(name)] in (scope, tree)}
-                taken = {name.value for name in names(binder.node)} | (in_scope if binder.is_loop else set())
+                taken = {name.value for name in names(binder.node)} | (in_scope | imported if binder.is_loop else set())
                 for outer in binder.enclosing:
                     taken |= given.get(id(outer), set()) | {name.value for name in names(outer.target)}
                 used_later = binder.is_loop and any(
@@ -265,7 +277,7 @@ class LoopNames:
                 option
                 and option not in used
                 and not keyword.iskeyword(option)
-                and option not in VARIABLES
+                and option not in NOT_NAMES
                 and len(option) > 1
             ):
                 return option

@@ -146,8 +146,8 @@ class Plant:
     def restart(self, *, answered: bool = True) -> None:
         """Restart the process; it receives the fixes and deltas again, and `answered` by the ledger."""
         self.core = self.new_core() if answered else Core(self.plaza, self.settings)
-        for one in self.fixes:
-            self.core.fix(one)
+        for fix in self.fixes:
+            self.core.fix(fix)
         for delta in self.deltas:
             self.core.use_delta(delta)
 
@@ -178,12 +178,16 @@ class Plant:
     @property
     def passages(self) -> list[TollPassage]:
         """Changes of state."""
-        return [one for one in self.statements if isinstance(one, TollPassage) and not one.checkpoint]
+        return [
+            statement
+            for statement in self.statements
+            if isinstance(statement, TollPassage) and not statement.checkpoint
+        ]
 
     @property
     def states(self) -> list[str]:
-        return [one.state.value for one in self.passages]
+        return [passage.state.value for passage in self.passages]
 
     @property
     def gates(self) -> list[GateCommand]:
-        return [one for one in self.statements if isinstance(one, GateCommand)]
+        return [statement for statement in self.statements if isinstance(statement, GateCommand)]

@@ -10,7 +10,7 @@ from services.core.spoofing.settings import LongSettings
 
 def test_overlapping_windows_are_one_episode_and_only_evaluated_ones_count() -> None:
     accuses = [None, False, True, True, False, True, None, True]
-    (count,) = counted([("test", 1e-3, one)] for one in accuses)
+    (count,) = counted([("test", 1e-3, accuse)] for accuse in accuses)
     assert count == Count("test", 1e-3, 6, 3, 4)
 
 

@@ -10,7 +10,7 @@ def test_faults_repeat_with_their_seed_end_in_time_and_cover_every_kind() -> Non
     assert drawn[:3] == [faults_of(seed) for seed in range(3)]
     assert {kind for kind, _ in drawn} == set(KINDS)
     assert all(len(faults) == (2 if kind == "two" else 1) for kind, faults in drawn)
-    assert all(one.start_s < DURATION_S and one.duration_s for _, faults in drawn for one in faults)
+    assert all(fault.start_s < DURATION_S and fault.duration_s for _, faults in drawn for fault in faults)
 
 
 def test_a_drive_counts_once_and_the_product_with_the_prior_has_its_upper_end() -> None:

@@ -59,7 +59,7 @@ def test_a_draw_takes_every_kind_and_is_the_same_again() -> None:
 
 
 def test_every_fault_that_is_named_as_equivalent_is_one_of_the_places() -> None:
-    named = {(one["path"], one["line"], one["replacement"]) for one in EQUIVALENTS}
+    named = {(item["path"], item["line"], item["replacement"]) for item in EQUIVALENTS}
     lines = {path: (ROOT / path).read_text(encoding="utf-8").splitlines() for path, *_ in named}
     places = {
         (site.path.as_posix(), lines[site.path.as_posix()][site.line - 1].strip(), site.replacement)

@@ -34,7 +34,7 @@ NEAR, FAR = "tests/unit/core/fusion/test_example.py::test_tripled", "tests/unit/
 
 
 def site(kind: Kind, line: int) -> Site:
-    return next(one for one in sites_of(PATH, SOURCE) if (one.kind, one.line) == (kind, line))
+    return next(site for site in sites_of(PATH, SOURCE) if (site.kind, site.line) == (kind, line))
 
 
 @pytest.fixture

@@ -39,8 +39,8 @@ def test_a_filter_matches_the_topics_that_paho_matches(pattern: str, topic: str)
 
 def test_two_filters_overlap_if_a_topic_matches_both() -> None:
     taken = {pattern: {name for name in EVERY_NAME if matches(pattern, name)} for pattern in SMALL_FILTERS}
-    for one, other in itertools.product(SMALL_FILTERS, repeat=2):
-        assert overlap(one, other) == bool(taken[one] & taken[other]), (one, other)
+    for item, other in itertools.product(SMALL_FILTERS, repeat=2):
+        assert overlap(item, other) == bool(taken[item] & taken[other]), (item, other)
 
 
 @each("pattern", ["#", "+", "a", "/", "a/#", "+/+", "a/+/b", "$SYS/#", "a//b"])

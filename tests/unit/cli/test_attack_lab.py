@@ -478,9 +478,9 @@ def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors(
     cases = [Case("urban", seed, 30.0, schedule("jam@25:2")) for seed in (1, 2)]
     runs = run_all(cases, 2)
     assert [case for case, _ in runs] == cases
-    for _, found in runs:
-        assert found.verdicts and len(found.error_s) > 50
-        assert found.error_m[-1, 0] < 5.0
+    for _, timeline in runs:
+        assert timeline.verdicts and len(timeline.error_s) > 50
+        assert timeline.error_m[-1, 0] < 5.0
 
 
 def given(monkeypatch: pytest.MonkeyPatch, attack: str) -> list[Message]:

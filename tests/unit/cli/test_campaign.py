@@ -85,7 +85,7 @@ def test_a_stopped_campaign_goes_on_and_fresh_begins_again(tmp_path: Path) -> No
     assert first.complete and done(log) == [0, 1]
     again = campaign.run("some", jobs, workers=2)
     assert again.complete and done(log) == [0, 1, 2], "only what was not done yet"
-    assert [one.error_m[0, 0] for one in again.results] == [0.0, 1.0, 2.0], "in the order of the jobs"
+    assert [result.error_m[0, 0] for result in again.results] == [0.0, 1.0, 2.0], "in the order of the jobs"
     campaign.run("some", jobs[:1], workers=1, fresh=True)
     assert done(log) == [0, 0, 1, 2]
 

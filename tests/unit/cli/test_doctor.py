@@ -292,9 +292,9 @@ def test_heat_and_low_voltage_are_told(temperature: str, throttled: str, faults:
     firmware.mkdir(parents=True)
     (zone / "temp").write_text(temperature)
     (firmware / "get_throttled").write_text(throttled)
-    failed = [one for one in host(tmp_path, tmp_path) if not one.ok and "clock" not in one.what]
-    assert [one.what for one in failed if "GB free" not in one.what] == faults
-    assert all(one.remedy for one in failed)
+    failed = [finding for finding in host(tmp_path, tmp_path) if not finding.ok and "clock" not in finding.what]
+    assert [finding.what for finding in failed if "GB free" not in finding.what] == faults
+    assert all(finding.remedy for finding in failed)
 
 
 def test_what_drivers_found_and_what_became_of_messages_is_told() -> None:
@@ -316,7 +316,7 @@ def test_what_drivers_found_and_what_became_of_messages_is_told() -> None:
         )
 
     told = list(messages("parsers.gnss", [health(0, 10), health(2, 20)]))
-    assert [one.ok for one in told] == [True, True, True, False]
-    text = " ".join(one.what for one in told)
+    assert [finding.ok for finding in told] == [True, True, True, False]
+    text = " ".join(finding.what for finding in told)
     assert "used: UBX NAV-PVT 5.0/s" in text and "unused: UBX HNR-PVT 5.0/s" in text and "unknown: UBX 77-01" in text
     assert "10 of 20 UBX NAV-PVT rejected (ubx_date)" in text

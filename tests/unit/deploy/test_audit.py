@@ -87,7 +87,7 @@ def test_a_tool_that_cannot_be_installed_is_one_sentence(tmp_path: Path) -> None
 def test_the_tool_is_installed_beside_and_asked_about_the_hashed_lock(tmp_path: Path) -> None:
     answers = Answers(SOUND, npm())
     assert audit.python_packages(answers, tmp_path / "audit") == []
-    assert [one.split()[0].rpartition("/")[2] for one in answers.started][1:] == ["python", "pip-audit"]
+    assert [name.split()[0].rpartition("/")[2] for name in answers.started][1:] == ["python", "pip-audit"]
     assert "--requirement requirements-dev.lock --disable-pip --require-hashes" in answers.started[-1]
 
 

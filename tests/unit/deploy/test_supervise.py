@@ -87,5 +87,5 @@ def test_it_takes_less_than_five_megabytes(start: Start, tmp_path: Path) -> None
     shell = start(sys.executable, "-c", BEATING, "run", "x")
     child = beating(tmp_path, shell)
     root = psutil.Process(shell.pid)
-    cost = [one for one in (root, *root.children(recursive=True)) if one.pid != child.pid]
-    assert cost and sum(one.memory_full_info().pss for one in cost) < 5e6
+    cost = [process for process in (root, *root.children(recursive=True)) if process.pid != child.pid]
+    assert cost and sum(process.memory_full_info().pss for process in cost) < 5e6

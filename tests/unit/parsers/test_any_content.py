@@ -50,9 +50,9 @@ def sentence(kind: str, fields: Sequence[str]) -> bytes:
 
 def fed(process: gnss.Process, *frames: bytes) -> list[Message]:
     return [
-        one
+        item
         for k, data in enumerate(frames)
-        for one in process.handle(GnssRaw(received_ns=NOW_NS + k * 10**8, source="g", data=data))
+        for item in process.handle(GnssRaw(received_ns=NOW_NS + k * 10**8, source="g", data=data))
     ]
 
 
@@ -78,9 +78,9 @@ def test_any_ubx_payload(kind: tuple[int, int], payload: bytes, size: int) -> No
 @settings(max_examples=300, deadline=None)
 def test_any_sentence(sentences: list[tuple[str, list[str]]]) -> None:
     process = gnss.Process(gnss.Config())
-    found = fed(process, *(sentence(*one) for one in sentences), good_sentences(58), good_sentences(59))
+    found = fed(process, *(sentence(*pair) for pair in sentences), good_sentences(58), good_sentences(59))
     assert process.rejects[FAULT] == process.rejects[RANGE] == 0, process.rejects
-    assert any(isinstance(one, GnssFix) and one.utc_ns is not None for one in found)
+    assert any(isinstance(message, GnssFix) and message.utc_ns is not None for message in found)
 
 
 FIELDS = (xbus.TEMPERATURE, xbus.BARO_PRESSURE, xbus.MAGNETIC_FIELD, xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V,
@@ -130,7 +130,7 @@ def test_a_signal_of_any_scale_costs_its_own_frame(tmp_path: Path) -> None:
         process = can.Process(config)
         lines = b"(1795000000.000000) can0 014#FFFFFFFFFFFFFFFF\n" * 5
         found = list(process.handle(CanRaw(received_ns=NOW_NS, source="can0", data=lines)))
-        assert all(isinstance(one, WheelSpeeds) for one in found)
+        assert all(isinstance(item, WheelSpeeds) for item in found)
         assert process.rejects[FAULT] == 0
 
 
@@ -153,8 +153,8 @@ def test_a_path_time_outside_its_range_is_unavailable_and_costs_neither_its_cam_
     batch = cams.batch([packet(station_id=1), packet(path_time, station_id=2), packet(station_id=3)], NOW_NS)
     (found,) = process.handle(batch)
     assert isinstance(found, CamList)
-    assert [one.station_id for one in found.cams] == [1, 2, 3]
-    times = [one.low_frequency.path[0].delta_time_s for one in found.cams if one.low_frequency]
+    assert [cam.station_id for cam in found.cams] == [1, 2, 3]
+    times = [cam.low_frequency.path[0].delta_time_s for cam in found.cams if cam.low_frequency]
     assert times == [1.5, None, 1.5]
     assert not process.rejects
 
@@ -207,8 +207,8 @@ def test_a_fault_of_one_frame_leaves_those_beside_it(kind: str, monkeypatch: pyt
     monkeypatch.setattr(method[0], method[1], second_fails)
     found = list(process.handle(batch))
     assert process.rejects[FAULT] == 1
-    samples = [ns for one in found if isinstance(one, ImuSamples) for ns in one.sampled_ns]
-    assert len(samples + [one for one in found if isinstance(one, GnssFix | VehicleSpeed)]) == 2
+    samples = [ns for imu_samples in found if isinstance(imu_samples, ImuSamples) for ns in imu_samples.sampled_ns]
+    assert len(samples + [item for item in found if isinstance(item, GnssFix | VehicleSpeed)]) == 2
 
 
 def _three_items(kind: str) -> tuple[gnss.Process | can.Process | imu.Process, Message, tuple[object, str]]:
@@ -230,5 +230,5 @@ def _three_items(kind: str) -> tuple[gnss.Process | can.Process | imu.Process, M
         {xbus.SAMPLE_TIME_FINE: (100 * k,), xbus.ACCELERATION: (0, 0, 9.8), xbus.RATE_OF_TURN: (0, 0, 0)}
         for k in range(3)
     ]
-    data = b"".join(xbus.encode_mtdata2({i: xbus.encode_field(i, *v) for i, v in one.items()}) for one in fields)
+    data = b"".join(xbus.encode_mtdata2({i: xbus.encode_field(i, *v) for i, v in field.items()}) for field in fields)
     return imu.Process(imu.Config()), ImuRaw(received_ns=NOW_NS, source="i", data=data), (xsens, "inertial_data")

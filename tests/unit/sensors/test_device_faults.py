@@ -77,7 +77,7 @@ def test_a_device_that_comes_back_under_another_name_is_read_within_seconds(tmp_
         far = plug(dev, 1, by_id)
         eventually(lambda: says(far, bus))
         assert "usb-u-blox" in (port.opened_as or "")
-        eventually(lambda: any(one.found is DeviceFound.WORKING for one in bus.of(DeviceState)))
+        eventually(lambda: any(device_state.found is DeviceFound.WORKING for device_state in bus.of(DeviceState)))
     os.close(far)
 
 
@@ -87,7 +87,11 @@ def test_a_flood_of_rubbish_is_bounded_and_the_next_message_is_read() -> None:
         list(process.handle(raw(generator.randbytes(16384), START_NS + k * 10_000_000)))
     now_ns = START_NS + 10**9
     list(process.handle(raw(SENTENCE * 3, now_ns)))
-    said = [one for one in process.handle(Tick(now_ns=now_ns)) if isinstance(one, GnssReceiver)]
+    said = [
+        gnss_receiver
+        for gnss_receiver in process.handle(Tick(now_ns=now_ns))
+        if isinstance(gnss_receiver, GnssReceiver)
+    ]
     assert "NMEA RMC" in said[-1].messages
     assert process.rejects["garbage_bytes"] > 700_000
     assert len(process.rejects) < 20
@@ -98,7 +102,11 @@ def test_a_receiver_whose_time_stands_still_gives_no_further_fixes_and_is_counte
     fixes = []
     for second in range(10):
         frozen = epoch(1000)
-        fixes += [one for one in process.handle(raw(frozen, START_NS + second * 10**9)) if isinstance(one, GnssFix)]
+        fixes += [
+            gnss_fix
+            for gnss_fix in process.handle(raw(frozen, START_NS + second * 10**9))
+            if isinstance(gnss_fix, GnssFix)
+        ]
     assert len(fixes) == 1
     assert process.rejects["repeated_epoch"] == 9
 
@@ -109,5 +117,9 @@ def test_half_a_frame_costs_itself_alone() -> None:
     whole[3] = whole[3][:50]
     fixes = []
     for second, data in enumerate(whole):
-        fixes += [one for one in process.handle(raw(data, START_NS + second * 10**9)) if isinstance(one, GnssFix)]
+        fixes += [
+            gnss_fix
+            for gnss_fix in process.handle(raw(data, START_NS + second * 10**9))
+            if isinstance(gnss_fix, GnssFix)
+        ]
     assert len(fixes) == 5

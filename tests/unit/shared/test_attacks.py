@@ -8,7 +8,7 @@ from tests.support.cases import each
 def test_every_attack_has_a_row_with_defaults_within_their_limits() -> None:
     assert [row.name for row in ATTACKS] == list(AttackName)
     for row in ATTACKS:
-        assert all(one.least <= one.default <= one.greatest for one in row.parameters)
+        assert all(parameter.least <= parameter.default <= parameter.greatest for parameter in row.parameters)
         assert row.complete({}) == row.defaults
 
 

@@ -41,8 +41,8 @@ def all_messages() -> list[type[Message]]:
 
 
 def constraints(metadata: typing.Iterable[object]) -> Iterator[object]:
-    for one in metadata:
-        yield from constraints(one.metadata) if isinstance(one, FieldInfo) else (one,)
+    for value in metadata:
+        yield from constraints(value.metadata) if isinstance(value, FieldInfo) else (value,)
 
 
 class Maker:
@@ -59,9 +59,9 @@ class Maker:
         if origin in (typing.Union, types.UnionType):
             return self.value(next(a for a in arguments if a is not type(None)), metadata)
         if origin is tuple:
-            least = [one.min_length for one in metadata if isinstance(one, annotated_types.MinLen)]
+            least = [value.min_length for value in metadata if isinstance(value, annotated_types.MinLen)]
             repeated = arguments[:1] * max(1, *least, 0)
-            return tuple(self.value(one) for one in (repeated if arguments[-1] is Ellipsis else arguments))
+            return tuple(self.value(item) for item in (repeated if arguments[-1] is Ellipsis else arguments))
         if origin is dict:
             return {"x": self.value(arguments[1])}
         return self._scalar(annotation, metadata)
@@ -71,7 +71,7 @@ class Maker:
             self.numbers += 1
             return self._number(kind, metadata)
         if kind is str:
-            patterns = [one.pattern for one in metadata if getattr(one, "pattern", None)]  # type: ignore[attr-defined]
+            patterns = [value.pattern for value in metadata if getattr(value, "pattern", None)]  # type: ignore[attr-defined]
             return next(
                 text
                 for text in ("x", *("0" * n for n in (16, 32, 64, 128)), "EUR", "owner.code")
@@ -84,17 +84,15 @@ class Maker:
         return {bytes: b"x", bool: self._high}[kind]
 
     def _number(self, kind: type[int] | type[float], metadata: tuple[object, ...]) -> int | float:
-        low: list[Any] = [one for one in metadata if isinstance(one, annotated_types.Ge | annotated_types.Gt)]
-        high: list[Any] = [one for one in metadata if isinstance(one, annotated_types.Le | annotated_types.Lt)]
+        low: list[Any] = [value for value in metadata if isinstance(value, annotated_types.Ge | annotated_types.Gt)]
+        high: list[Any] = [value for value in metadata if isinstance(value, annotated_types.Le | annotated_types.Lt)]
         assert low and high, "a number without bounds"
         if self._high:
             value: Any = min(
-                [cast(Any, one.le if isinstance(one, annotated_types.Le) else self._below(one.lt)) for one in high]
+                [cast(Any, le.le if isinstance(le, annotated_types.Le) else self._below(le.lt)) for le in high]
             )
         else:
-            value = max(
-                [cast(Any, one.ge if isinstance(one, annotated_types.Ge) else self._above(one.gt)) for one in low]
-            )
+            value = max([cast(Any, ge.ge if isinstance(ge, annotated_types.Ge) else self._above(ge.gt)) for ge in low])
         return kind(value)
 
     @staticmethod

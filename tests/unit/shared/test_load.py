@@ -18,7 +18,7 @@ def follow(load: Load, lags_s: list[float], start: int = 1000) -> list[ProcessLo
 
 
 def paused(told: list[ProcessLoad | None]) -> list[int]:
-    return [0 if one is None else len(one.paused) for one in told]
+    return [0 if process_load is None else len(process_load.paused) for process_load in told]
 
 
 def test_a_process_that_keeps_up_says_so_once_and_pauses_nothing() -> None:

@@ -45,6 +45,6 @@ def test_names_that_the_test_does_not_take_and_no_cases_are_mistakes() -> None:
 
 @pytest.mark.parametrize(("rows", "columns"), [("abc", "xyz"), ("abc", "xy"), ("ab", "wxyz"), ("a", "x")])
 def test_every_row_and_every_column_of_a_cross_is_tested_always(rows: str, columns: str) -> None:
-    found = [one.values for one in crossed(rows, columns) if not one.marks]  # type: ignore[attr-defined]
+    found = [value.values for value in crossed(rows, columns) if not value.marks]  # type: ignore[attr-defined]
     assert {row for row, _ in found} == set(rows) and {column for _, column in found} == set(columns)
     assert len(found) == max(len(rows), len(columns)) and len(crossed(rows, columns)) == len(rows) * len(columns)

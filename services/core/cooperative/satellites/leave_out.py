@@ -62,7 +62,7 @@ def solutions_without(position: PositionFit, false_alarm_rate: float) -> tuple[L
         return ()
     velocity, rows = found
     linear = (*_without_each(position, velocity, rows), *_without_constellations(position, velocity, rows))
-    return tuple(exact for one in linear if (exact := _exact(position, one)) is not None)
+    return tuple(exact for left_out in linear if (exact := _exact(position, left_out)) is not None)
 
 
 def _exact(position: PositionFit, one: LeftOut) -> LeftOut | None:
@@ -128,7 +128,7 @@ def _without_constellations(position: PositionFit, velocity: Fit, rows: tuple[in
         apart_n = position.fit.parameters[:3] - fit.parameters[:3]
         separation, dof = _separation(apart_n[:2], fit.cov[:2, :2] - position.fit.cov[:2, :2])
         yield LeftOut(
-            tuple(one for one in position.satellites if one.constellation == system),
+            tuple(satellite for satellite in position.satellites if satellite.constellation == system),
             apart_n,
             fit.cov[:3, :3],
             velocity_n,

@@ -147,7 +147,7 @@ def fit_velocity(position: PositionFit, false_alarm_rate: float) -> VelocityFit 
         return None
     fit, rows = found
     sights, to_ned = position.sky.sights, position.geometry.ned_from_ecef
-    excluded = (one.satellite for row, one in enumerate(sights) if one.range_rate is not None and row not in rows)
+    excluded = (sight.satellite for row, sight in enumerate(sights) if sight.range_rate is not None and row not in rows)
     x, y, z = (to_ned.T @ fit.parameters[:3]).tolist()
     return VelocityFit((x, y, z), to_ned.T @ fit.cov[:3, :3] @ to_ned, float(fit.parameters[3]), tuple(excluded))
 

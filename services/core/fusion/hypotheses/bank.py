@@ -147,12 +147,14 @@ class Member:
 
     def see(self, outcomes: Sequence[Outcome]) -> None:
         """Take innovations of positions and odometer into their means; those that are left out are tested as well."""
-        for one in outcomes:
-            if one.kind in (AidingKind.GNSS_POSITION, AidingKind.ODOMETER):
-                ratios = [(z / sd) ** 2 for z, sd in zip(one.innovation, one.innovation_sd, strict=True) if sd > 0.0]
+        for outcome in outcomes:
+            if outcome.kind in (AidingKind.GNSS_POSITION, AidingKind.ODOMETER):
+                ratios = [
+                    (z / sd) ** 2 for z, sd in zip(outcome.innovation, outcome.innovation_sd, strict=True) if sd > 0.0
+                ]
                 value = min(LARGEST_RATIO, sum(ratios) / max(1, len(ratios)))
-                before = self._innovations.get(one.kind, value)
-                self._innovations[one.kind] = before + (value - before) / MEAN_OF
+                before = self._innovations.get(outcome.kind, value)
+                self._innovations[outcome.kind] = before + (value - before) / MEAN_OF
 
     def alternative(self, of: Published, limits_m: Pair) -> Alternative | Explanation:
         """Its solution against the published position, or why there is none."""
@@ -251,10 +253,14 @@ class Bank:
         engine = main.engine
         converged = engine.filter is not None and (time_ns - (engine.started_ns or 0)) * 1e-9 >= CONVERGED_S
         for kept in KEPT:
-            mine = [one for one in self._members if one.kept is kept]
-            over = [one for one in mine if one.cursor.engine.filter is None or one.age_s(time_ns) > kept.longest_s]
-            self._members = [one for one in self._members if one not in over]
-            youngest_s = min((one.age_s(time_ns) for one in mine if one not in over), default=NEVER_S)
+            mine = [member for member in self._members if member.kept is kept]
+            over = [
+                member
+                for member in mine
+                if member.cursor.engine.filter is None or member.age_s(time_ns) > kept.longest_s
+            ]
+            self._members = [member for member in self._members if member not in over]
+            youngest_s = min((member.age_s(time_ns) for member in mine if member not in over), default=NEVER_S)
             if converged and youngest_s >= 0.5 * kept.longest_s and self._is_wanted(kept, engine):
                 self._members.append(Member(self._settings, kept, main))
         self._follow()
@@ -266,12 +272,12 @@ class Bank:
         return not kept.odometer or (age_s is not None and age_s < ODOMETER_SILENT_S)
 
     def _follow(self) -> None:
-        self._timeline.followers = tuple(one.cursor for one in self._members)
+        self._timeline.followers = tuple(member.cursor for member in self._members)
 
     def oldest(self, hypothesis: Hypothesis) -> Member | None:
         """Cursor of a hypothesis that has run for the longest time."""
-        mine = [one for one in self._members if one.kept.hypothesis is hypothesis]
-        return min(mine, key=lambda one: one.anchor_ns, default=None)
+        mine = [member for member in self._members if member.kept.hypothesis is hypothesis]
+        return min(mine, key=lambda member: member.anchor_ns, default=None)
 
     def alternatives(self) -> Iterator[Alternative | tuple[Hypothesis, Explanation]]:
         """The solution of each hypothesis at the horizon, or why there is none."""

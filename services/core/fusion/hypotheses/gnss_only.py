@@ -171,7 +171,9 @@ class GnssOnly:
         risk = self._settings.integrity.risk
         north, east, climb = velocity.tolist()
         zero = (0.0, 0.0, 0.0)
-        position_cov, velocity_triangle, attitude = (upper(one.tolist()) for one in (cov, velocity_cov, attitude_cov))
+        position_cov, velocity_triangle, attitude = (
+            upper(vector.tolist()) for vector in (cov, velocity_cov, attitude_cov)
+        )
         return Solution(
             time_ns=fix.time_ns,
             phase=NavigationPhase.GNSS_ONLY,

@@ -162,7 +162,7 @@ def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
         why = askew(Code.MOUNTED_ASKEW, yaw_deg=degrees(-yaw), sd_deg=degrees(fit.sd))
     size, sd = max(seen)
     values = degrees(size), degrees(sd), 0.0, degrees(limit), "deg"
-    if any(one >= limit + 3.0 * its_sd for one, its_sd in seen):
+    if any(value >= limit + 3.0 * its_sd for value, its_sd in seen):
         correction = matrix_text(R.T @ fit.present)
         turn = _turn(fit) if known and abs(yaw) >= limit + 3.0 * fit.sd else None
         return Check(name, Verdict.CONTRADICTS, why, *values, f"{MOUNTING} = {correction}", turn)

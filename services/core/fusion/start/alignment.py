@@ -192,10 +192,10 @@ class Alignment:
         kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
         kept = kept if kept and kept.sd < KEPT_SD_LIMIT else None
-        known = [one for one in (kept, saved) if one and not self.comparison.contradicts(one.turn)]
+        known = [heading for heading in (kept, saved) if heading and not self.comparison.contradicts(heading.turn)]
         course = self._course and forwards_or_backwards(self._course, self.comparison)
         matched = heading_of_accelerations(self.comparison, self.levelling)
-        found = (one for one in (*known, course, matched, self._two_antennas(fix)) if one)
+        found = (heading for heading in (*known, course, matched, self._two_antennas(fix)) if heading)
         return min(found, key=lambda heading: heading.sd, default=None)
 
     def _compare(self, measurement: GnssPosition | GnssVelocity, arm_velocity: Vector) -> None:
@@ -287,7 +287,9 @@ class Alignment:
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes at standstill, or the newest fix on the move."""
         fixes = [
-            one for one in self._standstill_fixes if (one.axes, one.time_correlated) == (fix.axes, fix.time_correlated)
+            standstill_fix
+            for standstill_fix in self._standstill_fixes
+            if (standstill_fix.axes, standstill_fix.time_correlated) == (fix.axes, fix.time_correlated)
         ]
         gnss_errors = self._lost.gnss_errors.at_start() if self._lost else gnss_error_model(self._settings)
         return first_place(fixes or [fix], gnss_errors, self._zero_ns)

@@ -93,7 +93,7 @@ class Conflict:
     @property
     def cursors(self) -> tuple[Cursor, ...]:
         """Cursors without GNSS that read the log."""
-        return tuple(one for one in (self.cursor, self.replay) if one is not None)
+        return tuple(cursor for cursor in (self.cursor, self.replay) if cursor is not None)
 
     def compare(self, main: Engine, *, useful: bool, weight: float) -> None:
         """Compare the two solutions; the one without GNSS decides while it is `useful`, or beyond its own level.

@@ -90,7 +90,9 @@ class Contradiction:
                 found = found._with(k, now.vector_n, now.spread[k], now.ratio[k])
             elif decides and self.ratio[k] > 0.0 and size > known:
                 found = found._with(k, now.vector_n, self.spread[k], self.ratio[k])
-        recent = tuple(one for one in self.earlier if not stepped and (now.time_ns - one.time_ns) * 1e-9 <= GROWTH_S)
+        recent = tuple(
+            apart for apart in self.earlier if not stepped and (now.time_ns - apart.time_ns) * 1e-9 <= GROWTH_S
+        )
         growth = _growth(recent[0], now) if recent and decides else self.growth_m_s
         return replace(found, earlier=(*recent, now), growth_m_s=growth)
 
@@ -101,7 +103,7 @@ class Contradiction:
         is nearer: GNSS came back, or it knows better now.
         """
         north, east, down = self.vector_n
-        spread, slack = [*self.spread], [sds * one for one in self.spread]
+        spread, slack = [*self.spread], [sds * value for value in self.spread]
         bounds_m = NONE if now is None else now.bound(risk)
         for k, known in enumerate(sizes(self.vector_n)):
             if now is None or self.ratio[k] == 0.0 or bounds_m[k] >= known + slack[k]:

@@ -291,7 +291,11 @@ class Engine:
             self._end_solution(why, None, lost)
             return []
         kept = after_gap.kept_over_gap(self._settings, lost, sample.time_ns, measurements)
-        recent = [one for one in measurements if (sample.time_ns - one.time_ns) * 1e-9 <= after_gap.RECENT_S]
+        recent = [
+            measurement
+            for measurement in measurements
+            if (sample.time_ns - measurement.time_ns) * 1e-9 <= after_gap.RECENT_S
+        ]
         begin_ns = recent[0].time_ns if recent else sample.time_ns
         self.last = sample._replace(time_ns=begin_ns)
         self._end_solution(why, kept.heading, kept.filter, kept.tilt_variance)

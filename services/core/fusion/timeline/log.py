@@ -87,9 +87,9 @@ class Log:
             return False
         same = self._repetitions(entry)
         if not entry.left_out:
-            return any(one.left_out for one in same)
+            return any(measurement.left_out for measurement in same)
         removed = set(map(id, same))
-        self._entries = [one for one in self._entries if id(one) not in removed]
+        self._entries = [entry for entry in self._entries if id(entry) not in removed]
         return False
 
     def entries(self, after_ns: int, until_ns: int) -> list[Measurement]:
@@ -100,8 +100,10 @@ class Log:
     def change(self, after_ns: int, change: Callable[[Measurement], Measurement]) -> None:
         """Change the entries after a time, and drop those that are before it then."""
         first = bisect_right(self._entries, after_ns, key=STAMP)
-        moved = [change(one) for one in self._entries[first:]]
-        self._entries[first:] = sorted((one for one in moved if one.time_ns > after_ns), key=order)
+        moved = [change(entry) for entry in self._entries[first:]]
+        self._entries[first:] = sorted(
+            (measurement for measurement in moved if measurement.time_ns > after_ns), key=order
+        )
 
     def drop(self, until_ns: int) -> None:
         """Drop samples and entries up to a time."""
@@ -112,7 +114,11 @@ class Log:
 
     def _repetitions(self, entry: Measurement) -> list[Measurement]:
         """Entries with the key of another one."""
-        return [one for one in self.entries(entry.time_ns - 1, entry.time_ns) if key_of(one) == key_of(entry)]
+        return [
+            measurement
+            for measurement in self.entries(entry.time_ns - 1, entry.time_ns)
+            if key_of(measurement) == key_of(entry)
+        ]
 
     def _make_room(self) -> None:
         """Move the kept samples to the begin of arrays that are at least twice as large as they need."""

@@ -107,8 +107,8 @@ class DriftMonitor:
         last_ns, self._solution_ns = self._solution_ns, solution.sampled_ns
         if last_ns is None or not 0 <= solution.sampled_ns - last_ns <= BREAK_NS:
             self._aligned_ns = solution.sampled_ns
-            for one in self._innovations.values():
-                one.clear()
+            for innovation in self._innovations.values():
+                innovation.clear()
         self._heading = solution.yaw_rad
 
     def speed(self, time_ns: int) -> None:
@@ -138,7 +138,7 @@ class DriftMonitor:
                     doubtful = doubtful or share > self._share_of(DOUBT_RATE, result, spread)
                     if length == LENGTHS_S[0]:
                         recovered = recovered and share < self._share_of(RECOVERED_RATE, result, spread)
-        self._known = {name: dated(one, self._known.get(name), time_ns) for name, one in found.items()}
+        self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in found.items()}
         if doubtful or not self.quiet:
             self._suspected_s = now_s
         self._recover(recovered)
@@ -154,7 +154,7 @@ class DriftMonitor:
             return None
         tests = {part: spread.ratio(sums.sums, sums.seconds, axes) for part, axes in PARTS.items()}
         limits = {part: spread.limit(len(axes), self._rate) for part, axes in PARTS.items()}
-        part = max(tests, key=lambda one: tests[one] / limits[one])
+        part = max(tests, key=lambda part: tests[part] / limits[part])
         along = spread.ratio(sums.sums, sums.seconds, (ALONG,)) > spread.limit(1, ALONG_RATE)
         return Result(tests[part], limits[part], part, sums, along and part is not Part.DOWN)
 
@@ -185,15 +185,15 @@ class DriftMonitor:
 
     def _recover(self, recovered: bool) -> None:
         """Forget what is older than the shortest window when that has been inconspicuous for as long."""
-        accusing = [one for one in self._known.values() if one.accuses]
+        accusing = [test for test in self._known.values() if test.accuses]
         self._along = self._along and bool(accusing)
         self._seen_short = bool(accusing) and (
-            self._seen_short or any(one.window_s == LENGTHS_S[0] for one in accusing)
+            self._seen_short or any(test.window_s == LENGTHS_S[0] for test in accusing)
         )
         self._recovered_s = self._recovered_s + 1 if recovered and self._seen_short else 0
         if self._recovered_s >= RECOVERED_S:
-            for one in self._innovations.values():
-                one.keep(LENGTHS_S[0])
+            for innovation in self._innovations.values():
+                innovation.keep(LENGTHS_S[0])
             self._recovered_s, self._seen_short = 0, False
 
     def _learn(self, now_s: int) -> None:
@@ -204,7 +204,7 @@ class DriftMonitor:
                 last_s = self._learned_s.get((kind, length), 0)
                 if end_s - length < max(last_s, self._suspected_s):
                     continue
-                block = [one for one in innovations.seconds if end_s - length <= one.number < end_s]
+                block = [second for second in innovations.seconds if end_s - length <= second.number < end_s]
                 if len(block) >= LEAST_SHARE * length:
                     self._spreads[kind, length].learn(sums_of(block), len(block))
                     self._learned_s[kind, length] = end_s
@@ -215,7 +215,7 @@ def summed(seconds: Sequence[Second], length: int) -> Sums | None:
     if not seconds:
         return None
     end_s = seconds[-1].number + 1
-    chosen = [one for one in seconds if one.number >= end_s - length]
+    chosen = [second for second in seconds if second.number >= end_s - length]
     if len(chosen) < LEAST_SHARE * length:
         return None
     return Sums(sums_of(chosen), len(chosen), end_s - length)
@@ -223,7 +223,7 @@ def summed(seconds: Sequence[Second], length: int) -> Sums | None:
 
 def sums_of(seconds: Sequence[Second]) -> tuple[float, ...]:
     """Sum of each axis."""
-    return tuple(map(sum, zip(*(one.mean for one in seconds), strict=True)))
+    return tuple(map(sum, zip(*(second.mean for second in seconds), strict=True)))
 
 
 def missing(spread: Spread, sums: Sums | None) -> Explanation:

@@ -36,7 +36,8 @@ class Spread:
             self._squares = [share * square for square in self._squares]
             self._weight *= share
         self._squares = [
-            square + min(one * one / seconds, 9.0 * LARGEST) for square, one in zip(self._squares, sums, strict=True)
+            square + min(value * value / seconds, 9.0 * LARGEST)
+            for square, value in zip(self._squares, sums, strict=True)
         ]
         self._weight += 1.0
 

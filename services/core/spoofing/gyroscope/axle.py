@@ -94,8 +94,8 @@ def combined(rates: list[tuple[AxleRate, int]], turns: list[float]) -> tuple[flo
         [rad/s] Yaw rate of each second, of which slip falsifies a share: the same share in all of them, and another
         one in each.
     """
-    weights = [1.0 / (one.white / seconds + one.learned) for one, seconds in rates]
-    rate = sum(weight * one.rate for weight, (one, _) in zip(weights, rates, strict=True)) / sum(weights)
+    weights = [1.0 / (axle_rate.white / seconds + axle_rate.learned) for axle_rate, seconds in rates]
+    rate = sum(weight * axle_rate.rate for weight, (axle_rate, _) in zip(weights, rates, strict=True)) / sum(weights)
     n = len(turns)
     slip2 = (sum(turns) / n) ** 2 + sum(turn**2 for turn in turns) / n**2
     return rate, 1.0 / sum(weights) + SLIP_SHARE**2 * slip2

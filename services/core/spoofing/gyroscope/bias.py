@@ -42,7 +42,7 @@ class ReferenceBias:
         """Choose the reference at a time."""
         if suspected and self._used is not None:
             return self._used
-        old = [one for one in self._known if one.time_ns <= time_ns - AGE_NS]
+        old = [bias for bias in self._known if bias.time_ns <= time_ns - AGE_NS]
         self._used = old[-1] if old else self._known[0] if self._known else None
         return self._used
 

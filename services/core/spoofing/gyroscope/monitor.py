@@ -148,8 +148,8 @@ class GyroscopeMonitor:
         votes = {} if bias is None else self._votes(bias)
         self._acquit(votes)
         found = {f"yaw_rate_{length}": self._verdict(time_ns, length, votes.get(length)) for length in LENGTHS_S}
-        self._known = {name: dated(one, self._known.get(name), time_ns) for name, one in agreed(found).items()}
-        self._suspected = any(one.exceeds(DOUBT_RATE) for one in votes.values())
+        self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in agreed(found).items()}
+        self._suspected = any(vote.exceeds(DOUBT_RATE) for vote in votes.values())
         self._release(votes)
         self._learn()
         return self._known
@@ -164,12 +164,12 @@ class GyroscopeMonitor:
 
     def _acquit(self, votes: Mapping[int, Vote]) -> None:
         """Remember who cannot be wrong in this episode, which ends when nothing has accused for the longest window."""
-        accusing = [one for one in votes.values() if one.statistic > one.threshold]
+        accusing = [item for item in votes.values() if item.statistic > item.threshold]
         self._quiet_s = 0 if accusing else self._quiet_s + 1
         if self._quiet_s > LENGTHS_S[-1]:
             self._acquitted.clear()
-        for one in accusing:
-            self._acquitted.update(one.acquitted)
+        for item in accusing:
+            self._acquitted.update(item.acquitted)
 
     def _clear(self) -> None:
         self.wheels.clear()
@@ -184,7 +184,7 @@ class GyroscopeMonitor:
             self._agreed_s = 0
             return
         now = self._votes(newest)
-        agrees = len(now) == len(votes) and not any(one.exceeds(DOUBT_RATE) for one in now.values())
+        agrees = len(now) == len(votes) and not any(vote.exceeds(DOUBT_RATE) for vote in now.values())
         self._agreed_s = self._agreed_s + 1 if agrees else 0
         if self._agreed_s >= AGREED_S:
             self._reference.adopt()
@@ -352,13 +352,13 @@ class GyroscopeMonitor:
 def mean_second(seconds: Sequence[AxleSecond]) -> AxleSecond:
     """Mean of some seconds."""
     n = len(seconds)
-    return AxleSecond(sum(one.difference for one in seconds) / n, sum(one.speed for one in seconds) / n)
+    return AxleSecond(sum(second.difference for second in seconds) / n, sum(second.speed for second in seconds) / n)
 
 
 def agreed(found: Mapping[str, Test]) -> dict[str, Test]:
     """Tests with the names of all where two windows accuse different sensors."""
-    accusing = [set(one.accused) for one in found.values() if one.accuses]
+    accusing = [set(test.accused) for test in found.values() if test.accuses]
     if not accusing or set.intersection(*accusing):
         return dict(found)
     names = tuple(sorted(set.union(*accusing)))
-    return {name: replace(one, accused=names) if one.accuses else one for name, one in found.items()}
+    return {name: replace(test, accused=names) if test.accuses else test for name, test in found.items()}

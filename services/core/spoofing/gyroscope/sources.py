@@ -141,7 +141,10 @@ class WheelSeconds:
         if front is not None and abs(rate) > FRONT_CURVATURE * abs(front.speed):
             front = None
         if not still:
-            rear, front = (None if one is None or one.speed < SLOWEST_M_S else one for one in (rear, front))
+            rear, front = (
+                None if axle_second is None or axle_second.speed < SLOWEST_M_S else axle_second
+                for axle_second in (rear, front)
+            )
         if rear is None and front is None:
             return
         second = Second(self._number, rate, samples[n // 2][0].axis, rear, front, still)
@@ -168,7 +171,7 @@ def pair(speeds: WheelSpeeds, *, rear: bool) -> tuple[float, float] | None:
 def mean_of(samples: list[tuple[Turn, WheelSpeeds]], *, rear: bool) -> AxleSecond | None:
     """Mean of an axle over the samples of a second, None where a sample has not both wheels."""
     pairs = [pair(speeds, rear=rear) for _, speeds in samples]
-    known = [one for one in pairs if one is not None]
+    known = [pair for pair in pairs if pair is not None]
     if len(known) < len(samples):
         return None
     left, right = (sum(wheel) / len(known) for wheel in zip(*known, strict=True))
@@ -219,7 +222,7 @@ class Headings:
             return None
         last = self.readings[-1]
         limit_ns = last.turn.time_ns - round((length_s - 0.5) * SECOND_NS)
-        first = next((one for one in reversed(self.readings) if one.turn.time_ns <= limit_ns), None)
+        first = next((reading for reading in reversed(self.readings) if reading.turn.time_ns <= limit_ns), None)
         if first is None or last.turn.time_ns - first.turn.time_ns > (1.3 * length_s + 0.5) * SECOND_NS:
             return None
         return first, last

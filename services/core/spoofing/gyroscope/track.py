@@ -69,20 +69,20 @@ class GyroscopeTrack:
     def add(self, increments: Iterable[Increment]) -> bool:
         """Integrate increments; gives whether the track has been continuous."""
         continuous = True
-        for one in increments:
-            if self._axis is None or abs(one.end_ns - self._axis_ns) > STALE_NS:
+        for increment in increments:
+            if self._axis is None or abs(increment.end_ns - self._axis_ns) > STALE_NS:
                 continuous = continuous and not self._turns
                 self._turns.clear()
                 continue
-            if one.after_gap or not self._turns or self._turns[-1].time_ns != one.start_ns:
+            if increment.after_gap or not self._turns or self._turns[-1].time_ns != increment.start_ns:
                 continuous = continuous and not self._turns
                 self._turns.clear()
-                self._turns.append(Turn(one.start_ns, 0.0, (0.0, 0.0, 0.0), 0.0, self._axis))
-            last, duration_s, axis = self._turns[-1], one.row[6], self._axis
-            rate = dot(axis, (one.row[3], one.row[4], one.row[5])) + self._earth
+                self._turns.append(Turn(increment.start_ns, 0.0, (0.0, 0.0, 0.0), 0.0, self._axis))
+            last, duration_s, axis = self._turns[-1], increment.row[6], self._axis
+            rate = dot(axis, (increment.row[3], increment.row[4], increment.row[5])) + self._earth
             sx, sy, sz = last.axis_s
             moved = (sx + axis[0] * duration_s, sy + axis[1] * duration_s, sz + axis[2] * duration_s)
-            self._turns.append(Turn(one.end_ns, last.angle + rate * duration_s, moved, rate, axis))
+            self._turns.append(Turn(increment.end_ns, last.angle + rate * duration_s, moved, rate, axis))
         return continuous
 
     @property

@@ -70,9 +70,9 @@ def chi_square(differences: Mapping[Source, Difference], common: float) -> float
     """
     if not differences:
         return 0.0
-    weights = sum(1.0 / one.variance for one in differences.values())
-    first = sum(one.rate / one.variance for one in differences.values())
-    second = sum(one.rate**2 / one.variance for one in differences.values())
+    weights = sum(1.0 / difference.variance for difference in differences.values())
+    first = sum(difference.rate / difference.variance for difference in differences.values())
+    second = sum(difference.rate**2 / difference.variance for difference in differences.values())
     return max(0.0, second - first**2 / (1.0 / common + weights))
 
 
@@ -100,11 +100,11 @@ def vote(differences: Mapping[Source, Difference], common: float, false_alarm_ra
     explains the differences, all are suspects.
     """
     hard: dict[Source, Difference] = {
-        source: one for source, one in differences.items() if source is not Source.COMPASS
+        source: difference for source, difference in differences.items() if source is not Source.COMPASS
     }
     if not hard:
         return None
-    involved = [name for name in (GNSS, IMU, ODOMETER) if name == IMU or any(OWNERS[one] == name for one in hard)]
+    involved = [name for name in (GNSS, IMU, ODOMETER) if name == IMU or any(OWNERS[source] == name for source in hard)]
     suspects = tuple(name for name in involved if _explains(name, differences, common, DISCARD_RATE))
     acquitted = tuple(name for name in involved if not _explains(name, differences, common, ACQUIT_RATE))
     return Vote(
@@ -121,6 +121,6 @@ def _explains(name: str, differences: Mapping[Source, Difference], common: float
     if name == IMU:
         freedom, statistic = len(differences) - 1, chi_square(differences, float("inf"))
     else:
-        rest = {source: one for source, one in differences.items() if OWNERS.get(source) != name}
+        rest = {source: difference for source, difference in differences.items() if OWNERS.get(source) != name}
         freedom, statistic = len(rest), chi_square(rest, common)
     return freedom == 0 or statistic <= chi_square_limit(freedom, rate)

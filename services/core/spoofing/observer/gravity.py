@@ -87,18 +87,18 @@ class Gravity:
 
     def advance(self, increments: Iterable[Increment], bias: Vector) -> None:
         """Use increments, whose gyroscopes have a bias [rad/s]."""
-        for one in increments:
-            if one.after_gap or one.start_ns != self._end_ns:
+        for increment in increments:
+            if increment.after_gap or increment.start_ns != self._end_ns:
                 self.clear()
-            self._end_ns = one.end_ns
-            self._open.append(one)
-            if one.end_ns // SECOND_NS != one.start_ns // SECOND_NS:
+            self._end_ns = increment.end_ns
+            self._open.append(increment)
+            if increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS:
                 self._close(np.array(bias))
                 self._open.clear()
 
     def _close(self, bias: FloatArray) -> None:
         """Put a second into the common frame."""
-        rows, end_ns = np.array([one.row for one in self._open]), self._open[-1].end_ns
+        rows, end_ns = np.array([increment.row for increment in self._open]), self._open[-1].end_ns
         step = rows[:, 6]
         duration = float(step.sum())
         angle = ((rows[:, 3:6] - bias) * step[:, None]).sum(axis=0)
@@ -149,17 +149,17 @@ class Gravity:
     def _turned(self, bias_variance: float) -> tuple[float, float]:
         """Least chi-square of the two halves of the later side, and the angle [deg] between both sides."""
         seconds = list(self._seconds)
-        forces = np.array([one.force for one in seconds])
+        forces = np.array([second.force for second in seconds])
         first = forces[:SIDE].mean(axis=0)
         sides = [forces[-SIDE:], forces[-SIDE : -SIDE // 2], forces[-SIDE // 2 :]]
         apart = [self._frame.T @ (side.mean(axis=0) - first) for side in sides]
-        turn = sum(one.turn for one in seconds)
-        across = max(abs(one.across) for one in seconds)
+        turn = sum(second.turn for second in seconds)
+        across = max(abs(second.across) for second in seconds)
         carried = sqrt(bias_variance) * (SIDE + GAP) + self._settings.long.gyroscope_scale_sd * turn
         drift = STANDARD_GRAVITY * carried
         sd = hypot(ALONG_SD, drift), hypot(ACROSS_SD, ACROSS_SHARE * across, drift)
-        statistics = [(one[0] / sd[0]) ** 2 + (one[1] / sd[1]) ** 2 for one in apart]
-        angles = [degrees(hypot(one[0], one[1]) / STANDARD_GRAVITY) for one in apart]
+        statistics = [(item[0] / sd[0]) ** 2 + (item[1] / sd[1]) ** 2 for item in apart]
+        angles = [degrees(hypot(item[0], item[1]) / STANDARD_GRAVITY) for item in apart]
         kept = min(angles) > LEAST_DEG and float(apart[1][:2] @ apart[2][:2]) > 0.0
         return (min(statistics) if kept else 0.0), angles[0]
 

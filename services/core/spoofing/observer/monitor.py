@@ -75,8 +75,10 @@ class ObserverMonitor:
 
     def courses(self, courses: Iterable[Course]) -> None:
         """Use courses of GNSS, which the observer itself does not see."""
-        for one in courses:
-            self._courses.add(one.time_ns, one.angle, one.variance, ahead_s=one.ahead_s, slip_s=one.slip_s)
+        for course in courses:
+            self._courses.add(
+                course.time_ns, course.angle, course.variance, ahead_s=course.ahead_s, slip_s=course.slip_s
+            )
 
     def solution(self, solution: NavigationSolution) -> None:
         """Use the filter's gyroscope bias, likewise."""
@@ -102,7 +104,11 @@ class ObserverMonitor:
             self._begin_ns = readings[0].turn.time_ns
         last_s = self._table[-1, 0] if len(self._table) else -1.0
         limit_ns = self._begin_ns + round(max(last_s - 1.0, -1.0) * SECOND_NS)
-        new = [row_of(one, self._begin_ns) for one in islice(reversed(readings), NEWEST) if one.turn.time_ns > limit_ns]
+        new = [
+            row_of(reading, self._begin_ns)
+            for reading in islice(reversed(readings), NEWEST)
+            if reading.turn.time_ns > limit_ns
+        ]
         if new:
             kept = self._table[(self._table[:, 0] < new[-1][0]) & (self._table[:, 0] > new[0][0] - LENGTHS_S[-1] - 5.0)]
             self._table = np.vstack([kept, new[::-1]])

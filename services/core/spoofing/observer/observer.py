@@ -56,19 +56,19 @@ class Observer:
     def advance(self, increments: Iterable[Increment]) -> bool:
         """Integrate increments; gives whether the yaw has been continuous."""
         continuous = True
-        for one in increments:
-            if one.after_gap or (self._turns and self._turns[-1].time_ns != one.start_ns):
+        for increment in increments:
+            if increment.after_gap or (self._turns and self._turns[-1].time_ns != increment.start_ns):
                 continuous = continuous and not self._turns
-                bridged = self._end_ns is not None and one.start_ns - self._end_ns <= BRIDGED_NS
+                bridged = self._end_ns is not None and increment.start_ns - self._end_ns <= BRIDGED_NS
                 self._turns.clear()
                 self.standstills.clear()
                 if not bridged:  # within a second a vehicle hardly tilts: levelling takes up the rest
                     self.down = None
-            self._end_ns = one.end_ns
-            standstill = self.standstills.add(one)
+            self._end_ns = increment.end_ns
+            standstill = self.standstills.add(increment)
             if standstill is not None:
                 self._learn(standstill)
-            self._turn(one)
+            self._turn(increment)
         return continuous
 
     def _learn(self, found: Standstill) -> None:

@@ -86,7 +86,8 @@ Found = TypeVar("Found", bound=_Result)
 def _parts(compared: list[_Passed], anchor_ns: int) -> list[list[_Passed]]:
     """Fixes without the one that is farthest from a propagation, and the two halves of them."""
     apart = [
-        float(np.linalg.norm(one.fix.velocity_n - one.nodes[one.rows[anchor_ns], :DIMENSIONS])) for one in compared
+        float(np.linalg.norm(passed.fix.velocity_n - passed.nodes[passed.rows[anchor_ns], :DIMENSIONS]))
+        for passed in compared
     ]
     worst, half = apart.index(max(apart)), len(compared) // 2
     return [compared[:worst] + compared[worst + 1 :], compared[:half], compared[half:]]
@@ -94,10 +95,10 @@ def _parts(compared: list[_Passed], anchor_ns: int) -> list[list[_Passed]]:
 
 def _beside(found: Sequence[Found | None], agrees: float) -> Found | None:
     """The first of two results, unless the second one agrees with GNSS: then the smaller one; None without both."""
-    known = [one for one in found if one is not None]
+    known = [item for item in found if item is not None]
     if not known or len(known) < len(found):
         return None
-    return min([known[0], *(one for one in known[1:] if one.statistic <= agrees)], key=lambda one: one.statistic)
+    return min([known[0], *(item for item in known[1:] if item.statistic <= agrees)], key=lambda item: item.statistic)
 
 
 class LongWindow:
@@ -205,11 +206,11 @@ class LongWindow:
         if place is not None:
             limit_ns = place.time_ns - round(WINDOW_S * SECOND_NS)
             self._first = dict.fromkeys(place.rows, place) | self._first
-            self._places = [one for one in self._places if one.time_ns > limit_ns] + [place]
+            self._places = [place for place in self._places if place.time_ns > limit_ns] + [place]
         passed = self._passed(fix, fix.time_ns, passed_ns)
         if passed is not None:
             limit_ns = fix.time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
-            self._compared = [one for one in self._compared if one.time_ns > limit_ns] + [passed]
+            self._compared = [passed for passed in self._compared if passed.time_ns > limit_ns] + [passed]
             self._results.clear()
 
     def _passed(self, fix: VelocityFix, time_ns: int, passed_ns: int) -> _Passed | None:
@@ -255,17 +256,17 @@ class LongWindow:
             d = mean(p_k - r_k) - (p_0 - r_0),    T = d' S^-1 d,    S = f² (P + (s_0² + s_k²) I + s_t² dv dv')
         """
         anchor_ns = self._anchors_ns[row]
-        first, places = self._first.get(anchor_ns), [one for one in self._places if anchor_ns in one.rows]
+        first, places = self._first.get(anchor_ns), [place for place in self._places if anchor_ns in place.rows]
         if first is None or len(places) < LEAST_FIXES:
             return None
         origin = first.nodes[first.rows[anchor_ns]]
-        nodes = np.array([one.nodes[one.rows[anchor_ns]] for one in places]) - origin
-        start, *ends = [one.fix.position for one in (first, *places) if one.fix.position is not None]
+        nodes = np.array([place.nodes[place.rows[anchor_ns]] for place in places]) - origin
+        start, *ends = [passed.fix.position for passed in (first, *places) if passed.fix.position is not None]
         apart = [ned_from_geodetic_difference(end, start)[:2] for end in ends]
         differences = np.array(apart) - nodes[:, 3:5]
         d = differences.mean(axis=0)
         change = nodes[-1, :2]
-        variance = sum(max(one.fix.position_sd, LEAST_POSITION_SD) ** 2 for one in (first, places[-1]))
+        variance = sum(max(passed.fix.position_sd, LEAST_POSITION_SD) ** 2 for passed in (first, places[-1]))
         S = (
             self.free.runs["P"][row, MOVED, MOVED][:2, :2]
             + np.eye(2) * variance
@@ -286,7 +287,7 @@ class LongWindow:
     def _of(self, row: int) -> LongResult | None:
         """Test with one propagation; None with too few fixes."""
         anchor_ns = self._anchors_ns[row]
-        compared = [one for one in self._compared if anchor_ns in one.rows]
+        compared = [passed for passed in self._compared if anchor_ns in passed.rows]
         if len(compared) < LEAST_FIXES:
             return None
         if anchor_ns not in self._results:
@@ -316,14 +317,14 @@ class LongWindow:
         """
         parts = [compared, *_parts(compared, anchor_ns)]
         found = [self._of_fixes(anchor_ns, part) for part in parts if len(part) >= LEAST_PART]
-        return replace(found[0], statistic=min(one.statistic for one in found))
+        return replace(found[0], statistic=min(long_result.statistic for long_result in found))
 
     def _of_fixes(self, anchor_ns: int, compared: list[_Passed]) -> LongResult:
         """Test the mean difference of some fixes."""
         gnss = self._settings.gnss
-        fixes = [one.fix for one in compared]
+        fixes = [passed.fix for passed in compared]
         times = np.array([(fix.time_ns - fixes[0].time_ns) / SECOND_NS for fix in fixes])
-        free = np.array([one.nodes[one.rows[anchor_ns], :DIMENSIONS] for one in compared])
+        free = np.array([passed.nodes[passed.rows[anchor_ns], :DIMENSIONS] for passed in compared])
         sd = np.array([fix.sd for fix in fixes])
         d, mean = np.array([fix.velocity_n for fix in fixes]).mean(axis=0), free.mean(axis=0)
         d -= mean
@@ -332,7 +333,7 @@ class LongWindow:
             ends = fixes[0].position_sd, fixes[-1].position_sd
             R[0, 0] = R[1, 1] = (ends[0] ** 2 + ends[1] ** 2) / max(times[-1], 1.0) ** 2
         acceleration = (free[-1] - free[0]) / times[-1]
-        P = np.array([one.P[one.rows[anchor_ns]] for one in compared]).mean(axis=0)
+        P = np.array([passed.P[passed.rows[anchor_ns]] for passed in compared]).mean(axis=0)
         S = P + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
         S = self._settings.profile.long_factor**2 * S
         differ = self._speeds_differ(mean, mean + d, S)

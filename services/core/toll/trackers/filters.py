@@ -76,8 +76,8 @@ class Tracker:
         seen = [model.observed(first) for model in self.models]
         count = len(self.models)
         return Estimates(
-            np.stack([one.z for one in seen], axis=1),
-            np.stack([one.R for one in seen], axis=1),
+            np.stack([observation.z for observation in seen], axis=1),
+            np.stack([observation.R for observation in seen], axis=1),
             np.full((len(has), count), 1.0 / count),
             self.models[0].heading,
         )
@@ -97,14 +97,14 @@ class Tracker:
     def update(self, predicted: Estimates, observation: Observation) -> Estimates:
         """Estimates after a CAM of each vehicle; components that are not available change nothing."""
         seen = [model.observed(observation) for model in self.models]
-        has = np.stack([one.available for one in seen], axis=1)
-        measured = np.stack([one.z for one in seen], axis=1)
+        has = np.stack([observation.available for observation in seen], axis=1)
+        measured = np.stack([observation.z for observation in seen], axis=1)
         if predicted.heading is not None:
             predicted = _turned(predicted, measured, has)
         z = measured - predicted.x
         if predicted.heading is not None:
             z[..., predicted.heading] = wrap_angles(z[..., predicted.heading])
-        R = np.stack([one.R for one in seen], axis=1)
+        R = np.stack([observation.R for observation in seen], axis=1)
         H = np.eye(z.shape[-1]) * has[..., None, :]
         # A row of zeros in z and H with unit noise of its own changes neither the state nor the ratio of likelihoods.
         R = _without(R, has) + np.eye(z.shape[-1]) * ~has[..., None, :]

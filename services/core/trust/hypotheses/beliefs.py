@@ -27,8 +27,8 @@ def suspected_priors(suspects: Collection[Hypothesis], risk: float) -> dict[Hypo
 
     A floor for each of them would make them alike, whatever the table says of them.
     """
-    total = sum(PRIOR[one] for one in suspects)
-    return {one: max(PRIOR[one], SUSPECTED * risk * PRIOR[one] / total) for one in suspects}
+    total = sum(PRIOR[suspect] for suspect in suspects)
+    return {suspect: max(PRIOR[suspect], SUSPECTED * risk * PRIOR[suspect] / total) for suspect in suspects}
 
 
 class Beliefs:
@@ -41,12 +41,14 @@ class Beliefs:
 
     def resume(self, saved: Iterable[Belief], risk: float) -> None:
         """Go on with what a process before has believed of hypotheses that a monitor had spoken for."""
-        found = [one for one in saved if one.since_ns is not None and one.survives and one.probability > 0.0]
-        priors = suspected_priors([one.hypothesis for one in found], risk)
-        for one in found:
-            if one.since_ns is not None:
-                self._since_ns[one.hypothesis] = one.since_ns
-                self._earlier[one.hypothesis] = log(one.probability / priors[one.hypothesis]) + KEPT
+        found = [
+            belief for belief in saved if belief.since_ns is not None and belief.survives and belief.probability > 0.0
+        ]
+        priors = suspected_priors([belief.hypothesis for belief in found], risk)
+        for belief in found:
+            if belief.since_ns is not None:
+                self._since_ns[belief.hypothesis] = belief.since_ns
+                self._earlier[belief.hypothesis] = log(belief.probability / priors[belief.hypothesis]) + KEPT
 
     def update(self, facts: Facts, open_ones: Collection[Hypothesis]) -> tuple[Posterior, ...]:
         """Use the statements of one time.
@@ -119,7 +121,7 @@ class Beliefs:
             )
             for k, share in shares.items()
         ]
-        return tuple(sorted(found, key=lambda one: -one.probability))
+        return tuple(sorted(found, key=lambda posterior: -posterior.probability))
 
     def _sum(self, hypothesis: Hypothesis) -> float:
         said = sum(evidence.sums.get(hypothesis, 0.0) for evidence in self._evidence.values())

@@ -35,14 +35,14 @@ class Apart(NamedTuple):
 
 def compared(bank: TrustHypotheses) -> Statement:
     """Statement on the solutions of the bank."""
-    known = {one.hypothesis: one for one in bank.solutions}
+    known = {solution.hypothesis: solution for solution in bank.solutions}
     base = Statement(
         Monitor.HYPOTHESES, Outcome.NOT_EVALUATED, bank.sampled_ns, "", threshold=LIMIT,
         false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
     )  # fmt: skip
-    if any(one not in known for one in NEEDED):
+    if any(hypothesis not in known for hypothesis in NEEDED):
         return _with(base, Outcome.NOT_EVALUATED, explain(Code.NOT_COMPARABLE))
-    alone, without_gnss, without_odometer = (known[one] for one in NEEDED)
+    alone, without_gnss, without_odometer = (known[hypothesis] for hypothesis in NEEDED)
     if hypot(*alone.velocity_ned_m_s[:2]) < LEAST_SPEED_M_S:
         return _with(base, Outcome.NOT_EVALUATED, explain(Code.HARDLY_MOVES))
     odometer, gnss = _along(alone, without_gnss), _along(alone, without_odometer)

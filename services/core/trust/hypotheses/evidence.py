@@ -148,7 +148,7 @@ class Evidence:
             # What it has said for a hypothesis that it no longer names was said of the same wrong source.
             self.sums[hypothesis] = min(most, max(before, 0.0) + ratio) if ratio else min(before, 0.0)
         if self.monitor is Monitor.HYPOTHESES:  # of three sources, those that it does not name agree
-            self._pass([one for one in suspected if one not in explained])
+            self._pass([hypothesis for hypothesis in suspected if hypothesis not in explained])
 
     def _pass(self, suspected: Collection[Hypothesis]) -> None:
         for hypothesis, (power, least) in POWER.get(self.monitor, {}).items():

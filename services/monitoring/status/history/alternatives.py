@@ -46,7 +46,7 @@ class Alternatives:
             return
         self.newest[producer] = (message, received_ns)
         for hypothesis in Hypothesis:
-            solution = worst([one for one in message.solutions if one.hypothesis is hypothesis])
+            solution = worst([solution for solution in message.solutions if solution.hypothesis is hypothesis])
             if solution is not None:
                 track = self._tracks.setdefault((producer, hypothesis), deque(maxlen=POINTS_MAXIMUM))
                 _append(track, _point(solution, message.sampled_ns))
@@ -62,7 +62,7 @@ class Alternatives:
 
 def worst(solutions: list[HypothesisSolution]) -> HypothesisSolution | None:
     """Choose the solution with the largest separation over its limit; None of none."""
-    return max(solutions, key=lambda one: separation_ratio(one) or 0.0, default=None)
+    return max(solutions, key=lambda hypothesis_solution: separation_ratio(hypothesis_solution) or 0.0, default=None)
 
 
 def separation_ratio(solution: HypothesisSolution) -> float | None:

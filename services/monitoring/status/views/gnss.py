@@ -142,7 +142,8 @@ def _satellites(
             "elevation_deg": _degrees(satellite.elevation_rad),
             "azimuth_deg": _degrees(satellite.azimuth_rad),
             "cn0_db_hz": satellite.cn0_db_hz,
-            "signals": [_signal(one, satellite, mask_rad) for one in stated.get(name, ())] or measured.get(name, []),
+            "signals": [_signal(gnss_signal, satellite, mask_rad) for gnss_signal in stated.get(name, ())]
+            or measured.get(name, []),
             "residual_m": None if satellite.residual_m is None else round(satellite.residual_m, 1),
             "used": satellite.used,
             "excluded": excluded,

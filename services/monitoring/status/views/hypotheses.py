@@ -16,24 +16,26 @@ Stated = tuple[str, TrustHypotheses]  # process and its newest message, while th
 def suspected(beliefs: Iterable[Belief]) -> list[Belief]:
     """Select what survives and is spoken for; a hypothesis that only its prior keeps alive is not suspected."""
     return [
-        one
-        for one in beliefs
-        if one.hypothesis is not Hypothesis.NOTHING and one.survives and (one.acted_on or one.since_ns is not None)
+        belief
+        for belief in beliefs
+        if belief.hypothesis is not Hypothesis.NOTHING
+        and belief.survives
+        and (belief.acted_on or belief.since_ns is not None)
     ]
 
 
 def figures(beliefs: Iterable[Belief]) -> list[str]:
     """Give probability and reason of each hypothesis that is suspected, for those who ask why."""
     return [
-        f"{label}: {100.0 * one.probability:.3g} %; {said(one.reason, one.reason_code)}"
-        for one in suspected(beliefs)
-        for label in (words().name("belief", one.hypothesis),)
+        f"{label}: {100.0 * belief.probability:.3g} %; {said(belief.reason, belief.reason_code)}"
+        for belief in suspected(beliefs)
+        for label in (words().name("belief", belief.hypothesis),)
     ]
 
 
 def table(beliefs: Iterable[Belief], stated: Sequence[Stated]) -> dict[str, HypothesisRow]:
     """Show each hypothesis by its name: probability, what follows from it, and its solution or why it has none."""
-    known = {one.hypothesis: one for one in beliefs}
+    known = {belief.hypothesis: belief for belief in beliefs}
     return {
         hypothesis.value: _row(hypothesis, known.get(hypothesis), stated)
         for hypothesis in Hypothesis
@@ -43,16 +45,20 @@ def table(beliefs: Iterable[Belief], stated: Sequence[Stated]) -> dict[str, Hypo
 
 def _is_stated(hypothesis: Hypothesis, stated: Sequence[Stated]) -> bool:
     return any(
-        any(one.hypothesis is hypothesis for one in message.solutions)
+        any(solution.hypothesis is hypothesis for solution in message.solutions)
         or any(name is hypothesis for name, _ in message.missing)
         for _, message in stated
     )
 
 
 def _row(hypothesis: Hypothesis, belief: Belief | None, stated: Sequence[Stated]) -> HypothesisRow:
-    found = [(producer, one) for producer, message in stated for one in message.solutions]
-    mine = [(producer, one) for producer, one in found if one.hypothesis is hypothesis]
-    solution = worst([one for _, one in mine])
+    found = [(producer, solution) for producer, message in stated for solution in message.solutions]
+    mine = [
+        (producer, hypothesis_solution)
+        for producer, hypothesis_solution in found
+        if hypothesis_solution.hypothesis is hypothesis
+    ]
+    solution = worst([hypothesis_solution for _, hypothesis_solution in mine])
     missing = [why for _, message in stated for why in _missing(hypothesis, message)]
     distance_m, level_m = (belief.distance_m, belief.level_m) if belief else (None, None)
     if solution is not None and hypothesis is not Hypothesis.SATELLITES:
@@ -85,20 +91,25 @@ def _missing(hypothesis: Hypothesis, message: TrustHypotheses) -> list[str]:
 
 def satellites(stated: Sequence[Stated]) -> list[SatelliteSolution]:
     """List the solutions without satellites, the largest separation over its limit first."""
-    found = [one for _, message in stated for one in message.solutions if one.hypothesis is Hypothesis.SATELLITES]
+    found = [
+        solution
+        for _, message in stated
+        for solution in message.solutions
+        if solution.hypothesis is Hypothesis.SATELLITES
+    ]
     return [
         {
-            "left_out": list(one.left_out),
-            "distance_m": _rounded(_distance_m(one)),
-            "vertical_m": _rounded(abs(one.apart_ned_m[2])),
-            "level_m": _rounded(one.protection_level_horizontal_m),
-            "level_vertical_m": _rounded(one.protection_level_vertical_m),
-            "separation": _rounded(one.separation),
-            "separation_limit": _rounded(one.separation_limit),
-            "ratio": _ratio(one),
-            "innovations": _rounded(one.innovations),
+            "left_out": list(hypothesis_solution.left_out),
+            "distance_m": _rounded(_distance_m(hypothesis_solution)),
+            "vertical_m": _rounded(abs(hypothesis_solution.apart_ned_m[2])),
+            "level_m": _rounded(hypothesis_solution.protection_level_horizontal_m),
+            "level_vertical_m": _rounded(hypothesis_solution.protection_level_vertical_m),
+            "separation": _rounded(hypothesis_solution.separation),
+            "separation_limit": _rounded(hypothesis_solution.separation_limit),
+            "ratio": _ratio(hypothesis_solution),
+            "innovations": _rounded(hypothesis_solution.innovations),
         }
-        for one in sorted(found, key=lambda one: separation_ratio(one) or 0.0, reverse=True)
+        for hypothesis_solution in sorted(found, key=lambda solution: separation_ratio(solution) or 0.0, reverse=True)
     ]
 
 

@@ -16,7 +16,7 @@ def catalogue() -> Catalogue:
                 "name": row.name,
                 "label": row.name.replace("_", " "),
                 "purpose": row.purpose,
-                "parameters": [_parameter(one) for one in row.parameters],
+                "parameters": [_parameter(parameter) for parameter in row.parameters],
             }
             for row in ATTACKS
         ]

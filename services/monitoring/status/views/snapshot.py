@@ -127,7 +127,7 @@ def banner(state: State) -> Banner:
         "word": WORDS[verdict.state],
         "sentence": verdict.sentence,
         "action": verdict.action,
-        "languages": {name: {"sentence": one.sentence, "action": one.action} for name, one in verdict.lines.items()},
+        "languages": {name: {"sentence": line.sentence, "action": line.action} for name, line in verdict.lines.items()},
         "reasons": list(verdict.reasons),
         "since_ns": verdict.since_ns,
         "row": verdict.row,
@@ -230,14 +230,14 @@ def problems(state: State) -> list[ProblemRow]:
     """List what is wrong now, each with the topics that it silences."""
     return [
         {
-            "what": one.what,
-            "text": one.text,
-            "text_code": _plain(one.text_code),
-            "since_ns": one.since_ns,
-            "affected": list(one.affected),
-            "languages": _told(one.text, one.text_code),
+            "what": problem.what,
+            "text": problem.text,
+            "text_code": _plain(problem.text_code),
+            "since_ns": problem.since_ns,
+            "affected": list(problem.affected),
+            "languages": _told(problem.text, problem.text_code),
         }
-        for one in state.judgement.problems
+        for problem in state.judgement.problems
     ]
 
 

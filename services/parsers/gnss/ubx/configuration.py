@@ -76,11 +76,11 @@ class UbxDialogue(Dialogue):
             yield from self._said(iter((Result(NO_RESPONSE),)))
 
     def _said(self, said: Iterator[bytes | Result]) -> Iterator[bytes | GnssConfiguration]:
-        for one in said:
-            if isinstance(one, bytes):
-                yield one
+        for result in said:
+            if isinstance(result, bytes):
+                yield result
             elif self._wanted is not None:
-                yield self._configuration(self._wanted, one)
+                yield self._configuration(self._wanted, result)
                 self._wanted = None
 
     def _configuration(self, wanted: GnssConfigure, result: Result) -> GnssConfiguration:

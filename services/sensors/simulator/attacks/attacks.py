@@ -73,9 +73,14 @@ class Attacks:
         self._runs: list[_Run] = []
         self._request_id: str | None = None
         self._refused: str | None = None
-        for one in sorted(scheduled, key=lambda row: row.start_s):
-            parameters = BY_NAME[one.attack].complete(one.parameters)
-            self._begin(one.attack, parameters, start_ns + round(one.start_s * NS), one.duration_s)
+        for scheduled_attack in sorted(scheduled, key=lambda row: row.start_s):
+            parameters = BY_NAME[scheduled_attack.attack].complete(scheduled_attack.parameters)
+            self._begin(
+                scheduled_attack.attack,
+                parameters,
+                start_ns + round(scheduled_attack.start_s * NS),
+                scheduled_attack.duration_s,
+            )
 
     def changes_ns(self) -> list[int]:
         """Times at which an attack begins or ends, as far as they are known."""

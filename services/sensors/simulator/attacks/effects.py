@@ -199,7 +199,7 @@ def risen(rise_s: float, t: float) -> float:
 
 def _slipping(signals: Signals, start: Start, t: float, slip: float) -> Signals:
     """Add a share of the velocity to it, and the integral of that to the position."""
-    v_north, v_east, v_down = (slip * one for one in signals.source.velocity_n)
+    v_north, v_east, v_down = (slip * value for value in signals.source.velocity_n)
     added = (v_north, v_east, v_down)
     return _displaced(signals, start.memory.integrate(added, t), added)
 

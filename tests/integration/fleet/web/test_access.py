@@ -170,7 +170,7 @@ def guesses(running: RunningWeb, name: str, number: int, ends: Sequence[str] = (
             ]  # fmt: skip
             body = [{"name": name, "password": f"guess {n}"} for n in range(number)]
             return await asyncio.gather(
-                *(clients[n % len(clients)].post("/api/login", json=one) for n, one in enumerate(body))
+                *(clients[n % len(clients)].post("/api/login", json=record) for n, record in enumerate(body))
             )
 
     return Counter(answer.status_code for answer in asyncio.run(all_at_once()))

@@ -200,7 +200,7 @@ def test_a_first_report_and_one_that_a_newer_one_has_overtaken_are_no_change(
         running.publish("centre.alarm", {"tenant_id": 1, "alarm_id": 7, "vehicle": "new-1", "kind": "unsafe"})
         changes = list[tuple[str, int]]()
         while not (frame := json.loads(socket.recv(timeout=HANGS_S)))["alarms"]:
-            changes += [(one["vehicle"], one["verdict"]) for one in frame["changes"]]
+            changes += [(item["vehicle"], item["verdict"]) for item in frame["changes"]]
     assert changes == [("new-1", 5), ("new-1", 1)]
 
 
@@ -344,14 +344,14 @@ def test_an_event_of_any_size_keeps_the_lists_small(running: RunningWeb, anna: V
         answer = anna.get(path)
         assert "left_out" in answer.text and len(answer.content) < 20_000
     events = anna.get("/api/vehicles/gate-2").json()["events"]
-    assert [one["content"] for one in events] == [{"left_out": "180024 bytes"}] * 2
-    assert [one["content"] for one in anna.get("/api/vehicles/gate-1").json()["events"]] == [{"why": "test"}] * 2
+    assert [event["content"] for event in events] == [{"left_out": "180024 bytes"}] * 2
+    assert [item["content"] for item in anna.get("/api/vehicles/gate-1").json()["events"]] == [{"why": "test"}] * 2
 
 
 def test_a_token_that_nobody_has_used_is_withdrawn(running: RunningWeb) -> None:
     anna = running.visitor("anna")
     assert anna.post("/api/enrolment", {"vehicle": "car-77", "hours": 1}).status_code == 200
-    (token,) = [one for one in anna.get("/api/enrolment").json()["tokens"] if one["vehicle"] == "car-77"]
+    (token,) = [item for item in anna.get("/api/enrolment").json()["tokens"] if item["vehicle"] == "car-77"]
     assert anna.post("/api/withdraw", {"token": token["id"]}).status_code == 200
     refused = anna.post("/api/withdraw", {"token": token["id"]})
     assert refused.status_code == 409 and "load the page again" in refused.text

@@ -94,7 +94,7 @@ def test_a_gap_is_a_missing_sample_and_no_late_stamp(kind: str, rate_hz: float, 
 
 
 def test_of_two_samples_there_is_no_rest() -> None:
-    assert longest_rest(*(one[:2] for one in samples(1.0))) is None
+    assert longest_rest(*(sample[:2] for sample in samples(1.0))) is None
 
 
 def test_the_section_is_accepted_by_the_unit_and_holds_what_was_measured(

@@ -285,7 +285,7 @@ def test_an_export_of_nothing_is_an_error_and_leaves_no_file(drive: Path, to: Fo
     path.write_bytes(data.replace(b"\x03\0\0\0lz4", b"\x03\0\0\0xyz"))
     with pytest.raises(UserError, match=r"holds no .*packed with 'xyz' are not read"):
         exported(path, to, tmp_path)
-    assert [one.name for one in tmp_path.iterdir()] == ["drive.mcap"]
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
 
 
 def test_a_topic_without_a_position_is_no_nmea(tmp_path: Path) -> None:

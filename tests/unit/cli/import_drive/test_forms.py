@@ -78,9 +78,9 @@ def test_ecef_and_local_positions_are_those_of_latitude_and_longitude(tmp_path: 
         )
         for axes, values in {"ned": ned, "enu": (-50.0, 120.0, 3.0)}.items()
     }  # fmt: skip
-    for found in (*local.values(), ecef):
-        place = Geodetic(math.radians(found.latitude_deg or 0), math.radians(found.longitude_deg or 0),
-                         found.height_ellipsoid_m or 0)  # fmt: skip
+    for gnss_fix in (*local.values(), ecef):
+        place = Geodetic(math.radians(gnss_fix.latitude_deg or 0), math.radians(gnss_fix.longitude_deg or 0),
+                         gnss_fix.height_ellipsoid_m or 0)  # fmt: skip
         assert np.array(ecef_from_geodetic(place)) == pytest.approx(point, abs=1e-4)
     # North at the point is turned by the convergence, 1e-5 rad, against that at the origin.
     assert ecef.velocity_ned_m_s == pytest.approx((5.0, 1.0, 0.2), abs=2e-4)

@@ -181,10 +181,10 @@ def test_the_position_cannot_be_trusted_exactly_when_trust_is_unsafe(state: Trus
 def test_without_a_recent_verdict_the_position_confidence_is_unavailable() -> None:
     late = one(solution(START_NS + 6_000 * MS))
     (never,) = sent([FIX, solution()])
-    for found in (late, never):
-        assert found.position_semi_major_m is found.position_semi_minor_m is found.height_confidence_m is None
-        assert found.latitude_deg is not None
-        assert not found.position_out_of_range
+    for own_cam in (late, never):
+        assert own_cam.position_semi_major_m is own_cam.position_semi_minor_m is own_cam.height_confidence_m is None
+        assert own_cam.latitude_deg is not None
+        assert not own_cam.position_out_of_range
 
 
 def test_an_unsafe_unit_sends_cams_with_an_untrusted_position() -> None:

@@ -29,21 +29,25 @@ def command(kind: OperatorCommand, source: str | None = None, period_s: float | 
 
 
 def answers(out: Iterable[Message]) -> list[tuple[CommandStage, str]]:
-    return [(one.stage, one.reason) for one in out if isinstance(one, ModeAnswer)]
+    return [(message.stage, message.reason) for message in out if isinstance(message, ModeAnswer)]
 
 
 def test_a_cold_start_is_done_with_the_next_position_and_its_time_is_published() -> None:
     process = unit()
     run(process, [fix(0.0), Tick(now_ns=at(0.5))])
     out = run(process, [command(OperatorCommand.COLD_START)])
-    assert [(one.source, one.start) for one in out if isinstance(one, GnssReset)] == [("gnss0", GnssStart.COLD)]
+    assert [(message.source, message.start) for message in out if isinstance(message, GnssReset)] == [
+        ("gnss0", GnssStart.COLD)
+    ]
     assert answers(out) == [(ACCEPTED, "")]
     searching = run(process, [fix(1.0), *(fix(k, good=False) for k in range(2, 30)), Tick(now_ns=at(29.5))])
     assert answers(searching) == []
-    assert [one.time_to_first_fix_s for one in searching if isinstance(one, ModeState)][-1] is None
+    assert [message.time_to_first_fix_s for message in searching if isinstance(message, ModeState)][-1] is None
     found = run(process, [fix(31.0), Tick(now_ns=at(31.5))])
     assert answers(found) == [(DONE, "position after 30 s")]
-    assert [one.time_to_first_fix_s for one in found if isinstance(one, ModeState)][-1] == pytest.approx(30.5)
+    assert [message.time_to_first_fix_s for message in found if isinstance(message, ModeState)][-1] == pytest.approx(
+        30.5
+    )
 
 
 def held(second: float, **fields: object) -> NavigationState:
@@ -106,7 +110,7 @@ def test_another_rate_is_done_when_the_receiver_confirms_it() -> None:
     process = unit()
     run(process, [fix(0.0)])
     out = run(process, [command(OperatorCommand.NAVIGATION_RATE, period_s=0.2)])
-    (wanted,) = [one for one in out if isinstance(one, GnssConfigure)]
+    (wanted,) = [message for message in out if isinstance(message, GnssConfigure)]
     assert wanted.navigation_period_s == 0.2
     confirmed = GnssConfiguration(request_id=wanted.request_id, source="gnss0", accepted=True)
     assert answers(run(process, [confirmed])) == [(DONE, "")]
@@ -117,7 +121,7 @@ def test_a_device_that_the_operator_wants_is_used_and_given_up_by_a_command_with
     run(process, [imu(0.0), imu(0.1, "imu1"), Tick(now_ns=at(0.2))])
     out = run(process, [command(OperatorCommand.SELECT_SOURCE, "imu1"), Tick(now_ns=at(0.3))])
     assert answers(out) == [(ACCEPTED, ""), (DONE, "")]
-    assert [one.imu_source for one in out if isinstance(one, ModeState)][-1] == "imu1"
+    assert [message.imu_source for message in out if isinstance(message, ModeState)][-1] == "imu1"
     assert answers(run(process, [command(OperatorCommand.SELECT_SOURCE)])) == [(ACCEPTED, ""), (DONE, "")]
 
 

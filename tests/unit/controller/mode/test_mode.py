@@ -335,7 +335,7 @@ def test_a_receiver_without_a_position_gives_way_to_one_that_has_it() -> None:
     for k in range(40):
         messages = [fix(k, good=k < 10), fix(k + 0.1, source="gnss1"), Tick(now_ns=at(k + 0.5))]
         out += feed(process, messages)
-    chosen = [one.gnss_source for one in out if isinstance(one, ModeState)]
+    chosen = [message.gnss_source for message in out if isinstance(message, ModeState)]
     assert chosen[8] == "gnss0" and chosen[-1] == "gnss1"
     (switch,) = newest(out).switches
     assert (switch.kind, switch.before, switch.after) == ("gnss", "gnss0", "gnss1")

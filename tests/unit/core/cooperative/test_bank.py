@@ -76,7 +76,7 @@ def test_a_step_is_excluded_at_once_and_readmitted_eight_epochs_after_its_end() 
 
 def test_a_filter_never_uses_its_own_satellite() -> None:
     faults = np.zeros((1, N))
-    (clean, _), (faulty, _) = (drive(one, 1, BankSettings(), 5) for one in (faults, faults + 14.0 * np.eye(N)[2]))
+    (clean, _), (faulty, _) = (drive(item, 1, BankSettings(), 5) for item in (faults, faults + 14.0 * np.eye(N)[2]))
     assert (clean.estimate.x[0, 2] == faulty.estimate.x[0, 2]).all()
     assert (clean.estimate.x[0, 3] != faulty.estimate.x[0, 3]).any()
 

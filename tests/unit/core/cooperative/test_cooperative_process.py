@@ -97,8 +97,8 @@ def test_with_neighbours_a_ramp_of_1_m_s_is_accused_earlier_than_by_plain_raim()
         process = with_method(method)
         run(process, range(1, 15))
         statements = run(process, range(15, 60), lambda k: at(k, push=(victim, k - 15.0)))
-        accusing = [one for one in statements if one.accused]
-        assert {one.accused for one in accusing} == expected
+        accusing = [statement for statement in statements if statement.accused]
+        assert {trust_monitor.accused for trust_monitor in accusing} == expected
         began[method] = accusing[0].sampled_ns
         assert accusing[0].suspect_since_ns == accusing[0].sampled_ns - NS
     assert began["bank"] < began["plain"]
@@ -106,7 +106,9 @@ def test_with_neighbours_a_ramp_of_1_m_s_is_accused_earlier_than_by_plain_raim()
 
 def four(second: int, push: tuple[SatelliteId, float] | None = None) -> RawEpoch:
     epoch = at(second, push=push)
-    gps = tuple(one for one in epoch.measurements if one.satellite.constellation == Constellation.GPS)
+    gps = tuple(
+        measurement for measurement in epoch.measurements if measurement.satellite.constellation == Constellation.GPS
+    )
     return replace(epoch, measurements=gps[:4])
 
 
@@ -114,7 +116,7 @@ def test_four_satellites_are_evaluated_with_neighbours_and_a_step_is_attributed(
     process, victim = informed(), four(1).measurements[1].satellite
     run(process, range(1, 15))
     clean = run(process, range(15, 20), four)
-    assert {one.outcome for one in clean} == {Outcome.PASS}
+    assert {trust_monitor.outcome for trust_monitor in clean} == {Outcome.PASS}
     (accusing,) = run(process, range(20, 21), lambda k: four(k, (victim, 150.0)))
     assert accusing.accused == (str(victim),)
     assert accusing.reason_code == explain(
@@ -129,13 +131,13 @@ def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on
     process = informed()
     run(process, range(1, 10))
     statements = run(process, range(10, 13), lie=-15.0)
-    for one in statements:
-        assert (one.outcome, one.accused) == (Outcome.ACCUSES, ("neighbour 0",))
-        assert one.reason_code == explain(Code.NEIGHBOURS_CONTRADICTED, neighbours=(LIAR,))
-        code = by_name(one, "neighbour 0").reason_code
+    for statement in statements:
+        assert (statement.outcome, statement.accused) == (Outcome.ACCUSES, ("neighbour 0",))
+        assert statement.reason_code == explain(Code.NEIGHBOURS_CONTRADICTED, neighbours=(LIAR,))
+        code = by_name(statement, "neighbour 0").reason_code
         assert code is not None and (code.subject, code.code) == (LIAR, Code.NEIGHBOUR_LEFT_OUT)
-        assert by_name(one, "cooperative").outcome is Outcome.PASS
-        assert by_name(one, "neighbour 0").outcome is Outcome.ACCUSES
+        assert by_name(statement, "cooperative").outcome is Outcome.PASS
+        assert by_name(statement, "neighbour 0").outcome is Outcome.ACCUSES
     (faulty,) = run(process, range(13, 14), lambda k: at(k, push=(at(1).measurements[3].satellite, 80.0)), lie=-15.0)
     assert set(faulty.accused) == {str(at(1).measurements[3].satellite), "neighbour 0"}
     assert faulty.suspect_since_ns == 12 * NS, "the neighbour's lie does not make the satellites suspect"
@@ -202,7 +204,7 @@ def test_when_all_satellites_jump_together_gnss_is_accused_once_and_the_filters_
     assert by_name(statements[0], "cooperative").reason_code == explain(Code.FILTERS_RESTART)
     assert statements[0].reason_code == explain(Code.FILTERS_RESTART)
     assert statements[0].accused[0] == "gnss"
-    assert not any(one.startswith(("g", "G", "E")) for later in statements[1:] for one in later.accused)
+    assert not any(name.startswith(("g", "G", "E")) for later in statements[1:] for name in later.accused)
     assert by_name(statements[-1], "cooperative").outcome is not Outcome.ACCUSES
 
 
@@ -259,10 +261,10 @@ def test_while_ephemerides_are_collected_after_a_gap_nobody_is_accused(seed: int
         return at(second, seed)
 
     statements = run(process, range(1, 9), epoch)
-    others = [name for one in at(1).measurements if (name := str(one.satellite)) not in first]
+    others = [name for measurement in at(1).measurements if (name := str(measurement.satellite)) not in first]
     for second, name in zip(range(11, 21), others, strict=False):  # 9 and 10 are missing
         said(process, *bits(float(second), (name,)))
         statements += run(process, range(second, second + 1), epoch)
-    assert not [one for one in statements if one.accused]
+    assert not [statement for statement in statements if statement.accused]
     assert statements[7].outcome is Outcome.NOT_EVALUATED
     assert help_of(statements[-1]) == 3

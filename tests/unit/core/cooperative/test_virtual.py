@@ -62,7 +62,7 @@ def test_dilution_slopes_and_protection_level_are_the_reference() -> None:
     assert without == pytest.approx([1.1680, 0.9970, 1.0304, 1.2462], rel=ANGLES)
     slopes = horizontal_slopes(H, REAL)
     assert slopes == pytest.approx([0.6468, 0.2195, 0.3404, 0.7791], abs=ANGLES)
-    assert slopes == pytest.approx([sqrt(one**2 - hdop(H) ** 2) for one in without]), "d_i² = HDOP_i² - HDOP²"
+    assert slopes == pytest.approx([sqrt(value**2 - hdop(H) ** 2) for value in without]), "d_i² = HDOP_i² - HDOP²"
     level = horizontal_protection_level(H, REAL, SD, false_alarm_rate=P_FA, missed_detection_rate=P_MD)
     assert level == pytest.approx(20.657, rel=ANGLES)
 

@@ -27,8 +27,8 @@ def test_a_step_beyond_what_an_oscillator_does_in_the_loss_is_found(gap_s: int, 
     lost = [second(drift, 20 + k, DRIFT_M_S, satellites=0) for k in range(gap_s)]
     assert lost == [None] * gap_s, "what a receiver states in a loss is extrapolated"
     found = [second(drift, 20 + gap_s + k, DRIFT_M_S + step_m_s) for k in range(20)]
-    compared = [one for one in found if one is not None]
-    assert 0 < len(compared) <= 7 and all((one > 1.0) is accuses for one in compared)
+    compared = [value for value in found if value is not None]
+    assert 0 < len(compared) <= 7 and all((value > 1.0) is accuses for value in compared)
 
 
 def test_one_more_statement_of_the_old_drift_after_the_return_hides_nothing() -> None:

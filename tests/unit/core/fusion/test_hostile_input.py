@@ -192,9 +192,9 @@ def started() -> Process:
 def send(process: Process, message: In) -> list[NavigationSolution]:
     """Handle a message; check that each output survives encoding."""
     out = list(process.handle(message))
-    for one in out:
-        assert type(one).model_validate_json(one.model_dump_json()) == one
-    return [one for one in out if isinstance(one, NavigationSolution)]
+    for item in out:
+        assert type(item).model_validate_json(item.model_dump_json()) == item
+    return [navigation_solution for navigation_solution in out if isinstance(navigation_solution, NavigationSolution)]
 
 
 def last_phase(process: Process) -> NavigationPhase:
@@ -224,7 +224,10 @@ def test_implausible_fixes_are_counted_and_change_nothing(
             send(process, fix(NOW_NS + k * STEP_NS).model_copy(update=changes))
         solutions = send(process, sample(NOW_NS + k * STEP_NS))
     assert process.rejects[reject] == 9
-    assert all(abs(one.latitude_deg - 42.0) < 1e-5 and one.phase is NavigationPhase.NAVIGATING for one in solutions)
+    assert all(
+        abs(solution.latitude_deg - 42.0) < 1e-5 and solution.phase is NavigationPhase.NAVIGATING
+        for solution in solutions
+    )
     fresh_one = fresh()
     for k in range(300):
         send(fresh_one, sample(NOW_NS + k * STEP_NS))

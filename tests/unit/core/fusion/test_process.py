@@ -513,8 +513,12 @@ def test_what_an_earlier_process_held_is_held_by_the_first_filter_and_a_closed_r
         assert list(process.handle(record)) == []
         states: list[NavigationState] = []
         arriving: list[ImuSamples | GnssFix] = [*samples(20), *fixes()]
-        for message in sorted(arriving, key=lambda one: one.received_ns):
-            states += [one for one in process.handle(message) if isinstance(one, NavigationState)]
+        for message in sorted(arriving, key=lambda item: item.received_ns):
+            states += [
+                navigation_state
+                for navigation_state in process.handle(message)
+                if isinstance(navigation_state, NavigationState)
+            ]
         assert states[-1].phase is NavigationPhase.NAVIGATING
         bounds.append(states[-1].held_horizontal_m)
     assert bounds[0] >= 55.0, "with the growth since then"

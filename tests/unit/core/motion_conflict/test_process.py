@@ -43,7 +43,11 @@ def drive(process: Process, seconds: range, gnss_m_s: float | None, odometer_m_s
             odometer(k * SECOND_NS, odometer_m_s),
             Tick(now_ns=k * SECOND_NS),
         ):
-            last |= {one.monitor: one for one in process.handle(message) if isinstance(one, TrustMonitor)}
+            last |= {
+                trust_monitor.monitor: trust_monitor
+                for trust_monitor in process.handle(message)
+                if isinstance(trust_monitor, TrustMonitor)
+            }
     return last
 
 
@@ -51,12 +55,14 @@ def test_three_statements_are_published_with_each_tick_and_nothing_between() -> 
     process = Process(Config())
     assert list(process.handle(fix(SECOND_NS, 10.0))) == []
     statements = list(process.handle(Tick(now_ns=SECOND_NS)))
-    assert [one.monitor for one in statements if isinstance(one, TrustMonitor)] == [
+    assert [statement.monitor for statement in statements if isinstance(statement, TrustMonitor)] == [
         "motion",
         "motion_fast",
         "coherent_scale",
     ]
-    assert all(one.outcome is Outcome.NOT_EVALUATED for one in statements if isinstance(one, TrustMonitor))
+    assert all(
+        statement.outcome is Outcome.NOT_EVALUATED for statement in statements if isinstance(statement, TrustMonitor)
+    )
 
 
 def test_equal_speeds_pass_once_the_window_of_thirty_samples_is_full() -> None:
@@ -109,7 +115,11 @@ def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixT
     for k in range(1, 331):
         reported = fix(k * SECOND_NS, 0.0).model_copy(update={"fix_type": fix_type})
         for message in (reported, odometer(k * SECOND_NS, 14.0), Tick(now_ns=k * SECOND_NS)):
-            last |= {one.monitor: one for one in process.handle(message) if isinstance(one, TrustMonitor)}
+            last |= {
+                trust_monitor.monitor: trust_monitor
+                for trust_monitor in process.handle(message)
+                if isinstance(trust_monitor, TrustMonitor)
+            }
     assert last["motion"].outcome is Outcome.NOT_EVALUATED
     assert last["motion"].reason_code == explain(Code.NO_INPUT, input=Input.GNSS_SPEED)
 
@@ -148,8 +158,8 @@ def published(process: Process, drive: Drive) -> Iterator[TrustMonitor | Learned
 
 def test_gnss_and_odometer_scaled_alike_are_accused_by_coherent_scale_alone(town: Drive) -> None:
     last: dict[str, TrustMonitor] = {}
-    for one in published(Process(Config()), scaled(town, 1.1, 400.0)):
-        last |= {one.monitor: one} if isinstance(one, TrustMonitor) else {}
+    for trust_monitor in published(Process(Config()), scaled(town, 1.1, 400.0)):
+        last |= {trust_monitor.monitor: trust_monitor} if isinstance(trust_monitor, TrustMonitor) else {}
     assert last["motion"].outcome is last["motion_fast"].outcome is Outcome.PASS
     found = last["coherent_scale"]
     assert found.outcome is Outcome.ACCUSES and found.accused == ("gnss", "odometer")
@@ -159,19 +169,23 @@ def test_gnss_and_odometer_scaled_alike_are_accused_by_coherent_scale_alone(town
 
 def test_what_bends_have_taught_is_published_and_used_by_the_next_drive(town: Drive) -> None:
     process = Process(Config())
-    lessons = [one for one in published(process, town) if isinstance(one, LearnedScale)]
+    lessons = [learned_scale for learned_scale in published(process, town) if isinstance(learned_scale, LearnedScale)]
     assert lessons and lessons[-1].imu == "imu0"
     assert lessons[-1].gnss == pytest.approx(1.0, abs=0.015) and lessons[-1].gnss_sd < 0.01
     after = Process(Config())
     list(after.handle(lessons[-1]))
     outcomes = [
-        one.outcome for one in published(after, scaled(town, 1.06, 0.0))
-        if isinstance(one, TrustMonitor) and one.monitor == "coherent_scale"
+        trust_monitor.outcome for trust_monitor in published(after, scaled(town, 1.06, 0.0))
+        if isinstance(trust_monitor, TrustMonitor) and trust_monitor.monitor == "coherent_scale"
     ]  # fmt: skip
     assert outcomes[-1] is Outcome.ACCUSES, "6 % from the first second on"
     other = Process(Config())
     list(other.handle(lessons[-1].model_copy(update={"imu": "another"})))
-    assert not [one for one in published(other, town) if isinstance(one, TrustMonitor) and "odometer" in one.accused]
+    assert not [
+        trust_monitor
+        for trust_monitor in published(other, town)
+        if isinstance(trust_monitor, TrustMonitor) and "odometer" in trust_monitor.accused
+    ]
     assert other.rejects["learned scale of another IMU"] == 1
 
 

@@ -40,7 +40,9 @@ def increments_of(
     for k in range(0, len(times), batch):
         decimator.add(times[k : k + batch], forces[k : k + batch], rates[k : k + batch])
         found += decimator.take()
-    return [one for one in found if start_s * SECOND_NS <= one.start_ns < (start_s + length_s) * SECOND_NS]
+    return [
+        increment for increment in found if start_s * SECOND_NS <= increment.start_ns < (start_s + length_s) * SECOND_NS
+    ]
 
 
 def anchor_at(drive: Drive, time_s: float) -> FilterAnchor:
@@ -168,9 +170,9 @@ def test_a_short_gap_is_bridged_by_the_mean_of_its_ends_and_a_longer_one_is_not(
     forces = [(0.0 if time_ns < 500_000_000 else 2.0, 0.0, -9.8) for time_ns in times]
     decimator.add(times, forces, [(0.0, 0.0, 0.1)] * len(times))
     found = decimator.take()
-    assert [one.bridges for one in found] == [False, False, False, True, False, False]
-    assert [one.after_gap for one in found] == [True, False, False, False, False, False]
-    assert all(one.end_ns == other.start_ns for one, other in pairwise(found)), "nothing is missing"
+    assert [increment.bridges for increment in found] == [False, False, False, True, False, False]
+    assert [increment.after_gap for increment in found] == [True, False, False, False, False, False]
+    assert all(increment.end_ns == other.start_ns for increment, other in pairwise(found)), "nothing is missing"
     np.testing.assert_allclose(found[3].row, [1.0, 0.0, -9.8, 0.0, 0.0, 0.1, 0.6], rtol=1e-12)
 
 
@@ -182,7 +184,7 @@ def test_the_error_over_a_bridged_gap_is_within_what_it_adds_to_the_spread(drive
     runs = []
     for decimator in (whole, bridged):
         free = started(LongSettings(), anchor_at(drive, 50.0))
-        free.advance([one for one in decimator.take() if 50.0e9 <= one.start_ns < 53.4e9][:30])
+        free.advance([increment for increment in decimator.take() if 50.0e9 <= increment.start_ns < 53.4e9][:30])
         runs.append(free.runs[0])
     difference = (runs[1]["state"] - runs[0]["state"])[propagation.VELOCITY]
     added = np.sqrt((runs[1]["P"] - runs[0]["P"]).diagonal()[:3])
@@ -206,8 +208,10 @@ def test_a_sample_that_cannot_be_is_counted_and_costs_nothing_but_itself() -> No
     times[8] = times[3]
     decimator.add(times, forces, rates)
     found = decimator.take()
-    assert [(one.start_ns, one.end_ns) for one in found] == [(k * 10**8, (k + 1) * 10**8) for k in range(4)]
-    np.testing.assert_allclose([one.row[3:6] for one in found], [(0.0, 0.1, 0.0)] * 4, rtol=1e-12)
+    assert [(increment.start_ns, increment.end_ns) for increment in found] == [
+        (k * 10**8, (k + 1) * 10**8) for k in range(4)
+    ]
+    np.testing.assert_allclose([increment.row[3:6] for increment in found], [(0.0, 0.1, 0.0)] * 4, rtol=1e-12)
     assert rejected == {
         "imu: value is not a number": 1,
         "imu: value is beyond every sensor's range": 2,
@@ -331,12 +335,12 @@ def test_a_fix_is_compared_with_the_increments_until_the_one_that_passes_it(
             if k == 50:
                 long.start(anchor_at(drive, START_S + 5))
             long.advance(part)
-            for one in part:
-                at = int(np.searchsorted(drive.t_ns, one.end_ns - 90_000_000))
+            for increment in part:
+                at = int(np.searchsorted(drive.t_ns, increment.end_ns - 90_000_000))
                 place = Geodetic(*drive.position[at + ahead_ns // 10_000_000].tolist())
                 velocity, sd, at_ns = drive.velocity_n[at], np.full(3, 0.05), int(drive.t_ns[at])
                 fix = VelocityFix(at_ns, velocity, sd, place, 1.0, position_ns=at_ns + ahead_ns)
-                long.compare(fix, one.end_ns)
+                long.compare(fix, increment.end_ns)
             if part[-1].end_ns % SECOND_NS == 0:
                 long.predict()
         way, velocities_60 = long.way(60), long.result(60)

@@ -327,10 +327,14 @@ def test_a_paused_process_evaluates_nothing_says_so_and_begins_again(drive: Driv
     for message in inputs(drive):
         if isinstance(message, ImuSamples | GnssFix):
             list(process.handle(message))
-    stated = [one for one in process.handle(Tick(now_ns=now_ns)) if isinstance(one, TrustMonitor)]
-    assert {one.monitor for one in stated} == {SHORT, LONG, "gyroscope", "drift"}
-    assert all(one.outcome is Outcome.NOT_EVALUATED for one in stated)
-    assert all(one.reason_code == explain(Code.PAUSED) for one in stated)
+    stated = [
+        trust_monitor
+        for trust_monitor in process.handle(Tick(now_ns=now_ns))
+        if isinstance(trust_monitor, TrustMonitor)
+    ]
+    assert {trust_monitor.monitor for trust_monitor in stated} == {SHORT, LONG, "gyroscope", "drift"}
+    assert all(trust_monitor.outcome is Outcome.NOT_EVALUATED for trust_monitor in stated)
+    assert all(trust_monitor.reason_code == explain(Code.PAUSED) for trust_monitor in stated)
     assert not process.monitor.taken and not process._newest_ns
     monitor = process.monitor
     list(process.handle(told.model_copy(update={"paused": ()})))

@@ -63,7 +63,7 @@ def test_few_windows_take_a_larger_tolerance_and_a_stated_grade_bounds_what_is_l
     rough[100:102] = 1.0
     free = learn(windows(rough.tolist()), provenance="rough")
     bounded = learn(windows(rough.tolist()), provenance="rough", stated=UNIT_IMU)
-    limits = [one.threshold * one.sigma[Metric.ACCELERATION_EAST][0] for one in (free, bounded)]
+    limits = [profile.threshold * profile.sigma[Metric.ACCELERATION_EAST][0] for profile in (free, bounded)]
     most = 3.0 * UNIT_IMU.threshold * UNIT_IMU.sigma[Metric.ACCELERATION_EAST][0]
     assert limits[0] > 1.0 * (1.0 + 3.0 / sqrt(2.0 * 300 / 5.0)) * 0.999 and limits[1] == pytest.approx(most)
 

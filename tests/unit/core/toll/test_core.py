@@ -41,7 +41,7 @@ def test_a_registered_vehicle_is_charged_once_after_the_exit_line() -> None:
     plant.drive(CAR, until=20.0)
     assert plant.states == ["open", "crossed", "charged"]
     opened, crossed, charged = plant.passages
-    assert {one.passage_id for one in plant.passages} == {opened.passage_id}
+    assert {passage.passage_id for passage in plant.passages} == {opened.passage_id}
     assert charged.lane == "n2"
     assert crossed.crossing_ns is not None and crossed.crossing_sd_s is not None
     assert isclose((crossed.crossing_ns - START_NS) * 1e-9, 12.5, abs_tol=3.0 * crossed.crossing_sd_s)
@@ -59,13 +59,13 @@ def test_a_wrong_sign_of_the_delta_puts_the_vehicle_into_another_lane() -> None:
     plant = Plant(error)
     plant.drive(Vehicle(7, "n1", error=error), until=12.0)
     (track,) = plant.core.tracks(START_NS + 12 * 10**9).tracks
-    probability = {one.lane: one.probability for one in track.lanes}
+    probability = {lane.lane: lane.probability for lane in track.lanes}
     assert probability["n1"] > 0.95
     assert track.delta_applied
     wrong = Plant((-error[0], -error[1]))
     wrong.drive(Vehicle(7, "n1", error=error), until=12.0)
     (track,) = wrong.core.tracks(START_NS + 12 * 10**9).tracks
-    assert {one.lane: one.probability for one in track.lanes}.get("n1", 0.0) < 0.05
+    assert {lane.lane: lane.probability for lane in track.lanes}.get("n1", 0.0) < 0.05
 
 
 def test_a_vehicle_that_is_corrected_already_is_left_alone() -> None:
@@ -73,7 +73,7 @@ def test_a_vehicle_that_is_corrected_already_is_left_alone() -> None:
     plant.drive(Vehicle(7, "n3", stated_sd=0.5), until=12.0)
     (track,) = plant.core.tracks(START_NS + 12 * 10**9).tracks
     assert not track.delta_applied
-    assert max(track.lanes, key=lambda one: one.probability).lane == "n3"
+    assert max(track.lanes, key=lambda lane_probability: lane_probability.probability).lane == "n3"
 
 
 def test_without_a_delta_no_lane_is_decided_and_nothing_charged() -> None:
@@ -106,7 +106,7 @@ def test_a_vehicle_without_contract_is_listed_and_not_charged() -> None:
     plant = Plant(COMMON)
     plant.drive(CAR, until=20.0)
     assert plant.states == ["open", "crossed", "unregistered"]
-    assert all(one.evidence is None for one in plant.passages)
+    assert all(passage.evidence is None for passage in plant.passages)
     assert not any(command.open for command in plant.gates)
 
 
@@ -166,8 +166,8 @@ def test_a_restart_in_a_queue_does_not_give_a_passage_to_the_vehicle_behind() ->
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
     plant.drive(follower, since=4.5, until=4.6)
     plant.drive(follower, leader, since=4.6, until=6.0)
-    assert [one.station_ids for one in plant.passages] == [(7,)]
-    newest = [one for one in plant.statements if isinstance(one, TollPassage)][-1]
+    assert [passage.station_ids for passage in plant.passages] == [(7,)]
+    newest = [statement for statement in plant.statements if isinstance(statement, TollPassage)][-1]
     assert (newest.passage_id, newest.station_ids) == (stored.passage_id, (7,))
 
 
@@ -176,7 +176,7 @@ def test_a_restart_while_the_vehicle_waits_on_the_line_loses_no_charge() -> None
     plant = Plant(COMMON)
     plant.register(7)
     plant.drive(replace(CAR, start=-199.4, acceleration=-1.0), until=25.0)
-    stored = next(one for one in reversed(plant.statements) if isinstance(one, TollPassage))
+    stored = next(statement for statement in reversed(plant.statements) if isinstance(statement, TollPassage))
     assert stored.state is PassageState.OPEN and stored.crossing_ns is None
     plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
@@ -199,7 +199,10 @@ def test_a_vehicle_of_the_other_direction_passes_its_own_lanes() -> None:
     plant = Plant(COMMON)
     plant.register(7, 8)
     plant.drive(CAR, Vehicle(8, "s2", error=COMMON), until=20.0)
-    assert sorted(one.lane or "" for one in plant.passages if one.state is PassageState.CHARGED) == ["n2", "s2"]
+    assert sorted(passage.lane or "" for passage in plant.passages if passage.state is PassageState.CHARGED) == [
+        "n2",
+        "s2",
+    ]
 
 
 @pytest.mark.parametrize("moment", [5.0, 12.3, 13.0])
@@ -228,7 +231,7 @@ def test_of_two_vehicles_at_one_place_the_second_names_the_first_and_neither_is_
     plant = Plant(COMMON)
     plant.register(*registered)
     plant.drive(CAR, replace(CAR, station_id=8, start=CAR.start - 1.0), until=20.0)
-    final = {one.station_ids[0]: one for one in plant.passages if one.state.is_final}
+    final = {passage.station_ids[0]: passage for passage in plant.passages if passage.state.is_final}
     assert final[8].state is PassageState.CHARGED
     assert final[8].overlaps == (final[7].passage_id,) and final[7].overlaps == ()
     assert final[7].state is (PassageState.CHARGED if 7 in registered else PassageState.UNREGISTERED)
@@ -250,7 +253,9 @@ def test_a_final_statement_is_repeated_until_it_is_settled() -> None:
     charged = plant.passages[-1]
     plant.statements.clear()
     plant.second()
-    assert [one.passage_id for one in plant.statements if isinstance(one, TollPassage)] == [charged.passage_id]
+    assert [statement.passage_id for statement in plant.statements if isinstance(statement, TollPassage)] == [
+        charged.passage_id
+    ]
     settled = OpenPassages(sampled_ns=START_NS, passages=(), settled=(charged.passage_id,))
     list(plant.core.continue_passages(settled))
     plant.statements.clear()
@@ -265,15 +270,15 @@ def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool)
     plant = Plant(COMMON)
     plant.register(7, 70)
     plant.drive(CAR, until=kill)
-    statements = [one for one in plant.statements if isinstance(one, TollPassage)]
-    finals = {one.passage_id for one in statements if one.state.is_final}
-    newest = {one.passage_id: one for one in statements if one.passage_id not in finals}
+    statements = [statement for statement in plant.statements if isinstance(statement, TollPassage)]
+    finals = {statement.passage_id for statement in statements if statement.state.is_final}
+    newest = {statement.passage_id: statement for statement in statements if statement.passage_id not in finals}
     plant.restart()
-    stored = tuple(one.model_copy(update={"evidence": None}) for one in newest.values())
+    stored = tuple(toll_passage.model_copy(update={"evidence": None}) for toll_passage in newest.values())
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=stored, settled=tuple(finals))))
     plant.drive(CAR.named(70) if renamed else CAR, since=kill + 1.5, until=22.0)
     assert plant.states.count("charged") == 1
-    assert len({one.passage_id for one in plant.passages}) == 1
+    assert len({passage.passage_id for passage in plant.passages}) == 1
 
 
 def test_after_a_restart_a_renamed_vehicle_continues_its_own_passage_and_not_that_of_a_silent_one() -> None:
@@ -282,11 +287,11 @@ def test_after_a_restart_a_renamed_vehicle_continues_its_own_passage_and_not_tha
     plant.register(7, 8, 80)
     second = replace(CAR, station_id=8, start=CAR.start - 15.0)
     plant.drive(CAR, second, until=6.0)
-    stored = {one.station_ids: one for one in plant.statements if isinstance(one, TollPassage)}
+    stored = {statement.station_ids: statement for statement in plant.statements if isinstance(statement, TollPassage)}
     plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(stored.values()), settled=())))
     plant.drive(second.named(80), since=7.0, until=10.0)
-    newest = [one for one in plant.statements if isinstance(one, TollPassage)][-1]
+    newest = [statement for statement in plant.statements if isinstance(statement, TollPassage)][-1]
     assert (newest.passage_id, newest.station_ids) == (stored[(8,)].passage_id, (8, 80))
 
 
@@ -321,7 +326,9 @@ def test_the_charge_is_derived_again_bit_for_bit_from_the_evidence() -> None:
     for second in range(20):
         car = replace(CAR if second < 9 else CAR.named(70), error=(2.5 + 0.3 * noise.standard_normal(), -1.5))
         plant.drive(others[0], car, others[1], since=float(second), until=second + 1.0)
-    charged = next(one for one in plant.passages if one.state is PassageState.CHARGED and 7 in one.station_ids)
+    charged = next(
+        passage for passage in plant.passages if passage.state is PassageState.CHARGED and 7 in passage.station_ids
+    )
     assert charged.evidence is not None
     cams = {(cam.received_ns, cam.frame): cam for cam in plant_cams(plant, noise_seed=4)}
     used = [cams[frame.received_ns, frame.data] for frame in charged.evidence.frames]
@@ -357,12 +364,12 @@ def test_loss_repetition_and_reordering_neither_lose_nor_double_a_charge() -> No
             for _ in range(int(rng.choice([0, 1, 2], p=[0.05, 0.93, 0.02]))):
                 latency_s = float(rng.uniform(0.02, 1.0)) if rng.random() < 0.2 else 0.02
                 arrivals.append(vehicle.cam(plant.plaza, k / 10.0, latency_s=latency_s))
-    for cam in sorted(arrivals, key=lambda one: one.received_ns):
+    for cam in sorted(arrivals, key=lambda item: item.received_ns):
         if cam.received_ns >= START_NS + round(plant.clock_s * 1e9):
             plant.second()
         plant.statements += plant.core.use([cam])
-    charged = [one.station_ids for one in plant.passages if one.state is PassageState.CHARGED]
-    undecided = [one.station_ids for one in plant.passages if one.state is PassageState.UNDECIDED]
+    charged = [passage.station_ids for passage in plant.passages if passage.state is PassageState.CHARGED]
+    undecided = [passage.station_ids for passage in plant.passages if passage.state is PassageState.UNDECIDED]
     assert len(set(charged)) == len(charged)
     assert len(charged) + len(undecided) == len(fleet)
     assert len(charged) >= 10
@@ -462,8 +469,8 @@ def test_a_barrier_opens_for_the_first_vehicle_of_its_lane_only() -> None:
     for command in plant.gates:
         assert command.lane == "n3"
         by_passage.setdefault(command.passage_id, []).append(command.open)
-    opened = next(one.passage_id for one in plant.passages if one.station_ids == (7,))
-    held = next(one.passage_id for one in plant.passages if one.station_ids == (8,))
+    opened = next(passage.passage_id for passage in plant.passages if passage.station_ids == (7,))
+    held = next(passage.passage_id for passage in plant.passages if passage.station_ids == (8,))
     assert all(by_passage[opened])
     assert not any(by_passage[held])
     plant.drive(first, second.named(8), since=19.0, until=25.0)
@@ -502,7 +509,7 @@ def test_a_batch_of_random_order_and_hostile_values_raises_nothing() -> None:
         list(plant.core.use(cams))
         CamList.model_validate({"received_ns": 0, "source": "x", "cams": tuple(cams)})
         for track in plant.core.tracks(START_NS).tracks:
-            assert all(0.0 <= one.probability <= 1.0 + 1e-9 for one in track.lanes)
+            assert all(0.0 <= lane.probability <= 1.0 + 1e-9 for lane in track.lanes)
 
 
 def test_a_station_id_that_jumps_to_and_fro_leaves_nothing_behind() -> None:
@@ -525,11 +532,11 @@ def test_a_batch_with_several_cam_of_a_vehicle_gives_the_statements_of_single_ca
         cams = [CAR.cam(plant.plaza, k / 10.0, latency_s=0.5 - k % 4 / 10.0) for k in range(200)]
         plant.core.tick(START_NS)
         statements.append([
-            one for k in range(0, 200, size) for one in plant.core.use(cams[k : k + size])
-            if isinstance(one, TollPassage)
+            toll_passage for k in range(0, 200, size) for toll_passage in plant.core.use(cams[k : k + size])
+            if isinstance(toll_passage, TollPassage)
         ])  # fmt: skip
     assert statements[0] == statements[1]
-    assert any(one.state is PassageState.CROSSED for one in statements[0])
+    assert any(statement.state is PassageState.CROSSED for statement in statements[0])
 
 
 SLOW = replace(CAR, speed=10.0)
@@ -542,7 +549,7 @@ def test_a_station_that_comes_back_where_its_vehicle_can_be_continues_its_passag
     plant.drive(since=8.0, until=14.5)
     plant.drive(SLOW, since=14.5, until=30.0)
     assert plant.states == ["open", "crossed", "charged"]
-    assert len({one.passage_id for one in plant.passages}) == 1
+    assert len({passage.passage_id for passage in plant.passages}) == 1
 
 
 @pytest.mark.parametrize("silent_s", [0.0, 2.0], ids=["", "silent from before the gate line to behind the exit line"])
@@ -561,7 +568,7 @@ def test_a_station_id_that_comes_back_at_another_place_does_not_continue_the_pas
     plant.drive(since=27.2, until=27.2 + silent_s)
     plant.drive(again, since=27.2 + silent_s, until=31.0)
     plant.drive(since=31.0, until=42.0)
-    ends = {one.passage_id == first: one for one in plant.passages if one.state.is_final}
+    ends = {passage.passage_id == first: passage for passage in plant.passages if passage.state.is_final}
     assert ends[True].state is PassageState.VOID
     assert ends[False].state is PassageState.SUSPECT
     assert code_of(ends[False]) == Code.SAME_STATION
@@ -575,7 +582,7 @@ def test_a_contradiction_is_known_after_a_restart() -> None:
     plant.drive(since=8.0, until=15.0)
     again = replace(CAR, since=15.0)
     plant.drive(again, since=15.0, until=20.0)
-    newest = {one.passage_id: one for one in plant.statements if isinstance(one, TollPassage)}
+    newest = {statement.passage_id: statement for statement in plant.statements if isinstance(statement, TollPassage)}
     plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(newest.values()), settled=())))
     plant.drive(again, since=21.0, until=31.0)
@@ -587,7 +594,7 @@ def test_an_answer_of_the_ledger_on_a_vehicle_elsewhere_does_not_end_the_younger
     plant = Plant(COMMON)
     plant.register(7)
     plant.drive(CAR, until=8.0)
-    stored = [one for one in plant.statements if isinstance(one, TollPassage)][-1]
+    stored = [statement for statement in plant.statements if isinstance(statement, TollPassage)][-1]
     plant.core = plant.new_core()
     plant.drive(replace(CAR, since=9.0), since=9.0, until=14.0)
     plant.statements += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
@@ -601,9 +608,13 @@ def test_a_silence_of_more_than_five_seconds_between_two_ticks_continues_the_pas
     plant.register(7)
     cams = [SLOW.cam(plant.plaza, k / 10.0) for k in range(300)]
     statements = [*plant.core.use(cams[:80]), *plant.core.use(cams[132:])]
-    ends = [one for one in statements if isinstance(one, TollPassage) and one.state.is_final and not one.checkpoint]
+    ends = [
+        statement
+        for statement in statements
+        if isinstance(statement, TollPassage) and statement.state.is_final and not statement.checkpoint
+    ]
     assert len(ends) == 1
-    assert len({one.passage_id for one in statements if isinstance(one, TollPassage)}) == 1
+    assert len({statement.passage_id for statement in statements if isinstance(statement, TollPassage)}) == 1
 
 
 def test_a_passage_has_a_bounded_number_of_station_ids() -> None:
@@ -611,7 +622,10 @@ def test_a_passage_has_a_bounded_number_of_station_ids() -> None:
     crawl = replace(CAR, speed=2.0, start=-140.0)
     for k in range(STATION_IDS + 3):
         plant.drive(crawl.named(100 + k), since=3.4 * k, until=3.4 * k + 3.3)
-    assert max(len(one.station_ids) for one in plant.statements if isinstance(one, TollPassage)) == STATION_IDS
+    assert (
+        max(len(statement.station_ids) for statement in plant.statements if isinstance(statement, TollPassage))
+        == STATION_IDS
+    )
 
 
 def test_two_stations_at_one_place_that_arrive_in_one_batch_leave_both_tracks() -> None:
@@ -625,7 +639,7 @@ def test_two_stations_at_one_place_that_arrive_in_one_batch_leave_both_tracks() 
     table = plant.core._table
     assert {track.slot for track in table.tracks}.isdisjoint(table._free)
     for update in table.use([new.cam(plant.plaza, 6.8)]):
-        assert [one.track.station_id for one in update] == [70]
+        assert [item.track.station_id for item in update] == [70]
     assert {track.slot for track in table.tracks}.isdisjoint(table._free)
     assert len(set(table._free)) == len(table._free)
 
@@ -647,11 +661,11 @@ def test_a_retained_delta_of_a_later_time_does_not_keep_out_those_of_now() -> No
     plant = Plant(COMMON)
     ours = plant.core.estimate_delta(START_NS)
     core = type(plant.core)(plant.plaza, plant.settings)
-    for one in plant.fixes:
-        core.fix(one)
+    for of_plaza in plant.fixes:
+        core.fix(of_plaza)
     core.use_delta(ours.model_copy(update={"sampled_ns": START_NS + 10**15}))
     core.use_delta(core.estimate_delta(START_NS))
-    assert [one.sampled_ns for one in core._deltas] == [ours.sampled_ns]
+    assert [delta.sampled_ns for delta in core._deltas] == [ours.sampled_ns]
     assert core.rejected["delta_from_the_future"] == 1
 
 
@@ -661,7 +675,7 @@ def test_the_frames_that_are_kept_for_evidence_are_nothing_for_the_garbage_colle
     gc.collect()
     (track,) = plant.core._table.tracks
     assert len(track.frames) > 5
-    assert not any(gc.is_tracked(one) for one in track.frames)
+    assert not any(gc.is_tracked(frame) for frame in track.frames)
 
 
 def test_a_vehicle_beside_a_slow_one_that_is_silent_for_a_moment_does_not_continue_it() -> None:
@@ -674,7 +688,7 @@ def test_a_vehicle_beside_a_slow_one_that_is_silent_for_a_moment_does_not_contin
             plant.statements += plant.core.use([crawl.cam(plant.plaza, float(second))])
         plant.drive(beside.named(8), since=max(float(second), 9.2), until=second + 1.0)
     assert {track.station_id for track in plant.core.tracks(START_NS + 20 * 10**9).tracks} == {7, 8}
-    assert all(len(one.station_ids) == 1 and code_of(one) != Code.SAME_STATION for one in plant.passages)
+    assert all(len(passage.station_ids) == 1 and code_of(passage) != Code.SAME_STATION for passage in plant.passages)
 
 
 @pytest.mark.parametrize("speed", [1.0, 10.0])

@@ -77,7 +77,7 @@ def test_a_new_process_takes_registrations_over_from_the_ledger(listed: bool, st
         sampled_ns=stamp(4.0), passages=(), settled=(), registered=(station,) if listed else ()
     )))  # fmt: skip
     answers += run(process, inputs(4.0, 20.0, tick_phase_s=0.5))
-    states = [one.state.value for one in answers if isinstance(one, TollPassage) and not one.checkpoint]
+    states = [answer.state.value for answer in answers if isinstance(answer, TollPassage) and not answer.checkpoint]
     assert states[-1] == state
 
 

@@ -43,7 +43,9 @@ def test_after_a_restart_the_charge_is_derived_bit_for_bit_from_complete_evidenc
     opened = unit.statements[0]
     unit.restart_core()
     unit.drive(40.0)
-    (charged,) = [one for one in unit.state().recent if one.state is PassageState.CHARGED]
+    (charged,) = [
+        passage_summary for passage_summary in unit.state().recent if passage_summary.state is PassageState.CHARGED
+    ]
     assert charged.passage_id == opened.passage_id
     found = evidence_of(unit, charged.passage_id)
     pack = parse(found)
@@ -67,7 +69,9 @@ def test_a_vehicle_that_is_heard_again_behind_the_exit_line_is_charged_by_eviden
     else:
         unit.is_lost = lambda t, vehicle: vehicle is RENAMED or 12.2 <= t < 14.5
     unit.drive(40.0)
-    (charged,) = [one for one in unit.state().recent if one.state is PassageState.CHARGED]
+    (charged,) = [
+        passage_summary for passage_summary in unit.state().recent if passage_summary.state is PassageState.CHARGED
+    ]
     found = evidence_of(unit, charged.passage_id)
     pack = parse(found)
     assert pack.crossed.state is (PassageState.CHARGED if is_killed else PassageState.CROSSED)

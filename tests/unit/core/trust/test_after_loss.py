@@ -29,14 +29,14 @@ def test_a_loss_with_interference_opens_a_conflict_at_the_last_position_and_hold
 
 
 def test_evidence_within_10_s_after_the_return_is_of_the_loss_and_later_one_is_not() -> None:
-    for later_s, found in ((5, True), (12, False)):
+    for later_s, flag in ((5, True), (12, False)):
         loss = AfterLoss()
         for k in range(12):
             loss.update(at(100 + k, float(k)))
         for k in range(12, 12 + later_s):
             loss.update(at(100 + k, 0.2))
         loss.update(at(112 + later_s, 0.2, "clock"))
-        assert (loss.since_ns is not None) is found
+        assert (loss.since_ns is not None) is flag
 
 
 def test_a_tunnel_time_tests_interference_without_a_loss_and_an_exclusion_open_nothing() -> None:

@@ -92,9 +92,11 @@ def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None
     assert states(published) == [TrustLevel.UNSAFE]
     state = next(message for message in published if isinstance(message, TrustState))
     assert state.suspect_since_ns == -8 * SECOND_NS
-    suspecting = [one.values["monitor"] for one in state.reason_codes if one.code == Code.MONITOR_SUSPECTS]
+    suspecting = [
+        reason_code.values["monitor"] for reason_code in state.reason_codes if reason_code.code == Code.MONITOR_SUSPECTS
+    ]
     assert suspecting == ["inertial_short"]
-    belief = next(one for one in state.beliefs if one.hypothesis is Hypothesis.GNSS)
+    belief = next(belief for belief in state.beliefs if belief.hypothesis is Hypothesis.GNSS)
     assert belief.survives and belief.reason_code is not None
     assert belief.reason_code.values["supporting"] == ("inertial_short",)
     assert belief.reason.startswith("for it: Short inertial window")
@@ -106,12 +108,20 @@ def accused_for(process: Process, seconds: int, accused: tuple[str, ...], **know
     for k in range(2, 2 + seconds):
         now_ns = k * SECOND_NS
         state = navigation_state(now_ns, 10.0).model_copy(update=known)
-        others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and "inertial" not in one.monitor]
+        others = [
+            trust_monitor
+            for trust_monitor in passing(now_ns)
+            if isinstance(trust_monitor, TrustMonitor) and "inertial" not in trust_monitor.monitor
+        ]
         accusing = [
             statement(monitor, now_ns, Outcome.ACCUSES, accused)
             for monitor in (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
         ]
-        found += [one for one in second(process, now_ns, [state, *others, *accusing]) if isinstance(one, TrustState)]
+        found += [
+            message
+            for message in second(process, now_ns, [state, *others, *accusing])
+            if isinstance(message, TrustState)
+        ]
     return found
 
 
@@ -148,10 +158,18 @@ def test_an_inertial_unit_is_excluded_only_where_it_contradicts_itself(knocked: 
             statement(Monitor.INERTIAL_SHORT, now_ns, Outcome.ACCUSES, ("gnss", "imu")),
             statement(Monitor.GYROSCOPE, now_ns, Outcome.ACCUSES, ("imu",)).model_copy(update={"tests": tests}),
         ]
-        names = {one.monitor for one in accusing}
-        others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and one.monitor not in names]
+        names = {trust_monitor.monitor for trust_monitor in accusing}
+        others = [
+            trust_monitor
+            for trust_monitor in passing(now_ns)
+            if isinstance(trust_monitor, TrustMonitor) and trust_monitor.monitor not in names
+        ]
         state = navigation_state(now_ns, 10.0)
-        found += [one for one in second(process, now_ns, [state, *others, *accusing]) if isinstance(one, TrustState)]
+        found += [
+            message
+            for message in second(process, now_ns, [state, *others, *accusing])
+            if isinstance(message, TrustState)
+        ]
     assert found[-1].imu_excluded is knocked and not found[-1].gnss_excluded
     if not knocked:
         return
@@ -199,8 +217,8 @@ def test_a_restart_goes_on_with_the_exclusion_of_the_process_before_and_not_with
         restarted = Process(Config())
         assert list(restarted.handle(saved)) == [] and list(restarted.handle(known)) == []
         published = second(restarted, after_s * SECOND_NS, passing(after_s * SECOND_NS))
-        found = [one for one in published if isinstance(one, TrustState)]
-        assert {one.gnss_excluded for one in found} == {excluded}
+        found = [message for message in published if isinstance(message, TrustState)]
+        assert {trust_state.gnss_excluded for trust_state in found} == {excluded}
         assert found[-1].suspect_since_ns == (saved.suspect_since_ns if excluded else None)
 
 
@@ -215,20 +233,28 @@ def test_fusion_confirms_by_a_solution_without_gnss_since_the_suspect_time() -> 
         free = solution(now_ns).model_copy(update={"gnss_excluded_since_ns": since_ns, "gnss_age_s": 11.0})
         list(process.handle(free))
         published = list(process.handle(Tick(now_ns=now_ns)))
-        rows.append(next((one.row, one.state) for one in published if isinstance(one, TrustState)))
+        rows.append(
+            next(
+                (trust_state.row, trust_state.state) for trust_state in published if isinstance(trust_state, TrustState)
+            )
+        )
     assert rows == [(4, TrustLevel.UNSAFE), (4, TrustLevel.UNSAFE), (5, TrustLevel.DEAD_RECKONING)]
 
 
 def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> None:
     process = Process(Config())
     accusing = statement(Monitor.SATELLITES, SECOND_NS, Outcome.ACCUSES, ("G05",))
-    others = [one for one in passing(SECOND_NS) if isinstance(one, TrustMonitor) and one.monitor != "satellites"]
+    others = [
+        trust_monitor
+        for trust_monitor in passing(SECOND_NS)
+        if isinstance(trust_monitor, TrustMonitor) and trust_monitor.monitor != "satellites"
+    ]
     before = second(process, SECOND_NS, [*others, accusing])
     left_out = navigation_state(SECOND_NS, 10.0).model_copy(update={"satellites_left_out": ("G05",)})
     for k in range(2, 6):  # a better verdict has to last
         after = second(process, k * SECOND_NS, [left_out, *others, accusing])
-    last = [[one for one in published if isinstance(one, TrustState)][-1] for published in (before, after)]
-    assert [one.row for one in last] == [4, 9]
+    last = [[message for message in published if isinstance(message, TrustState)][-1] for published in (before, after)]
+    assert [trust_state.row for trust_state in last] == [4, 9]
     assert "satellite G05 is excluded" in last[1].findings
 
 
@@ -236,14 +262,14 @@ def test_reasons_and_findings_are_the_english_details_of_their_codes_one_each() 
     process = Process(Config())
     accusing = statement(Monitor.SATELLITES, SECOND_NS, Outcome.ACCUSES, ("G05",))
     published = second(process, SECOND_NS, [statement(Monitor.MOTION, SECOND_NS), accusing])
-    state = [one for one in published if isinstance(one, TrustState)][-1]
+    state = [message for message in published if isinstance(message, TrustState)][-1]
     for texts, codes in ((state.reasons, state.reason_codes), (state.findings, state.finding_codes)):
         assert len(texts) == len(codes) > 0
-        assert list(texts) == [words().detail(one) for one in codes]
-    event = [one for one in published if isinstance(one, TrustEvent)][-1]
+        assert list(texts) == [words().detail(code) for code in codes]
+    event = [message for message in published if isinstance(message, TrustEvent)][-1]
     assert event.reason_codes and len(event.reason_codes) == len(event.reasons)
     assert TrustState.model_validate_json(state.model_dump_json(exclude_none=True)) == state
-    unheard = next(one for one in state.monitors if one.monitor == "evidence")
+    unheard = next(monitor for monitor in state.monitors if monitor.monitor == "evidence")
     assert unheard.reason == "no message has come yet of Receiver evidence"
 
 
@@ -254,9 +280,9 @@ def test_a_window_that_reaches_back_into_a_conflict_says_so_as_the_reason_of_its
     now_ns = 3 * SECOND_NS
     long = statement(Monitor.INERTIAL_LONG, now_ns, Outcome.ACCUSES, ("gnss",))
     published = second(process, now_ns, [*passing(now_ns), long.model_copy(update={"window_s": 60.0})])
-    state = [one for one in published if isinstance(one, TrustState)][-1]
+    state = [message for message in published if isinstance(message, TrustState)][-1]
     assert state.state is TrustLevel.SAFE
-    found = next(one for one in state.monitors if one.monitor == "inertial_long")
+    found = next(monitor for monitor in state.monitors if monitor.monitor == "inertial_long")
     assert (found.outcome, found.accused) == (Outcome.NOT_EVALUATED, ())
     assert found.reason == "its window reaches back into a conflict that has ended"
 
@@ -275,8 +301,12 @@ def test_how_the_process_before_ended_is_said_until_the_position_is_confirmed(
     process = Process(Config())
     if record is not None:
         list(process.handle(record))
-    waiting = [one for one in passing(SECOND_NS) if one.monitor != Monitor.INERTIAL_LONG]
+    waiting = [trust_monitor for trust_monitor in passing(SECOND_NS) if trust_monitor.monitor != Monitor.INERTIAL_LONG]
     published = second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *waiting])
     state = [message for message in published if isinstance(message, TrustState)][-1]
-    said = {one.code for one in (*state.reason_codes, *state.finding_codes) if one.code.startswith("trust.start_")}
+    said = {
+        explanation.code
+        for explanation in (*state.reason_codes, *state.finding_codes)
+        if explanation.code.startswith("trust.start_")
+    }
     assert said == ({str(code)} if code else set())

@@ -106,8 +106,8 @@ def test_gnss_is_excluded_from_a_decision_on_until_the_conflict_ends_unless_fusi
         readmission.update(k * SECOND_NS, accused=True, agrees=False, decided=decided, declined=declined)
         for k, (decided, declined) in enumerate([(False, False), (True, False), (False, False), (False, True)])
     ]
-    assert [one.excluded for one in found] == [False, True, True, False]
-    assert all(one.open for one in found)
+    assert [admission.excluded for admission in found] == [False, True, True, False]
+    assert all(admission.open for admission in found)
 
 
 def test_an_accusation_during_the_healthy_time_continues_the_same_fault() -> None:

@@ -68,7 +68,9 @@ def test_after_an_orderly_stop_a_short_window_confirms_a_start_in_motion_and_sat
     def short(outcome: Outcome, at_s: int) -> Facts:
         now_ns = at_s * SECOND_NS
         known = {Monitor.INERTIAL_SHORT: outcome, Monitor.SATELLITES: Outcome.PASS}
-        return Facts(now_ns, statements={one: Statement(one, how, now_ns, "") for one, how in known.items()})
+        return Facts(
+            now_ns, statements={monitor: Statement(monitor, how, now_ns, "") for monitor, how in known.items()}
+        )
 
     for record, confirms in ((IN_ORDER, True), (CUT, False), (None, False)):
         start, state = Start(), started(in_motion=True)
@@ -80,7 +82,7 @@ def test_after_an_orderly_stop_a_short_window_confirms_a_start_in_motion_and_sat
 
 
 def records(published: Iterable[Message]) -> list[TrustRecord]:
-    return [one for one in published if isinstance(one, TrustRecord)]
+    return [message for message in published if isinstance(message, TrustRecord)]
 
 
 def accused(process: Process, seconds: range) -> list[Message]:
@@ -88,7 +90,11 @@ def accused(process: Process, seconds: range) -> list[Message]:
     found: list[Message] = []
     for k in seconds:
         now_ns = k * SECOND_NS
-        others = [one for one in passing(now_ns) if isinstance(one, TrustMonitor) and one.monitor != "inertial_long"]
+        others = [
+            trust_monitor
+            for trust_monitor in passing(now_ns)
+            if isinstance(trust_monitor, TrustMonitor) and trust_monitor.monitor != "inertial_long"
+        ]
         accusing = statement(Monitor.INERTIAL_LONG, now_ns, Outcome.ACCUSES, ("gnss",))
         found += second(process, now_ns, [navigation_state(now_ns, 10.0), *others, accusing])
     return found
@@ -97,11 +103,11 @@ def accused(process: Process, seconds: range) -> list[Message]:
 def test_a_record_is_written_every_10_s_at_once_with_a_change_and_every_5_s_of_a_conflict() -> None:
     process = Process(Config())
     process_records = records(m for k in range(1, 32) for m in second(process, k * SECOND_NS, passing(k * SECOND_NS)))
-    assert sorted({one.sampled_ns // SECOND_NS for one in process_records}) == [1, 11, 21, 31]
+    assert sorted({process_record.sampled_ns // SECOND_NS for process_record in process_records}) == [1, 11, 21, 31]
     found = records(accused(process, range(32, 46)))
-    times = [one.sampled_ns // SECOND_NS for one in found]
+    times = [trust_record.sampled_ns // SECOND_NS for trust_record in found]
     assert times[0] == 32 and found[0].suspect_since_ns is not None and max(b - a for a, b in pairwise(times)) <= 5
-    assert {one.hypothesis for one in found[-1].beliefs} >= {Hypothesis.GNSS}
+    assert {belief.hypothesis for belief in found[-1].beliefs} >= {Hypothesis.GNSS}
     assert found[-1].trusted is not None and found[-1].trusted.sampled_ns <= 32 * SECOND_NS
     [last] = records(process.close())
     assert last.ended_in_order and last.suspect_since_ns == found[-1].suspect_since_ns
@@ -114,17 +120,17 @@ def test_a_conflict_and_its_beliefs_go_on_after_a_cut_of_any_length(cut_s: int) 
     after = Process(Config())
     assert list(after.handle(saved)) == []
     published = second(after, (8 + cut_s) * SECOND_NS, [])
-    state = next(one for one in published if isinstance(one, TrustState))
+    state = next(message for message in published if isinstance(message, TrustState))
     assert state.state is not TrustLevel.SAFE and state.suspect_since_ns == saved.suspect_since_ns
-    assert any(one.hypothesis is Hypothesis.GNSS and one.survives for one in state.beliefs)
+    assert any(belief.hypothesis is Hypothesis.GNSS and belief.survives for belief in state.beliefs)
     assert not state.gnss_excluded, "fusion has no solution without GNSS any more"
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0])
 def test_any_record_that_the_contract_lets_through_is_used(probability: float) -> None:
     beliefs = tuple(
-        Belief(hypothesis=one, prior=0.0, probability=probability, survives=True, reason="", since_ns=-(2**40))
-        for one in Hypothesis
+        Belief(hypothesis=Hypothesi, prior=0.0, probability=probability, survives=True, reason="", since_ns=-(2**40))
+        for Hypothesi in Hypothesis
     )
     record = replace_times(TrustRecord(sampled_ns=2**61, beliefs=beliefs))
     process = Process(Config())
@@ -142,8 +148,12 @@ def replace_times(record: TrustRecord) -> TrustRecord:
 
 def test_the_facts_of_a_start_are_part_of_the_verdict() -> None:
     process = Process(Config())
-    others = [one for one in passing(SECOND_NS) if isinstance(one, TrustMonitor) and one.monitor != "inertial_long"]
-    state = [one for one in second(process, SECOND_NS, others) if isinstance(one, TrustState)][-1]
+    others = [
+        trust_monitor
+        for trust_monitor in passing(SECOND_NS)
+        if isinstance(trust_monitor, TrustMonitor) and trust_monitor.monitor != "inertial_long"
+    ]
+    state = [message for message in second(process, SECOND_NS, others) if isinstance(message, TrustState)][-1]
     assert state.state is TrustLevel.CAUTION and state.reason_codes[0].code == Code.START_UNKNOWN
 
 

@@ -23,7 +23,9 @@ def at(facts: Facts, time_s: float) -> Facts:
         facts,
         time_ns=facts.time_ns + moved_ns,
         solution=replace(facts.solution, sampled_ns=facts.solution.sampled_ns + moved_ns),
-        statements={m: replace(one, stated_ns=one.stated_ns + moved_ns) for m, one in facts.statements.items()},
+        statements={
+            m: replace(statement, stated_ns=statement.stated_ns + moved_ns) for m, statement in facts.statements.items()
+        },
     )
 
 
@@ -68,7 +70,7 @@ def test_it_says_what_it_waits_for_and_shows_no_figure_of_a_narrower_limit() -> 
     steady.after(with_level(11.0))
     waiting = steady.after(at(with_level(5.0), 1.0))
     assert waiting.row == 3
-    assert [one.code for one in waiting.reasons][-1] == Code.HAS_TO_LAST
+    assert [reason.code for reason in waiting.reasons][-1] == Code.HAS_TO_LAST
     assert waiting.reasons[-1].values == {"state": "safe", "lasts_s": LASTS_S}
     near = steady.after(at(with_level(9.6), 2.0)).reasons[0]
     assert near.code == Code.LEVEL_HAS_TO_FALL and near.values["limit_m"] == pytest.approx(10.0)

@@ -63,7 +63,7 @@ def satellite(name: str) -> Reference:
 
 
 def codes(explanations: Explanations) -> list[str]:
-    return [one.code for one in explanations]
+    return [explanation.code for explanation in explanations]
 
 
 def believed(hypothesis: Hypothesis, probability: float, *, acted_on: bool = False) -> Posterior:
@@ -79,7 +79,7 @@ SILENT = replace(says(Monitor.INERTIAL_LONG), stated_ns=NOW_NS - 8 * SECOND_NS)
 GNSS_OR_IMU = (believed(Hypothesis.IMU, 0.6), believed(Hypothesis.GNSS, 0.39))
 GNSS_ALONE = (believed(Hypothesis.GNSS, 0.999, acted_on=True),)
 ODOMETER_ALONE = (believed(Hypothesis.ODOMETER, 0.998, acted_on=True),)
-MANY = tuple(believed(one, 0.3) for one in (Hypothesis.GNSS, Hypothesis.IMU, Hypothesis.ODOMETER))
+MANY = tuple(believed(hypothesis, 0.3) for hypothesis in (Hypothesis.GNSS, Hypothesis.IMU, Hypothesis.ODOMETER))
 ALIKE = (believed(Hypothesis.GNSS_AND_ODOMETER, 0.7), believed(Hypothesis.IMU, 0.3))
 KNOWN = {
     Hypothesis.IMU: Alternative(4.0, 3.0, True), Hypothesis.ODOMETER: Alternative(1.0, 2.0, True),
@@ -203,15 +203,20 @@ def test_the_first_row_that_matches_decides(facts: Facts, row: int, reasons: tup
     found = verdict(facts)
     state = ROWS[row - 1][0] if row <= len(ROWS) else TrustLevel.SAFE
     assert (found.row, found.state) == (row, state)
-    places = [next(place for place, one in enumerate(found.reasons) if wanted in (one, one.code)) for wanted in reasons]
+    places = [
+        next(place for place, reason in enumerate(found.reasons) if wanted in (reason, reason.code))
+        for wanted in reasons
+    ]
     assert places[0] == 0 and places == sorted(places)
     assert words().sentence(found.reasons[0]), "what decides has a sentence"
-    assert all(words().detail(one) for one in (*found.reasons, *found.findings)), "values fit their rows"
+    assert all(words().detail(explanation) for explanation in (*found.reasons, *found.findings)), (
+        "values fit their rows"
+    )
 
 
 def test_every_code_is_a_reason_or_a_finding_of_some_case() -> None:
     verdicts = [verdict(facts) for facts, *_ in (case.values for case in CASES) if isinstance(facts, Facts)]
-    found = {one.code for made in verdicts for one in (*made.reasons, *made.findings)}
+    found = {explanation.code for made in verdicts for explanation in (*made.reasons, *made.findings)}
     # of a monitor or of a hypothesis, in tests of their own
     others = {
         Code.WINDOW_REACHES_BACK, Code.MONITOR_AHEAD, Code.NOT_COMPARABLE, Code.HARDLY_MOVES, Code.SOLUTIONS_COMPARED,
@@ -219,7 +224,7 @@ def test_every_code_is_a_reason_or_a_finding_of_some_case() -> None:
         Code.DISPUTED, Code.HAS_TO_LAST, Code.LEVEL_HAS_TO_FALL,
     }  # fmt: skip
     facts = replace(with_(SAFE, accuses(Monitor.EVIDENCE, "gnss", "odometer")), odometer_excluded=True)
-    found |= {one.code for one in verdict(replace(facts, fixes_late_s=0.6)).findings}
+    found |= {finding.code for finding in verdict(replace(facts, fixes_late_s=0.6)).findings}
     assert set(Code) - found - others == set()
 
 
@@ -265,7 +270,7 @@ def test_each_flag_raised_alone_matches_exactly_its_own_row_and_names_exactly_it
 ) -> None:
     found = verdict(with_(SAFE, raised))
     assert found == Verdict(ROWS[row - 1][0], row, found.reasons, findings)
-    suspecting = [one.values["monitor"] for one in found.reasons if one.code == Code.MONITOR_SUSPECTS]
+    suspecting = [reason.values["monitor"] for reason in found.reasons if reason.code == Code.MONITOR_SUSPECTS]
     assert suspecting == [raised.monitor]
 
 

@@ -88,8 +88,8 @@ class Unit:
         life = self.lives.get(process, 1)
         over = state is ProcessState.LOST
         published, received = (
-            () if over else tuple(one for (name, _, of), one in found.items() if (name, of) == (process, life))
-            for found in ({} if process in self.silent_about else self.published, self._received)
+            () if over else tuple(carried for (name, _, of), carried in record.items() if (name, of) == (process, life))
+            for record in ({} if process in self.silent_about else self.published, self._received)
         )
         health = ProcessHealth(
             process=process, state=state, incarnation=life, sent_ns=self.now_ns, published=published, received=received

@@ -73,19 +73,21 @@ def test_a_transaction_is_sent_with_its_signed_place_in_the_chain(tmp_path: Path
     for name in "ab":
         charge(ledger, store, name)
     sent = ledger.due(START_NS + NS)
-    assert [one.seal.number for one in sent if one.seal] == [1, 2]
-    for one in sent:
-        assert one.seal is not None
+    assert [toll_transaction.seal.number for toll_transaction in sent if toll_transaction.seal] == [1, 2]
+    for toll_transaction in sent:
+        assert toll_transaction.seal is not None
         fields = {
-            "ledger": one.seal.ledger, "number": str(one.seal.number), "link": one.seal.link,
-            "transaction_id": one.transaction_id, "key": one.seal.key, "public_key": one.seal.public_key,
-            "signature": one.seal.signature,
+            "ledger": toll_transaction.seal.ledger, "number": str(toll_transaction.seal.number),
+            "link": toll_transaction.seal.link,
+            "transaction_id": toll_transaction.transaction_id, "key": toll_transaction.seal.key,
+            "public_key": toll_transaction.seal.public_key,
+            "signature": toll_transaction.seal.signature,
         }  # fmt: skip
         assert is_genuine(ENTRY, fields) and not is_genuine(CURRENT, fields)
-        row = store.row("SELECT link FROM entry WHERE number = ?", one.seal.number)
-        assert row is not None and row["link"] == one.seal.link
+        row = store.row("SELECT link FROM entry WHERE number = ?", toll_transaction.seal.number)
+        assert row is not None and row["link"] == toll_transaction.seal.link
     again = ledger.due(START_NS + 100 * NS)
-    assert [one.seal for one in again] == [one.seal for one in sent]
+    assert [toll_transaction.seal for toll_transaction in again] == [toll_transaction.seal for toll_transaction in sent]
     store.close()
 
 
@@ -94,7 +96,7 @@ def test_without_a_key_it_charges_and_chains_and_the_ledger_is_unsigned(tmp_path
     proof = prove_ledger(path, key.ring)
     assert proof.outcome is Outcome.UNSIGNED and len(proof.unsigned) == 2
     ledger, store = ledger_at(path)
-    assert [one.seal for one in ledger.due(START_NS)] == [None, None]
+    assert [toll_transaction.seal for toll_transaction in ledger.due(START_NS)] == [None, None]
     store.close()
 
 
@@ -197,7 +199,7 @@ def test_a_rotated_key_goes_on_in_the_same_chain(tmp_path: Path, key: KeyFile) -
     store.close()
     proof = prove_ledger(tmp_path / "ledger.sqlite", key.ring)
     assert proof.outcome is Outcome.VERIFIED
-    newest = KeyRing(tuple(one for one in key.ring.keys if one.key_id != old))
+    newest = KeyRing(tuple(public_key for public_key in key.ring.keys if public_key.key_id != old))
     assert prove_ledger(tmp_path / "ledger.sqlite", newest).changed.keys() == {Vehicle("a").passage_id}
 
 

@@ -48,7 +48,7 @@ class Gate:
         now_ns = vehicle.crossing_ns + EXIT_S * NS
         if registered:
             self.ledger.register(vehicle.registration(), vehicle.opened_ns)
-        overlaps = tuple(one.passage_id for one in ahead)
+        overlaps = tuple(vehicle.passage_id for vehicle in ahead)
         state = CHARGED if registered else UNREGISTERED
         statement = vehicle.says(state, overlaps=overlaps, exit_ns=now_ns).model_copy(update=changes)
         self.ledger.passage(statement, now_ns)
@@ -312,7 +312,7 @@ def test_a_ledger_of_version_1_is_migrated_with_its_charges_and_passages_in_prog
         (charge,) = ledger.due(START_NS + 60 * NS)
         assert (charge.contract, charge.amount_cents, charge.confirmed) == ("contract-1", 240, False)
         ledger.reconcile(START_NS + 60 * NS)
-        assert [one.passage_id for one in ledger.open_passages(START_NS + 60 * NS).passages] == [
+        assert [passage.passage_id for passage in ledger.open_passages(START_NS + 60 * NS).passages] == [
             Vehicle("b").passage_id
         ]
         store.close()
@@ -368,8 +368,10 @@ def claim(passage_id: str, *overlaps: str, **changes: object) -> Claim:
 
 
 def test_passages_are_grouped_over_a_third_one() -> None:
-    made = {one.passage_id: one for one in (claim("a"), claim("b", "a"), claim("c", "b"), claim("d"), claim("e", "x"))}
-    assert [[one.passage_id for one in group] for group in groups(made)] == [["a", "b", "c"], ["d"], ["e"]]
+    made = {
+        item.passage_id: item for item in (claim("a"), claim("b", "a"), claim("c", "b"), claim("d"), claim("e", "x"))
+    }
+    assert [[claim.passage_id for claim in group] for group in groups(made)] == [["a", "b", "c"], ["d"], ["e"]]
 
 
 @each(

@@ -104,8 +104,8 @@ def test_every_sentence_has_its_checksum_and_length(
 ) -> None:
     made = report(latitude_deg=latitude, longitude_deg=longitude, height_ellipsoid_m=height,
                   velocity_ned_m_s=(speed, speed, speed), time_ns=T + round(seconds * NS))  # fmt: skip
-    for found in lines(made).values():
-        for line in found:
+    for row in lines(made).values():
+        for line in row:
             assert len(line) + 2 <= 82
             body, checksum = line[1:].split("*")
             assert reduce(xor, body.encode()) == int(checksum, 16)

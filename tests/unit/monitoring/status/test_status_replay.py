@@ -111,7 +111,7 @@ def test_verdicts_and_outages_before_a_position_come_from_the_events_of_the_driv
     feed.take(jump(100.0, 1, moment(100.0)), HOST_NS)
     feed.take([sent(ReplayEvents(trust=changes, outages=(outage,)), HOST_NS, "sensors.replay")], HOST_NS)
     assert [name for _, name in state.trust_history.changes][:2] == ["initialising", "safe"]
-    assert [found.what for found in state.outages.closed()] == ["sensors.imu"]
+    assert [outage.what for outage in state.outages.closed()] == ["sensors.imu"]
     feed.take(jump(10.0, 2, moment(10.0)), HOST_NS)
     assert [name for _, name in state.trust_history.changes][:1] == ["initialising"]
     assert not state.outages.closed()

@@ -97,7 +97,7 @@ def test_no_kill_at_any_moment_loses_or_repeats_a_report_that_was_committed(tmp_
 
     outbox = Outbox(path, "car", EPOCH_MS + 1, 10**9)
     outbox.flush(SIGNER)
-    found = [one.utc_ms - EPOCH_MS for batch in chain(outbox) for one in batch.reports]
+    found = [report.utc_ms - EPOCH_MS for batch in chain(outbox) for report in batch.reports]
     assert outbox.epoch_ms == EPOCH_MS
     assert len(found) == len(set(found)) and set(told) <= set(found)
     assert len(found) - len(told) <= KILLS, "each kill may come between the commit and the word of it"
@@ -228,7 +228,7 @@ def test_a_full_disk_stores_nothing_by_halves_and_is_used_again_when_there_is_ro
 
     outbox._db.execute("PRAGMA max_page_count=100000")
     outbox.flush(SIGNER)
-    found = [one for batch in chain(outbox) for one in batch.reports]
+    found = [report for batch in chain(outbox) for report in batch.reports]
     assert found == [report(number) for number in range(stored_reports + 1)]
     outbox.close()
 

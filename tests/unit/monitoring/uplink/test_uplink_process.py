@@ -46,11 +46,11 @@ def batches(unit: UplinkUnit) -> list[Batch]:
 
 
 def reports(unit: UplinkUnit) -> list[Report]:
-    return [one for batch in batches(unit) for one in batch.reports]
+    return [report for batch in batches(unit) for report in batch.reports]
 
 
 def events(unit: UplinkUnit) -> list[Event]:
-    return [one for batch in batches(unit) for one in batch.events]
+    return [event for batch in batches(unit) for event in batch.events]
 
 
 def clock(at_ns: int, utc_ns: int, *, synchronised: bool = True) -> HostClock:
@@ -145,7 +145,7 @@ def test_a_clock_that_jumps_is_noted_in_the_chain(unit: UplinkUnit, jump_ns: int
     unit.drive(15)
     unit.offset_ns = jump_ns
     unit.drive(15)
-    (event,) = [one for one in events(unit) if one.name == "uplink/clock"]
+    (event,) = [event for event in events(unit) if event.name == "uplink/clock"]
     after, before = event.content["after_ms"], event.content["before_ms"]
     assert isinstance(after, int) and isinstance(before, int) and after - before == jump_ns // 10**6
     assert unit.bus.rejects["clock jump"] == 1
@@ -156,7 +156,7 @@ def test_stamps_before_2020_never_enter_a_batch(unit: UplinkUnit) -> None:
     unit.drive(15)
     unit.offset_ns = -20 * YEAR_NS
     unit.drive(15)
-    assert min(one.utc_ms for one in reports(unit)) >= START_NS // 10**6
+    assert min(report.utc_ms for report in reports(unit)) >= START_NS // 10**6
     assert unit.bus.rejects["stamp"] >= 14
 
 
@@ -171,7 +171,7 @@ def test_events_are_reported_without_what_a_centre_does_not_need(unit: UplinkUni
     outage = Outage(what="sensors.gnss", since_ns=unit.now_ns, cause="it is silent", affected=("gnss/fix",))
     unit.drive(1, also=(change, outage))
     found = events(unit)
-    assert [one.name for one in found] == ["trust/event", "outage/event"]
+    assert [event.name for event in found] == ["trust/event", "outage/event"]
     assert [m["monitor"] for m in found[0].content["monitors"]] == ["one"]  # type: ignore[attr-defined]
     assert found[1].content["what"] == "sensors.gnss"
 
@@ -182,7 +182,7 @@ def test_where_the_data_come_from_is_an_event_when_it_changes_and_not_each_time_
     unit.drive(3)
     for kind in (OriginKind.LIVE, OriginKind.LIVE, OriginKind.SIMULATED, OriginKind.SIMULATED, OriginKind.LIVE):
         unit.drive(1, also=(Origin(now_ns=unit.now_ns, kind=kind, name="car"),))
-    assert [one.content["kind"] for one in events(unit)] == ["live", "simulated", "live"]
+    assert [event.content["kind"] for event in events(unit)] == ["live", "simulated", "live"]
 
 
 def test_messages_of_a_replay_are_not_reported(unit: UplinkUnit) -> None:
@@ -210,7 +210,7 @@ def test_tracking_verdict_reports_no_position_not_even_in_events(tmp_path: Path)
     unit = UplinkUnit(tmp_path, tracking="verdict")
     unit.drive(30)
     found = reports(unit)
-    assert len(found) >= 29 and all(one[1:7] == (None,) * 6 and one.verdict == 0 for one in found)
+    assert len(found) >= 29 and all(report[1:7] == (None,) * 6 and report.verdict == 0 for report in found)
     unit.close()
 
 

@@ -43,7 +43,7 @@ def line(text: str, at_s: float = 0.0, bus: str = "can0") -> bytes:
 
 def feed(process: Process, data: bytes, at_s: float = 0.05) -> list[VehicleSpeed | WheelSpeeds]:
     found = process.handle(CanRaw(received_ns=START_NS + round(at_s * NS), source="can0", data=data))
-    return [one for one in found if not isinstance(one, VehicleSignal)]
+    return [item for item in found if not isinstance(item, VehicleSignal)]
 
 
 @pytest.fixture
@@ -151,7 +151,11 @@ def test_a_range_that_contradicts_the_bits_is_ignored(
     path = tmp_path / "car.dbc"
     path.write_text(f'VERSION ""\nBU_: ECU\nBO_ 212 WHEELS: {len(data) // 2} ECU\n SG_ WS : {signal} ECU\n')
     process = Process(Config(dbc_file=path, wheel_speed_signals=WheelSignals(rear_left="WS")))
-    found = [one.rear_left_m_s for one in feed(process, line(f"0D4#{data}")) if isinstance(one, WheelSpeeds)]
+    found = [
+        wheel_speeds.rear_left_m_s
+        for wheel_speeds in feed(process, line(f"0D4#{data}"))
+        if isinstance(wheel_speeds, WheelSpeeds)
+    ]
     assert found == ([] if speed_m_s is None else [pytest.approx(speed_m_s)])
     assert process.rejects["wheel_speed"] == (speed_m_s is None)
 

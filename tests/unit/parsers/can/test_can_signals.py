@@ -52,7 +52,7 @@ def fed(parser: Process, *frames: str, step_s: float = 0.1) -> list[Message]:
 
 
 def values(found: list[Message]) -> dict[str, tuple[object, str]]:
-    return {one.name: (one.value, one.unit) for one in found if isinstance(one, VehicleSignal)}
+    return {message.name: (message.value, message.unit) for message in found if isinstance(message, VehicleSignal)}
 
 
 def test_named_signals_are_published_in_si(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_named_signals_are_published_in_si(tmp_path: Path) -> None:
         "steering_angle": (pytest.approx(math.radians(10)), "rad"),
         "yaw_rate": (pytest.approx(math.radians(-1)), "rad/s"),
     }
-    (speed,) = [one for one in found if isinstance(one, VehicleSpeed)]
+    (speed,) = [message for message in found if isinstance(message, VehicleSpeed)]
     assert speed.speed_m_s == pytest.approx(50 / 3.6) and speed.source == "can0/dbc"
     assert speed.resolution_m_s == pytest.approx(0.01 / 3.6)
 
@@ -71,9 +71,11 @@ def test_named_signals_are_published_in_si(tmp_path: Path) -> None:
 def test_a_signal_is_as_old_as_the_vehicle_is_said_to_need_for_it(tmp_path: Path, delay_s: float) -> None:
     parser = process(tmp_path, steering_angle="STEER", vehicle_speed="MOTION.SPEED")
     parser._config = parser._config.model_copy(update={"wheel_speed_delay_s": delay_s})
-    found = [one for one in fed(parser, "0D0#64009CFF00008813") if isinstance(one, VehicleSignal | VehicleSpeed)]
+    found = [
+        message for message in fed(parser, "0D0#64009CFF00008813") if isinstance(message, VehicleSignal | VehicleSpeed)
+    ]
     assert len(found) == 2
-    assert {(one.received_ns, one.received_ns - one.sampled_ns) for one in found} == {(NOW_NS, round(delay_s * NS))}
+    assert {(item.received_ns, item.received_ns - item.sampled_ns) for item in found} == {(NOW_NS, round(delay_s * NS))}
 
 
 def test_multiplexed_signals_are_published_when_they_come(tmp_path: Path) -> None:
@@ -107,8 +109,8 @@ def test_a_short_frame_gives_the_signals_that_are_whole_in_it(
     parser = process(tmp_path, steering_angle="STEER", yaw_rate="YAW", vehicle_speed="MOTION.SPEED", gear="GEAR",
                      odometer="ODO", temperature="TEMP", load="LOAD")  # fmt: skip
     frame = frame if len(frame) <= 20 else f"{frame[:3]}##0{frame[4:]}"
-    found = {"vehicle_speed" if isinstance(one, VehicleSpeed) else one.name for one in fed(parser, frame)
-             if isinstance(one, VehicleSpeed | VehicleSignal)}  # fmt: skip
+    found = {"vehicle_speed" if isinstance(message, VehicleSpeed) else message.name for message in fed(parser, frame)
+             if isinstance(message, VehicleSpeed | VehicleSignal)}  # fmt: skip
     assert found == wanted and parser.rejects.total() == parser.rejects["dbc_frame"] == rejected
 
 
@@ -169,15 +171,15 @@ def test_messages_of_j1939_are_found_by_their_parameter_group(
     frame: str, name: str | None, source: str | None, marks: str, tmp_path: Path
 ) -> None:
     parser = truck(tmp_path, marks)
-    found = [("vehicle_speed" if isinstance(one, VehicleSpeed) else one.name, one.source)
-             for one in fed(parser, frame) if isinstance(one, VehicleSpeed | VehicleSignal)]  # fmt: skip
+    found = [("vehicle_speed" if isinstance(message, VehicleSpeed) else message.name, message.source)
+             for message in fed(parser, frame) if isinstance(message, VehicleSpeed | VehicleSignal)]  # fmt: skip
     assert found == ([] if name is None else [(name, source)]) and not parser.rejects
     assert parser.kinds.table()[0].use is (MessageUse.UNKNOWN if name is None else MessageUse.USED)
 
 
 def test_senders_of_one_group_are_decoded_apart(tmp_path: Path) -> None:
     found = fed(truck(tmp_path, BY_DEFAULT), "18FEBF0B#0050FFFFFFFFFFFF", "18FEBF3E#0028FFFFFFFFFFFF", step_s=0.01)
-    speeds = {one.source: one.speed_m_s for one in found if isinstance(one, VehicleSpeed)}
+    speeds = {message.source: message.speed_m_s for message in found if isinstance(message, VehicleSpeed)}
     assert speeds == {"can0/0B/dbc": pytest.approx(80 / 3.6), "can0/3E/dbc": pytest.approx(40 / 3.6)}
 
 
@@ -188,7 +190,7 @@ def test_a_unit_or_a_scale_of_the_vehicle_file_overrides_the_file(tmp_path: Path
     )  # fmt: skip
     found = fed(parser, "0D0#640064001E000000")
     assert values(found) == {"yaw_rate": (pytest.approx(1.0), "rad/s"), "temperature": (pytest.approx(20.0), "degC")}
-    assert [one.speed_m_s for one in found if isinstance(one, VehicleSpeed)] == [15.0]
+    assert [message.speed_m_s for message in found if isinstance(message, VehicleSpeed)] == [15.0]
 
 
 def test_values_out_of_range_are_rejects(tmp_path: Path) -> None:
@@ -287,7 +289,7 @@ def test_recordings_are_read_with_every_line_accounted_for(
         piece = text[place : place + 50_000]
         stamps = re.findall(rb"\n\((\d+)\.", piece)
         message = CanRaw(received_ns=(int(stamps[-1]) + 1) * NS, source="can0", data=piece)
-        found.update(type(one) for one in parser.handle(message))
+        found.update(type(item) for item in parser.handle(message))
     counted = sum(kind.count for kind in parser.kinds.table())
     assert counted == text.count(b"\n")
     assert not parser.rejects["line"] and not parser.rejects["fault"] and not parser.rejects["range"]

@@ -59,8 +59,12 @@ def test_after_silence_the_next_source_is_used_and_an_interrupted_better_one_beg
 def test_protocols_of_one_portion_are_separate_messages_and_each_type_is_counted() -> None:
     run = Run()
     sent = run.send("a", 2, FRAME + spartn(0, 0) + spartn(1, 2) + FRAME)
-    assert [(one.protocol, one.frames) for one in sent] == [("rtcm3", 1), ("spartn", 2), ("rtcm3", 1)]
-    assert b"".join(one.data for one in sent) == FRAME + spartn(0, 0) + spartn(1, 2) + FRAME
+    assert [(gnss_correction.protocol, gnss_correction.frames) for gnss_correction in sent] == [
+        ("rtcm3", 1),
+        ("spartn", 2),
+        ("rtcm3", 1),
+    ]
+    assert b"".join(gnss_correction.data for gnss_correction in sent) == FRAME + spartn(0, 0) + spartn(1, 2) + FRAME
     assert run.state(3).types == {"RTCM 1005 station position": 2, "SPARTN OCB GPS": 1, "SPARTN HPAC Galileo": 1}
 
 

@@ -48,7 +48,9 @@ def test_a_frame_with_one_wrong_bit_is_no_frame_and_the_next_one_is_found(frame:
         wrong = bytearray(frame)
         wrong[chance.randrange(4, len(frame))] ^= 1 << chance.randrange(8)
         found, rejects = framed(bytes(wrong) + BASE[0] + bytes(1300))
-        assert [one.data for one in found] == [BASE[0]] and rejects["garbage_bytes"] == len(frame) + 1300
+        assert [correction_frame.data for correction_frame in found] == [BASE[0]] and rejects["garbage_bytes"] == len(
+            frame
+        ) + 1300
 
 
 def test_a_ubx_message_that_could_configure_the_receiver_does_not_pass() -> None:

@@ -267,7 +267,7 @@ def test_stamps_are_continuous_at_the_week_rollover() -> None:
 def test_stamps_are_continuous_after_a_week_number_rollover_of_the_receiver() -> None:
     """Its week number has rolled over (1024 weeks back), and its time of week is unrelated."""
     process = Process(Config())
-    before = [one for k in range(10) for one in fixes(feed(process, pvt(k) + eoe(k), k + 0.08))]
+    before = [fix for k in range(10) for fix in fixes(feed(process, pvt(k) + eoe(k), k + 0.08))]
     back = {"year": 2006, "month": 5, "day": 18, "hour": 3}
     after = []
     for k in range(20, 40):
@@ -276,8 +276,8 @@ def test_stamps_are_continuous_after_a_week_number_rollover_of_the_receiver() ->
         checked = restarted + bytes(checksum(restarted[2:])) + ubx("EOE", itow_ms)
         after += fixes(feed(process, checked, k + 0.08))
     assert len(before) >= 8 and len(after) >= 15
-    for one in (*before, *after):
-        assert abs(one.sampled_ns - one.received_ns) < 0.2 * NS
+    for gnss_fix in (*before, *after):
+        assert abs(gnss_fix.sampled_ns - gnss_fix.received_ns) < 0.2 * NS
 
 
 def checksum(body: bytes) -> tuple[int, int]:

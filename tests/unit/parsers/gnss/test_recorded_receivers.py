@@ -33,7 +33,7 @@ def read(path: Path, part: int = 64) -> tuple[Process, list[GnssFix]]:
         raw = GnssRaw(
             received_ns=START_NS + k * 5_000_000, source="gnss0", data=data[start : start + part], recorded=True
         )
-        fixes += [one for one in process.handle(raw) if isinstance(one, GnssFix)]
+        fixes += [gnss_fix for gnss_fix in process.handle(raw) if isinstance(gnss_fix, GnssFix)]
     return process, fixes
 
 

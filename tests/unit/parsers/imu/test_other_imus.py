@@ -116,7 +116,7 @@ def fed(process: Process, *lines: bytes) -> list[ImuSamples]:
 def test_csv_lines_are_read_by_their_mapping_also_in_parts() -> None:
     process = Process(config(CSV))
     found = fed(process, b"1000,0,0,-1,10,0,0\r\n1010,0,", b"0,-1,10,0,0\n")
-    assert [len(one.sampled_ns) for one in found] == [1, 1]
+    assert [len(imu_samples.sampled_ns) for imu_samples in found] == [1, 1]
     assert found[0].specific_force_body_m_s2[0] == pytest.approx((0.0, 0.0, -9.80665))
     assert found[0].angular_rate_body_rad_s[0] == pytest.approx((math.radians(10), 0.0, 0.0))
     assert found[1].sampled_ns[0] - found[0].sampled_ns[0] == pytest.approx(10_000_000, abs=100_000)
@@ -192,7 +192,7 @@ def test_recorded_wheel_ticks_at_standstill_are_no_speed() -> None:
     process = GnssProcess(GnssConfig(metres_per_wheel_tick=0.1))
     data = (recording("gpsd_receiver_logs") / "ublox-neo-m8l.log").read_bytes()
     found = list(process.handle(GnssRaw(received_ns=START_NS, source="gnss0", data=data)))
-    speeds = [one.speed_m_s for one in found if isinstance(one, VehicleSpeed)]
+    speeds = [vehicle_speed.speed_m_s for vehicle_speed in found if isinstance(vehicle_speed, VehicleSpeed)]
     assert len(speeds) > 50 and set(speeds) == {0.0}
 
 
@@ -237,7 +237,7 @@ def test_what_begins_with_a_hash_is_read_where_that_is_configured_and_counted_wh
     process = Process(config(LineForm(begins=begins)))
     lines = [begins.encode() + b"%d," % (1000 + 10 * k) + LINE for k in range(5)]
     found = fed(process, b"\n".join([*lines, b"# a comment", b""]))
-    assert sum(len(one.sampled_ns) for one in found) == 5
+    assert sum(len(imu_samples.sampled_ns) for imu_samples in found) == 5
     (other,) = [kind for kind in process.kinds.table() if kind.use is MessageUse.UNUSED]
     assert other.count == 1
 

@@ -38,7 +38,7 @@ def packet(content: CamContent = cams.BRAKING, generated_ns: int = NOW_NS, heade
 
 def decoded(process: Process, batch: CamFrames) -> list[Cam]:
     lists = [message for message in process.handle(batch) if isinstance(message, CamList)]
-    return [cam for found in lists for cam in found.cams]
+    return [cam for cams in lists for cam in cams.cams]
 
 
 def fix(latitude_deg: float, longitude_deg: float, utc_offset_ns: int = 0) -> GnssFix:
@@ -60,10 +60,10 @@ def test_a_batch_becomes_one_list_of_cams_with_their_stamps_and_frames() -> None
     (found,) = process.handle(CamFrames(received_ns=NOW_NS + 5 * MS, source="v2x0", data=data))
     assert isinstance(found, CamList)
     assert (found.source, found.received_ns) == ("v2x0", NOW_NS + 5 * MS)
-    assert [one.frame for one in found.cams] == [first, second]
-    assert [one.received_ns for one in found.cams] == [NOW_NS, NOW_NS + 5 * MS]
-    assert [one.station_id for one in found.cams] == [4_000_000_123, 0]
-    assert [one.sampled_ns // MS for one in found.cams] == [NOW_NS // MS, NOW_NS // MS - 40]
+    assert [cam.frame for cam in found.cams] == [first, second]
+    assert [cam.received_ns for cam in found.cams] == [NOW_NS, NOW_NS + 5 * MS]
+    assert [cam.station_id for cam in found.cams] == [4_000_000_123, 0]
+    assert [cam.sampled_ns // MS for cam in found.cams] == [NOW_NS // MS, NOW_NS // MS - 40]
     assert found.cams[0].speed_m_s == 23.45
     assert found.cams[1].speed_m_s is found.cams[1].latitude_deg is None
     assert process.rejects == Counter()
@@ -90,7 +90,7 @@ def test_unusable_frames_are_counted_by_reason_and_the_rest_of_the_batch_is_deco
         packet(generated_ns=NOW_NS + 5_000 * MS),
     ]
     found = decoded(process, cams.batch([good, *bad, good], NOW_NS))
-    assert [one.frame for one in found] == [good, good]
+    assert [cam.frame for cam in found] == [good, good]
     assert process.rejects == Counter(
         {
             "truncated": 2,
@@ -140,9 +140,9 @@ def test_generation_times_stay_in_order_across_the_wrap_of_generation_delta_time
     for step in range(-5, 6):
         generated_ns = wrap_ns + step * 100 * MS
         found += decoded(process, cams.batch([packet(generated_ns=generated_ns)], generated_ns + 30 * MS))
-    assert {one.generation_delta_time for one in found} >= {65436, 0, 100}
+    assert {cam.generation_delta_time for cam in found} >= {65436, 0, 100}
     assert [(b.sampled_ns - a.sampled_ns) for a, b in pairwise(found)] == [100 * MS] * 10
-    assert {one.received_ns - one.sampled_ns for one in found} == {30 * MS}
+    assert {cam.received_ns - cam.sampled_ns for cam in found} == {30 * MS}
 
 
 CYCLE_NS = its_time.CYCLE_MS * MS
@@ -275,10 +275,10 @@ def test_a_batch_of_any_size_becomes_lists_that_the_broker_passes_on(count: int)
     data = frames.pack((NOW_NS + k, packet(longest)) for k in range(count))
     batch = CamFrames.model_construct(received_ns=NOW_NS, source="v2x", data=data)
     lists = list(Process(Config()).handle(batch))
-    assert [one.received_ns for found in lists if isinstance(found, CamList) for one in found.cams] == [
+    assert [cam.received_ns for cams in lists if isinstance(cams, CamList) for cam in cams.cams] == [
         NOW_NS + k for k in range(count)
     ]
-    assert all(len(codec.encode(found)) + 300 <= BY_NAME["v2x/cam"].most_bytes for found in lists)
+    assert all(len(codec.encode(cams)) + 300 <= BY_NAME["v2x/cam"].most_bytes for cams in lists)
 
 
 def test_a_batch_of_the_longest_frames_fits_into_a_message() -> None:

@@ -37,7 +37,9 @@ def test_whole_frames_go_on_with_their_source_and_are_counted_by_type() -> None:
     with fake_caster(sending(b"noise" + GOOD, on)) as caster, chain(Config(sources=(caster.url(user="me"),))) as run:
         run.until(lambda: len(run.corrections) > 3 and run.state is not None and run.state.active is not None)
         name = f"ntrip://127.0.0.1:{caster.port}/MOUNT"
-        assert {(one.source, one.protocol) for one in run.corrections} == {(name, CorrectionProtocol.RTCM3)}
+        assert {(correction.source, correction.protocol) for correction in run.corrections} == {
+            (name, CorrectionProtocol.RTCM3)
+        }
         assert run.data() == GOOD * (len(run.data()) // len(GOOD))
         run.until(lambda: run.state is not None and run.state.types.get("RTCM 1005 station position", 0) > 3)
         assert run.state is not None and run.state.active == name and run.stream().phase is SourcePhase.RECEIVING
@@ -61,7 +63,7 @@ def test_the_next_source_takes_over_after_silence_and_the_better_one_comes_back_
         first.set()
         before = len(run.corrections)
         run.until(lambda: run.corrections[-1].data.endswith(GOOD))
-        times = [one.received_ns for one in run.corrections[before:]]
+        times = [correction.received_ns for correction in run.corrections[before:]]
         assert max(later - earlier for earlier, later in pairwise(times)) < 300_000_000
         run.until(lambda: any(
             said.sources[1].phase is SourcePhase.IDLE for said in run.bus.of(CorrectionSources)[-1:]

@@ -33,8 +33,8 @@ class FakeLink:
 def test_corrections_are_written_in_portions_and_in_their_order() -> None:
     bus, link, writer = LiveBus(), FakeLink(), CorrectionWriter()
     data = [bytes((k,)) * size for k, size in enumerate((100, 3000, 1024, 1))]
-    for one in data:
-        writer.take(bus.as_bus(), correction(one))
+    for payload in data:
+        writer.take(bus.as_bus(), correction(payload))
     for _ in range(8):
         before = len(link.written)
         writer.write(bus.as_bus(), cast(Link, link))

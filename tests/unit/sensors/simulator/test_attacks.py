@@ -62,10 +62,10 @@ def test_least_squares_of_the_measurements_are_the_fix_under_attack(text: str) -
     moves the height by tens of metres, over which the delay of the troposphere varies by centimetres."""
     solved = list(during(text).solved(START_S - 4.0, END_S + 4.0))
     assert len(solved) > 20
-    for one in solved:
+    for item in solved:
         tolerance = 0.1 if text.startswith(("satellite", "subset")) else 5e-3
-        assert one.position_n == pytest.approx(np.zeros(3), abs=tolerance), one.t_s
-        assert one.velocity_n == pytest.approx(np.zeros(3), abs=2e-2), one.t_s
+        assert item.position_n == pytest.approx(np.zeros(3), abs=tolerance), item.t_s
+        assert item.velocity_n == pytest.approx(np.zeros(3), abs=2e-2), item.t_s
 
 
 @pytest.mark.parametrize(
@@ -188,12 +188,12 @@ def test_a_slow_drive_falls_back_gradually() -> None:
 
 def test_a_clock_drift_delays_all_signals_more_and_more_and_moves_nothing() -> None:
     drive = during("clock_drift(rate=50)")
-    clean = {round(one.t_s): one for one in attacked().solved(START_S, END_S)}
+    clean = {round(solved.t_s): solved for solved in attacked().solved(START_S, END_S)}
     solved = list(drive.solved(START_S, END_S))
-    for one in solved:
-        late_m = SPEED_OF_LIGHT * 50e-9 * (one.t_s - solved[0].t_s)
-        assert one.clock_m - clean[round(one.t_s)].clock_m == pytest.approx(late_m, abs=0.01)
-        assert one.drift_m_s - clean[round(one.t_s)].drift_m_s == pytest.approx(SPEED_OF_LIGHT * 50e-9, abs=0.01)
+    for item in solved:
+        late_m = SPEED_OF_LIGHT * 50e-9 * (item.t_s - solved[0].t_s)
+        assert item.clock_m - clean[round(item.t_s)].clock_m == pytest.approx(late_m, abs=0.01)
+        assert item.drift_m_s - clean[round(item.t_s)].drift_m_s == pytest.approx(SPEED_OF_LIGHT * 50e-9, abs=0.01)
     assert max(float(np.linalg.norm(moved(*pair)[0])) for pair in both(drive)) < 1e-3
 
 
@@ -214,15 +214,17 @@ def test_a_receiver_states_other_accuracies_than_it_has() -> None:
 def test_few_satellites_of_one_constellation_are_left_on_one_side() -> None:
     drive = during("few_satellites(satellites=4)")
     left = [
-        [one for one in sky.satellites if one.used] for sky in drive.skies
+        [satellite for satellite in sky.satellites if satellite.used] for sky in drive.skies
         if START_S < seconds(sky.sampled_ns) < END_S
     ]  # fmt: skip
     assert len(left) > 10 and all(len(used) == 4 for used in left)
-    assert len({(one.constellation, one.number) for used in left for one in used}) == 4, "the same all the time"
-    assert len({one.constellation for one in left[0]}) == 1
+    assert len({(satellite.constellation, satellite.number) for used in left for satellite in used}) == 4, (
+        "the same all the time"
+    )
+    assert len({satellite.constellation for satellite in left[0]}) == 1
     dilution = [fix.pdop for fix, _ in both(drive)]
-    assert min(one or 0.0 for one in dilution) > 2.0 * max(
-        one.pdop or 0.0 for one in attacked().between(START_S, END_S)
+    assert min(value or 0.0 for value in dilution) > 2.0 * max(
+        gnss_fix.pdop or 0.0 for gnss_fix in attacked().between(START_S, END_S)
     )
 
 
@@ -264,15 +266,15 @@ def test_a_replayed_drive_is_another_motion_from_the_same_place() -> None:
 
 def test_meaconing_is_a_longer_signal_a_late_clock_and_the_place_of_the_rebroadcaster() -> None:
     drive = during("delay(distance=50,delay=2)")
-    clean = {round(one.t_s): one for one in attacked().solved(START_S, END_S)}
+    clean = {round(solved.t_s): solved for solved in attacked().solved(START_S, END_S)}
     first = both(drive)[0]
     assert hypot(*moved(*first)[0][:2]) == pytest.approx(50.0, abs=1.0)
-    for one, (fix, true) in zip(drive.solved(START_S, END_S), both(drive), strict=True):
+    for solved, (fix, true) in zip(drive.solved(START_S, END_S), both(drive), strict=True):
         assert fix.velocity_ned_m_s == pytest.approx((0.0, 0.0, 0.0), abs=0.4)
         way = np.linalg.norm(moved(fix, true)[0])
-        late = one.clock_m - clean[round(one.t_s)].clock_m
+        late = solved.clock_m - clean[round(solved.t_s)].clock_m
         assert late == pytest.approx(SPEED_OF_LIGHT * 2e-6 + way, abs=2.0), "[m] the noise of two fixes"
-    drifts = [one.drift_m_s for one in drive.solved(START_S, END_S)]
+    drifts = [solved.drift_m_s for solved in drive.solved(START_S, END_S)]
     assert max(drifts) - min(drifts) > 1.0, "the clock drifts as the vehicle moves away from the rebroadcaster"
 
 
@@ -350,7 +352,7 @@ def test_a_frozen_receiver_repeats_its_fix_while_its_measurements_go_on() -> Non
     fixes = drive.between(START_S + 1.0, END_S)
     assert len({(f.latitude_deg, f.longitude_deg, f.height_ellipsoid_m, f.velocity_ned_m_s) for f in fixes}) == 1
     assert len({f.utc_ns for f in fixes}) == len(fixes)
-    away = [float(np.linalg.norm(one.position_n)) for one in drive.solved(START_S, END_S)]
+    away = [float(np.linalg.norm(solved.position_n)) for solved in drive.solved(START_S, END_S)]
     assert max(away) > 20.0
 
 

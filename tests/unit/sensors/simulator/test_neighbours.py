@@ -60,10 +60,10 @@ def test_without_noise_the_offset_gives_the_range_rate_back_once_the_oscillators
     motion = Vehicle(BY_NAME["urban"], 2, world.step_ns * 1e-9).advance(100 * len(states)).motion
     traffic = Traffic(BY_NAME["urban"], 2, 6)
     common = []
-    for k, one in enumerate(states, 1):
+    for k, state in enumerate(states, 1):
         here = Geodetic(*motion.position[100 * k].tolist())
         cars: tuple[Car, ...] = traffic.at(100 * k * world.step_ns * 1e-9)
-        for car, neighbour in zip(cars, one.neighbours, strict=True):
+        for car, neighbour in zip(cars, state.neighbours, strict=True):
             assert (
                 car.station_id == neighbour.station_id
                 and neighbour.cfo_hz is not None
@@ -82,9 +82,11 @@ def test_the_configured_number_of_neighbours_is_near(count: int) -> None:
     for _, message in islice(world, 20_000):
         truth = message if isinstance(message, TruthState) else truth
         if isinstance(message, NeighbourStates) and truth is not None:
-            assert len(message.neighbours) == count == len({one.station_id for one in message.neighbours})
-            for one in message.neighbours:
-                apart = np.radians([one.latitude_deg - truth.latitude_deg, one.longitude_deg - truth.longitude_deg])
+            assert len(message.neighbours) == count == len({neighbour.station_id for neighbour in message.neighbours})
+            for neighbour in message.neighbours:
+                apart = np.radians(
+                    [neighbour.latitude_deg - truth.latitude_deg, neighbour.longitude_deg - truth.longitude_deg]
+                )
                 assert np.abs(apart).max() * 6.4e6 < 600.0
 
 
@@ -116,5 +118,5 @@ def test_false_neighbours_add_one_offset_to_their_published_states_only() -> Non
 def test_oncoming_and_parked_cars_are_followed_by_others() -> None:
     states = received("highway", count=4, seconds=80)
     for column in (1, 3):
-        ids = [one.neighbours[column].station_id for one in states]
+        ids = [state.neighbours[column].station_id for state in states]
         assert sum(a != b for a, b in pairwise(ids)) >= 3

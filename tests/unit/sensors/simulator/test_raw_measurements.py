@@ -31,10 +31,10 @@ Parsed = list[GnssFix | GnssRawEpoch | GnssNavigationBits]
 def parsed(scenario: str, seed: int, duration_s: float) -> Parsed:
     """Messages of parsers.gnss for the bytes of the simulator."""
     process = Process(Config())
-    raw = (one for one in messages(scenario, seed, duration_s) if isinstance(one, GnssRaw))
-    found = [message for one in raw for message in process.handle(one)]
+    raw = (message for message in messages(scenario, seed, duration_s) if isinstance(message, GnssRaw))
+    found = [message for gnss_raw in raw for message in process.handle(gnss_raw)]
     assert not process.rejects
-    return [one for one in found if isinstance(one, GnssFix | GnssRawEpoch | GnssNavigationBits)]
+    return [item for item in found if isinstance(item, GnssFix | GnssRawEpoch | GnssNavigationBits)]
 
 
 def raw_epoch(message: GnssRawEpoch) -> RawEpoch:
@@ -46,9 +46,13 @@ def raw_epoch(message: GnssRawEpoch) -> RawEpoch:
 
 def filled(stream: Parsed, gps_time_ns: int) -> EphemerisStore:
     store = EphemerisStore()
-    for one in stream:
-        if isinstance(one, GnssNavigationBits):
-            store.add_words(SatelliteId(Constellation(one.constellation.value), one.number), one.words, gps_time_ns)
+    for gnss_navigation_bits in stream:
+        if isinstance(gnss_navigation_bits, GnssNavigationBits):
+            store.add_words(
+                SatelliteId(Constellation(gnss_navigation_bits.constellation.value), gnss_navigation_bits.number),
+                gnss_navigation_bits.words,
+                gps_time_ns,
+            )
     assert not store.rejected
     store.ionosphere = IONOSPHERE
     return store
@@ -56,10 +60,14 @@ def filled(stream: Parsed, gps_time_ns: int) -> EphemerisStore:
 
 def pairs(stream: Parsed) -> Iterator[tuple[GnssFix, GnssRawEpoch]]:
     """Fixes and raw measurements of the same epochs."""
-    fixes = {one.sampled_ns: one for one in stream if isinstance(one, GnssFix) and one.latitude_deg is not None}
-    for one in stream:
-        if isinstance(one, GnssRawEpoch) and one.sampled_ns in fixes:
-            yield fixes[one.sampled_ns], one
+    fixes = {
+        gnss_fix.sampled_ns: gnss_fix
+        for gnss_fix in stream
+        if isinstance(gnss_fix, GnssFix) and gnss_fix.latitude_deg is not None
+    }
+    for gnss_raw_epoch in stream:
+        if isinstance(gnss_raw_epoch, GnssRawEpoch) and gnss_raw_epoch.sampled_ns in fixes:
+            yield fixes[gnss_raw_epoch.sampled_ns], gnss_raw_epoch
 
 
 @pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
@@ -99,7 +107,7 @@ def test_least_squares_of_the_measurements_are_the_fix(scenario: str, seed: int)
 def test_satellite_positions_follow_from_their_navigation_words() -> None:
     model, gps_s = SkyModel(("gps", "galileo"), (1,)), 1.474e9 + 1234.5
     stream = parsed("parking_lot", 1, 40.0)
-    (first, *_) = (one for one in stream if isinstance(one, GnssRawEpoch))
+    (first, *_) = (gnss_raw_epoch for gnss_raw_epoch in stream if isinstance(gnss_raw_epoch, GnssRawEpoch))
     store = filled(stream, first.gps_time_ns)
     assert len(store.satellites()) > 10
     for satellite in store.satellites():
@@ -149,7 +157,7 @@ def test_the_ionosphere_is_broadcast_every_twelve_and_a_half_minutes() -> None:
 def test_one_second_of_all_messages_fits_the_serial_line() -> None:
     """11,520 bytes/s at 115,200 baud; UBX and NMEA together, with four constellations."""
     sent: dict[int, int] = {}
-    for one in messages("parking_lot", 1, 60.0):
-        if isinstance(one, GnssRaw):
-            sent[one.received_ns // NS] = sent.get(one.received_ns // NS, 0) + len(one.data)
+    for message in messages("parking_lot", 1, 60.0):
+        if isinstance(message, GnssRaw):
+            sent[message.received_ns // NS] = sent.get(message.received_ns // NS, 0) + len(message.data)
     assert 1000 < max(sent.values()) < 6000

@@ -151,7 +151,7 @@ def test_what_candump_shows_is_read_as_its_log(tmp_path: Path) -> None:
     path = tmp_path / "screen.log"
     path.write_text("\n".join(shown) + "\n")
     device = open_can(f"file://{path}", 0x7DF, lambda: 2_000_000_000 * 1_000_000_000)
-    lines = [found[1] for found in iter(device._scan, None)]  # type: ignore[attr-defined]  # without waiting
+    lines = [item[1] for item in iter(device._scan, None)]  # type: ignore[attr-defined]  # without waiting
     assert [device._next[1], *lines][:1] == ["can0 7E8#03410D3200000000"]  # type: ignore[attr-defined]
     assert lines == [
         "can0 18FEF100#F7803E0FFFFFFFFF", "vcan1 7E9#03410D32", "can0 123#R", "can0 123##0ABCD",

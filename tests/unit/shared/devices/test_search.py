@@ -97,7 +97,7 @@ def test_a_tracker_in_its_configuration_mode_is_found_and_measures_again() -> No
     port = FakePort(tracker, 921600)
     port.run(search, 13.0)
     assert search.rate_baud == 921600 and measuring == [True]
-    asked = [one for one in port.written if one[1] == GOTO_CONFIG]
+    asked = [pair for pair in port.written if pair[1] == GOTO_CONFIG]
     assert len(port.written) == 2 * len(asked), "each question is taken back at its rate"
 
 

@@ -23,7 +23,7 @@ def test_a_key_is_made_at_first_use_and_readable_by_its_owner_only(tmp_path: Pat
     assert stat.S_IMODE(key.path.stat().st_mode) == 0o400
     assert stat.S_IMODE(key.folder.stat().st_mode) == 0o700
     assert KeyFile(tmp_path / "keys").signer().key_id == signer.key_id
-    assert [one.key_id for one in key.ring.keys] == [signer.key_id]
+    assert [public_key.key_id for public_key in key.ring.keys] == [signer.key_id]
     assert sorted(path.name for path in key.folder.iterdir()) == ["evidence.key", "ring.json"]
 
 
@@ -59,7 +59,7 @@ def test_a_rotated_key_stays_in_the_ring_and_ends_a_day_later(tmp_path: Path) ->
     old = key.signer()
     new = key.rotate(10 * DAY_NS)
     assert key.signer().key_id == new.key_id != old.key_id
-    assert [one.key_id for one in key.ring.keys] == [old.key_id, new.key_id]
+    assert [public_key.key_id for public_key in key.ring.keys] == [old.key_id, new.key_id]
     assert key.ring.accepts(old.key_id, old.public_key.hex(), 11 * DAY_NS)
     assert not key.ring.accepts(old.key_id, old.public_key.hex(), 11 * DAY_NS + 1)
     assert key.ring.accepts(new.key_id, new.public_key.hex(), 99 * DAY_NS)

@@ -125,7 +125,7 @@ def test_a_field_that_cannot_be_is_refused(place: int, value: object) -> None:
     ],
 )  # fmt: skip
 def test_a_column_that_cannot_be_is_refused(column: int, values: object) -> None:
-    columns = [values if number == column else one for number, one in enumerate(GOOD[6])]
+    columns = [values if number == column else item for number, item in enumerate(GOOD[6])]
     with pytest.raises(BadBatch):
         decode(zlib.compress(encoded([*GOOD[:6], columns, []])))
 

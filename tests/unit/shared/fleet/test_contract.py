@@ -25,8 +25,8 @@ def as_json(value: object) -> object:
     if isinstance(value, bytes):
         return BINARY
     if isinstance(value, list):
-        return [as_json(one) for one in value]
-    return {name: as_json(one) for name, one in value.items()} if isinstance(value, dict) else value
+        return [as_json(item) for item in value]
+    return {name: as_json(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
 def test_every_kind_of_batch_is_as_the_contract_says() -> None:

@@ -21,8 +21,12 @@ def test_the_first_increment_begins_with_the_first_sample_and_holds_the_means_of
             [10 * MS * k for k in numbers], [(float(k), 0.0, 0.0) for k in numbers], [(0.0, 0.0, 0.1)] * len(numbers)
         )
         found += decimator.take()
-    assert [(one.start_ns // MS, one.end_ns // MS) for one in found] == [(0, 100), (100, 200), (200, 300)]
-    for one, mean in zip(found, (5.5, 15.5, 25.5), strict=True):
-        assert one.row == pytest.approx([mean, 0.0, 0.0, 0.0, 0.0, 0.1, 0.1])
-        assert one.excess_force == pytest.approx(mean - STANDARD_GRAVITY)
-    assert [one.after_gap for one in found] == [True, False, False] and not rejected
+    assert [(increment.start_ns // MS, increment.end_ns // MS) for increment in found] == [
+        (0, 100),
+        (100, 200),
+        (200, 300),
+    ]
+    for increment, mean in zip(found, (5.5, 15.5, 25.5), strict=True):
+        assert increment.row == pytest.approx([mean, 0.0, 0.0, 0.0, 0.0, 0.1, 0.1])
+        assert increment.excess_force == pytest.approx(mean - STANDARD_GRAVITY)
+    assert [increment.after_gap for increment in found] == [True, False, False] and not rejected

@@ -46,7 +46,7 @@ def test_invalid_bytes_between_frames_are_counted_and_all_frames_are_found() -> 
 def test_the_time_of_arrival_behind_a_sentence_in_an_android_log_is_no_part_of_it() -> None:
     logged = b"NMEA," + NMEA.strip() + b",1699400577561\n"
     found, rejects = frames(logged * 2 + NMEA.strip() + b",x\n")
-    assert [one.partition(b",1699")[0] for one in found] == [NMEA.strip()] * 2
+    assert [payload.partition(b",1699")[0] for payload in found] == [NMEA.strip()] * 2
     assert rejects["nmea_form"] == 1 and not rejects["nmea_checksum"]
 
 

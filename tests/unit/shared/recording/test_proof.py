@@ -109,12 +109,12 @@ def test_a_signed_recording_is_an_ordinary_one(signed_file: Path) -> None:
     with signed_file.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert sum(1 for _ in reader.iter_messages()) == 2501
-        assert [one.name for one in reader.iter_metadata()] == ["obu", *[SEAL] * 4]
+        assert [metadata.name for metadata in reader.iter_metadata()] == ["obu", *[SEAL] * 4]
 
 
 def test_a_seal_is_written_every_ten_seconds(signed_file: Path) -> None:
     with signed_file.open("rb") as file:
-        seals = [Seal.of(one.metadata) for one in make_reader(file).iter_metadata() if one.name == SEAL]
+        seals = [Seal.of(metadata.metadata) for metadata in make_reader(file).iter_metadata() if metadata.name == SEAL]
     assert all(seal is not None for seal in seals)
     until = [(seal.until_ns - START_NS) / 1e9 for seal in seals if seal]
     assert until == [0.0, 10.0, 20.0, 24.99]
@@ -258,9 +258,9 @@ def test_a_message_replaced_and_hashed_anew_under_the_old_seals_is_edited(
     foreign = KeyFile(tmp_path / "keys").signer()
     forged = resigned(signed_file, tmp_path / "b.mcap", as_live, foreign).read_bytes()
     with signed_file.open("rb") as file:
-        old = [one.metadata for one in make_reader(file).iter_metadata() if one.name == SEAL]
+        old = [metadata.metadata for metadata in make_reader(file).iter_metadata() if metadata.name == SEAL]
     with (tmp_path / "b.mcap").open("rb") as file:
-        new = [one.metadata for one in make_reader(file).iter_metadata() if one.name == SEAL]
+        new = [metadata.metadata for metadata in make_reader(file).iter_metadata() if metadata.name == SEAL]
     for before, after in zip(old, new, strict=True):
         for name in ("signature", "key", "public_key"):
             forged = forged.replace(after[name].encode(), before[name].encode())
@@ -378,8 +378,8 @@ def repacked(path: Path, to: Path, change: Callable[[int, bytes], bytes | None])
     with path.open("rb") as source, to.open("wb") as target:
         reader, writer = make_reader(source), Writer(target)
         writer.start(library="another tool")
-        for one in reader.iter_metadata():
-            writer.add_metadata(one.name, one.metadata)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
         for file in reader.iter_attachments():
             writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, file.data)
         numbers: dict[int, int] = {}

@@ -376,7 +376,7 @@ def test_a_recording_that_another_tool_has_rewritten_holds_the_same(
     with Recording(tmp_path / "b.mcap") as recording:
         assert recording.attachments["vehicle.toml"] == b'[vehicle]\nname = "car"\n', "behind the messages"
         assert recording.metadata["obu"]["vehicle"] == "car" and recording.topics
-        assert list(chosen(recording, ("imu/raw",))) == [one for one in messages if one.topic == "imu/raw"]
+        assert list(chosen(recording, ("imu/raw",))) == [message for message in messages if message.topic == "imu/raw"]
 
 
 @pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD])

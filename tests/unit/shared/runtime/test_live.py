@@ -152,11 +152,13 @@ def test_the_bus_is_served_within_a_long_batch_so_that_the_heartbeat_goes_on(
     raw = [GnssRaw(received_ns=EARLIEST_NS + k, source="g", data=bytes(PORTION_BYTES)) for k in range(20)]
     if one_long_message:
         raw = [GnssRaw(received_ns=EARLIEST_NS, source="g", data=bytes(1 << 19))]
-    inbox = [Envelope("gnss/raw", codec.encode(one), 0, "sensors.gnss", 1, k) for k, one in enumerate(raw)]
+    inbox = [Envelope("gnss/raw", codec.encode(gnss_raw), 0, "sensors.gnss", 1, k) for k, gnss_raw in enumerate(raw)]
     bus, process = Broker(inbox, readings=6), Slow(clock)
     LiveReactor(process, cast(Bus, bus)).run()
     portions = [m for m in process.messages if isinstance(m, GnssRaw)]
-    assert b"".join(m.data for m in portions) == b"".join(one.data for one in raw), "nothing is lost or repeated"
+    assert b"".join(m.data for m in portions) == b"".join(gnss_raw.data for gnss_raw in raw), (
+        "nothing is lost or repeated"
+    )
     assert len(portions) in (16, 20) and max(len(m.data) for m in portions) == PORTION_BYTES
     assert max(np.diff(bus.readings_s[: len(portions) // 2])) <= SERVE_S + 0.11
 

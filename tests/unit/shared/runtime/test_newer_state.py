@@ -96,7 +96,7 @@ def position() -> dict[str, object]:
 
 def test_a_saved_message_with_a_new_field_is_read(tmp_path: Path) -> None:
     bus, process = restored(tmp_path, {**position(), "of_the_future": [1, 2]})
-    assert [type(one) for one in process.seen if isinstance(one, LastPosition)] == [LastPosition]
+    assert [type(message) for message in process.seen if isinstance(message, LastPosition)] == [LastPosition]
     assert not bus.rejects
 
 
@@ -113,7 +113,7 @@ def test_a_saved_message_whose_field_has_another_form_is_left_out_and_said(
 def test_a_message_that_was_saved_in_another_boot_is_of_an_earlier_life(tmp_path: Path) -> None:
     for boot, earlier in ((None, False), (boot_id(), False), ("0f2d", True)):
         _, process = restored(tmp_path, {**position(), **({"boot": boot} if boot else {})})
-        [found] = [one for one in process.seen if isinstance(one, LastPosition)]
+        [found] = [message for message in process.seen if isinstance(message, LastPosition)]
         assert (found.earlier_life, found.boot) == (earlier, None)
 
 

@@ -152,7 +152,10 @@ def test_only_fast_topics_of_the_contract_are_told() -> None:
     health = ProcessHealth(
         process="x", state=ProcessState.READY, incarnation=1, sent_ns=1, published=carried, received=carried
     )  # fmt: skip
-    assert [(one.topic, published) for one, published in told(health)] == [("imu/sample", True), ("imu/sample", False)]
+    assert [(carried.topic, published) for carried, published in told(health)] == [
+        ("imu/sample", True),
+        ("imu/sample", False),
+    ]
 
 
 def test_a_heartbeat_of_a_program_that_does_not_count_is_read_and_tells_nothing() -> None:

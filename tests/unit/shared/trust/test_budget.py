@@ -9,7 +9,7 @@ from shared.trust.budget import PER_HOUR, SHARES, evaluations, rate_of
 
 
 def test_the_shares_are_one_whole() -> None:
-    assert sum(one.share for one in SHARES.values()) == pytest.approx(1.0)
+    assert sum(share.share for share in SHARES.values()) == pytest.approx(1.0)
 
 
 def test_the_rates_as_delivered_are_within_the_budget() -> None:

@@ -61,8 +61,8 @@ def assert_equal(a: Any, b: Any) -> None:
             assert_equal(value, b[name])
     elif isinstance(a, tuple | list):
         assert len(a) == len(b)
-        for one, other in zip(a, b, strict=True):
-            assert_equal(one, other)
+        for item, other in zip(a, b, strict=True):
+            assert_equal(item, other)
     elif isinstance(a, float):
         assert a == pytest.approx(b, rel=1e-9, abs=1e-12)
     else:

@@ -103,7 +103,7 @@ def test_every_code_has_a_row_and_every_row_is_of_a_code(owner: str) -> None:
     assert rows == {str(code) for code in CODES[owner]}, f"see {OWNERS[owner]}/words.toml and its codes"
 
 
-@pytest.mark.parametrize("language", [one for one in LANGUAGES if one != "en"])
+@pytest.mark.parametrize("language", [name for name in LANGUAGES if name != "en"])
 def test_a_language_has_what_a_driver_reads_and_the_causes_that_an_installer_reads(language: str) -> None:
     here = words(language)
     for code, row in ENGLISH.rows.items():
@@ -154,7 +154,7 @@ def test_every_code_is_made_with_the_values_that_its_words_name(owner: str) -> N
     assert made.keys() == {str(code) for code in CODES[owner]}, "a code that nothing makes"
     for name, values in explained(REPOSITORY / OWNERS[owner]):
         row = ENGLISH.row(CODES[owner][name])
-        named = {found[1] for field in FIELDS for found in PLACEHOLDER.finditer(getattr(row, field))}
+        named = {match[1] for field in FIELDS for match in PLACEHOLDER.finditer(getattr(row, field))}
         assert values is None or named <= values | FIGURES, f"{CODES[owner][name]}: {named - values} are not given"
 
 
@@ -164,8 +164,8 @@ def test_all_rendered_sentences_are_those_that_were_reviewed() -> None:
 
 ENUMERATIONS: dict[str, Iterable[str]] = {
     "monitor": Monitor,
-    "source": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
-    "hypothesis": [one for one in Hypothesis if one is not Hypothesis.NOTHING],
+    "source": [Hypothesi for Hypothesi in Hypothesis if Hypothesi is not Hypothesis.NOTHING],
+    "hypothesis": [Hypothesi for Hypothesi in Hypothesis if Hypothesi is not Hypothesis.NOTHING],
     "phase": NavigationPhase,
     "state": Trust,
     "direction": Direction,
@@ -177,7 +177,11 @@ ENUMERATIONS: dict[str, Iterable[str]] = {
     "innovation": NAMES.values(),
     "evidence_test": EvidenceMonitor().tests,
     "receiver_part": Part,
-    "interference": [one for one in InterferenceState if one is not InterferenceState.UNKNOWN],
+    "interference": [
+        interference_state
+        for interference_state in InterferenceState
+        if interference_state is not InterferenceState.UNKNOWN
+    ],
 }
 
 
@@ -200,9 +204,10 @@ def explained(folder: Path) -> Iterator[tuple[str, set[str] | None]]:
             for call in given:
                 codes = codes_in(call.args[0]) or {
                     code
-                    for one in ast.walk(function)
-                    if isinstance(one, ast.Assign) and ast.dump(call.args[0]) in ast.dump(one).replace("Store", "Load")
-                    for code in codes_in(one.value)
+                    for item in ast.walk(function)
+                    if isinstance(item, ast.Assign)
+                    and ast.dump(call.args[0]) in ast.dump(item).replace("Store", "Load")
+                    for code in codes_in(item.value)
                 }
                 values = {word.arg for word in call.keywords if word.arg} | ({SUBJECT} if len(call.args) > 1 else set())
                 of_calls |= codes
@@ -217,9 +222,9 @@ def name_of(call: ast.Call) -> str:
 def codes_in(tree: ast.AST) -> set[str]:
     """Find the members of an enumeration `Code`."""
     return {
-        one.attr
-        for one in ast.walk(tree)
-        if isinstance(one, ast.Attribute) and isinstance(one.value, ast.Name) and one.value.id == "Code"
+        item.attr
+        for item in ast.walk(tree)
+        if isinstance(item, ast.Attribute) and isinstance(item.value, ast.Name) and item.value.id == "Code"
     }
 
 
@@ -290,7 +295,9 @@ def test_the_meaning_of_a_reject_is_that_of_the_registry() -> None:
         for kind in reasons:
             if "*" not in kind:
                 assert reason_of(kind) is not None and words("de").name("reject", kind)
-                assert ENGLISH.name("reject", kind) in {one[kind].meaning for one in PARTS.values() if kind in one}
+                assert ENGLISH.name("reject", kind) in {
+                    mapping[kind].meaning for mapping in PARTS.values() if kind in mapping
+                }
     assert ENGLISH.name("reject", "receipt of nothing") == "a receipt without its batch, or one that cannot be read"
     assert ENGLISH.name("reject", "of_a_newer_release") == "of a newer release"
 

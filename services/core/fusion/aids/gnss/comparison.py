@@ -207,7 +207,7 @@ class Comparison(NamedTuple):
     def result(self) -> tuple[float, float]:
         """Turn from the level frame to NED and its standard deviation [rad]; infinite while nothing is known."""
         both = self.velocities.result(self.offset_sd), self.positions.match.result(self.offset_sd)
-        return min(both, key=lambda found: found[1])
+        return min(both, key=lambda pair: pair[1])
 
     def precise(self) -> tuple[float, float]:
         """Turn and standard deviation [rad] to start a filter with: by velocities only, with the changes of c."""

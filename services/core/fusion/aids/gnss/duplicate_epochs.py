@@ -77,6 +77,6 @@ class Epochs(NamedTuple):
     def _with(self, key: tuple[str, type], newest: Newest) -> "Epochs":
         known = self.newest
         if key not in known and len(known) >= MAX_SOURCES:
-            oldest = min(known, key=lambda one: known[one].time_ns)
-            known = {one: value for one, value in known.items() if one != oldest}
+            oldest = min(known, key=lambda pair: known[pair].time_ns)
+            known = {pair: value for pair, value in known.items() if pair != oldest}
         return Epochs({**known, key: newest})

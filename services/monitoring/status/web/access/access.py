@@ -104,7 +104,7 @@ class Access:
 
     def _is_valid(self, visitor: Visitor) -> bool:
         if visitor.session:
-            return any(one.hash == visitor.session.hash for one in self.tokens.valid_sessions())
+            return any(valid_session.hash == visitor.session.hash for valid_session in self.tokens.valid_sessions())
         return visitor.bearer is not None and self.tokens.find(visitor.bearer) is not None
 
     def _cookie_in(self, headers: Mapping[str, str]) -> str | None:

@@ -104,13 +104,18 @@ class TokensApi:
         content = self._tokens.content()
         tokens: Iterable[TokenRow] = (
             {
-                "name": one.name, "role": one.role, "created_s": one.created_s, "expires_s": one.expires_s,
-                "single_use": one.single_use,
-            } for one in content.tokens
+                "name": token.name, "role": token.role, "created_s": token.created_s, "expires_s": token.expires_s,
+                "single_use": token.single_use,
+            } for token in content.tokens
         )  # fmt: skip
         sessions: Iterable[SessionRow] = (
-            {"token": one.token, "role": one.role, "created_s": one.created_s, "expires_s": one.expires_s}
-            for one in content.sessions
+            {
+                "token": session.token,
+                "role": session.role,
+                "created_s": session.created_s,
+                "expires_s": session.expires_s,
+            }
+            for session in content.sessions
         )
         return {"tokens": [*tokens], "sessions": [*sessions]}
 

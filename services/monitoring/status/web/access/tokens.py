@@ -165,7 +165,7 @@ class Tokens:
                 token=token.name, role=token.role, hash=hashed(cookie), created_s=now_s, expires_s=now_s + seconds
             )
             if token.single_use:
-                content.tokens = tuple(one for one in content.tokens if one is not token)
+                content.tokens = tuple(item for item in content.tokens if item is not token)
             content.sessions = (*content.sessions[-SESSIONS_MAXIMUM + 1 :], session)
             self._write(content)
         return cookie, session
@@ -173,7 +173,7 @@ class Tokens:
     def log_out(self, session: Session) -> None:
         """End a session; one that has ended already stays ended."""
         with self._changing() as content:
-            content.sessions = tuple(one for one in content.sessions if one.hash != session.hash)
+            content.sessions = tuple(item for item in content.sessions if item.hash != session.hash)
             self._write(content)
 
     @contextmanager
@@ -186,8 +186,10 @@ class Tokens:
                 fcntl.flock(lock, fcntl.LOCK_EX)
                 content = _read(self.path) if self.path.exists() else Content()
                 now_s = self._now_s()
-                content.tokens = tuple(one for one in content.tokens if not _expired(one.expires_s, now_s))
-                content.sessions = tuple(one for one in content.sessions if not _expired(one.expires_s, now_s))
+                content.tokens = tuple(token for token in content.tokens if not _expired(token.expires_s, now_s))
+                content.sessions = tuple(
+                    session for session in content.sessions if not _expired(session.expires_s, now_s)
+                )
                 yield content
         except OSError as error:
             raise UserError(

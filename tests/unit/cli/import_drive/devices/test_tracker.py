@@ -26,14 +26,14 @@ def utc(second: int, nano: int = 0, flags: int = 7) -> bytes:
 def test_the_clock_begins_at_its_first_value_and_wraps() -> None:
     found = read_tracker([b"".join(measurement((1 << 32) - 500 + step * 1000) for step in range(3))])
     assert found.clock is ClockKind.FREE
-    assert [(one.time_ns - WITHOUT_DATE_NS) / NS for one in found.portions] == pytest.approx([0.0, 0.1, 0.2])
+    assert [(portion.time_ns - WITHOUT_DATE_NS) / NS for portion in found.portions] == pytest.approx([0.0, 0.1, 0.2])
 
 
 def test_utc_once_valid_is_that_of_the_whole_file() -> None:
     data = measurement(0, utc(1, flags=0)) + measurement(1000, utc(5, 500_000_000)) + measurement(2000)
     found = read_tracker([data])
     assert found.clock is ClockKind.UTC
-    assert [one.time_ns / NS % 60 for one in found.portions] == pytest.approx([5.4, 5.5, 5.6])
+    assert [portion.time_ns / NS % 60 for portion in found.portions] == pytest.approx([5.4, 5.5, 5.6])
 
 
 def test_a_restart_of_the_clock_does_not_go_back() -> None:

@@ -95,7 +95,7 @@ def test_the_sensors_of_a_phone_that_lies_flat_are_in_body_axes_on_one_clock() -
     lines += [sensor("Pressure", 20 * k, 1007.0) for k in range(10)] + [fix(1)]
     found, rejects = converted(*lines)
     samples = [message for message in found if isinstance(message, ImuSamples)]
-    assert not rejects and sum(len(one.sampled_ns) for one in samples) == 99
+    assert not rejects and sum(len(sample.sampled_ns) for sample in samples) == 99
     first = samples[0]
     assert first.specific_force_body_m_s2[0] == pytest.approx((1.5, 0.5, -9.8))
     assert first.angular_rate_body_rad_s[0] == pytest.approx((0.2, 0.1, -0.3))
@@ -110,7 +110,7 @@ def test_rates_without_acceleration_are_rejected_instead_of_interpolated_over_a_
     lines = [sensor("Accel", k, 0.0, 0.0, 9.8) for k in (*range(20), *range(60, 80))]
     lines += [sensor("Gyro", k, 0.0, 0.0, 0.0) for k in range(80)]
     found, rejects = converted(*lines)
-    count = sum(len(one.sampled_ns) for one in found if isinstance(one, ImuSamples))
+    count = sum(len(value.sampled_ns) for value in found if isinstance(value, ImuSamples))
     # The first rate after the gap has its acceleration at the gap's end only.
     assert (count, rejects) == (39, {"inertial: no acceleration at the time of the rate": 41})
 
@@ -166,10 +166,14 @@ def test_pseudoranges_of_a_recorded_phone_are_those_that_the_decimeter_challenge
     compared = 0
     for epoch in epochs:
         differences = []
-        for one in epoch.measurements:
-            oracle = computed.get((epoch.sampled_ns // 1_000_000, systems.get(one.constellation, 0)), {})
-            if one.signal is not None and (one.number, one.signal) in oracle and one.pseudorange_m is not None:
-                differences.append(one.pseudorange_m - oracle[one.number, one.signal])
+        for measurement in epoch.measurements:
+            oracle = computed.get((epoch.sampled_ns // 1_000_000, systems.get(measurement.constellation, 0)), {})
+            if (
+                measurement.signal is not None
+                and (measurement.number, measurement.signal) in oracle
+                and measurement.pseudorange_m is not None
+            ):
+                differences.append(measurement.pseudorange_m - oracle[measurement.number, measurement.signal])
         # The oracle has the full bias of the first epoch, this has each epoch's own: one clock error an epoch.
         assert np.ptp(differences) < 1e-5 and abs(differences[0]) < 1e-6 * SPEED_OF_LIGHT
         compared += len(differences)
@@ -188,11 +192,13 @@ def test_pseudoranges_of_a_recorded_phone_are_those_that_the_decimeter_challenge
 def test_recorded_logs_of_three_versions_are_read(path: str, fixes: int, epochs: int) -> None:
     folder, name = path.split("/")
     messages = messages_of(read_log((recording(folder) / name).read_text(errors="replace").splitlines()), FLAT)
-    assert sum(isinstance(one, GnssFix) for one in messages) == fixes
-    raw = [one for one in messages if isinstance(one, GnssRawEpoch)]
+    assert sum(isinstance(message, GnssFix) for message in messages) == fixes
+    raw = [message for message in messages if isinstance(message, GnssRawEpoch)]
     assert len(raw) == epochs
-    utc_ns = [one.gps_time_ns + (315_964_800 - 18) * NS for one in raw]
-    assert all(abs(one.sampled_ns - true_ns) < 60 * NS for one, true_ns in zip(raw, utc_ns, strict=True))
+    utc_ns = [gnss_raw_epoch.gps_time_ns + (315_964_800 - 18) * NS for gnss_raw_epoch in raw]
+    assert all(
+        abs(gnss_raw_epoch.sampled_ns - true_ns) < 60 * NS for gnss_raw_epoch, true_ns in zip(raw, utc_ns, strict=True)
+    )
 
 
 RAW = (
@@ -279,7 +285,7 @@ def test_the_nmea_sentences_of_a_log_are_fixes(tmp_path: Path, header: str) -> N
     log.write_text(header + "\n".join(line for second in range(50, 58) for line in nmea(second)) + "\n")
     assert import_drive(log, output=tmp_path / "phone.mcap") == 0
     with Recording(tmp_path / "phone.mcap") as made:
-        fixes = [message for message in (one.decode() for one in made) if isinstance(message, GnssFix)]
+        fixes = [message for message in (envelope.decode() for envelope in made) if isinstance(message, GnssFix)]
     assert len(fixes) == 8
     assert fixes[-1].utc_ns == 1_699_400_577 * NS  # 2023-11-07 23:42:57
     assert fixes[-1].latitude_deg == pytest.approx(37.42650662) and fixes[-1].height_msl_m == 51.9

@@ -38,13 +38,16 @@ def noisy(seed: int = 3) -> RawEpoch:
     noise = SD * rng.standard_normal(len(SD))
     measurements = zip(CLEAN.measurements, noise.tolist(), strict=True)
     return replace(
-        CLEAN, measurements=tuple(replace(one, pseudorange_m=one.pseudorange_m + more) for one, more in measurements)
+        CLEAN,
+        measurements=tuple(
+            replace(measurement, pseudorange_m=measurement.pseudorange_m + more) for measurement, more in measurements
+        ),
     )
 
 
 def refit(position: PositionFit, without: tuple[SatelliteId, ...]) -> PositionFit:
     """The others, solved from the start."""
-    sights = tuple(one for one in position.sky.sights if one.satellite not in without)
+    sights = tuple(sight for sight in position.sky.sights if sight.satellite not in without)
     found = fit_position(replace(position.sky, sights=sights), None)
     assert found is not None
     return found
@@ -56,32 +59,36 @@ def place_e(one: PositionFit) -> FloatArray:
 
 
 def published(process: Process, *messages: In) -> list[TrustHypotheses]:
-    found = [one for message_ in messages for one in process.handle(message_)]
-    return [one for one in found if isinstance(one, TrustHypotheses)]
+    found = [item for message_ in messages for item in process.handle(message_)]
+    return [trust_hypotheses for trust_hypotheses in found if isinstance(trust_hypotheses, TrustHypotheses)]
 
 
 def named(solutions: tuple[HypothesisSolution, ...], *left_out: str) -> HypothesisSolution:
-    return next(one for one in solutions if one.left_out == left_out)
+    return next(solution for solution in solutions if solution.left_out == left_out)
 
 
 def test_each_position_covariance_and_velocity_is_that_of_a_fit_of_the_others() -> None:
     position = fit(noisy())
     found = solutions_without(position, RATE)
     assert len(found) == len(position.satellites) + 2, "each satellite and each constellation"
-    for one in found:
-        others = refit(position, one.satellites)
+    for left_out in found:
+        others = refit(position, left_out.satellites)
         apart_e = place_e(position) - place_e(others)
-        assert position.geometry.ned_from_ecef @ apart_e == pytest.approx(one.apart_n, abs=5e-3), "[m]; delays vary"
-        assert one.cov_n == pytest.approx(others.fit.cov[:3, :3], rel=1e-3, abs=1e-4)
-        assert one.innovations == pytest.approx(others.fit.statistic / others.fit.dof, rel=1e-3)
+        assert position.geometry.ned_from_ecef @ apart_e == pytest.approx(left_out.apart_n, abs=5e-3), (
+            "[m]; delays vary"
+        )
+        assert left_out.cov_n == pytest.approx(others.fit.cov[:3, :3], rel=1e-3, abs=1e-4)
+        assert left_out.innovations == pytest.approx(others.fit.statistic / others.fit.dof, rel=1e-3)
         velocity = fit_velocity(others, RATE)
         assert velocity is not None
-        assert position.geometry.ned_from_ecef @ velocity.velocity_e == pytest.approx(one.velocity_n, abs=1e-3)
+        assert position.geometry.ned_from_ecef @ velocity.velocity_e == pytest.approx(left_out.velocity_n, abs=1e-3)
 
 
 def test_the_separation_of_a_satellite_is_the_square_of_its_w() -> None:
     position = fit(noisy())
-    separations = [one.separation for one in solutions_without(position, RATE) if len(one.satellites) == 1]
+    separations = [
+        left_out.separation for left_out in solutions_without(position, RATE) if len(left_out.satellites) == 1
+    ]
     assert separations == pytest.approx(list(position.fit.w**2))
 
 
@@ -90,8 +97,8 @@ def test_the_covariance_of_the_difference_is_that_of_the_part_minus_that_of_the_
     apart, expected, separations = [], [], []
     for seed in range(400):
         position = fit(noisy(seed))
-        chosen = [one for one in solutions_without(position, RATE) if len(one.satellites) > 1]
-        gps = next(one for one in chosen if one.satellites[0].constellation is Constellation.GPS)
+        chosen = [left_out for left_out in solutions_without(position, RATE) if len(left_out.satellites) > 1]
+        gps = next(left_out for left_out in chosen if left_out.satellites[0].constellation is Constellation.GPS)
         apart.append(gps.apart_n)
         expected.append(gps.cov_n - position.fit.cov[:3, :3])
         separations.append(gps.separation or 0.0)
@@ -108,15 +115,15 @@ def test_a_faulty_satellite_has_the_smallest_residuals_and_the_largest_separatio
     for row in range(0, len(noisy().measurements), 3):
         victim = noisy().measurements[row].satellite
         position = fit(pushed(noisy(row), victim, 60.0))
-        singles = [one for one in solutions_without(position, RATE) if len(one.satellites) == 1]
-        assert min(singles, key=lambda one: one.innovations or 0.0).satellites == (victim,)
-        assert max(singles, key=lambda one: one.separation or 0.0).satellites == (victim,)
+        singles = [left_out for left_out in solutions_without(position, RATE) if len(left_out.satellites) == 1]
+        assert min(singles, key=lambda left_out: left_out.innovations or 0.0).satellites == (victim,)
+        assert max(singles, key=lambda left_out: left_out.separation or 0.0).satellites == (victim,)
 
 
 def test_a_position_far_from_that_of_all_in_view_is_solved_by_iteration() -> None:
     victim = noisy().measurements[2].satellite
     position = fit(pushed(noisy(), victim, 30_000.0))
-    (own,) = [one for one in solutions_without(position, RATE) if one.satellites == (victim,)]
+    (own,) = [left_out for left_out in solutions_without(position, RATE) if left_out.satellites == (victim,)]
     assert np.linalg.norm(own.apart_n) > LINEAR_M
     others = refit(position, (victim,))
     assert own.apart_n == pytest.approx(
@@ -126,13 +133,16 @@ def test_a_position_far_from_that_of_all_in_view_is_solved_by_iteration() -> Non
 
 
 def test_without_redundancy_nothing_is_determined_and_without_doppler_nothing_is_published() -> None:
-    gps = tuple(one for one in noisy().measurements if one.satellite.constellation is Constellation.GPS)
+    gps = tuple(
+        measurement for measurement in noisy().measurements if measurement.satellite.constellation is Constellation.GPS
+    )
     four = fit(RawEpoch(noisy().gps_time_ns, gps[:4]))
     assert solutions_without(four, RATE) == ()
     said = satellite_hypotheses(four, None, NS, false_alarm_rate=RATE, risk=RISK)
     assert [hypothesis for hypothesis, why in said.missing if why] == [Hypothesis.SATELLITES]
     mute = RawEpoch(
-        noisy().gps_time_ns, tuple(Measurement(one.satellite, one.pseudorange_m) for one in noisy().measurements)
+        noisy().gps_time_ns,
+        tuple(Measurement(measurement.satellite, measurement.pseudorange_m) for measurement in noisy().measurements),
     )
     assert solutions_without(fit(mute), RATE) == ()
     said = satellite_hypotheses(fit(mute), None, NS, false_alarm_rate=RATE, risk=RISK)
@@ -143,8 +153,8 @@ def test_the_process_publishes_each_position_with_its_distance_level_and_limit()
     victim = at(1).measurements[3].satellite
     (first, second) = published(informed(), message(at(1), 1.0), message(at(2, push=(victim, 50.0)), 2.0))
     assert (first.source, first.sampled_ns, second.sampled_ns) == ("core.cooperative", NS, 2 * NS)
-    assert all(one.hypothesis is Hypothesis.SATELLITES for one in first.solutions)
-    limits = [(one.separation or 0.0) / (one.separation_limit or 1.0) for one in second.solutions]
+    assert all(solution.hypothesis is Hypothesis.SATELLITES for solution in first.solutions)
+    limits = [(solution.separation or 0.0) / (solution.separation_limit or 1.0) for solution in second.solutions]
     assert limits == sorted(limits, reverse=True)
     assert second.solutions[0].left_out == (str(victim),), "it is left out although RAIM excludes it"
     own = named(second.solutions, str(victim))
@@ -153,8 +163,8 @@ def test_the_process_publishes_each_position_with_its_distance_level_and_limit()
     )
     error_m = float(np.linalg.norm(np.array([x, y, z]) - HERE))
     assert error_m < np.hypot(own.protection_level_horizontal_m, own.protection_level_vertical_m)
-    others = [one for one in second.solutions if len(one.left_out) == 1 and one is not own]
-    assert all((own.innovations or 0.0) < (one.innovations or 0.0) for one in others)
+    others = [solution for solution in second.solutions if len(solution.left_out) == 1 and solution is not own]
+    assert all((own.innovations or 0.0) < (hypothesis_solution.innovations or 0.0) for hypothesis_solution in others)
 
 
 def test_levels_hold_the_error_but_for_the_risk() -> None:
@@ -185,7 +195,7 @@ def test_an_absurd_pseudorange_ends_nothing(push_m: float) -> None:
     victim = at(1).measurements[3].satellite
     (said,) = published(informed(), message(at(1, push=(victim, push_m)), 1.0))
     assert said.solutions or said.missing
-    assert all(one.left_out == (str(victim),) or one.innovations for one in said.solutions)
+    assert all(solution.left_out == (str(victim),) or solution.innovations for solution in said.solutions)
 
 
 def test_a_message_holds_the_largest_separations_if_there_are_more_than_it_takes(

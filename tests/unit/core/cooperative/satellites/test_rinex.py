@@ -49,7 +49,7 @@ def test_galileo_ephemerides_are_those_of_inav(source: int, number: int) -> None
 def test_other_systems_are_passed_over() -> None:
     glonass = "R01 2005 04 02 00 00 00" + f"{1e-4:19.12E}" * 3 + "\n" + ("    " + f"{1.0:19.12E}" * 4 + "\n") * 3
     found, _ = read_rinex_navigation(HEAD_3 + END + glonass + GPS_3)
-    assert [str(one.satellite) for one in found] == ["G03"]
+    assert [str(ephemeris.satellite) for ephemeris in found] == ["G03"]
 
 
 def test_the_ionosphere_is_read_from_either_header() -> None:

@@ -45,17 +45,24 @@ def messages(log: bytes) -> list[object]:
     return [message for _, message in UBXReader(BytesIO(log), protfilter=4, quitonerror=0)]
 
 
-GPS = [one for one in constellation() if one.satellite.constellation is Constellation.GPS][:3]
+GPS = [ephemeris for ephemeris in constellation() if ephemeris.satellite.constellation is Constellation.GPS][:3]
 
 
 def test_ephemerides_come_back_from_their_bits_with_anything_in_between() -> None:
-    log = b"$GNRMC,*00\r\n".join(framed(bits_1019(one)) for one in GPS)
+    log = b"$GNRMC,*00\r\n".join(framed(bits_1019(ephemeris)) for ephemeris in GPS)
     ephemerides, epochs = read_rtcm(messages(log), NOW_NS)
-    assert [one.satellite for one in ephemerides] == [one.satellite for one in GPS] and not epochs
-    for found, sent in zip(ephemerides, GPS, strict=True):
-        assert (found.toe_ns, found.toc_ns, found.issue, found.healthy) == (sent.toe_ns, sent.toc_ns, sent.issue, True)
+    assert [ephemeride.satellite for ephemeride in ephemerides] == [
+        ephemeris.satellite for ephemeris in GPS
+    ] and not epochs
+    for ephemeride, sent in zip(ephemerides, GPS, strict=True):
+        assert (ephemeride.toe_ns, ephemeride.toc_ns, ephemeride.issue, ephemeride.healthy) == (
+            sent.toe_ns,
+            sent.toc_ns,
+            sent.issue,
+            True,
+        )
         for field in fields(Ephemeris):
-            a, b = getattr(found, field.name), getattr(sent, field.name)
+            a, b = getattr(ephemeride, field.name), getattr(sent, field.name)
             if isinstance(b, float) and field.name != "accuracy_m":
                 assert a == pytest.approx(b, rel=1e-4, abs=TOLERANCES.get(field.name, 1e-12)), field.name
 

@@ -148,16 +148,18 @@ def test_with_one_redundancy_a_fault_accuses_nobody() -> None:
 
 def test_a_satellite_alone_in_its_constellation_is_left_out() -> None:
     both, gps = raw_epoch(HERE), raw_epoch(HERE, systems=(Constellation.GPS,))
-    alone = next(one for one in both.measurements if one.satellite.constellation == Constellation.GALILEO)
+    alone = next(
+        measurement for measurement in both.measurements if measurement.satellite.constellation == Constellation.GALILEO
+    )
     verdict = SatelliteMonitor().evaluate(replace(gps, measurements=(*gps.measurements, alone)), STORE)
     assert verdict.rejected == {"alone_in_constellation": 1} and verdict.dof == len(gps.measurements) - 4
 
 
 def below_the_horizon() -> Measurement:
-    for one in constellation():
-        distance, sight = sight_of(one, HERE, NOW_NS)
-        if (np.array(sight.position_e) - HERE) @ HERE < -1e6 * np.linalg.norm(HERE) and one.satellite.number < 12:
-            return Measurement(one.satellite, distance, None, 45.0)
+    for ephemeris in constellation():
+        distance, sight = sight_of(ephemeris, HERE, NOW_NS)
+        if (np.array(sight.position_e) - HERE) @ HERE < -1e6 * np.linalg.norm(HERE) and ephemeris.satellite.number < 12:
+            return Measurement(ephemeris.satellite, distance, None, 45.0)
     raise AssertionError("a satellite of the constellation is below the horizon")
 
 
@@ -178,7 +180,11 @@ BAD = (
 @each(("reason", "bad"), BAD)
 def test_bad_measurements_are_refused_with_a_counted_reason(reason: str, bad: Measurement) -> None:
     epoch = raw_epoch(HERE)
-    rest = tuple(one for one in epoch.measurements if one is not FIRST and one.satellite != FIRST.satellite)
+    rest = tuple(
+        measurement
+        for measurement in epoch.measurements
+        if measurement is not FIRST and measurement.satellite != FIRST.satellite
+    )
     verdict = SatelliteMonitor().evaluate(replace(epoch, measurements=(*rest, bad)), STORE)
     assert verdict.rejected == {reason: 1} and verdict.outcome == Outcome.PASS
     assert verdict.solution is not None and np.linalg.norm(verdict.solution.position_e - HERE) < 0.05
@@ -193,7 +199,9 @@ def test_ephemerides_of_two_days_ago_are_refused() -> None:
 @pytest.mark.parametrize("doppler", [None, float("nan"), 1e9])
 def test_without_doppler_there_is_a_position_and_no_velocity(doppler: float | None) -> None:
     epoch = raw_epoch(HERE)
-    silent = replace(epoch, measurements=tuple(replace(one, doppler_hz=doppler) for one in epoch.measurements))
+    silent = replace(
+        epoch, measurements=tuple(replace(measurement, doppler_hz=doppler) for measurement in epoch.measurements)
+    )
     verdict = SatelliteMonitor().evaluate(silent, STORE)
     assert verdict.outcome == Outcome.PASS and verdict.solution is not None and verdict.solution.velocity_e is None
 
@@ -210,5 +218,5 @@ def test_a_doppler_that_contradicts_the_others_is_left_out_of_the_velocity() -> 
 def test_weak_signals_count_less() -> None:
     epoch = raw_epoch(HERE)
     weak = replace(epoch, measurements=(replace(FIRST, cn0_db_hz=30.0), *epoch.measurements[1:]))
-    sds = [SatelliteMonitor().evaluate(one, STORE).findings[0].sd_m for one in (epoch, weak)]
+    sds = [SatelliteMonitor().evaluate(raw_epoch, STORE).findings[0].sd_m for raw_epoch in (epoch, weak)]
     assert sds[1] > 1.2 * sds[0]

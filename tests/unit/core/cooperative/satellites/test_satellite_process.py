@@ -25,14 +25,14 @@ HERE = np.array(ecef_from_geodetic(Geodetic(radians(42.37), radians(13.35), 700.
 def bits(time_s: float, satellites: tuple[str, ...] | None = None) -> list[GnssNavigationBits]:
     """The whole ephemerides of all satellites, or of some."""
     found = []
-    for one in constellation():
-        if satellites is not None and str(one.satellite) not in satellites:
+    for ephemeris in constellation():
+        if satellites is not None and str(ephemeris.satellite) not in satellites:
             continue
-        gps = one.satellite.constellation == Constellation.GPS
-        for words in lnav_subframes(one, NOW_NS) if gps else inav_pages(one, NOW_NS):
+        gps = ephemeris.satellite.constellation == Constellation.GPS
+        for words in lnav_subframes(ephemeris, NOW_NS) if gps else inav_pages(ephemeris, NOW_NS):
             found.append(GnssNavigationBits(
                 sampled_ns=round(time_s * NS), received_ns=round(time_s * NS), source="gnss0",
-                constellation=System.GPS if gps else System.GALILEO, number=one.satellite.number,
+                constellation=System.GPS if gps else System.GALILEO, number=ephemeris.satellite.number,
                 signal="1C" if gps else "1B", words=words,
             ))  # fmt: skip
     return found
@@ -43,10 +43,12 @@ def message(epoch: RawEpoch, time_s: float, source: str = "gnss0", signal: str =
         sampled_ns=round(time_s * NS), received_ns=round(time_s * NS), source=source, gps_time_ns=epoch.gps_time_ns,
         measurements=tuple(
             RawMeasurement(
-                constellation=System(one.satellite.constellation.value), number=one.satellite.number, signal=signal,
-                pseudorange_m=one.pseudorange_m, doppler_hz=one.doppler_hz, cn0_db_hz=one.cn0_db_hz,
+                constellation=System(measurement.satellite.constellation.value),
+                number=measurement.satellite.number, signal=signal,
+                pseudorange_m=measurement.pseudorange_m, doppler_hz=measurement.doppler_hz,
+                cn0_db_hz=measurement.cn0_db_hz,
             )
-            for one in epoch.measurements
+            for measurement in epoch.measurements
         ),
     )  # fmt: skip
 
@@ -57,8 +59,8 @@ def at(second: int, seed: int = 1, push: tuple[SatelliteId, float] | None = None
 
 
 def said(process: Process, *messages: In) -> list[TrustMonitor]:
-    produced = (one for message in messages for one in process.handle(message))
-    return [one for one in produced if isinstance(one, TrustMonitor)]
+    produced = (item for message in messages for item in process.handle(message))
+    return [trust_monitor for trust_monitor in produced if isinstance(trust_monitor, TrustMonitor)]
 
 
 def informed(satellites: tuple[str, ...] | None = None, config: Config | None = None) -> Process:
@@ -107,14 +109,18 @@ def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_
     assert first.name == str(victim) and first.reason_code is not None
     assert (first.reason_code.subject, first.reason_code.code) == (victim.reference, SATELLITE_LEFT_OUT)
     later = said(process, *(message(at(k), float(k)) for k in range(3, 13)))
-    assert [one.outcome for one in later[:7]] == [Outcome.ACCUSES] * 7, "re-admission takes eight epochs"
-    assert {one.since_ns for one in later[:7]} == {2 * NS}
+    assert [trust_monitor.outcome for trust_monitor in later[:7]] == [Outcome.ACCUSES] * 7, (
+        "re-admission takes eight epochs"
+    )
+    assert {trust_monitor.since_ns for trust_monitor in later[:7]} == {2 * NS}
     assert later[-1].outcome is Outcome.PASS and not later[-1].accused
 
 
 def test_a_fault_that_cannot_be_attributed_accuses_gnss() -> None:
     """Five GPS satellites have one degree of freedom: a fault is detected, and all w are equal."""
-    gps = [one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS][:5]
+    gps = [
+        measurement for measurement in at(1).measurements if measurement.satellite.constellation == Constellation.GPS
+    ][:5]
     process = informed()
     five = RawEpoch(at(1).gps_time_ns, tuple(gps))
     (statement,) = said(process, message(pushed(five, gps[0].satellite, 500.0), 1.0))
@@ -123,15 +129,19 @@ def test_a_fault_that_cannot_be_attributed_accuses_gnss() -> None:
 
 
 def test_four_satellites_are_not_evaluated() -> None:
-    gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
+    gps = tuple(
+        measurement for measurement in at(1).measurements if measurement.satellite.constellation == Constellation.GPS
+    )[:4]
     (statement,) = said(informed(), message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
     assert statement.outcome is Outcome.NOT_EVALUATED
     assert statement.reason_code == explain(Code.NO_REDUNDANCY, satellites_count=4, clocks_count=1)
 
 
 def test_missing_ephemerides_are_the_reason() -> None:
-    gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
-    process = informed(tuple(str(one.satellite) for one in gps[:2]))
+    gps = tuple(
+        measurement for measurement in at(1).measurements if measurement.satellite.constellation == Constellation.GPS
+    )[:4]
+    process = informed(tuple(str(measurement.satellite) for measurement in gps[:2]))
     (statement,) = said(process, message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
     assert statement.outcome is Outcome.NOT_EVALUATED
     assert statement.reason_code == explain(Code.EPHEMERIDES_MISSING, known_count=2, measured_count=4)

@@ -65,15 +65,21 @@ def driven() -> Navigator:
 
 
 def alternatives(nav: Navigator) -> dict[Hypothesis, Alternative]:
-    return {one.hypothesis: one for one in nav.bank.alternatives() if isinstance(one, Alternative)}
+    return {
+        alternative.hypothesis: alternative
+        for alternative in nav.bank.alternatives()
+        if isinstance(alternative, Alternative)
+    }
 
 
 def test_every_hypothesis_has_a_solution_that_agrees_on_a_drive_without_a_fault(driven: Navigator) -> None:
     found = alternatives(driven)
     assert set(found) == EXPECTED
-    for one in found.values():
-        assert hypot(*one.apart_n[:2]) < one.levels[0], f"{one.hypothesis} is farther away than its own level"
-        assert one.separation is not None and one.separation < banks.SEPARATION_LIMIT
+    for alternative in found.values():
+        assert hypot(*alternative.apart_n[:2]) < alternative.levels[0], (
+            f"{alternative.hypothesis} is farther away than its own level"
+        )
+        assert alternative.separation is not None and alternative.separation < banks.SEPARATION_LIMIT
 
 
 def test_differences_on_a_drive_without_a_fault_are_as_large_as_their_covariance_says() -> None:
@@ -81,15 +87,19 @@ def test_differences_on_a_drive_without_a_fault_are_as_large_as_their_covariance
     for second in range(60, 110):
         run(nav, float(second), second + 1.0)
         mine = alternatives(nav)
-        found += [mine[one].separation for one in (Hypothesis.GNSS, Hypothesis.GNSS_AND_ODOMETER) if one in mine]
-    squares = [one for one in found if one is not None]
+        found += [
+            mine[hypothesis].separation
+            for hypothesis in (Hypothesis.GNSS, Hypothesis.GNSS_AND_ODOMETER)
+            if hypothesis in mine
+        ]
+    squares = [value for value in found if value is not None]
     assert len(squares) > 80 and 0.5 <= float(np.median(squares)) <= 1.4
     assert max(squares) < CLOSURE_SDS**2, "nothing that a level would hold"
 
 
 def test_before_the_filter_has_converged_each_missing_one_says_why() -> None:
     nav = navigator(30.0)
-    missing = [one for one in nav.bank.alternatives() if not isinstance(one, Alternative)]
+    missing = [alternative for alternative in nav.bank.alternatives() if not isinstance(alternative, Alternative)]
     assert {hypothesis for hypothesis, _ in missing} >= EXPECTED - {Hypothesis.IMU}
     assert all(why for _, why in missing)
     message = hypotheses_message(nav)
@@ -97,14 +107,14 @@ def test_before_the_filter_has_converged_each_missing_one_says_why() -> None:
 
 
 def test_a_solution_without_gnss_uses_none_since_its_anchor_and_two_anchors_are_staggered(driven: Navigator) -> None:
-    mine = [one for one in driven.bank._members if one.kept.hypothesis is Hypothesis.GNSS_AND_ODOMETER]
+    mine = [member for member in driven.bank._members if member.kept.hypothesis is Hypothesis.GNSS_AND_ODOMETER]
     assert len(mine) == 2
     apart_s = abs(mine[0].anchor_ns - mine[1].anchor_ns) / SECOND_NS
     assert apart_s == pytest.approx(0.5 * mine[0].kept.longest_s, abs=2.0)
-    for one in mine:
-        exclusions = one.cursor.engine.exclusions
+    for member in mine:
+        exclusions = member.cursor.engine.exclusions
         assert exclusions.gnss_since_ns is not None and exclusions.odometer
-        assert one.cursor.engine.accepted_ns is not None and one.cursor.engine.accepted_ns <= one.anchor_ns
+        assert member.cursor.engine.accepted_ns is not None and member.cursor.engine.accepted_ns <= member.anchor_ns
 
 
 def test_a_suspicion_starts_them_anew_from_before_the_suspect_time_and_its_end_drops_them() -> None:
@@ -112,8 +122,8 @@ def test_a_suspicion_starts_them_anew_from_before_the_suspect_time_and_its_end_d
     suspect_ns = 90 * SECOND_NS
     nav.believe([Hypothesis.ODOMETER], suspect_ns)
     run(nav, 95.0, 103.0)
-    mine = [one for one in nav.bank._members if one.kept.hypothesis is Hypothesis.ODOMETER]
-    assert [one.anchor_ns < suspect_ns and not one.is_behind for one in mine] == [True]
+    mine = [member for member in nav.bank._members if member.kept.hypothesis is Hypothesis.ODOMETER]
+    assert [member.anchor_ns < suspect_ns and not member.is_behind for member in mine] == [True]
     nav.believe([], None)
     assert not nav.bank._members
 
@@ -152,10 +162,10 @@ def test_separation_is_the_square_of_the_difference_over_its_covariance() -> Non
 def test_a_paused_bank_costs_nothing_leaves_the_position_unchanged_and_begins_again() -> None:
     nav, other = navigator(90.0), navigator(90.0)
     nav.bank.pause(paused=True)
-    for one in (nav, other):
-        run(one, 90.0, 100.0)
+    for item in (nav, other):
+        run(item, 90.0, 100.0)
     assert not nav.bank._members and not nav._timeline.followers
-    missing = [one for one in nav.bank.alternatives() if not isinstance(one, Alternative)]
+    missing = [alternative for alternative in nav.bank.alternatives() if not isinstance(alternative, Alternative)]
     assert {why.code for _, why in missing} == {Code.PAUSED}
     ours, theirs = nav.solution(), other.solution()
     assert ours is not None and theirs is not None
@@ -172,4 +182,7 @@ def test_a_source_that_became_suspect_during_a_pause_is_left_out_after_it() -> N
     run(nav, 90.0, 92.0)
     assert not nav.bank._members
     nav.bank.pause(paused=False)
-    assert {one.kept.hypothesis for one in nav.bank._members} == {Hypothesis.GNSS_AND_ODOMETER, Hypothesis.ODOMETER}
+    assert {member.kept.hypothesis for member in nav.bank._members} == {
+        Hypothesis.GNSS_AND_ODOMETER,
+        Hypothesis.ODOMETER,
+    }

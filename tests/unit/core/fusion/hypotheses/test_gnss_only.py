@@ -33,8 +33,8 @@ def epoch(
 
 
 def solve(model: GnssOnly, measurements: list[Measurement]) -> Solution | None:
-    for one in measurements:
-        model.use(one)
+    for measurement in measurements:
+        model.use(measurement)
     return model.take()
 
 
@@ -141,7 +141,7 @@ def test_each_receiver_has_the_lever_arm_of_its_antenna() -> None:
     antennas = GnssAntenna(lever_arm_body_m=(1.0, 0.0, 0.0), lever_arms_body_m={"rear": (-2.0, 0.0, 0.0)})
     settings, stamp = Settings(vehicle=Vehicle(gnss=antennas)), Stamp(S, S, "rear/nmea")
     made = gnss_measurements(settings, stamp, HERE, Reading((0.0, 0.0, 0.0)), Reading((5.0, 0.0, 0.0)))
-    assert [getattr(one, "lever_arm") for one in made] == [(-2.0, 0.0, 0.0)] * 2  # noqa: B009  # of either kind
+    assert [getattr(measurement, "lever_arm") for measurement in made] == [(-2.0, 0.0, 0.0)] * 2  # noqa: B009  # of either kind
     found = solve(GnssOnly(settings), made)
     assert found is not None
     assert error_n(found, (2.0, 0.0, 0.0))[0] == pytest.approx(0.0, abs=1e-6)

@@ -45,8 +45,8 @@ def driven(seed: int, until_s: float = 60.0, *, aside_from_s: float = 1e9, aside
     rng, model = np.random.default_rng(seed), MotionModel(SETTINGS)
     for k in range(round(10 * until_s)):
         time_s = 0.1 * k
-        for one in fix(time_s, rng.normal(size=6), aside_m=aside_m if time_s >= aside_from_s else 0.0):
-            model.use(one)
+        for item in fix(time_s, rng.normal(size=6), aside_m=aside_m if time_s >= aside_from_s else 0.0):
+            model.use(item)
         stamp = round(time_s * SECOND_NS)
         model.use(WheelSpeed(stamp, stamp, "wheels", SPEED, 0.0, of_wheels=True, exact=True, settings=SETTINGS))
     return model
@@ -115,6 +115,6 @@ def test_positions_that_stay_far_off_start_it_again_there() -> None:
 def test_an_old_measurement_is_left_out() -> None:
     model = driven(6, 10.0)
     before = state(model, 10.0)
-    for one in fix(3.0, np.zeros(6), aside_m=50.0):
-        model.use(one)
+    for item in fix(3.0, np.zeros(6), aside_m=50.0):
+        model.use(item)
     assert state(model, 10.0).position == before.position

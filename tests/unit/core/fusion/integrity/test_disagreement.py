@@ -85,7 +85,7 @@ def test_what_still_grows_does_so_until_displacement_agrees_and_never_ends_by_ag
 
 def test_it_says_what_would_end_it_and_names_only_ways_that_exist() -> None:
     def codes(held: Disagreement, place_m: float | None) -> list[str]:
-        return [one.code for one in held.ends(place_m)]
+        return [end.code for end in held.ends(place_m)]
 
     step = NOTHING.after((60.0, 0.0, 0.0), (1.0, 1.0), 0, grew=False)
     assert codes(NOTHING, 5.0) == []

@@ -30,8 +30,8 @@ def test_normalised_innovations_of_a_matched_filter_are_within_10_percent_of_one
 
 
 def test_doubled_and_halved_normalised_errors_are_outside_the_band(runs: list[Sizes]) -> None:
-    doubled = [Sizes(one.time_s, 4.0 * one.errors, one.innovations) for one in runs]
-    halved = [Sizes(one.time_s, 0.25 * one.errors, one.innovations) for one in runs]
+    doubled = [Sizes(run.time_s, 4.0 * run.errors, run.innovations) for run in runs]
+    halved = [Sizes(run.time_s, 0.25 * run.errors, run.innovations) for run in runs]
     assert not row_of("optimistic", doubled).within
     assert not row_of("pessimistic", halved).within
 

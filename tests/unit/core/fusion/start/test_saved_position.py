@@ -40,7 +40,7 @@ def test_a_first_fix_50_m_aside_is_held_by_the_level_and_both_are_stated(drive: 
     held, solution = navigator.engine.aids.error_monitor.held, navigator.solution()
     assert held.at_start and held.bound[0] == pytest.approx(50.0, abs=6.0)
     assert held.why is not None and held.why.code == Code.HELD_AT_START
-    assert [one.values.get("needed_m") for one in held.ends(None) if one.code == Code.ENDS_BY_DRIVE] == [2000.0]
+    assert [end.values.get("needed_m") for end in held.ends(None) if end.code == Code.ENDS_BY_DRIVE] == [2000.0]
     assert solution is not None and solution.protection_level_horizontal > 44.0
 
 

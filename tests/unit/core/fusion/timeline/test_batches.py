@@ -64,20 +64,27 @@ def published(size: int, late_ns: int) -> Published:
         sampled_ns=0, latitude_deg=degrees(latitude), longitude_deg=degrees(longitude), height_ellipsoid_m=height,
         position_sd_ned_m=(1.0, 1.0, 2.0), yaw_rad=float(d.attitude[0, 2]), yaw_sd_rad=0.02,
     )  # fmt: skip
-    by_arrival = sorted([*imu_messages(size), *aiding_messages(late_ns)], key=lambda one: one[:2])
+    by_arrival = sorted([*imu_messages(size), *aiding_messages(late_ns)], key=lambda pair: pair[:2])
     found = list(process.handle(parked))
     for _, _, message in by_arrival:
         found += process.handle(message)  # type: ignore[arg-type]  # of the kinds that it takes
     found += process.finish()
-    return [one for one in found if isinstance(one, NavigationSolution | AidingUpdate | NavigationState)]
+    return [item for item in found if isinstance(item, NavigationSolution | AidingUpdate | NavigationState)]
 
 
 @pytest.mark.parametrize("late_ns", [80_000_000, 900_000_000])
 @pytest.mark.parametrize("size", [5, 10])
 def test_the_size_of_a_message_of_samples_does_not_matter(size: int, late_ns: int) -> None:
     one_by_one, together = published(1, late_ns), published(size, late_ns)
-    assert sum(isinstance(one, NavigationSolution) for one in one_by_one) > 30
-    assert sum(isinstance(one, AidingUpdate) for one in one_by_one) > 100
+    assert sum(isinstance(item, NavigationSolution) for item in one_by_one) > 30
+    assert sum(isinstance(item, AidingUpdate) for item in one_by_one) > 100
     if late_ns > 500_000_000:
-        assert max(one.measurements_late for one in one_by_one if isinstance(one, NavigationState)) == 2
+        assert (
+            max(
+                navigation_state.measurements_late
+                for navigation_state in one_by_one
+                if isinstance(navigation_state, NavigationState)
+            )
+            == 2
+        )
     assert together == one_by_one

@@ -458,7 +458,7 @@ def test_a_held_offset_ends_by_the_operator_and_not_while_gnss_is_contradicted()
     nav.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(nav, VERDICT_S, 110.0, moved_m=40.0)
     assert nav.engine.aids.error_monitor.held.is_open and not nav.confirm_position()
-    assert [one.code for one in nav.what_ends_the_held][-1] == Code.ENDS_BY_OPERATOR
+    assert [explanation.code for explanation in nav.what_ends_the_held][-1] == Code.ENDS_BY_OPERATOR
     nav.apply_exclusions(None, odometer_excluded=False)
     run(nav, 110.0, 112.0, moved_m=40.0)
     assert nav.engine.aids.error_monitor.held.is_open and nav.confirm_position()

@@ -19,8 +19,8 @@ def apart(second: float, north_m: float, sd_m: float, down_m: float = 0.0) -> Ap
 
 def seen(*differences: Apart, decides: bool = True) -> Contradiction:
     found = Contradiction()
-    for one in differences:
-        found = found.after(one, decides=decides)
+    for difference in differences:
+        found = found.after(difference, decides=decides)
     return found
 
 
@@ -81,4 +81,4 @@ def test_growth_is_the_rate_of_the_last_seconds_and_neither_a_step_nor_a_constan
     assert seen(*(apart(k, 50.0, 0.1) for k in range(20))).growth_m_s == 0.0
     found = seen(*(apart(k, 0.0, 0.1) for k in range(9))).after(apart(9, 50.0, 0.1), decides=True, stepped=True)
     assert found.growth_m_s == 0.0
-    assert all(one.time_ns < other.time_ns for one, other in pairwise(seen(*growing).earlier))
+    assert all(apart.time_ns < other.time_ns for apart, other in pairwise(seen(*growing).earlier))

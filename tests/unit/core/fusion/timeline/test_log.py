@@ -134,9 +134,9 @@ def test_entries_are_in_the_order_of_stamp_arrival_and_device(given_order: list[
         is_new = log.insert(entry(time_ns, received_ns, source))
         assert is_new is ((time_ns, source) not in seen), "a repetition shares stamp, device and kind"
         seen.add((time_ns, source))
-    found = [(one.time_ns, one.received_ns, one.source) for one in log.entries(-1, 5)]
+    found = [(entry.time_ns, entry.received_ns, entry.source) for entry in log.entries(-1, 5)]
     assert found == sorted(given_order)
-    assert [one.time_ns for one in log.entries(1, 3)] == [t for t, _, _ in found if 1 < t <= 3]
+    assert [entry.time_ns for entry in log.entries(1, 3)] == [t for t, _, _ in found if 1 < t <= 3]
 
 
 def test_a_fault_free_fix_takes_the_place_of_the_receivers_own_of_its_epoch_whichever_comes_first() -> None:
@@ -144,9 +144,9 @@ def test_a_fault_free_fix_takes_the_place_of_the_receivers_own_of_its_epoch_whic
     other = [of_epoch(4, 10), of_epoch(5, 10, "second"), entry(5, 10, "wheels")]
     for first, second in ((own, free), (free, own)):
         log = Log()
-        for one in (*other, first, second):
-            if not log.supersedes(one):
-                log.insert(one)
+        for measurement in (*other, first, second):
+            if not log.supersedes(measurement):
+                log.insert(measurement)
         left = log.entries(4, 5)
         assert free in left and own not in left and len(left) == 3 and log.entries(3, 4) == [other[0]]
 
@@ -155,12 +155,14 @@ def test_a_corrected_delay_moves_entries_after_a_time_and_leaves_those_out_that_
     log = Log()
     for time_ns in (1_000, 2_000, 3_000, 4_000):
         log.insert(entry(time_ns, value=time_ns))
-    log.change(1_500, lambda one: one.corrected(1e-6, 0.0))
-    assert [(one.time_ns, cast(Value, one).value) for one in log.entries(0, ALL)] == [
+    log.change(1_500, lambda measurement: measurement.corrected(1e-6, 0.0))
+    assert [(entry.time_ns, cast(Value, entry).value) for entry in log.entries(0, ALL)] == [
         (1_000, 1_000), (2_000, 3_000), (3_000, 4_000),
     ]  # fmt: skip
-    log.change(2_000, lambda one: one.corrected(1e-6, 0.0))  # to the time itself, up to which all is done
-    assert [one.time_ns for one in log.entries(0, ALL)] == [1_000, 2_000]
+    log.change(
+        2_000, lambda measurement: measurement.corrected(1e-6, 0.0)
+    )  # to the time itself, up to which all is done
+    assert [entry.time_ns for entry in log.entries(0, ALL)] == [1_000, 2_000]
 
 
 def test_entries_are_dropped_with_the_samples() -> None:
@@ -168,5 +170,5 @@ def test_entries_are_dropped_with_the_samples() -> None:
     for k in range(1, 11):
         log.insert(entry(k * STEP_NS))
     log.drop(6 * STEP_NS)
-    assert [one.time_ns for one in log.entries(0, ALL)] == [k * STEP_NS for k in range(7, 11)]
+    assert [entry.time_ns for entry in log.entries(0, ALL)] == [k * STEP_NS for k in range(7, 11)]
     assert log.size == 4

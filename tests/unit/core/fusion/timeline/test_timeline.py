@@ -122,7 +122,7 @@ def test_late_measurements_end_in_the_state_of_those_in_time_to_the_last_bit(lat
     played = play([*others, *(fix(k, late) for k, late in late_ns.items())])
     before_ns, behind = least_step(LATENCY_NS), 0
     raised = [before_ns]
-    for _, late in sorted(late_ns.items(), key=lambda one: (fix(*one).received_ns, fix(*one).time_ns)):
+    for _, late in sorted(late_ns.items(), key=lambda pair: (fix(*pair).received_ns, fix(*pair).time_ns)):
         # Horizon and arrival move in steps: within one of them a fix may be behind the one and not behind the other.
         behind += late + ALLOWANCE_NS > raised[-1] + STEP_NS + 30 * MS
         raised += [least_step(late)] if least_step(late) > raised[-1] else []
@@ -139,7 +139,7 @@ def least_step(late_ns: int) -> int:
 def test_a_measurement_of_the_instant_of_a_snapshot_is_not_part_of_it() -> None:
     snapshot_ns = in_time_finished().verdicts.main.before(round(19.5 * SECOND_NS)).time_ns
     told = [speed_at(snapshot_ns, 5.0, late_ns) for late_ns in (SPEED_LATENCY_NS, 1_200 * MS)]
-    in_time, late = (play([*prompt(), one]) for one in told)
+    in_time, late = (play([*prompt(), delivery]) for delivery in told)
     assert late.timeline.measurements_late == 1
     assert differences(settled(late), settled(in_time)) == []
     assert differences(settled(late), in_time_settled()) != []

@@ -29,7 +29,7 @@ Rows = list[dict[str, Test]]
 def update(kind: AidingKind, second: float, z: list[float], sd: float = 0.05) -> AidingUpdate:
     """Innovation of so many standard deviations."""
     return AidingUpdate(
-        sampled_ns=round(second * NS), source="gnss0", kind=kind, innovation=tuple(sd * one for one in z),
+        sampled_ns=round(second * NS), source="gnss0", kind=kind, innovation=tuple(sd * value for value in z),
         innovation_sd=(sd,) * len(z), test_ratio=0.1, used=True,
     )  # fmt: skip
 
@@ -62,7 +62,7 @@ def first(rows: Rows) -> int | None:
 
 
 def accusing(row: dict[str, Test]) -> list[Test]:
-    return [one for one in row.values() if one.outcome is Outcome.ACCUSES]
+    return [test for test in row.values() if test.outcome is Outcome.ACCUSES]
 
 
 @pytest.mark.parametrize("dimension", [1, 2])
@@ -83,8 +83,8 @@ def test_a_sum_exceeds_its_limit_as_often_as_stated_with_a_spread_that_was_learn
         state = rho * state + (1.0 - rho**2) ** 0.5 * rng.normal(size=state.shape)
     for sums in drawn.sum(axis=2).tolist():
         spread = Spread(1, stated=False)
-        for one in sums[:blocks]:
-            spread.learn((one,), seconds)
+        for item in sums[:blocks]:
+            spread.learn((item,), seconds)
         above += spread.ratio((sums[blocks],), seconds, (0,)) > spread.limit(1, rate)
     assert abs(above - trials * rate) < 4.0 * (trials * rate) ** 0.5
 
@@ -93,7 +93,7 @@ def test_a_sum_exceeds_its_limit_as_often_as_stated_with_a_spread_that_was_learn
 def test_white_innovations_pass_for_ten_minutes(seed: int) -> None:
     rows = run(white(seed), 600)
     assert first(rows) is None
-    assert {one.outcome for one in rows[-1].values()} == {Outcome.PASS}
+    assert {row.outcome for row in rows[-1].values()} == {Outcome.PASS}
     assert set(rows[-1]) == {f"{kind}_{length}" for kind in KIND for length in (30, 100, 300)}
 
 
@@ -102,16 +102,16 @@ def test_a_mean_of_a_fraction_of_a_standard_deviation_is_found_from_before_it_be
     rows = run(white(4, [sds, 0.0, 0.0], onset=200), 200 + within_s)
     found = first(rows)
     assert found is not None and found > 200
-    for one in accusing(rows[found - 1]):
-        assert one.accused == ("gnss", "imu") and one.suspect_since_ns is not None
-        assert one.suspect_since_ns <= 200 * NS
+    for test in accusing(rows[found - 1]):
+        assert test.accused == ("gnss", "imu") and test.suspect_since_ns is not None
+        assert test.suspect_since_ns <= 200 * NS
 
 
 def test_along_the_vehicle_the_odometer_is_named_too_where_there_is_one_and_downwards_it_is_not() -> None:
     along = accusing(run(white(4, [2.0, 0.0, 0.0], onset=60), 100, odometer=True)[-1])
     down = accusing(run(white(4, [0.0, 0.0, 2.0], onset=60), 100, odometer=True)[-1])
-    assert {one.accused for one in along} == {("gnss", "imu", "odometer")}
-    assert {one.accused for one in down} == {("gnss", "imu")}
+    assert {test.accused for test in along} == {("gnss", "imu", "odometer")}
+    assert {test.accused for test in down} == {("gnss", "imu")}
 
 
 def correlated(seed: int, time_s: float) -> Noise:
@@ -165,7 +165,7 @@ def test_an_alignment_and_missing_seconds_end_the_windows() -> None:
     monitor = DriftMonitor(INDUSTRIAL, Counter())
     run(white(8), 100, monitor=monitor)
     rows = run(white(9), 20, monitor=monitor, start=200)
-    assert {one.outcome for one in rows[-1].values()} == {Outcome.NOT_EVALUATED}
+    assert {row.outcome for row in rows[-1].values()} == {Outcome.NOT_EVALUATED}
 
 
 def test_the_last_second_before_a_loss_counts_without_waiting_for_the_next_innovation() -> None:
@@ -192,7 +192,7 @@ def test_bad_input_is_counted() -> None:
         "aiding: stamp is before that of the second before": 1,
     }
     seconds.complete(11)
-    assert [one.mean for one in seconds.seconds] == [pytest.approx((1.0, 1.0, 1.0, 1.0, 1.0))]
+    assert [second.mean for second in seconds.seconds] == [pytest.approx((1.0, 1.0, 1.0, 1.0, 1.0))]
 
 
 def test_axes_of_the_vehicle_are_those_of_its_heading() -> None:

@@ -30,8 +30,8 @@ def test_a_drive_without_a_fault_accuses_nobody_and_learns_the_wheels(seed: int)
     assert run.monitor.rear.track_m == pytest.approx(TRACK_M, rel=0.03)
     assert run.monitor.rear.ratio == pytest.approx(0.003, abs=2e-4)
     last = run.verdicts[-1]
-    assert {one.outcome for one in last.values()} == {Outcome.PASS}
-    assert all(one.statistic is not None and one.threshold is not None for one in last.values())
+    assert {test.outcome for test in last.values()} == {Outcome.PASS}
+    assert all(test.statistic is not None and test.threshold is not None for test in last.values())
     assert last["yaw_rate_30"].why.code == Code.YAW_RATES
     assert last["yaw_rate_30"].why.values["sources"] == ("course", "wheels")
 
@@ -43,7 +43,9 @@ def test_a_bias_of_the_gyroscope_is_found_and_named(bias_deg_s: float, within_s:
     assert first is not None and ONSET_S < first <= ONSET_S + within_s
     assert run.names() <= {("imu",), ("gnss", "imu"), ("imu", "odometer")}
     assert ("imu",) in run.names() or abs(bias_deg_s) < 0.5
-    since = [one.suspect_since_ns for one in run.verdicts[first - 1].values() if one.suspect_since_ns is not None]
+    since = [
+        verdict.suspect_since_ns for verdict in run.verdicts[first - 1].values() if verdict.suspect_since_ns is not None
+    ]
     assert since and max(since) <= ONSET_S * NS, "before the fault began"
 
 
@@ -131,7 +133,7 @@ def test_a_gap_of_the_inertial_samples_begins_the_windows_anew() -> None:
     monitor = run.monitor
     monitor.solution(solution_of(70 * NS, BIAS, stationary=False))
     late = [Increment(70 * NS, 70 * NS + NS // 10, (0.0,) * 6 + (0.1,), 0.0, after_gap=True)]
-    assert {one.outcome for one in monitor.verdicts(71 * NS, late).values()} == {Outcome.NOT_EVALUATED}
+    assert {verdict.outcome for verdict in monitor.verdicts(71 * NS, late).values()} == {Outcome.NOT_EVALUATED}
 
 
 def commas(monitor: GyroscopeMonitor, added_deg_s: float, onset_s: float) -> list[set[tuple[str, ...]]]:
@@ -165,7 +167,7 @@ def commas(monitor: GyroscopeMonitor, added_deg_s: float, onset_s: float) -> lis
             fix = GnssFix(sampled_ns=stamp_ns, received_ns=stamp_ns, source="ublox", fix_type=FixType.THREE_D)
             monitor.fix(fix, velocity, None)
         verdicts = monitor.verdicts(round(end * NS), decimator.take())
-        named.append({one.accused for one in verdicts.values() if one.outcome is Outcome.ACCUSES})
+        named.append({verdict.accused for verdict in verdicts.values() if verdict.outcome is Outcome.ACCUSES})
     return named
 
 

@@ -35,7 +35,7 @@ def test_with_an_unknown_error_of_the_gyroscope_it_is_the_least_of_all_such_erro
     }
 
     def off(b: float) -> float:
-        return sum((one.rate - b) ** 2 / one.variance for one in found.values())
+        return sum((difference.rate - b) ** 2 / difference.variance for difference in found.values())
 
     assert chi_square(found, inf) == pytest.approx(minimize_scalar(off).fun, rel=1e-9)
 

@@ -46,7 +46,7 @@ def verdicts(
 @pytest.mark.parametrize("knock", [{"roll_deg": 4.0}, {"roll_deg": -6.0}, {"roll_deg": 4.0, "pitch_deg": 4.0}])
 def test_a_knock_is_found_within_a_quarter_of_a_minute_and_stated_for_a_while(knock: dict[str, float]) -> None:
     found = list(verdicts(**knock))
-    accusing = [k + 1 for k, one in enumerate(found) if one.outcome is Outcome.ACCUSES]
+    accusing = [k + 1 for k, test in enumerate(found) if test.outcome is Outcome.ACCUSES]
     assert accusing and ONSET_S < accusing[0] <= ONSET_S + 15.0
     assert accusing == list(range(accusing[0], len(found) + 1))
     since_ns = found[-1].suspect_since_ns
@@ -56,7 +56,7 @@ def test_a_knock_is_found_within_a_quarter_of_a_minute_and_stated_for_a_while(kn
 
 @pytest.mark.parametrize("what", [{}, {"climb_s": 2.0}, {"climb_s": 10.0}, {"brake": 3.0}, {"roll_deg": 0.7}])
 def test_neither_a_climb_nor_braking_nor_less_than_a_degree_is_a_knock(what: dict[str, float]) -> None:
-    assert all(one.outcome is not Outcome.ACCUSES for one in verdicts(**what))
+    assert all(verdict.outcome is not Outcome.ACCUSES for verdict in verdicts(**what))
 
 
 def test_without_wheel_speeds_nothing_is_evaluated() -> None:

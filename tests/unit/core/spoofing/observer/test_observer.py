@@ -110,7 +110,7 @@ def test_with_gnss_replaced_by_garbage_its_outputs_are_the_same_to_the_bit() -> 
                 said.append(process.observer.observer.outputs())
         outputs.append(said)
     assert outputs[0] == outputs[1]
-    assert sum(bool(one) for one in outputs[0]) > 45, "it has stood"
+    assert sum(bool(output) for output in outputs[0]) > 45, "it has stood"
 
 
 @pytest.mark.parametrize(("gap_steps", "keeps"), [(4, True), (10, True), (12, False)])

@@ -18,7 +18,7 @@ def slope(angles: list[float], *, yaw: float = 0.0, length: int = 60) -> Trend |
         Reading(angle + yaw * k, NOISE**2, Turn(k * NS, yaw * k, (0.0, 0.0, float(k)), yaw, (0.0, 0.0, 1.0)))
         for k, angle in enumerate(angles)
     ]
-    table = np.array([row_of(one, 0) for one in readings]).reshape(-1, 8)
+    table = np.array([row_of(reading, 0) for reading in readings]).reshape(-1, 8)
     return trend(table, NO_BIAS, float(length), correlation_s=0.1, time_sd_s=0.0)
 
 
@@ -32,8 +32,8 @@ def test_a_slope_is_found_whatever_the_vehicle_turns_by() -> None:
 def test_its_spread_is_the_one_that_it_states() -> None:
     rng = np.random.default_rng(1)
     found = [slope((NOISE * rng.standard_normal(61)).tolist()) for _ in range(400)]
-    rates = np.array([one.rate for one in found if one is not None])
-    stated = np.mean([one.variance for one in found if one is not None]) - (2.0 * OFFSET_SD / 60.0) ** 2
+    rates = np.array([trend.rate for trend in found if trend is not None])
+    stated = np.mean([trend.variance for trend in found if trend is not None]) - (2.0 * OFFSET_SD / 60.0) ** 2
     assert len(rates) == 400
     assert rates.std() == pytest.approx(np.sqrt(stated), rel=0.15)
 

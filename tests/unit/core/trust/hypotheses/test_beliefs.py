@@ -35,7 +35,7 @@ def after(seconds: int, said: dict[Monitor, tuple[str, ...] | None], *, odometer
             if accused is not None
         }
         found = beliefs.update(Facts(now_ns, None, statements, odometer_in_use=odometer), ())
-    return {one.hypothesis: one for one in found}
+    return {posterior.hypothesis: posterior for posterior in found}
 
 
 def test_one_that_alone_survives_is_acted_on_from_a_probability_of_0_99() -> None:
@@ -44,7 +44,7 @@ def test_one_that_alone_survives_is_acted_on_from_a_probability_of_0_99() -> Non
     for weight in range(0, 200):
         beliefs = Beliefs()
         beliefs._since_ns[H.GNSS], beliefs._earlier[H.GNSS] = 0, 0.1 * weight
-        found = {one.hypothesis: one for one in beliefs.update(Facts(SECOND_NS), (H.GNSS,))}[H.GNSS]
+        found = {posterior.hypothesis: posterior for posterior in beliefs.update(Facts(SECOND_NS), (H.GNSS,))}[H.GNSS]
         shares.append(found.probability)
         assert found.acted_on is (found.probability > 0.99)
     assert sum(0.9 < share < 0.99 for share in shares) > 5
@@ -72,9 +72,9 @@ def test_hypotheses_that_explain_what_is_said_survive_and_one_alone_is_acted_on(
     said: dict[Monitor, tuple[str, ...]], includes: set[H], acted_on: H | None
 ) -> None:
     found = after(30, {**ALL_PASS, **said})
-    surviving = {name for name, one in found.items() if one.survives and name is not H.NOTHING}
+    surviving = {name for name, posterior in found.items() if posterior.survives and name is not H.NOTHING}
     assert includes <= surviving
-    assert {name for name, one in found.items() if one.acted_on} == ({acted_on} if acted_on else set())
+    assert {name for name, posterior in found.items() if posterior.acted_on} == ({acted_on} if acted_on else set())
     if acted_on is not None:
         assert surviving == {acted_on} and found[acted_on].probability > CERTAIN
 
@@ -91,21 +91,23 @@ def test_a_belief_names_the_monitors_that_speak_for_it_and_against_it() -> None:
     against = after(30, {Monitor.SATELLITES: ("G05",), Monitor.GYROSCOPE: (), Monitor.INERTIAL_SHORT: EITHER})
     disputed = explain(Code.DISPUTED, supporting=("inertial_short",), contradicting=("gyroscope",))
     assert against[H.GNSS].why == disputed
-    assert all(words().detail(one.why) for made in (quiet, found, alone, against) for one in made.values())
+    assert all(words().detail(posterior.why) for made in (quiet, found, alone, against) for posterior in made.values())
 
 
 def test_without_a_statement_the_posteriors_are_the_priors() -> None:
     found = after(100, ALL_PASS)
-    assert {name: one.probability for name, one in found.items() if name is not H.NOTHING} == pytest.approx(dict(PRIOR))
-    assert [name for name, one in found.items() if one.survives] == [H.NOTHING]
-    assert sum(one.probability for one in found.values()) == pytest.approx(1.0)
+    assert {name: posterior.probability for name, posterior in found.items() if name is not H.NOTHING} == pytest.approx(
+        dict(PRIOR)
+    )
+    assert [name for name, posterior in found.items() if posterior.survives] == [H.NOTHING]
+    assert sum(posterior.probability for posterior in found.values()) == pytest.approx(1.0)
 
 
 def test_the_flags_of_the_receiver_alone_are_no_conflict_but_its_time_is() -> None:
     assert not after(60, {**ALL_PASS, Monitor.EVIDENCE: ("gnss",)})[H.GNSS].survives
     said = replace(statement(Monitor.EVIDENCE, ("gnss",), tests=("host_time",)), stated_ns=SECOND_NS)
     found = Beliefs().update(Facts(SECOND_NS, None, {Monitor.EVIDENCE: said}), ())
-    assert {one.hypothesis for one in found if one.survives} >= {H.RECEIVER_TIME}
+    assert {posterior.hypothesis for posterior in found if posterior.survives} >= {H.RECEIVER_TIME}
 
 
 def test_one_statement_a_window_counts_and_one_monitor_is_bounded() -> None:
@@ -134,9 +136,9 @@ def test_what_was_said_is_kept_while_a_contradiction_is_open_and_forgotten_after
     quiet = replace(statement(Monitor.INERTIAL_SHORT), stated_ns=2 * SECOND_NS)
     beliefs.update(Facts(SECOND_NS, None, {Monitor.INERTIAL_SHORT: accusing}), ())
     facts = Facts(2 * SECOND_NS, None, {Monitor.INERTIAL_SHORT: quiet})
-    kept = {one.hypothesis: one for one in beliefs.update(facts, (H.GNSS,))}[H.GNSS]
+    kept = {posterior.hypothesis: posterior for posterior in beliefs.update(facts, (H.GNSS,))}[H.GNSS]
     assert kept.survives and kept.since_ns == 5
-    gone = {one.hypothesis: one for one in beliefs.update(facts, ())}[H.GNSS]
+    gone = {posterior.hypothesis: posterior for posterior in beliefs.update(facts, ())}[H.GNSS]
     assert not gone.survives and gone.probability == pytest.approx(PRIOR[H.GNSS], rel=1e-2)
 
 
@@ -162,7 +164,7 @@ def test_the_floor_holds_while_a_test_is_exceeded_or_an_offset_is_held_and_not_l
         now_ns = (second + 1) * SECOND_NS
         said = {Monitor.INERTIAL_SHORT: replace(statement(Monitor.INERTIAL_SHORT, accused), stated_ns=now_ns)}
         facts = Facts(now_ns, None, said, held_m=(20.0, 0.0) if held else None)
-        found[second] = {one.hypothesis: one.probability for one in beliefs.update(facts, open_ones)}
+        found[second] = {posterior.hypothesis: posterior.probability for posterior in beliefs.update(facts, open_ones)}
     odds = [found[k][H.GNSS] / found[k][H.NOTHING] for k in (1, 2)]
     fell = odds[1] / odds[0]
     assert fell == pytest.approx(0.5 if held else 0.5 * PRIOR[H.GNSS] / suspected_priors((H.GNSS, H.IMU), 1e-3)[H.GNSS],

@@ -70,10 +70,10 @@ def test_the_statistic_is_the_distance_over_the_sum_of_both_variances() -> None:
 
 @pytest.mark.parametrize("hypothesis", [ALONE, WITHOUT_GNSS, WITHOUT_ODOMETER])
 def test_nothing_is_compared_without_all_three_or_at_standstill(hypothesis: Hypothesis) -> None:
-    three = [solution(one, 0.0, 1.0) for one in (ALONE, WITHOUT_GNSS, WITHOUT_ODOMETER)]
-    two = [one for one in three if one.hypothesis is not hypothesis]
+    three = [solution(hypothesis, 0.0, 1.0) for hypothesis in (ALONE, WITHOUT_GNSS, WITHOUT_ODOMETER)]
+    two = [hypothesis_solution for hypothesis_solution in three if hypothesis_solution.hypothesis is not hypothesis]
     assert compared(bank(*two)).outcome is Outcome.NOT_EVALUATED
     assert compared(bank(*two)).why == explain(Code.NOT_COMPARABLE)
-    slow = [solution(one.hypothesis, 0.0, 1.0, speed=0.5) for one in three]
+    slow = [solution(hypothesis_solution.hypothesis, 0.0, 1.0, speed=0.5) for hypothesis_solution in three]
     assert compared(bank(*slow)).outcome is Outcome.NOT_EVALUATED
     assert compared(bank(*slow)).why == explain(Code.HARDLY_MOVES)

@@ -124,7 +124,7 @@ def test_with_every_text_replaced_by_x_the_state_and_what_is_to_be_done_are_the_
     for level in TrustLevel:
         state = trust(START_NS, level, why)
         states = [state, state.model_copy(update={"reasons": ("x",), "monitors": (monitor(START_NS, reason="x"),)})]
-        before, after = (show(changed(trust=one)) for one in states)
+        before, after = (show(changed(trust=state)) for state in states)
         assert (before.state, before.action, before.row) == (after.state, after.action, after.row)
         assert {name: (c.state, c.ratio) for name, c in by_name(before)} == {
             n: (c.state, c.ratio) for n, c in by_name(after)

@@ -71,7 +71,7 @@ def test_satellites_are_one_row_that_opens_to_a_list_with_the_largest_separation
     row = hypotheses.table((), [("core.cooperative", message)])["satellites"]
     assert isinstance(row, dict)
     assert (row["solutions"], row["left_out"], row["distance_m"]) == (3, "G09", None)
-    assert [one["left_out"] for one in hypotheses.satellites([("core.cooperative", message)])] == [
+    assert [satellite["left_out"] for satellite in hypotheses.satellites([("core.cooperative", message)])] == [
         ["G09"], ["G05"], ["G03"],
     ]  # fmt: skip
 

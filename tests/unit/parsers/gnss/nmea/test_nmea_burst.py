@@ -103,7 +103,7 @@ def test_an_order_that_changes_with_every_epoch_costs_no_fix() -> None:
     assert len(found.fixes) == 30
     assert max(found.after_s[2:]) <= BEFORE_S + 6 * STEP_S + 1e-9
     assert {fix.pdop for fix in found.fixes} == {2.2}
-    assert {len(one.satellites) for one in found.satellites} == {3} and len(found.satellites) >= 28
+    assert {len(satellite.satellites) for satellite in found.satellites} == {3} and len(found.satellites) >= 28
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0])

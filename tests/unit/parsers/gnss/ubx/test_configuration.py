@@ -54,7 +54,7 @@ def feed(process: Process, data: bytes) -> list[Message]:
 
 
 def tick(process: Process, second: int) -> list[Message]:
-    return [one for one in process.handle(Tick(now_ns=second * NS)) if not isinstance(one, GnssReceiver)]
+    return [item for item in process.handle(Tick(now_ns=second * NS)) if not isinstance(item, GnssReceiver)]
 
 
 def values(**changes: int) -> bytes:
@@ -152,9 +152,11 @@ def test_a_receiver_that_does_not_say_what_it_is_has_ubx_switched_on_and_is_give
     (first,) = process.handle(REQUEST)
     assert isinstance(first, GnssWrite)
     for k in range(2):
-        *switched, again = (one.data for one in process.handle(Tick(now_ns=k * NS)) if isinstance(one, GnssWrite))
+        *switched, again = (
+            gnss_write.data for gnss_write in process.handle(Tick(now_ns=k * NS)) if isinstance(gnss_write, GnssWrite)
+        )
         assert again == first.data
-        assert [parse_ubx_command(one).identity for one in switched] == ["CFG-VALSET", "CFG-VALSET", "CFG-PRT"]
+        assert [parse_ubx_command(payload).identity for payload in switched] == ["CFG-VALSET", "CFG-VALSET", "CFG-PRT"]
         assert parse_ubx_command(switched[2]).portID == 3  # of USB: a serial port needs its rate
     result = result_of(list(process.handle(Tick(now_ns=3 * NS))))
     assert "check that its RX line is connected" in (result.reason or "")
@@ -171,8 +173,12 @@ def test_the_rate_of_a_serial_port_stays_where_ubx_is_switched_on() -> None:
     process = Process(Config())
     assert not list(process.handle(port_at(9600)))
     list(process.handle(REQUEST))
-    writes = [parse_ubx_command(one.data) for one in process.handle(Tick(now_ns=NS)) if isinstance(one, GnssWrite)]
-    (port,) = [one for one in writes if one.identity == "CFG-PRT" and one.portID == 1]
+    writes = [
+        parse_ubx_command(gnss_write.data)
+        for gnss_write in process.handle(Tick(now_ns=NS))
+        if isinstance(gnss_write, GnssWrite)
+    ]
+    (port,) = [write for write in writes if write.identity == "CFG-PRT" and write.portID == 1]
     assert (port.baudRate, port.outUBX, port.outNMEA, port.inUBX, port.inRTCM3) == (9600, 1, 1, 1, 1)
     assert (port.charLen, port.parity, port.nStopBits) == (3, 4, 0)  # 8 bits, no parity, 1 stop bit
 
@@ -222,9 +228,9 @@ def optional_values(*kept: str) -> bytes:
 
 
 def test_each_optional_message_is_asked_for_apart_and_measurements_once_a_second() -> None:
-    writes = [one.data for one in send_request(Process(Config()), WITH_RAW) if isinstance(one, GnssWrite)]
+    writes = [message.data for message in send_request(Process(Config()), WITH_RAW) if isinstance(message, GnssWrite)]
     pairs = list(OPTIONAL.items())
-    plain = [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
+    plain = [message.data for message in send_request(Process(Config())) if isinstance(message, GnssWrite)]
     assert writes[2] == valset(pairs[:2])
     assert writes[4] == valset(pairs[2:])
     assert writes[:2] + writes[6:] == plain
@@ -257,7 +263,12 @@ def test_answers_that_are_lost_end_the_second_pass_too() -> None:
     send_request(process, WITH_RAW)
     refused = acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)
     assert feed(process, refused * 3)  # parts of what was refused
-    said = [one for second in range(1, 20) for one in tick(process, second) if isinstance(one, GnssConfiguration)]
+    said = [
+        message
+        for second in range(1, 20)
+        for message in tick(process, second)
+        if isinstance(message, GnssConfiguration)
+    ]
     assert "check that its RX line is connected" in (result_of([*said]).reason or "")
 
 
@@ -368,9 +379,9 @@ def configure(
     said: list[Message] = list(process.handle(request))
     now_ns = NS
     for _ in range(200):
-        if results := [one for one in said if isinstance(one, GnssConfiguration)]:
+        if results := [message for message in said if isinstance(message, GnssConfiguration)]:
             return results[0]
-        answers = b"".join(receiver.answer(one.data) for one in said if isinstance(one, GnssWrite))
+        answers = b"".join(receiver.answer(message.data) for message in said if isinstance(message, GnssWrite))
         if answers:
             said = feed(process, answers)
         else:
@@ -395,7 +406,7 @@ def test_a_receiver_before_generation_9_is_configured_message_by_message(protver
     assert receiver.rates["NAV-PVT"] == 1
     assert receiver.rates["RXM-RAWX"] == 5  # once a second
     assert {f"UBX {name}" for name in receiver.rates} == set(result.messages)
-    assert all(one.identity != "CFG-CFG" for one in receiver.commands)  # nothing is saved in the receiver
+    assert all(command.identity != "CFG-CFG" for command in receiver.commands)  # nothing is saved in the receiver
 
 
 def test_what_an_older_receiver_refuses_does_not_prevent_the_rest() -> None:

@@ -142,12 +142,14 @@ def matches_pyubx2(ours: tuple[GnssSignal, ...], theirs: Any) -> bool:
     health = {None: 0, True: 1, False: 2}
     codes = messages.SIGNALS
     return len(ours) == theirs.numSigs and all(
-        [one.number, one.cn0_db_hz or 0, one.pseudorange_used, one.carrier_phase_used, one.doppler_used, one.corrected,
-         health[one.healthy]] == fields(i)
-        and one.quality is tuple(SignalQuality)[min(getattr(theirs, f"qualityInd_{i:02}"), 5)]
-        and (one.residual_m is None or math.isclose(one.residual_m, getattr(theirs, f"prRes_{i:02}"), abs_tol=1e-9))
-        and codes.get((getattr(theirs, f"gnssId_{i:02}"), getattr(theirs, f"sigId_{i:02}"))) == one.signal
-        for i, one in enumerate(ours, 1)
+        [gnss_signal.number, gnss_signal.cn0_db_hz or 0, gnss_signal.pseudorange_used,
+        gnss_signal.carrier_phase_used, gnss_signal.doppler_used, gnss_signal.corrected,
+         health[gnss_signal.healthy]] == fields(i)
+        and gnss_signal.quality is tuple(SignalQuality)[min(getattr(theirs, f"qualityInd_{i:02}"), 5)]
+        and (gnss_signal.residual_m is None or math.isclose(gnss_signal.residual_m, getattr(theirs,
+        f"prRes_{i:02}"), abs_tol=1e-9))
+        and codes.get((getattr(theirs, f"gnssId_{i:02}"), getattr(theirs, f"sigId_{i:02}"))) == gnss_signal.signal
+        for i, gnss_signal in enumerate(ours, 1)
     )  # fmt: skip
 
 

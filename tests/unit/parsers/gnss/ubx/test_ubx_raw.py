@@ -42,7 +42,7 @@ def frame(kind: int, payload: bytes) -> bytes:
 
 def rawx(*measurements: tuple[float, ...], tow_s: float = TOW_S, week: int = WEEK, status: int = 1) -> bytes:
     head = HEAD.pack(tow_s, week, 18, len(measurements), status, 1, 0, 0)
-    return head + b"".join(MEASUREMENT.pack(*one) for one in measurements)
+    return head + b"".join(MEASUREMENT.pack(*measurement) for measurement in measurements)
 
 
 def changed(**values: float) -> tuple[float, ...]:
@@ -83,7 +83,7 @@ def test_every_field_is_what_pyubx2_reads(measurements: list[tuple[float, ...]])
     found, read = raw.decode_raw(payload, rejects), independently("RXM-RAWX", payload)
     assert (found.gps_time_ns, found.leap_seconds) == (read.week * 604_800 * NS + round(read.rcvTow * NS), read.leapS)
     assert len(found.measurements) == read.numMeas and not rejects
-    for k, one in enumerate(found.measurements, 1):
+    for k, measurement in enumerate(found.measurements, 1):
         field = {
             name: getattr(read, f"{name}_{k:02d}")
             for name in (
@@ -101,14 +101,20 @@ def test_every_field_is_what_pyubx2_reads(measurements: list[tuple[float, ...]])
                 "halfCyc",
             )
         }
-        assert one.pseudorange_m == (field["prMes"] if field["prValid"] else None)
-        assert one.carrier_phase_cycles == (field["cpMes"] if field["cpValid"] else None)
-        assert one.half_cycle_resolved == bool(field["halfCyc"])
-        assert (one.doppler_hz, one.number, one.cn0_db_hz) == (field["doMes"], field["svId"], field["cno"])
-        assert one.lock_time_s == pytest.approx(field["locktime"] * 1e-3)
-        assert one.pseudorange_sd_m == (0.01 * 2 ** field["prStd"] if field["prValid"] else None)
-        assert one.carrier_phase_sd_cycles == (pytest.approx(0.004 * field["cpStd"]) if field["cpValid"] else None)
-        assert one.doppler_sd_hz == 0.002 * 2 ** field["doStd"]
+        assert measurement.pseudorange_m == (field["prMes"] if field["prValid"] else None)
+        assert measurement.carrier_phase_cycles == (field["cpMes"] if field["cpValid"] else None)
+        assert measurement.half_cycle_resolved == bool(field["halfCyc"])
+        assert (measurement.doppler_hz, measurement.number, measurement.cn0_db_hz) == (
+            field["doMes"],
+            field["svId"],
+            field["cno"],
+        )
+        assert measurement.lock_time_s == pytest.approx(field["locktime"] * 1e-3)
+        assert measurement.pseudorange_sd_m == (0.01 * 2 ** field["prStd"] if field["prValid"] else None)
+        assert measurement.carrier_phase_sd_cycles == (
+            pytest.approx(0.004 * field["cpStd"]) if field["cpValid"] else None
+        )
+        assert measurement.doppler_sd_hz == 0.002 * 2 ** field["doStd"]
 
 
 @pytest.mark.parametrize(
@@ -116,14 +122,14 @@ def test_every_field_is_what_pyubx2_reads(measurements: list[tuple[float, ...]])
 )
 def test_a_recorded_receivers_measurements_are_what_pyubx2_reads(folder: str, name: str) -> None:
     frames = [
-        one.data
-        for one in Framer(FRAMINGS).feed((recording(folder) / name).read_bytes())
-        if one.protocol == "UBX" and one.data[2:4] == b"\x02\x15"
+        frame.data
+        for frame in Framer(FRAMINGS).feed((recording(folder) / name).read_bytes())
+        if frame.protocol == "UBX" and frame.data[2:4] == b"\x02\x15"
     ]
     assert frames
     for data in frames:
         found, read = raw.decode_raw(data[6:-2], Counter()), independently("RXM-RAWX", data[6:-2])
-        assert [one.pseudorange_m for one in found.measurements] == [
+        assert [measurement.pseudorange_m for measurement in found.measurements] == [
             getattr(read, f"prMes_{k:02d}") if getattr(read, f"prValid_{k:02d}") else None
             for k in range(1, read.numMeas + 1)
         ]
@@ -132,14 +138,14 @@ def test_a_recorded_receivers_measurements_are_what_pyubx2_reads(folder: str, na
 def test_glonass_satellites_have_their_frequency_number() -> None:
     """RXM-RAWX: freqId is the frequency number + 7, and of GLONASS alone."""
     found = decode(*(changed(system=6, channel=k) for k in (0, 7, 13, 14, 255)), changed(system=0, channel=5))
-    assert [one.glonass_frequency_number for one in found] == [-7, 0, 6, None, None, None]
+    assert [raw_measurement.glonass_frequency_number for raw_measurement in found] == [-7, 0, 6, None, None, None]
 
 
 def test_signals_have_the_observation_codes_of_rinex() -> None:
     first, second, third, unknown = decode(
         GOOD, changed(signal=3), changed(system=2, signal=1), changed(system=4, signal=9)
     )
-    assert [one.signal for one in (first, second, third, unknown)] == ["1C", "2L", "1B", None]
+    assert [raw_measurement.signal for raw_measurement in (first, second, third, unknown)] == ["1C", "2L", "1B", None]
     assert (third.constellation, unknown.constellation) == (Constellation.GALILEO, Constellation.UNKNOWN)
 
 
@@ -221,15 +227,17 @@ def test_the_week_is_that_of_the_hosts_era_and_an_impossible_one_is_one_reject(
     process = Process(Config())
     host_ns = WEEK * 604_800 * NS + GPS_EPOCH_UTC_NS
     found = [
-        one
+        item
         for k in range(2)  # the first waits for the stamp of its epoch
-        for one in process.handle(
+        for item in process.handle(
             GnssRaw(received_ns=host_ns + k, source="g", data=frame(0x15, rawx(GOOD, week=week)), recorded=recorded)
         )
     ]
-    assert [one.gps_time_ns // (604_800 * NS) for one in found if isinstance(one, GnssRawEpoch)] == (
-        [] if published is None else [published]
-    )
+    assert [
+        gnss_raw_epoch.gps_time_ns // (604_800 * NS)
+        for gnss_raw_epoch in found
+        if isinstance(gnss_raw_epoch, GnssRawEpoch)
+    ] == ([] if published is None else [published])
     assert process.rejects["ubx_date"] == (2 if published is None else 0)
 
 
@@ -238,7 +246,7 @@ def test_any_payload_is_decoded_or_rejected(payload: bytes, kind: int) -> None:
     process = Process(Config())
     published = list(process.handle(GnssRaw(received_ns=NS, source="gnss0", data=frame(kind, payload))))
     published += list(process.handle(GnssRaw(received_ns=2 * NS, source="gnss0", data=frame(0x15, rawx(GOOD)))))
-    assert all(isinstance(one, GnssRawEpoch | GnssNavigationBits) for one in published)
+    assert all(isinstance(item, GnssRawEpoch | GnssNavigationBits) for item in published)
 
 
 @given(st.lists(st.binary(min_size=32, max_size=32), max_size=5), st.binary(min_size=16, max_size=16))
@@ -273,7 +281,7 @@ def test_raw_measurements_have_the_stamp_of_their_epoch_whichever_comes_first(fi
     raw = frame(0x15, rawx(GOOD))
     data = raw + fix if first else fix + raw
     published = list(Process(Config()).handle(GnssRaw(received_ns=NS, source="gnss0", data=data)))
-    (made,) = (one for one in published if isinstance(one, GnssFix))
-    (epoch,) = (one for one in published if isinstance(one, GnssRawEpoch))
+    (made,) = (gnss_fix for gnss_fix in published if isinstance(gnss_fix, GnssFix))
+    (epoch,) = (gnss_raw_epoch for gnss_raw_epoch in published if isinstance(gnss_raw_epoch, GnssRawEpoch))
     assert epoch.sampled_ns == made.sampled_ns < NS
     assert epoch.gps_time_ns == WEEK * 604_800 * NS + round(TOW_S * NS)

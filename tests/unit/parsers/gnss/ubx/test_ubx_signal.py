@@ -221,8 +221,8 @@ def test_any_payload_is_decoded_or_rejected(kind: str, payload: bytes) -> None:
     ],
 )
 def test_a_recorded_receivers_signal_quality_is_what_pyubx2_reads(folder: str, name: str, least: int) -> None:
-    frames = [one.data for one in Framer(FRAMINGS).feed((recording(folder) / name).read_bytes()) if
-              one.protocol == "UBX"]  # fmt: skip
+    frames = [frame.data for frame in Framer(FRAMINGS).feed((recording(folder) / name).read_bytes()) if
+              frame.protocol == "UBX"]  # fmt: skip
     found = 0
     for data in frames:
         kind = UBX_MSGIDS.get(data[2:4])

@@ -47,7 +47,7 @@ def test_the_oldest_idle_one_gives_way() -> None:
     busy = [enter(connections, "192.0.2.1")[1] for _ in range(2)]
     idle = [enter(connections, "192.0.2.1", idle=True)[1] for _ in range(2)]
     assert enter(connections, "192.0.2.1")[0]
-    assert [one.aborted for one in (*busy, *idle)] == [False, False, True, False]
+    assert [fake_transport.aborted for fake_transport in (*busy, *idle)] == [False, False, True, False]
     assert len(connections) == 4
 
 
@@ -108,6 +108,6 @@ def test_a_lack_of_files_is_one_line_and_other_errors_are_as_before(caplog: pyte
     quiet_accept(loop, {"message": "socket.accept() out of system resource", "exception": lack})
     quiet_accept(loop, {"message": "Task exception was never retrieved", "exception": ValueError("x")})
     loop.close()
-    lines = [one.getMessage() for one in caplog.records]
+    lines = [record.getMessage() for record in caplog.records]
     assert lines[0] == "cannot accept connections: Too many open files; the page takes new ones in a second"
     assert lines[1].startswith("Task exception was never retrieved")

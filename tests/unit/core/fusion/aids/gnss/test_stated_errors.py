@@ -137,8 +137,8 @@ def test_only_the_first_alignment_assumes_a_zero_error() -> None:
     settings = Settings(gnss=GnssSettings(correlation_time_s=240.0, zero_error_at_start=True))
     first, second = Alignment(settings), Alignment(settings, first=False)
     fix = fixes_at_rest()[0]
-    for one in (first, second):
-        one.start_at(fix)
+    for start in (first, second):
+        start.start_at(fix)
     assert first._first_place(fix).cov[0, 0] < 0.05 * SD[0] ** 2
     assert second._first_place(fix).cov[0, 0] == pytest.approx(SD[0] ** 2)
 

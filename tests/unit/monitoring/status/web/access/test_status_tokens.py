@@ -77,7 +77,7 @@ def test_of_two_logins_with_one_link_one_succeeds(tmp_path: Path, tokens: Tokens
         thread.start()
     for thread in threads:
         thread.join()
-    assert len([one for one in opened if one]) == 1
+    assert len([value for value in opened if value]) == 1
 
 
 def test_tokens_and_sessions_expire(clock: Clock, tokens: Tokens) -> None:
@@ -176,4 +176,4 @@ def test_a_replay_of_a_page_takes_the_tokens_of_its_unit(tmp_path: Path, monkeyp
 
 
 def test_roles_are_ordered() -> None:
-    assert [Right.OPERATE.includes(one) for one in Right] == [True, True, True, False]
+    assert [Right.OPERATE.includes(right) for right in Right] == [True, True, True, False]
