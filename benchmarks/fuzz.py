@@ -37,9 +37,9 @@ from tests.support.v2x import cams
 
 NOW_NS = 1_795_000_000_000_000_000
 SLOWEST_S = 2.0  # of processor time, for one input of at most MOST_BYTES; the mean is below 0.01 s
-MOST_BYTES = 16_384  # of one input: what a driver reads at once
-MOST_PACKET = 1500  # a seed of at most so many bytes is damaged as a whole
-MOST_PACKETS = 500  # of each capture
+MAX_BYTES = 16_384  # of one input: what a driver reads at once
+MAX_PACKET = 1500  # a seed of at most so many bytes is damaged as a whole
+MAX_PACKETS = 500  # of each capture
 ETHERNET_HEADER = 14  # [bytes]
 FRAME = re.compile(
     rb"\xb5\x62..(?P<ubx>..)|\$(?P<nmea>[^$*]{1,120})\*..|\xd3(?P<rtcm>[\x00-\x03].)|\xfa\xff.(?P<xbus>[\x00-\xfe])",
@@ -49,7 +49,7 @@ REPAIRED = 0.5  # share of the inputs whose checksums are right
 VEHICLE = REPOSITORY / "deploy" / "vehicles" / "simulated.toml"
 SEED_BYTES = 4_000_000  # of the recordings, of each file
 GROWTH_INPUTS = 200  # through one process: its buffers must have found their bounds
-MOST_HELD_BYTES = 4_000_000  # in all containers of a parser
+MAX_HELD_BYTES = 4_000_000  # in all containers of a parser
 STRETCH = (1, 2, 4, 8, 40, 300)  # bytes of one mutation
 WORDS = (
     b"\x00", b"\xff", b"\x7f", b"\x80", b"\r\n", b"\n", b"$", b"*", b",", b"-", b"9" * 40, b"nan", b"\xb5\x62",
@@ -71,7 +71,7 @@ class Target:
         root, found = data_folder(), list[bytes]()
         for path in (path for pattern in self.recordings for path in sorted(root.glob(pattern))):
             if self.is_packets:
-                found += [frame[ETHERNET_HEADER:] for _, frame in read_pcapng(path)][:MOST_PACKETS]
+                found += [frame[ETHERNET_HEADER:] for _, frame in read_pcapng(path)][:MAX_PACKETS]
                 continue
             with path.open("rb") as file:
                 found.append(file.read(SEED_BYTES))
@@ -117,7 +117,7 @@ TARGETS = {
 def mutated(seeds: Sequence[bytes], chance: random.Random) -> bytes:
     """A piece of a seed, with up to eight places damaged."""
     seed = chance.choice(seeds)
-    size = chance.choice((512, 4096)) if len(seed) <= MOST_PACKET else chance.choice((64, 512, 4096))
+    size = chance.choice((512, 4096)) if len(seed) <= MAX_PACKET else chance.choice((64, 512, 4096))
     start = chance.randrange(max(len(seed) - size, 1))
     data = bytearray(seed[start : start + size])
     for _ in range(chance.randrange(9)):
@@ -137,7 +137,7 @@ def mutated(seeds: Sequence[bytes], chance: random.Random) -> bytes:
                 other = chance.choice(seeds)
                 at = chance.randrange(len(other))
                 data[place : place + length] = other[at : at + length]
-    return bytes(repaired(data[:MOST_BYTES]) if chance.random() < REPAIRED else data[:MOST_BYTES])
+    return bytes(repaired(data[:MAX_BYTES]) if chance.random() < REPAIRED else data[:MAX_BYTES])
 
 
 def repaired(data: bytearray) -> bytearray:
@@ -230,7 +230,7 @@ def fuzz(
             parser = parser_of(name)
         inputs += 1
         if inputs % GROWTH_INPUTS == 0:
-            if (held := held_bytes(parser)) > MOST_HELD_BYTES:
+            if (held := held_bytes(parser)) > MAX_HELD_BYTES:
                 failures.append(f"{name}: holds {held} bytes after {inputs} inputs of seed {seed}")
             parser = parser_of(name)
     return inputs, failures

@@ -33,7 +33,7 @@ from .fuzz import SLOWEST_S, mutated
 MORE_BYTES = 500_000_000  # of address space, above that of the start
 PLACE_DEG = 48.0, 11.0
 REFUSALS = (ObuError, ValueError, BadMap)
-LONGEST = 200  # characters of what an error says
+MAX_LENGTH = 200  # characters of what an error says
 VEHICLES = REPOSITORY / "deploy" / "vehicles"
 
 
@@ -98,7 +98,7 @@ def failure_while(read: Callable[[], object], refusals: tuple[type[Exception], .
         with suppress(*refusals):
             read()
     except BaseException as error:  # noqa: BLE001  # also MemoryError: whatever it raises is what is looked for
-        return f"{type(error).__name__}: {str(error)[:LONGEST]}"
+        return f"{type(error).__name__}: {str(error)[:MAX_LENGTH]}"
     taken_s = time.thread_time() - begin_s
     return f"{taken_s:.1f} s" if taken_s > slowest_s else None
 

@@ -29,7 +29,7 @@ from pydantic import ValidationError
 from fleet.admission.authority import Authority, BadRequest, key_of_request
 from fleet.admission.enrolment import Enrolment, Refusal
 from fleet.admission.process import EnrolRequest, RenewRequest
-from fleet.ingest.verification import Genuine, last_position, newest
+from fleet.ingest.verification import VerifiedBatch, last_position, newest
 from services.monitoring.uplink.watching import BadWatch, Watch
 from shared.errors import UserError
 from shared.fleet import enrolling
@@ -37,7 +37,7 @@ from shared.fleet.batch import BadBatch, Kind
 from shared.fleet.cbor import BadCbor
 from shared.fleet.cose import sign1
 from shared.fleet.identity import CENTRE, UplinkIdentity
-from shared.fleet.receipts import Receipt, Refused, Stored
+from shared.fleet.receipts import Receipt, RejectedBatch, StoredBatch
 from shared.fleet.sealed import unsealed
 from tests.support.fleet.reports import Unit
 
@@ -109,9 +109,9 @@ def _batch(content: object) -> bytes:
     return sign1(payload, UNIT.signer, bytes.fromhex(UNIT.signer.key_id), VEHICLE.encode())
 
 
-def read_batch(data: bytes) -> Genuine:
+def read_batch(data: bytes) -> VerifiedBatch:
     """Read a batch as ingest does, up to what the database is given."""
-    found = Genuine(VEHICLE, 1, data, b"", unsealed(data).batch, None)
+    found = VerifiedBatch(VEHICLE, 1, data, b"", unsealed(data).batch, None)
     _ = found.day, found.worst, found.stored
     if found.batch.kind is Kind.POSITIONS:
         newest(found.batch)
@@ -231,8 +231,8 @@ def readers() -> Iterator[dict[str, Reader]]:
     with TemporaryDirectory() as made:
         admission = _Admission(Path(made))
         enrol, renew = admission.bodies
-        stored = (Stored(1, 0, bytes(8)), Stored(1, 1, bytes(8)))
-        receipt = cbor2.loads(Receipt(stored, (Refused(0, 0, bytes(8), "key"),)).encode())
+        stored = (StoredBatch(1, 0, bytes(8)), StoredBatch(1, 1, bytes(8)))
+        receipt = cbor2.loads(Receipt(stored, (RejectedBatch(0, 0, bytes(8), "key"),)).encode())
         watch = {"topics": ["gnss/fix"], "for_s": 30, "watchers": 1}
         certificate = x509.load_pem_x509_certificate(renew["certificate"].encode())
         request = x509.load_pem_x509_csr(enrol["request"].encode())

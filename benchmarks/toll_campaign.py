@@ -93,7 +93,7 @@ By `python -m benchmarks.toll_campaign`: simulated vehicles on the example plaza
 """
 
 
-class Killed(Exception):
+class ProcessKilled(Exception):
     """The process was killed here."""
 
 
@@ -167,7 +167,7 @@ class KillableStore(Store):
     def execute(self, sql: str, *values: Value) -> int:
         """Run a statement, or die before it."""
         if self.deadly and f"ledger before {sql}".startswith(self.deadly):
-            raise Killed
+            raise ProcessKilled
         return super().execute(sql, *values)
 
 
@@ -351,7 +351,7 @@ class Campaign:
             if second:
                 self._die_at("publishing open passages")
                 self._inform_core(self.ledger, now_ns)
-        except Killed:
+        except ProcessKilled:
             self._count_kill()
             self.store.close()
             self.ledger = self.store = None
@@ -374,7 +374,7 @@ class Campaign:
 
     def _die_at(self, step: str) -> None:
         if self.armed == f"ledger before {step}":
-            raise Killed
+            raise ProcessKilled
 
     def _result(self, counted: set[int], simulated_s: float, cpu_s: float) -> Result:
         assert self.ledger is not None

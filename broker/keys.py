@@ -38,7 +38,7 @@ CONTAINER_BROKER = 1883  # user of the image eclipse-mosquitto
 
 
 @dataclass(frozen=True)
-class Made:
+class KeyFileOwners:
     """For whom the files were made: `vehicle` is the vehicle's file, `owner` the user of the broker."""
 
     vehicle: str
@@ -63,7 +63,7 @@ def may_be_replayed(rows: Iterable[ProcessRow]) -> bool:
     return not any(row.kind in (Kind.DEVICE_DRIVER, Kind.SIMULATOR) for row in rows)
 
 
-def make(folder: Path, vehicle: VehicleFile, made: Made) -> tuple[Path, Path]:
+def make(folder: Path, vehicle: VehicleFile, made: KeyFileOwners) -> tuple[Path, Path]:
     """Make what is missing in the folder of the secrets, and write the broker's files; gives these two paths."""
     _own_folder(folder)
     files = Path(made.files)
@@ -177,11 +177,11 @@ def _share(name: str, folder: int, group: int) -> None:
         os.close(opened)
 
 
-def made_in(folder: Path) -> Made:
+def made_in(folder: Path) -> KeyFileOwners:
     """For whom the secrets of a folder were made; raises `UserError` where there are none."""
     try:
         insist_on_own(folder)
-        return Made(**json.loads((folder / MADE).read_text(encoding="utf-8")))
+        return KeyFileOwners(**json.loads((folder / MADE).read_text(encoding="utf-8")))
     except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"there are no secrets in {folder}: `obu keys make` makes them") from None
     except (OSError, ValueError, TypeError) as error:

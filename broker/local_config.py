@@ -10,7 +10,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from shared.runtime.config import INSTALLED_SOCKET, LONGEST_SOCKET, SOCKET
+from shared.runtime.config import INSTALLED_SOCKET, MAX_SOCKET, SOCKET
 
 from .keys import ACCESS_LIST, PASSWORDS
 
@@ -77,7 +77,7 @@ def configuration(port: int, store: Path, rules: Path, listen: str | None = None
 def socket_in(folder: Path) -> Path | None:
     """Make the folder of the socket in a state folder, for its owner alone; None where its path is too long."""
     path = folder / SOCKET
-    if len(os.fsencode(path)) > LONGEST_SOCKET:
+    if len(os.fsencode(path)) > MAX_SOCKET:
         return None
     path.parent.mkdir(mode=0o700, exist_ok=True)
     return path

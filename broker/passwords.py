@@ -12,7 +12,7 @@ import secrets
 from collections.abc import Mapping
 
 ITERATIONS = 101
-MOST_ITERATIONS = 100_000  # of a file that is read: a password is computed while the broker serves nobody else
+MAX_ITERATIONS = 100_000  # of a file that is read: a password is computed while the broker serves nobody else
 SALT_BYTES = 12
 HASH_BYTES = 64
 SCHEME = "7"
@@ -67,8 +67,8 @@ def _entry(rest: str, number: int) -> tuple[int, bytes, bytes]:
         entry = int(iterations), base64.b64decode(salt, validate=True), base64.b64decode(digest, validate=True)
     except (ValueError, binascii.Error):
         raise PasswordsError(f"line {number} is not NAME:$7$ITERATIONS$SALT$HASH") from None
-    if empty or scheme != SCHEME or not 0 < entry[0] <= MOST_ITERATIONS or len(entry[2]) != HASH_BYTES:
-        raise PasswordsError(f"line {number} is not a password by PBKDF2 of at most {MOST_ITERATIONS} iterations")
+    if empty or scheme != SCHEME or not 0 < entry[0] <= MAX_ITERATIONS or len(entry[2]) != HASH_BYTES:
+        raise PasswordsError(f"line {number} is not a password by PBKDF2 of at most {MAX_ITERATIONS} iterations")
     return entry
 
 

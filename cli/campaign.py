@@ -40,7 +40,7 @@ Kept = Annotated[FloatArray, PlainValidator(np.asarray), PlainSerializer(lambda 
 
 ROOT = Path(__file__).resolve().parents[1]
 # What is imported by name (processes), read beside the code (vehicles, schemas), or imported by nearly every job.
-ALWAYS = ("services/core", "services/parsers", "services/sensors", "shared", "deploy/vehicles")
+MEASURED_FOLDERS = ("services/core", "services/parsers", "services/sensors", "shared", "deploy/vehicles")
 PACKAGES = ("numpy", "scipy")  # whose results are those of the job
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # more stand in each other's way
 
@@ -284,10 +284,10 @@ def _content_of(path: Path, _changed_ns: int) -> str:
 
 
 def sources_of(module: str) -> set[Path]:
-    """All files of `ALWAYS`, the module's own file, and those that it imports, directly or not."""
+    """All files of `MEASURED_FOLDERS`, the module's own file, and those that it imports, directly or not."""
     found = {
         path
-        for folder in ALWAYS
+        for folder in MEASURED_FOLDERS
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }

@@ -12,7 +12,7 @@ from shared.runtime.config import VehicleFile, load_vehicle, state_dir
 from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, folder_of
 from shared.runtime.private import private_folder
 
-MOST_READERS = 32
+MAX_READERS = 32
 PAGE_PROCESS, UPLINK_PROCESS = "monitoring.status", "monitoring.uplink"
 TAKE_EFFECT = (
     "to take effect: `sudo systemctl reload obu-broker`, with containers `docker compose kill -s HUP broker`, "
@@ -60,7 +60,7 @@ def make(
     before = _made_before(where)  # what is not given stays
     unit = _vehicle_of(before, vehicle)
     path = Path(unit.path)
-    made = keys.Made(
+    made = keys.KeyFileOwners(
         str(path.resolve()) if path.is_file() else unit.path,
         str(files.resolve()) if files else before.files if before else str(where.parent / keys.RULES),
         owner or (before.owner if before else None) or (str(keys.CONTAINER_BROKER) if containers else None),
@@ -88,11 +88,11 @@ def make(
     return 0
 
 
-def _made_before(where: Path) -> keys.Made | None:
+def _made_before(where: Path) -> keys.KeyFileOwners | None:
     return keys.made_in(where) if (where / keys.MADE).exists() else None
 
 
-def _vehicle_of(before: keys.Made | None, vehicle: Path | None) -> VehicleFile:
+def _vehicle_of(before: keys.KeyFileOwners | None, vehicle: Path | None) -> VehicleFile:
     if vehicle is None and "OBU_VEHICLE" not in os.environ and before and Path(before.vehicle).is_file():
         return load_vehicle(before.vehicle)
     return load_vehicle(vehicle)
@@ -113,8 +113,8 @@ def add(name: str) -> int:
     """Make a user that may read everything, and print the address that holds its secret."""
     where = folder()
     made = keys.made_in(where)
-    if len(set(keys.readers_of(where)) - {name}) >= MOST_READERS:
-        raise UserError(f"there are {MOST_READERS} users already; remove one with `obu keys remove NAME`")
+    if len(set(keys.readers_of(where)) - {name}) >= MAX_READERS:
+        raise UserError(f"there are {MAX_READERS} users already; remove one with `obu keys remove NAME`")
     _tell(name, keys.add_reader(where, name))
     _write_rules(where, made)
     return 0
@@ -172,6 +172,6 @@ def tls(names: list[str]) -> int:
     return 0
 
 
-def _write_rules(where: Path, made: keys.Made) -> None:
+def _write_rules(where: Path, made: keys.KeyFileOwners) -> None:
     unit = load_vehicle(made.vehicle) if Path(made.vehicle).is_file() else load_vehicle()
     keys.make(where, unit, made)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from shared.bounded import TOML_BYTES, TooMuch, read_text
+from shared.bounded import TOML_BYTES, SizeExceeded, read_text
 from shared.errors import UserError
 from shared.runtime.config import NO_TEXT, parse_vehicle
 from shared.runtime.live import load_process
@@ -36,7 +36,7 @@ def migrate(
     try:
         text = read_text(file, TOML_BYTES)
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
+        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, SizeExceeded) else NO_TEXT
         raise UserError(f"cannot read {file}: {reason}; give a vehicle's TOML file") from error
     new, changes = migrated(text, str(file))
     vehicle = parse_vehicle(new, str(file))

@@ -11,7 +11,7 @@ from shared.fleet.contract import asyncapi as centre_asyncapi
 
 LENGTH = 12  # hexadecimal digits
 TEXTS = {"description", "title", "summary", "example", "examples", "tags", "operationId", "deprecated"}
-NAMED = {"properties", "patternProperties", "$defs"}  # objects whose keys are names, not keywords
+NAMED_OBJECTS = {"properties", "patternProperties", "$defs"}  # objects whose keys are names, not keywords
 UNORDERED = {"required", "enum"}
 HEAD = (
     "# Digests of the schemas\n\n"
@@ -106,7 +106,7 @@ def _essence(node: object, *, names: bool = False) -> object:
     """Leave out what is for people; `names`: the keys are names of fields, which may be called as a keyword is."""
     if isinstance(node, dict):
         kept = {key: value for key, value in node.items() if names or key not in TEXTS}
-        return {key: _essence(_sorted(key, value, names=names), names=not names and key in NAMED)
+        return {key: _essence(_sorted(key, value, names=names), names=not names and key in NAMED_OBJECTS)
                 for key, value in kept.items()}  # fmt: skip
     return [_essence(value) for value in node] if isinstance(node, list | tuple) else node
 

@@ -9,8 +9,8 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 
 NS = 1_000_000_000
-MOST_STEP_S = 30  # by which leap seconds change; what is more is another clock
-WHOLE_NS = NS // 5  # by which a step may differ from whole seconds
+MAX_STEP_S = 30  # by which leap seconds change; what is more is another clock
+STEP_TOLERANCE_NS = NS // 5  # by which a step may differ from whole seconds
 
 
 class UtcLine:
@@ -52,5 +52,5 @@ class UtcLine:
 def _whole_step(change_ns: int) -> int:
     """The step of whole seconds in a change of the offset; 0 for none."""
     seconds = round(change_ns / NS)
-    whole = abs(change_ns - seconds * NS) <= WHOLE_NS
-    return seconds * NS if whole and abs(seconds) <= MOST_STEP_S else 0
+    whole = abs(change_ns - seconds * NS) <= STEP_TOLERANCE_NS
+    return seconds * NS if whole and abs(seconds) <= MAX_STEP_S else 0

@@ -15,13 +15,13 @@ from rich.console import Console
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
 from services.monitoring.ledger.proof import pack_fault, prove_ledger
-from shared.bounded import TooMuch, read_bytes
+from shared.bounded import SizeExceeded, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
 from shared.evidence import KeyRing, Outcome
 from shared.evidence.outcome import gravest
 from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTransaction
 from shared.toll.plaza import parse_plaza
-from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
+from shared.unpacked import MIN_LIMIT_BYTES, BadPack, unpacked
 from shared.v2x.evidence import cam_of
 
 from .evidence_key import KeyOption, accepted_keys
@@ -162,8 +162,8 @@ def _columns(path: Path) -> set[str]:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return read_bytes(path, ALWAYS_BYTES)
-    except TooMuch as error:
+        return read_bytes(path, MIN_LIMIT_BYTES)
+    except SizeExceeded as error:
         raise UserError(f"{path} is no evidence pack: {error}; name a pack or a ledger") from error
 
 
@@ -171,7 +171,7 @@ def _evidence(passage_id: str, compressed: object, content: object, seal: str | 
     """Read a row; one that is damaged is reported as such, and the others are verified."""
     what = "evidence"
     try:
-        pack = unpacked(compressed, "zlib", ALWAYS_BYTES)  # type: ignore[arg-type]  # SQLite stores any type anywhere
+        pack = unpacked(compressed, "zlib", MIN_LIMIT_BYTES)  # type: ignore[arg-type]  # SQLite stores any type anywhere
         EvidencePack.model_validate_json(pack)
         what = "transaction"
         transaction = TollTransaction.model_validate_json(content)  # type: ignore[arg-type]
@@ -201,7 +201,7 @@ def _rows(path: Path, columns: str, order: str = "") -> list[tuple[Any, ...]]:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
             for pragma in ("trusted_schema=OFF", "query_only=ON"):
                 database.execute(f"PRAGMA {pragma}")
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, ALWAYS_BYTES)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MIN_LIMIT_BYTES)
             tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchmany(1000)
             if not {("evidence",), ("booking",)} <= set(tables):  # a view may have rows without end
                 raise sqlite3.DatabaseError("it lacks the tables evidence and booking")

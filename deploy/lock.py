@@ -34,7 +34,7 @@ Files = Mapping[str, str]  # name of a package -> SHA-256 of the file that pip c
 Ask = Callable[[Mapping[str, str], "list[str]"], Files]
 
 
-class NoFile(Exception):
+class PackageFileMissing(Exception):
     """The index has no file of a package that fits."""
 
     def __init__(self, package: str) -> None:
@@ -70,7 +70,8 @@ def closure(wanted: list[str]) -> dict[str, str]:
 def ask_pip(versions: Mapping[str, str], options: list[str]) -> Files:
     """Hash of the file that pip would install of each package, asked of the index that it is configured for.
 
-    Nothing is installed. Raises `NoFile` where a package has no file that fits the options, and `RuntimeError` where
+    Nothing is installed. Raises `PackageFileMissing` where a package has no file that fits the options, and
+    `RuntimeError` where
     pip fails otherwise.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -81,7 +82,7 @@ def ask_pip(versions: Mapping[str, str], options: list[str]) -> Files:
         done = subprocess.run([*command, "-r", str(pins)], capture_output=True, text=True, check=False)
         if done.returncode:
             if missing := NO_FILE.search(done.stderr):
-                raise NoFile(canonicalize_name(missing[1]))
+                raise PackageFileMissing(canonicalize_name(missing[1]))
             said = "\n".join(line for line in done.stderr.splitlines() if not line.startswith("WARNING"))
             raise RuntimeError(f"pip could not tell the hashes; check its index, then run `make lock` again\n{said}")
         chosen = json.loads(report.read_text())["install"]
@@ -103,12 +104,12 @@ def wheels(versions: Mapping[str, str], python: str, machine: str, ask: Ask, dou
         try:
             found |= ask({name: version for name, version in versions.items() if name not in doubtful}, options)
             break
-        except NoFile as missing:
+        except PackageFileMissing as missing:
             if missing.package not in versions.keys() - doubtful:
                 raise RuntimeError(f"pip names {missing.package}, which was not asked for") from missing
             doubtful.add(missing.package)
     for name in sorted(doubtful):
-        with contextlib.suppress(NoFile):
+        with contextlib.suppress(PackageFileMissing):
             found |= ask({name: versions[name]}, options)
     return found
 
@@ -131,7 +132,7 @@ def hashes(versions: Mapping[str, str], ask: Ask = ask_pip) -> tuple[dict[str, s
             sources = ask({name: versions[name]}, ["--no-binary", name])
             found[name].add(sources[name])
             instead = "it is built from its source there"
-        except NoFile:
+        except PackageFileMissing:
             instead = "and there is no source archive: it cannot be installed there"
         except RuntimeError:
             instead = "and its source archive does not build here: its hash is missing"

@@ -32,7 +32,7 @@ IN_README = re.compile(r"^#+ *Licen[sc]e[^\n]*\n(.*?)(?=^#|\Z)", re.MULTILINE | 
 OWN_SETUPTOOLS = 77  # the first that pyproject.toml can be built with
 
 
-class NotSetUp(Exception):
+class WheelIncomplete(Exception):
     """Something that belongs into the wheel is missing."""
 
 
@@ -94,7 +94,7 @@ def licences(found: Sequence[Package]) -> str:
     """Text of the licences, one section a package.
 
     A package that holds no text is named with its author, and with a package that holds the text of the same licence.
-    Raises `NotSetUp` where there is none.
+    Raises `WheelIncomplete` where there is none.
     """
     parts = ["JavaScript libraries in this folder, and what is bundled in them."]
     for package in found:
@@ -102,7 +102,7 @@ def licences(found: Sequence[Package]) -> str:
         if not texts:
             same = next((other for other in found if other.texts and other.licence == package.licence), None)
             if same is None:
-                raise NotSetUp(
+                raise WheelIncomplete(
                     f"{package.name} {package.version} holds no licence; find its text before it is given away"
                 )
             who = f"Copyright {package.author} ({package.source})."
@@ -112,10 +112,12 @@ def licences(found: Sequence[Package]) -> str:
 
 
 def stage(folder: Path) -> None:
-    """Copy what belongs into the wheel into an empty folder; raises `NotSetUp` without the dashboard's libraries."""
+    """Copy what belongs into the wheel to an empty folder; raises `WheelIncomplete` without dashboard."""
     libraries = ROOT / DASHBOARD / "node_modules"
     if missing := sorted(path for path in library_files() if not (libraries / path).is_file()):
-        raise NotSetUp(f"the dashboard's libraries are not installed ({missing[0]} is missing); run `make setup` first")
+        raise WheelIncomplete(
+            f"the dashboard's libraries are not installed ({missing[0]} is missing); run `make setup` first"
+        )
     for name in FOLDERS:
         shutil.copytree(ROOT / name, folder / name, ignore=LEFT_OUT)
     for name in FILES:
@@ -137,7 +139,7 @@ def builds_offline() -> bool:
 
 
 def build(out: Path) -> Path:
-    """Write the wheel into a folder, and return its path; raises `NotSetUp`, or `CalledProcessError` of pip."""
+    """Write the wheel into a folder, and return its path; raises `WheelIncomplete`, or `CalledProcessError` of pip."""
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         tree, made = Path(folder) / "tree", Path(folder) / "made"
@@ -156,7 +158,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder of the wheel")
     try:
         sys.stdout.write(f"{build(parser.parse_args().out)}\n")
-    except NotSetUp as error:
+    except WheelIncomplete as error:
         sys.stderr.write(f"{error}\n")
         return 1
     except subprocess.CalledProcessError as error:

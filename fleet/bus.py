@@ -15,7 +15,7 @@ from .servers.nats import NatsAccess
 
 log = logging.getLogger(__name__)
 
-AGAIN_S = 0.5
+RETRY_PERIOD_S = 0.5
 SAY_AGAIN_S = 60.0  # a server that is away would fill the log with two lines a second
 TELL_S = 3  # in which a server that works answers
 
@@ -40,7 +40,7 @@ async def connected(server: NatsAccess, name: str) -> Client:
         log.warning("NATS at %s: %s", server.url.rpartition("@")[2], text)
 
     return await connect(
-        server, name, max_reconnect_attempts=-1, reconnect_time_wait=AGAIN_S, allow_reconnect=True, error_cb=tell
+        server, name, max_reconnect_attempts=-1, reconnect_time_wait=RETRY_PERIOD_S, allow_reconnect=True, error_cb=tell
     )
 
 

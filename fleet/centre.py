@@ -12,7 +12,7 @@ from typing import Annotated
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from shared.bounded import TooMuch, read_text
+from shared.bounded import SizeExceeded, read_text
 from shared.errors import UserError
 
 from .admission.authority import AUTHORITY, SERVER, SERVER_KEY
@@ -22,7 +22,7 @@ from .servers.ports import must_be_free
 from .servers.postgres import USER, Postgres
 
 FILE = "centre.toml"
-MOST_BYTES = 65_536
+MAX_BYTES = 65_536
 SECRETS, OWNER_PASSFILE = "secrets", "database-owner.pgpass"  # of libpq, where `prepare` has made it
 NAME = r"^[A-Za-z0-9._:-]+$"  # or address
 EXAMPLE = """# A control centre; see docs/how-to/run-a-control-centre.md. What is not given has the value shown.
@@ -77,7 +77,7 @@ class Centre:
             if not path.exists():
                 path.touch(0o600)  # it may hold a password of the database
                 path.write_text(EXAMPLE, encoding="utf-8")
-            self.settings = Settings.model_validate(tomllib.loads(read_text(path, MOST_BYTES)))
+            self.settings = Settings.model_validate(tomllib.loads(read_text(path, MAX_BYTES)))
         except OSError as error:
             raise UserError(f"cannot use {self.folder}: {error.strerror}; name another with --folder") from error
         except ValidationError as error:
@@ -86,7 +86,7 @@ class Centre:
             if first["type"] == "extra_forbidden":
                 why = f"there is no such setting; there are {', '.join(Settings.model_fields)}"
             raise UserError(f"{path}: {name}: {why}; change it") from error
-        except (tomllib.TOMLDecodeError, TooMuch, UnicodeDecodeError) as error:
+        except (tomllib.TOMLDecodeError, SizeExceeded, UnicodeDecodeError) as error:
             raise UserError(f"{path} is no file of a centre: {error}; correct it, or move it away") from error
 
     @property
@@ -99,8 +99,8 @@ class Centre:
         """Certificate of the authority; raises `UserError`."""
         path = self.authority / AUTHORITY
         try:
-            return read_text(path, MOST_BYTES)
-        except (OSError, TooMuch, UnicodeDecodeError) as error:
+            return read_text(path, MAX_BYTES)
+        except (OSError, SizeExceeded, UnicodeDecodeError) as error:
             raise UserError(f"cannot read {path}: {error}; `obu centre up` makes it at its first start") from error
 
     @property

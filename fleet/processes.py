@@ -29,9 +29,9 @@ def _ingest(centre: Centre) -> Work:
 
 def _alarms(centre: Centre) -> Work:
     from .alarms.process import serve
-    from .alarms.web_hook import Reach
+    from .alarms.web_hook import AddressPolicy
 
-    return serve(centre.nats("alarms"), centre.dsn("alarms"), Reach(centre.settings.web_hook_networks))
+    return serve(centre.nats("alarms"), centre.dsn("alarms"), AddressPolicy(centre.settings.web_hook_networks))
 
 
 def _maintenance(centre: Centre) -> Work:

@@ -32,18 +32,18 @@ from .servers.postgres import name_of
 log = logging.getLogger(__name__)
 
 AGAIN_S, LONGEST_AGAIN_S = 1.0, 60.0  # of a part that has ended at once; twice as long each time that it does so again
-STEADY_S = 10.0  # a part that has run for less has ended at once
+STABLE_AFTER_S = 10.0  # a part that has run for less has ended at once
 AWAY_S = 5.0  # in which NATS on another machine accepts a connection
 WAIT_S = 0.05  # between two looks at a parent that imports its modules
 LOGS = "logs"  # of the processes; the servers have theirs in their folders
 
 
-def start_servers(centre: Centre, stack: ExitStack) -> list["Looked"]:
+def start_servers(centre: Centre, stack: ExitStack) -> list["PeriodicCheck"]:
     """Start PostgreSQL with the newest schema, and NATS; both end with the stack. Raises `UserError`."""
-    settings, servers = centre.settings, list[Looked]()
+    settings, servers = centre.settings, list[PeriodicCheck]()
     if centre.has_own_database:
         postgres = centre.postgres
-        servers.append(Kept("PostgreSQL", postgres, postgres.start, stack))
+        servers.append(ManagedProcess("PostgreSQL", postgres, postgres.start, stack))
     try:
         prepare(centre.owner_dsn, centre.database_passwords)
     except (psycopg.Error, SQLAlchemyError) as error:
@@ -51,8 +51,8 @@ def start_servers(centre: Centre, stack: ExitStack) -> list["Looked"]:
     if is_loopback(settings.nats_host):
         nats = Nats(centre.folder / "nats", settings.nats_port, settings.mqtt_port)
         text = nats_configuration(centre, nats.folder)
-        servers.append(Kept("nats-server", nats, lambda: nats.start(text), stack))
-        servers.append(Reloaded(nats, centre.authority / SERVER))
+        servers.append(ManagedProcess("nats-server", nats, lambda: nats.start(text), stack))
+        servers.append(NatsReload(nats, centre.authority / SERVER))
     else:
         warn_if_away(settings.nats_host, settings.nats_port)
     return servers
@@ -73,14 +73,14 @@ def warn_if_away(host: str, port: int) -> None:
         log.warning("NATS at %s:%d does not answer: %s; check nats_host and nats_port", host, port, reason)
 
 
-class Looked(Protocol):
+class PeriodicCheck(Protocol):
     """What is looked at several times a second."""
 
     def look(self) -> None:
         """Do what is due."""
 
 
-class Reloaded:
+class NatsReload:
     """NATS, which reads its certificate again when admission has made another one."""
 
     def __init__(self, nats: Nats, certificate: Path) -> None:
@@ -122,7 +122,7 @@ class Pauses:
     def end(self, reason: str) -> None:
         """It has ended, or did not start."""
         now_s = time.monotonic()
-        if now_s - self._begun_s > STEADY_S:
+        if now_s - self._begun_s > STABLE_AFTER_S:
             self._pause_s, self._reason = 0.0, ""
         if reason != self._reason:
             log.warning("%s has ended: %s; it is started again", self._name, reason)
@@ -130,7 +130,7 @@ class Pauses:
         self._pause_s = min(max(2.0 * self._pause_s, AGAIN_S), LONGEST_AGAIN_S)
 
 
-class Kept:
+class ManagedProcess:
     """A server or process that is started again when it ends."""
 
     def __init__(self, name: str, child: Child, start: Callable[[], None], stack: ExitStack) -> None:
@@ -215,7 +215,7 @@ def run(centre: Centre, ended: threading.Event, begun: Callable[[], None]) -> No
         begun()
         for name in NAMES:
             process = Process(name, centre.folder, warm)
-            parts.append(Kept(name, process, process.start, stack))
+            parts.append(ManagedProcess(name, process, process.start, stack))
         while not ended.wait(0.2):
             for part in parts:
                 part.look()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from math import isfinite
 
-from .messages.simulation import LONGEST_S, AttackName
+from .messages.simulation import MAX_DURATION_S, AttackName
 
 NOTATION = re.compile(r"(?P<name>\w+)(\((?P<parameters>[^()]*)\))?@(?P<start>[^@:]+)(:(?P<duration>[^@:]+))?")
 
@@ -274,8 +274,8 @@ def schedule(text: str) -> ScheduledAttack:
     parameters = {name.strip(): _number(value, f"{row.name}: {name.strip()}") for name, _, value in given}
     start_s = _number(match["start"], f"{row.name}: the start [s]")
     duration_s = None if match["duration"] is None else _number(match["duration"], f"{row.name}: the duration [s]")
-    if not 0.0 <= start_s <= LONGEST_S or (duration_s is not None and not 0.0 < duration_s <= LONGEST_S):
-        raise ValueError(f"{row.name}: start and duration must be 0 to {LONGEST_S:g} s")
+    if not 0.0 <= start_s <= MAX_DURATION_S or (duration_s is not None and not 0.0 < duration_s <= MAX_DURATION_S):
+        raise ValueError(f"{row.name}: start and duration must be 0 to {MAX_DURATION_S:g} s")
     return ScheduledAttack(row.name, start_s, duration_s, row.complete(parameters))
 
 

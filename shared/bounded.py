@@ -26,37 +26,37 @@ _TOML_BRACKETS = re.compile(r"[\[\]{}]")
 _TOML_DOTTED = re.compile(r"[A-Za-z0-9_-]+(?:[ \t]*\.[ \t]*[A-Za-z0-9_-]+)+")
 
 
-class TooMuch(ValueError):
+class SizeExceeded(ValueError):
     """A file or text has more than is read of its kind; the text says how much, and ends a sentence."""
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """Read a file of at most `most` bytes; raises `TooMuch` for a longer one, and `OSError`."""
+    """Read a file of at most `most` bytes; raises `SizeExceeded` for a longer one, and `OSError`."""
     with path.open("rb") as file:
         data = file.read(most + 1)
     if len(data) > most:
-        raise TooMuch(f"it has more than {_size(most)}")
+        raise SizeExceeded(f"it has more than {_size(most)}")
     return data
 
 
 def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
-    """Read a text of at most `most` bytes; raises `TooMuch` for a longer one, `OSError`, and `UnicodeDecodeError`."""
+    """Read a text of at most `most` bytes; raises `SizeExceeded` for more, `OSError`, and `UnicodeDecodeError`."""
     return read_bytes(path, most).decode(encoding).replace("\r\n", "\n")
 
 
 def lines(file: IO[bytes], most: int = LINE_BYTES) -> Iterator[bytes]:
-    """Yield the lines of a file; raises `TooMuch` for one that is longer: a file without lines would be read whole."""
+    """Yield the lines of a file; raises `SizeExceeded` for a longer one: a file without lines would be read whole."""
     while line := file.readline(most + 1):
         if len(line) > most:
-            raise TooMuch(f"it has a line of more than {_size(most)}")
+            raise SizeExceeded(f"it has a line of more than {_size(most)}")
         yield line
 
 
 def checked(texts: Iterable[str], most: int = LINE_BYTES) -> Iterator[str]:
-    """Yield the rows of a text that was opened elsewhere; raises `TooMuch` for one that is longer."""
+    """Yield the rows of a text that was opened elsewhere; raises `SizeExceeded` for one that is longer."""
     for text in texts:
         if len(text) > most:
-            raise TooMuch(f"it has a line of more than {_size(most)}")
+            raise SizeExceeded(f"it has a line of more than {_size(most)}")
         yield text
 
 
@@ -69,13 +69,13 @@ def load_json(data: bytes, most: int) -> object:
         The text is no JSON, is longer, has too many values or too many levels.
     """
     if len(data) > most:
-        raise TooMuch(f"its JSON has {_size(len(data))}, more than {_size(most)}")
+        raise SizeExceeded(f"its JSON has {_size(len(data))}, more than {_size(most)}")
     if sum(data.count(mark) for mark in (b",", b":", b"[", b"{")) > JSON_VALUES:
-        raise TooMuch(f"its JSON has more than {JSON_VALUES} values")
+        raise SizeExceeded(f"its JSON has more than {JSON_VALUES} values")
     try:
         content: object = json.loads(data)
     except RecursionError as error:
-        raise TooMuch("its JSON has too many levels") from error
+        raise SizeExceeded("its JSON has too many levels") from error
     return content
 
 
@@ -90,17 +90,17 @@ def load_toml(text: str) -> dict[str, object]:
         It is longer, or has more keys or levels.
     """
     if len(text) > TOML_BYTES:
-        raise TooMuch(f"it has more than {_size(TOML_BYTES)}")
+        raise SizeExceeded(f"it has more than {_size(TOML_BYTES)}")
     bare = _TOML_TEXTS.sub(lambda match: "" if match["comment"] else "q", text)
     if bare.count("=") + bare.count("[") + bare.count(",") > TOML_KEYS:
-        raise TooMuch(f"it has more than {TOML_KEYS} keys and values")
+        raise SizeExceeded(f"it has more than {TOML_KEYS} keys and values")
     depth = deepest = 0
     for bracket in _TOML_BRACKETS.finditer(bare):
         depth = depth + 1 if bracket[0] in "[{" else max(depth - 1, 0)
         deepest = max(deepest, depth)
     dotted = max((match[0].count(".") for match in _TOML_DOTTED.finditer(bare)), default=0)
     if deepest + dotted > TOML_DEPTH:
-        raise TooMuch(f"it has more than {TOML_DEPTH} levels")
+        raise SizeExceeded(f"it has more than {TOML_DEPTH} levels")
     return tomllib.loads(text)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from .messages.operation import ModeState
 
-SILENT_NS = 5_000_000_000  # silence of the device in use after which another one is used
+SILENCE_TIMEOUT_NS = 5_000_000_000  # silence of the device in use after which another one is used
 DECISION_NS = 5_000_000_000  # age after which a choice of `controller.mode`, published each second, is void
 NMEA = "/nmea"
 
@@ -52,7 +52,9 @@ class ChosenSource:
         [ns] Silence after which another device is used, by the rule.
     """
 
-    def __init__(self, choice: Callable[[ModeState], str | None] | None = None, silent_ns: int = SILENT_NS) -> None:
+    def __init__(
+        self, choice: Callable[[ModeState], str | None] | None = None, silent_ns: int = SILENCE_TIMEOUT_NS
+    ) -> None:
         self._choice, self._silent_ns = choice, silent_ns
         self._decided: str | None = None
         self._decided_ns = 0

@@ -4,7 +4,7 @@ from collections import Counter
 
 from .messages.operation import MAX_KINDS, MessageKind, MessageUse
 
-OTHERS = "others"  # kinds beyond those that a table holds
+OTHER_KINDS = "others"  # kinds beyond those that a table holds
 
 
 class Kinds:
@@ -23,7 +23,7 @@ class Kinds:
             self._make_room(kind[:64])
         name = self._name(kind)
         self._counts[name] += 1
-        self._uses[name] = MessageUse.UNKNOWN if name == OTHERS else use
+        self._uses[name] = MessageUse.UNKNOWN if name == OTHER_KINDS else use
 
     def reject(self, kind: str, reason: str) -> None:
         """Count a reject of a message that was counted before."""
@@ -50,21 +50,21 @@ class Kinds:
 
     def _make_room(self, kind: str) -> None:
         """Where the table is full, add the rarest kind that is not used to the others."""
-        if self._name(kind) != OTHERS:
+        if self._name(kind) != OTHER_KINDS:
             return
-        kept = self._expected | {OTHERS}
+        kept = self._expected | {OTHER_KINDS}
         unused = [name for name, use in self._uses.items() if use is not MessageUse.USED and name not in kept]
         if not unused:
             return
         rarest = min(unused, key=lambda name: self._counts[name])
-        self._counts[OTHERS] += self._counts.pop(rarest)
-        self._rejected[OTHERS] += self._rejected.pop(rarest, 0)
-        self._uses[OTHERS] = MessageUse.UNKNOWN
+        self._counts[OTHER_KINDS] += self._counts.pop(rarest)
+        self._rejected[OTHER_KINDS] += self._rejected.pop(rarest, 0)
+        self._uses[OTHER_KINDS] = MessageUse.UNKNOWN
         del self._uses[rarest]
         if reason := self._reasons.pop(rarest, None):
-            self._reasons[OTHERS] = reason
+            self._reasons[OTHER_KINDS] = reason
 
     def _name(self, kind: str) -> str:
-        if kind[:64] in self._counts or len(self._counts) - (OTHERS in self._counts) < MAX_KINDS - 1:
+        if kind[:64] in self._counts or len(self._counts) - (OTHER_KINDS in self._counts) < MAX_KINDS - 1:
             return kind[:64]
-        return OTHERS
+        return OTHER_KINDS

@@ -11,7 +11,7 @@ SOLUTION_OLD = "trust.solution_old"
 
 
 @dataclass(frozen=True)
-class Missing:
+class MissingSensors:
     """One combination of sensors that are missing."""
 
     sensors: str
@@ -23,18 +23,18 @@ class Missing:
     cost: str
 
 
-MISSING = (
-    Missing(
+MISSING_COMBINATIONS = (
+    MissingSensors(
         "none", "position, velocity and attitude, ten times a second", "of the filter",
         (NavigationPhase.NAVIGATING,), (TrustLevel.SAFE,), "trust.safe", "nothing",
     ),
-    Missing(
+    MissingSensors(
         "CAN (odometer, wheel speeds)", "the same", "of the filter; without GNSS it grows faster",
         (NavigationPhase.NAVIGATING,), (TrustLevel.SAFE, TrustLevel.CAUTION), "trust.safe",
         "`motion` and `motion_fast` are not evaluated; of GNSS and inertial sensors that contradict each other it "
         "cannot be said which is wrong",
     ),
-    Missing(
+    MissingSensors(
         "IMU: none received for 5 s after the first fix, or silent for more than 1 s",
         "each fix at its own stamp: position and velocity of GNSS, course as heading; roll, pitch, rates and biases "
         "are zero and not measured",
@@ -43,7 +43,7 @@ MISSING = (
         (NavigationPhase.GNSS_ONLY,), (TrustLevel.CAUTION,), NO_INERTIAL_UNIT,
         "no position between fixes or in a tunnel; nothing is compared with GNSS; CAM without yaw rate and curvature",
     ),
-    Missing(
+    MissingSensors(
         "IMU for up to 25 s, then received again",
         "fixes as above, then the filter at the newest fix with the kept heading (followed by the course of GNSS) and "
         "biases",
@@ -53,7 +53,7 @@ MISSING = (
         NO_INERTIAL_UNIT,
         "the same for that time; after a longer gap the filter is aligned anew, and fixes are published until then",
     ),
-    Missing(
+    MissingSensors(
         "GNSS, from the start on",
         "nothing; after 30 s (`alignment.without_gnss_s`) dead reckoning from the saved position, if the vehicle was "
         "parked there and has not moved since",
@@ -62,16 +62,16 @@ MISSING = (
         (TrustLevel.INITIALISING, TrustLevel.DEAD_RECKONING), NO_GNSS_YET,
         "no start on the move; a vehicle that was towed while switched off is not noticed before the first fix",
     ),
-    Missing(
+    MissingSensors(
         "GNSS, lost on the way", "dead reckoning", "growing by the inertial sensors and the odometer",
         (NavigationPhase.COASTING,), (TrustLevel.DEAD_RECKONING, TrustLevel.UNSAFE), "trust.gnss_missing",
         "above the alert limit the verdict is UNSAFE",
     ),
-    Missing(
+    MissingSensors(
         "IMU and GNSS", "nothing", "none", (NavigationPhase.WAITING_FOR_IMU, NavigationPhase.GNSS_ONLY),
         (TrustLevel.NO_FIX,), SOLUTION_OLD, "everything; the odometer alone gives no position",
     ),
-    Missing(
+    MissingSensors(
         "IMU, while GNSS is excluded by `core.trust`", "nothing", "none", (NavigationPhase.WAITING_FOR_IMU,),
         (TrustLevel.NO_FIX,), SOLUTION_OLD, "dead reckoning needs inertial samples",
     ),

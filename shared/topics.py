@@ -36,7 +36,7 @@ from .messages.navigation import (
 )
 from .messages.neighbours import NeighbourStates
 from .messages.operation import (
-    Consumed,
+    ConsumptionOrder,
     DeadlineReport,
     DeviceState,
     HostClock,
@@ -262,7 +262,7 @@ TOPICS = (
           qos=1, retain=True),
     Topic("health/+", ProcessHealth, "start, heartbeat, disconnect and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
-    Topic("consumed/+", Consumed, "the order in which a process consumed its messages",
+    Topic("consumed/+", ConsumptionOrder, "the order in which a process consumed its messages",
           rate_hz=1.0, silent_after_s=10.0),
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}

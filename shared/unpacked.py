@@ -4,8 +4,8 @@ import zlib
 from typing import Literal
 
 Form = Literal["gzip", "zlib", "zstd", "lz4"]
-MOST_TIMES = 100  # times their size to which bytes of telemetry may unpack; JSON reaches 30
-ALWAYS_BYTES = 1 << 26  # that any file may unpack to
+MAX_TIMES = 100  # times their size to which bytes of telemetry may unpack; JSON reaches 30
+MIN_LIMIT_BYTES = 1 << 26  # that any file may unpack to
 ZSTD_WINDOW_BYTES = 1 << 25  # memory of the decompressor
 BLOCK = 1 << 16
 MAGIC: dict[bytes, str] = {
@@ -20,9 +20,9 @@ class BadPack(ValueError):
 
 def check_size(packed_bytes: int, unpacked_bytes: int) -> None:
     """Raise `BadPack` for a file that unpacks to far more than its data can mean."""
-    if unpacked_bytes > max(ALWAYS_BYTES, MOST_TIMES * packed_bytes):
+    if unpacked_bytes > max(MIN_LIMIT_BYTES, MAX_TIMES * packed_bytes):
         raise BadPack(
-            f"{packed_bytes} bytes unpack to {unpacked_bytes / 1e6:.0f} MB or more, over {MOST_TIMES} times their "
+            f"{packed_bytes} bytes unpack to {unpacked_bytes / 1e6:.0f} MB or more, over {MAX_TIMES} times their "
             "size: no data of a vehicle do"
         )
 

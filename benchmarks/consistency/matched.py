@@ -14,11 +14,11 @@ import numpy as np
 from services.core.fusion.aids.aiding import Aids
 from services.core.fusion.aids.base import Measurement
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
-from services.core.fusion.aids.gnss.position_errors import UNKNOWN, KnownGnssErrors
+from services.core.fusion.aids.gnss.position_errors import UNKNOWN_ERRORS, KnownGnssErrors
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.propagation import Intervals, samples_of
-from services.core.fusion.inertial.standstill import CERTAIN
+from services.core.fusion.inertial.standstill import CERTAIN_LIMITS
 from services.core.fusion.settings import GnssSettings, ImuSettings, Settings
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
@@ -74,7 +74,7 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     fixes, aids = _fixes(model, drive, settings, rng), Aids(settings)
     times, errors, innovations = [], [], []
     for i in range(1, len(stamps)):
-        navigation.propagate(samples, i, i + 1, CERTAIN, Intervals(inf))
+        navigation.propagate(samples, i, i + 1, CERTAIN_LIMITS, Intervals(inf))
         if i % COVARIANCE_SAMPLES == 0:
             navigation.propagate_covariance()
         if stamps[i] % EPOCH_NS:
@@ -104,7 +104,7 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    gnss_errors = KnownGnssErrors(CORRELATION_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
+    gnss_errors = KnownGnssErrors(CORRELATION_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN_ERRORS
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), gnss_errors=gnss_errors)
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks import tables
 from cli import campaign
 
-from .simulated import CASES, Judged, jobs_of
+from .simulated import CASES, ErrorsAndLevels, jobs_of
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 SIZE = campaign.Size(short=10, usual=300, full=1000)
@@ -83,13 +83,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if outcome.complete and all(row.holds for row in simulated) else 1
 
 
-def rows_of(judged: Sequence[Judged]) -> list[Row]:
+def rows_of(judged: Sequence[ErrorsAndLevels]) -> list[Row]:
     """Make one row a case, of all its runs."""
     groups = [(case.name, [item for item in judged if item.case == case.name]) for case in CASES]
     return [row_of(name, runs) for name, runs in groups if runs]
 
 
-def row_of(name: str, runs: Sequence[Judged]) -> Row:
+def row_of(name: str, runs: Sequence[ErrorsAndLevels]) -> Row:
     """Put runs together."""
     error = np.concatenate([run.error_m for run in runs])
     level = np.concatenate([run.level_m for run in runs])

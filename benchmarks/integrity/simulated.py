@@ -18,7 +18,7 @@ from shared.runtime.config import GnssAntenna, Vehicle
 
 DURATION_S = 180.0
 OUTAGE_S, PERIOD_S, FIRST_NS = 15, 60, 45_000_000_000
-EVERY_NS = 500_000_000  # between two solutions that are judged: neighbours tell the same
+PERIOD_NS = 500_000_000  # between two solutions that are judged: neighbours tell the same
 WHITE_RMSE = (3.0, 2.0, 1.6)  # [m, NED]
 STREAM = 11  # of random numbers that no other part of the simulator draws
 
@@ -34,7 +34,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ErrorsAndLevels:
     """Errors beside protection levels [m] in one run."""
 
     case: str
@@ -61,7 +61,7 @@ CASES = (
 )
 
 
-def judge_run(case: Case, seed: int) -> Judged:
+def judge_run(case: Case, seed: int) -> ErrorsAndLevels:
     """Drive once, with GNSS away for 15 s of every minute and stamps off by as much as the settings say.
 
     Lever arm and delay are stated to be exact, as they are: what is judged is the filter, not what is assumed of them.
@@ -94,12 +94,12 @@ def _hidden(stamps_ns: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.b
     return found
 
 
-def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
+def _judged(case: Case, drive: Drive, settings: Settings) -> ErrorsAndLevels:
     navigator = Navigator(settings)
     navigator.use_prior(saved_heading(drive, YAW_SD))
     measured = fixes_of(drive, settings) + (speeds_of(drive, settings) if drive.seed % 2 else [])
     readings = np.hstack([drive.force_b, drive.rate_b])
-    found = list(solve(navigator, drive.t_ns, readings, measured, every_ns=EVERY_NS))
+    found = list(solve(navigator, drive.t_ns, readings, measured, every_ns=PERIOD_NS))
     rows = np.searchsorted(drive.t_ns, [solution.time_ns for solution in found])
     origin = Geodetic(*drive.position[0].tolist())
     places = np.array([solution.position for solution in found])
@@ -107,10 +107,12 @@ def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     levels = np.array(
         [(solution.protection_level_horizontal, solution.protection_level_vertical) for solution in found]
     )
-    return Judged(case.name, drive.seed, np.column_stack([np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])]), levels)
+    return ErrorsAndLevels(
+        case.name, drive.seed, np.column_stack([np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])]), levels
+    )
 
 
-def jobs_of(runs: int, first_seed: int = 0) -> list[Job[Judged]]:
+def jobs_of(runs: int, first_seed: int = 0) -> list[Job[ErrorsAndLevels]]:
     """List a number of runs, the cases in turn, each with a seed of its own."""
     chosen = [(CASES[i % len(CASES)], first_seed + i // len(CASES)) for i in range(runs)]
     return [Job(f"{case.name}, seed {seed}", judge_run, (case, seed)) for case, seed in chosen]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 
 PHASES = (650, 710, 770)  # [s] three outages of 60 s of every 180 s, shifted by 60 s: no stretch is left out
-SETTLED_S = 350.0  # 50 s of standstill before the protocol's start, and the 300 s after it that are not judged
+SETTLING_TIME_S = 350.0  # 50 s of standstill before the protocol's start, and the 300 s after it that are not judged
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def _shifted(pattern: str, *first: int) -> tuple[str, ...]:
 
 CASES: dict[str, Case] = {
     **{
-        f"{drive} {aiding}": Case(drive, aiding, score_from=SETTLED_S)
+        f"{drive} {aiding}": Case(drive, aiding, score_from=SETTLING_TIME_S)
         for drive, aiding in product(("rtk", "spp"), ("free", "odometer"))
     },
     **{

@@ -27,7 +27,7 @@ TIMEOUT_S = 1800.0
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolveRun:
     """What one run of `obu solve` found."""
 
     metrics: dict[str, Any]  # metrics.json
@@ -76,22 +76,22 @@ def _source(name: str) -> Path:
     return data_folder() / DRIVES[name].folder
 
 
-def solve_job(name: str, drive: str, options: tuple[str, ...] = ()) -> Job[Solved]:
+def solve_job(name: str, drive: str, options: tuple[str, ...] = ()) -> Job[SolveRun]:
     """One run of `obu solve`."""
     return Job(name, solve, (drive, options), reads=(recording(drive),), also=("cli.solve.solve",))
 
 
-def solve(drive: str, options: tuple[str, ...]) -> Solved:
+def solve(drive: str, options: tuple[str, ...]) -> SolveRun:
     """Run `obu solve`."""
     with tempfile.TemporaryDirectory(prefix="obu-drives-") as name:
         _obu(["solve", str(recording(drive)), "--out", name, *options])
         metrics = json.loads((Path(name) / "metrics.json").read_text(encoding="utf-8"))
         table = Path(name) / "outages.csv"
         lines = table.read_text(encoding="utf-8").splitlines() if table.exists() else []
-    return Solved(metrics, [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines)])
+    return SolveRun(metrics, [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines)])
 
 
-def jobs_of(key: str, case: Case) -> list[Job[Solved]]:
+def jobs_of(key: str, case: Case) -> list[Job[SolveRun]]:
     """List the runs of a case: one, or one an outage pattern."""
     common = ("--score-from", str(case.score_from), *(("--aiding", case.aiding) if case.aiding else ()))
     patterns: list[tuple[str, ...]] = [("--outage", outage) for outage in case.outages] or [()]
@@ -99,16 +99,16 @@ def jobs_of(key: str, case: Case) -> list[Job[Solved]]:
 
 
 def metrics_of(
-    cases: Mapping[str, Case], jobs: Sequence[Job[Solved]], found: Mapping[int, Solved]
+    cases: Mapping[str, Case], jobs: Sequence[Job[SolveRun]], found: Mapping[int, SolveRun]
 ) -> dict[str, Metrics]:
     """Judge the runs of every case together; a case of which a run is missing is left out."""
-    runs: dict[str, list[Solved | None]] = {key: [] for key in cases}
+    runs: dict[str, list[SolveRun | None]] = {key: [] for key in cases}
     for number, job in enumerate(jobs):
         runs[job.name].append(found.get(number))
     return {key: judged(cases[key], [solved for solved in each if solved]) for key, each in runs.items() if all(each)}
 
 
-def judged(case: Case, runs: Sequence[Solved]) -> Metrics:
+def judged(case: Case, runs: Sequence[SolveRun]) -> Metrics:
     """Judge the runs of a case."""
     return pooled([run.outages[: case.most] for run in runs]) if case.outages else runs[0].metrics
 

@@ -16,7 +16,7 @@ from benchmarks import tables
 from cli import campaign
 from services.sensors.simulator.drive import Drive
 
-from .start import FAST_M_S, STEP_S, Receiver, Start, drive
+from .start import HIGH_SPEED_M_S, STEP_S, Receiver, Start, drive
 
 SIZE = campaign.Size(short=1, usual=6, full=20)  # starts of each drive, from rest and at speed
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -96,7 +96,7 @@ def probability(start: Start) -> float:
     """
     d, receiver = start.drive, start.receiver
     first = round((start.at_s + start.first_fix_s) / STEP_S)
-    fast = first + int(np.argmax(np.hypot(*d.velocity_n[first:, :2].T) > FAST_M_S))
+    fast = first + int(np.argmax(np.hypot(*d.velocity_n[first:, :2].T) > HIGH_SPEED_M_S))
     every = round(1.0 / (receiver.rate_hz * STEP_S))
     way = np.cumsum(d.velocity_n[first : fast + round(WITHIN_S / STEP_S), :2], axis=0)[::every] * STEP_S
     spread = float(((way - way.mean(axis=0)) ** 2).sum())

@@ -20,7 +20,7 @@ from shared.messages.gnss import FixType, GnssFix
 FloatArray = npt.NDArray[np.float64]
 
 STEP_S = 0.01
-FAST_M_S = 3.0
+HIGH_SPEED_M_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Start:
         fix_s = self.at_s + self.first_fix_s
         for i, made in self.run(duration_s, settings):
             now_s = float(self.drive.t_ns[i]) * 1e-9
-            if fast_s == inf and now_s >= fix_s and np.hypot(*self.drive.velocity_n[i, :2]) > FAST_M_S:
+            if fast_s == inf and now_s >= fix_s and np.hypot(*self.drive.velocity_n[i, :2]) > HIGH_SPEED_M_S:
                 fast_s = now_s
             solution = made.solution()
             error = abs(self.yaw_error(i, solution)) if solution else inf

@@ -7,7 +7,7 @@ import signal
 import sys
 from pathlib import Path
 
-from shared.runtime.alive import Alive
+from shared.runtime.alive import LivenessSignal
 
 from ..passwords import Passwords, PasswordsError
 from .access_list import AclError, parse
@@ -92,7 +92,7 @@ async def _serve(options: argparse.Namespace, rules: _Rules) -> None:
 
 
 async def _tell_that_it_works() -> None:
-    alive = Alive()
+    alive = LivenessSignal()
     while True:
         alive.beat(connected=True)
         await asyncio.sleep(SIGN_S)

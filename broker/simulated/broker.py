@@ -13,7 +13,7 @@ from .packets import REFUSED, Answer, Connect, ProtocolError, Publish, Subscribe
 from .session import Limits, Session, Writer
 from .topic_filters import is_filter, is_name, matches
 
-LONGEST_CLIENT_ID = 256
+MAX_CLIENT_ID = 256
 REMEMBERED = 1_000  # topics
 Route = tuple[Session, int]  # receiver of a topic, and QoS
 
@@ -55,7 +55,7 @@ class Broker:
         return session
 
     def _check(self, request: Connect) -> None:
-        if len(request.client_id) > LONGEST_CLIENT_ID:
+        if len(request.client_id) > MAX_CLIENT_ID:
             raise ProtocolError("a client identifier that is too long", Answer.IDENTIFIER_REJECTED)
         if self.passwords is not None and not self.passwords.matches(request.user, request.password):
             self._log(f"Client {_printable(request.user or '<unknown>')} disconnected, not authorised.")

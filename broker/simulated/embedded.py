@@ -11,7 +11,7 @@ from .broker import Broker
 from .server import Server
 from .session import Limits
 
-LONGEST_WAIT_S = 5.0
+MAX_WAIT_S = 5.0
 
 
 class Handle:
@@ -28,7 +28,7 @@ class Handle:
         """Start the thread; raises OSError where the port is taken."""
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(port)), name="broker", daemon=True)
         self._thread.start()
-        self._ready.wait(LONGEST_WAIT_S)
+        self._ready.wait(MAX_WAIT_S)
         if self._error is not None:
             raise self._error
 
@@ -48,9 +48,9 @@ class Handle:
         """End the broker and wait for its thread; may be called again."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._server.stop)
-            self._thread.join(LONGEST_WAIT_S)
+            self._thread.join(MAX_WAIT_S)
         if self._thread.is_alive():
-            raise RuntimeError(f"the broker on port {self.port} did not stop within {LONGEST_WAIT_S} s")
+            raise RuntimeError(f"the broker on port {self.port} did not stop within {MAX_WAIT_S} s")
 
     def __enter__(self) -> Self:
         return self

@@ -1,11 +1,11 @@
 """Topic names and filters (OASIS MQTT 3.1.1, section 4.7)."""
 
-MOST_LEVELS = 200  # as Mosquitto: matching takes time with each level
+MAX_LEVELS = 200  # as Mosquitto: matching takes time with each level
 
 
 def is_name(topic: str) -> bool:
     """Whether a message may be published to this topic."""
-    return len(topic) > 0 and topic.count("/") < MOST_LEVELS and "+" not in topic and "#" not in topic
+    return len(topic) > 0 and topic.count("/") < MAX_LEVELS and "+" not in topic and "#" not in topic
 
 
 def is_filter(topic: str) -> bool:
@@ -13,7 +13,7 @@ def is_filter(topic: str) -> bool:
     *first, last = topic.split("/")
     return (
         len(topic) > 0
-        and len(first) < MOST_LEVELS
+        and len(first) < MAX_LEVELS
         and all(level == "+" or ("+" not in level and "#" not in level) for level in first)
         and (last in ("+", "#") or ("+" not in last and "#" not in last))
     )

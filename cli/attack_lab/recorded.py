@@ -8,7 +8,7 @@ signals for a time, fall back along the track, or change what the receiver state
 from collections.abc import Iterable, Iterator, Mapping
 from math import atan2, cos, hypot, pi, radians, sin
 
-from services.sensors.simulator.attacks.effects import ASIDE, drift
+from services.sensors.simulator.attacks.effects import OFFSET_DIRECTIONS, drift
 from shared.attacks import BY_NAME, ScheduledAttack
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
@@ -155,11 +155,11 @@ class _Gnss:
 def displacement(
     name: AttackName, parameters: Mapping[str, float], heading_rad: float, time_s: float
 ) -> tuple[Offset, Offset]:
-    """Offsets of position [m] and velocity [m/s], NED, of a climb or an attack of `ASIDE` after a time [s]."""
+    """Offsets of position [m] and velocity [m/s], NED, of a climb or an attack of `OFFSET_DIRECTIONS` after a time [s]."""
     if name is AttackName.CLIMB:
         height, speed = drift(parameters["acceleration"], parameters["speed"], time_s)
         return (0.0, 0.0, -height), (0.0, 0.0, -speed)
-    distance, speed = ASIDE[name](parameters, time_s)
+    distance, speed = OFFSET_DIRECTIONS[name](parameters, time_s)
     direction = heading_rad + radians(parameters["direction"])
     north, east = cos(direction), sin(direction)
     return (distance * north, distance * east, 0.0), (speed * north, speed * east, 0.0)

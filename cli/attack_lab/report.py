@@ -11,7 +11,7 @@ import numpy as np
 
 from shared.messages.trust import TrustLevel
 
-from ..solve.metrics.integrity import Protected
+from ..solve.metrics.integrity import AxisProtection
 from ..solve.report.drawing import BLUE, GREEN, GREY, ORANGE, RED, Figure, inline_svg, stacked_axes
 from ..solve.report.report import STYLE
 from ..solve.report.stanford import stanford
@@ -313,4 +313,4 @@ def _stanford(runs: Sequence[Run]) -> Iterator[Figure]:
     if not len(error):
         return
     for k, axis in enumerate(("horizontal", "vertical")):
-        yield stanford(Protected(axis, error[:, k], level[:, k], limits[0][k]))
+        yield stanford(AxisProtection(axis, error[:, k], level[:, k], limits[0][k]))

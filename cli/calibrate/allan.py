@@ -15,11 +15,11 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 
-FEWEST_CLUSTERS = 9  # of the longest cluster time, at which the deviation is known to 25 %
+MIN_CLUSTERS = 9  # of the longest cluster time, at which the deviation is known to 25 %
 PER_DECADE = 10  # cluster times
 FLICKER = sqrt(2.0 * log(2.0) / pi)  # 0.664: Allan deviation of flicker noise over its bias instability
-SEEN = 2.0  # Allan variance over that of the white noise alone, from which the bias is seen
-CLEARLY = 2.0  # standard deviations by which a deviation rises behind its minimum
+VISIBLE_RATIO = 2.0  # Allan variance over that of the white noise alone, from which the bias is seen
+RISE_SDS = 2.0  # standard deviations by which a deviation rises behind its minimum
 TIMES = 60  # correlation times that are tried
 
 
@@ -78,7 +78,7 @@ class Noise:
 
 def cluster_counts(samples: int) -> Counts:
     """Samples of a cluster, evenly on a logarithmic scale, up to a ninth of all samples."""
-    longest = samples // FEWEST_CLUSTERS
+    longest = samples // MIN_CLUSTERS
     if longest < 1:
         return np.zeros(0, dtype=np.int64)
     steps = max(round(PER_DECADE * np.log10(longest)), 1)
@@ -188,7 +188,7 @@ def noise_of(allan: Allan) -> Noise:
     if best is None:  # there is at least one correlation time
         raise ValueError("no cluster times")
     _, white, bias, correlation = best
-    seen = bias > 0.0 and bool(np.any(known > SEEN * white / times))
+    seen = bias > 0.0 and bool(np.any(known > VISIBLE_RATIO * white / times))
     return Noise(
         sqrt(white), instability, instability_s, rises, sqrt(bias) if seen else None, correlation if seen else None
     )
@@ -203,7 +203,7 @@ def _minimum(allan: Allan) -> tuple[int, bool]:
     for place, least in enumerate(deviation.tolist()):
         later = np.flatnonzero(deviation[place + 1 :] < least)
         end = place + 1 + int(later[0]) if len(later) else len(deviation)
-        risen = deviation[place + 1 : end] > least * (1.0 + CLEARLY * allan.relative_sd[place + 1 : end])
+        risen = deviation[place + 1 : end] > least * (1.0 + RISE_SDS * allan.relative_sd[place + 1 : end])
         if risen.any():
             return place, True
     return int(np.argmin(deviation)), False

@@ -26,13 +26,13 @@ from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import inputs_of
 from ..solve.report.drawing import COLOURS, inline_svg, label_decades, stacked_axes
 from .allan import Allan, FloatArray, Noise, allan_deviation, cluster_counts, noise_of
-from .rest import Rest, gaps, longest_rest
+from .rest import StandstillSamples, gaps, longest_rest
 
 PROCESSES = ("parsers.gnss", "parsers.imu")
 AXES = ("forward", "right", "down")
-SHORTEST_S = 60.0  # the random walk is then known to a few percent
+MIN_DURATION_S = 60.0  # the random walk is then known to a few percent
 ADVISED_S = 3600.0  # the bias of most sensors shows within minutes to an hour
-MOST_SAMPLES = 20_000_000  # 28 hours at 200 Hz, in 1.1 GB
+MAX_SAMPLES = 20_000_000  # 28 hours at 200 Hz, in 1.1 GB
 HOUR_S = 3600.0
 STYLE = (
     "body{font-family:sans-serif;max-width:50rem;margin:1rem auto;padding:0 1rem;color-scheme:light dark}"
@@ -97,7 +97,7 @@ def calibrate_imu(
     return 0
 
 
-def _at_rest(path: Path, vehicle: Path | None, console: Console, progress: Progress) -> tuple[str, Rest]:
+def _at_rest(path: Path, vehicle: Path | None, console: Console, progress: Progress) -> tuple[str, StandstillSamples]:
     with open_recording(path) as recording:
         inputs, file = inputs_of(recording), vehicle_of(recording, vehicle)
     print_problems(recording, console)
@@ -116,11 +116,11 @@ def _at_rest(path: Path, vehicle: Path | None, console: Console, progress: Progr
     values = values[np.r_[True, np.diff(values[:, 0]) > 0.0]]
     rest = longest_rest(values[:, 0], values[:, 1:4], values[:, 4:7])
     duration_s = 0.0 if rest is None else rest.duration_s
-    if rest is None or duration_s < SHORTEST_S:
+    if rest is None or duration_s < MIN_DURATION_S:
         missing = gaps(values[:, 0])
         where = f" (samples are missing behind {values[missing[0], 0]:.1f} s by their stamps)" if len(missing) else ""
         raise UserError(
-            f"the longest time at rest in {path} is {duration_s:.0f} s{where}, and {SHORTEST_S:.0f} s are the least; "
+            f"the longest standstill in {path} is {duration_s:.0f} s{where}, and {MIN_DURATION_S:.0f} s are the least; "
             "record an hour with the vehicle standing, its engine off and nobody in it"
         )
     return source, rest
@@ -128,8 +128,8 @@ def _at_rest(path: Path, vehicle: Path | None, console: Console, progress: Progr
 
 def _append(rows: "array[float]", message: ImuSamples, base_ns: int) -> None:
     """Append time since the first sample [s], force and rate: a double would not hold ns since 1970."""
-    if len(rows) > 7 * MOST_SAMPLES:
-        raise UserError(f"more than {MOST_SAMPLES:,} samples; record for a few hours only")
+    if len(rows) > 7 * MAX_SAMPLES:
+        raise UserError(f"more than {MAX_SAMPLES:,} samples; record for a few hours only")
     for stamp, force, rate in zip(
         message.sampled_ns, message.specific_force_body_m_s2, message.angular_rate_body_rad_s, strict=True
     ):
@@ -142,7 +142,7 @@ def _sensor(name: str, values: FloatArray, step_s: float) -> Sensor:
     return Sensor(name, allans, [noise_of(allan) for allan in allans])
 
 
-def section(gyroscope: Sensor, accelerometer: Sensor, *, source: str, rest: Rest, file: str) -> str:
+def section(gyroscope: Sensor, accelerometer: Sensor, *, source: str, rest: StandstillSamples, file: str) -> str:
     """Write the section of a vehicle's file, each value that of the worst axis; what is not seen is left out."""
     lines = [
         "[core.fusion.imu]",
@@ -161,7 +161,7 @@ def section(gyroscope: Sensor, accelerometer: Sensor, *, source: str, rest: Rest
     return "\n".join(lines)
 
 
-def said(rest: Rest, sensors: Sequence[Sensor]) -> list[str]:
+def said(rest: StandstillSamples, sensors: Sequence[Sensor]) -> list[str]:
     """Sentences on what was measured, and what a longer recording would show."""
     lines = [f"{rest.duration_s:.0f} s at rest, from {rest.first_s:.0f} s on, at {1.0 / rest.step_s:.1f} Hz."]
     unseen = [sensor.name for sensor in sensors if any(noise.bias_psd is None for noise in sensor.noises)]
@@ -208,7 +208,7 @@ def _shown(name: str, noise: Noise) -> tuple[str, ...]:
     )
 
 
-def _document(source: str, rest: Rest, sensors: Sequence[Sensor], text: str) -> dict[str, object]:
+def _document(source: str, rest: StandstillSamples, sensors: Sequence[Sensor], text: str) -> dict[str, object]:
     return {
         "source": source,
         "duration_s": round(rest.duration_s, 3),
@@ -224,7 +224,7 @@ def _document(source: str, rest: Rest, sensors: Sequence[Sensor], text: str) -> 
     }
 
 
-def _page(name: str, source: str, rest: Rest, sensors: Sequence[Sensor], text: str) -> str:
+def _page(name: str, source: str, rest: StandstillSamples, sensors: Sequence[Sensor], text: str) -> str:
     figures = "\n".join(f"<h2>{sensor.name.capitalize()}</h2>{_drawn(sensor)}" for sensor in sensors)
     heads = ("sensor", "axis", "random walk", "bias instability", "at", "bias, 1 σ", "correlation time")
     rows = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in _rows(sensors))

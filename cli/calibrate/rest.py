@@ -11,14 +11,14 @@ Indices = npt.NDArray[np.int64]
 
 WINDOW_S = 1.0
 QUIET_QUANTILE = 0.1  # of the windows' standard deviations: the noise of the sensor itself
-LOUD = 4.0  # times that noise: somebody moves, or the engine runs
-TURN_RAD_S = 0.01  # mean rate of a window, less the median: a slow turn on a smooth table
-MISSING = 0.5  # [periods] by which the least delay of stamps grows for good where a sample is missing
+NOISE_RATIO = 4.0  # times that noise: somebody moves, or the engine runs
+MAX_RATE_RAD_S = 0.01  # mean rate of a window, less the median: a slow turn on a smooth table
+DELAY_STEP_PERIODS = 0.5  # [periods] by which the least delay of stamps grows for good where a sample is missing
 PERIOD_SAMPLES = 1000  # over which the period is measured, so that stamps in whole milliseconds tell it
 
 
 @dataclass(frozen=True)
-class Rest:
+class StandstillSamples:
     """Samples at rest, at even steps.
 
     Attributes
@@ -42,7 +42,7 @@ class Rest:
         return len(self.forces) * self.step_s
 
 
-def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) -> Rest | None:
+def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) -> StandstillSamples | None:
     """Find the longest run of samples without motion and without a gap.
 
     Parameters
@@ -71,8 +71,8 @@ def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) ->
     spreads = np.array([spread for _, spread, _ in windows])
     means = np.array([mean for _, _, mean in windows])
     noise = np.quantile(spreads, QUIET_QUANTILE, axis=0)
-    turning = np.abs(means - np.median(means, axis=0)).max(axis=1) > TURN_RAD_S
-    quiet = (spreads <= LOUD * np.maximum(noise, 1e-12)).all(axis=1) & ~turning
+    turning = np.abs(means - np.median(means, axis=0)).max(axis=1) > MAX_RATE_RAD_S
+    quiet = (spreads <= NOISE_RATIO * np.maximum(noise, 1e-12)).all(axis=1) & ~turning
     starts = {first for first, _ in pieces}
     start = stop = -1
     for (at, _, _), still in zip(windows, quiet.tolist(), strict=True):
@@ -88,7 +88,7 @@ def longest_rest(stamps_s: FloatArray, forces: FloatArray, rates: FloatArray) ->
     # By least squares, since each stamp may be late by itself, the first and the last one too.
     places = np.arange(last - first) - (last - first - 1) / 2.0
     even_s = float(places @ (stamps_s[first:last] - stamps_s[first]) / (places @ places))
-    return Rest(even_s, forces[first:last], rates[first:last], float(stamps_s[first] - stamps_s[0]))
+    return StandstillSamples(even_s, forces[first:last], rates[first:last], float(stamps_s[first] - stamps_s[0]))
 
 
 def gaps(stamps_s: FloatArray) -> Indices:
@@ -120,7 +120,7 @@ def gaps(stamps_s: FloatArray) -> Indices:
     last = len(stamps_s) - 1
     before = least[np.maximum(np.arange(last) - half, 0)]
     behind = least[np.minimum(np.arange(last) + 1 + half, last)]
-    missing = np.concatenate([[False], behind - before > MISSING * period_s, [False]])
+    missing = np.concatenate([[False], behind - before > DELAY_STEP_PERIODS * period_s, [False]])
     found: Indices = np.flatnonzero(np.diff(missing)) + 1
     return found
 

@@ -158,9 +158,9 @@ def tenant_web_hook(
     """
     centre = centre_of(folder)
     from fleet.alarms.signing import new_secret
-    from fleet.alarms.web_hook import SET, Reach
+    from fleet.alarms.web_hook import SET, AddressPolicy
 
-    why = None if address is None else Reach(centre.settings.web_hook_networks).why_not(address)
+    why = None if address is None else AddressPolicy(centre.settings.web_hook_networks).why_not(address)
     if why is not None:
         raise UserError(f"{address!r} is no web hook: {why}")
     with database(centre) as db:

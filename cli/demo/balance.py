@@ -18,16 +18,16 @@ from shared.messages.trust import TrustLevel, TrustState
 from shared.runtime.config import VehicleFile
 from shared.topics import topic_of
 
-from ..solve.metrics.gnss_alone import WORSE
+from ..solve.metrics.gnss_alone import WORSE_RATIO
 from .detection import NS, AttackSummary, seconds_in_states, summarise
 
 T = TypeVar("T")
 FloatArray = npt.NDArray[np.float64]
 WITHOUT_FIX_S = 10.0  # at the end of a run that is healthy; a receiver sends a fix a second
-LATE_S = 1.0  # median delay of solutions from which a computer is too slow
+MAX_DELAY_S = 1.0  # median delay of solutions from which a computer is too slow
 MISSING_SHARE = 0.1  # of a run without a position, from which it is not usable
 PAUSED_SHARE = 0.25  # of a run with paused checks, from which the computer is too slow
-KEPT = 36_000  # the last hour of what comes ten times a second
+HISTORY_SAMPLES = 36_000  # the last hour of what comes ten times a second
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Summary:
     @property
     def too_slow(self) -> bool:
         """Whether this computer could not run the unit."""
-        late = self.end_to_end_latency_p50_ms is not None and self.end_to_end_latency_p50_ms > LATE_S * 1e3
+        late = self.end_to_end_latency_p50_ms is not None and self.end_to_end_latency_p50_ms > MAX_DELAY_S * 1e3
         return late or self.checks_paused_s > PAUSED_SHARE * self.duration_s
 
     @property
@@ -253,7 +253,7 @@ def _worse(fused: FloatArray, gnss: FloatArray) -> bool | None:
     """Whether the solution is worse than the receiver; None without fixes to compare with."""
     if not len(gnss):
         return None
-    return any(bool((fused[:, :axes] ** 2).sum() > WORSE**2 * (gnss[:, :axes] ** 2).sum()) for axes in (2, 3))
+    return any(bool((fused[:, :axes] ** 2).sum() > WORSE_RATIO**2 * (gnss[:, :axes] ** 2).sum()) for axes in (2, 3))
 
 
 def _has_deadline(age: TopicAge) -> bool:
@@ -263,8 +263,8 @@ def _has_deadline(age: TopicAge) -> bool:
 
 def _keep(items: list[T], item: T) -> None:
     items.append(item)
-    if len(items) > KEPT:
-        del items[: KEPT // 10]
+    if len(items) > HISTORY_SAMPLES:
+        del items[: HISTORY_SAMPLES // 10]
 
 
 def _position(s: NavigationSolution) -> tuple[float, float, float]:

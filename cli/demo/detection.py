@@ -11,7 +11,7 @@ from shared.messages.trust import Outcome, TrustLevel, TrustState
 from shared.trust.accused import reference
 
 NS = 1_000_000_000
-LONGEST_GAP_S = 2.0  # between two states; beyond it nothing is known about the verdict
+MAX_GAP_S = 2.0  # between two states; beyond it nothing is known about the verdict
 ALARMS = (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING)
 
 
@@ -78,8 +78,8 @@ def _summary(run: AttackRun, states: Sequence[TrustState], begin_ns: int) -> Att
 
 
 def seconds_in_states(states: Sequence[TrustState]) -> dict[str, float]:
-    """Time in each state [s]; every state lasts until the next one, but not longer than `LONGEST_GAP_S`."""
+    """Time in each state [s]; every state lasts until the next one, but not longer than `MAX_GAP_S`."""
     seconds = dict.fromkeys(TrustLevel, 0.0)
     for state, after in pairwise(states):
-        seconds[state.state] += min((after.sampled_ns - state.sampled_ns) / NS, LONGEST_GAP_S)
+        seconds[state.state] += min((after.sampled_ns - state.sampled_ns) / NS, MAX_GAP_S)
     return {level.value: round(value, 1) for level, value in seconds.items()}

@@ -105,7 +105,7 @@ def local_broker(folder: Path, port: int, kind: str, vehicle: VehicleFile, *, re
     if not mosquitto and kind == "mosquitto":
         raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
     credentials, rules = folder / FOLDER, folder / keys.RULES
-    passwords, acl = keys.make(credentials, vehicle, keys.Made(vehicle.path, str(rules), replay=replay))
+    passwords, acl = keys.make(credentials, vehicle, keys.KeyFileOwners(vehicle.path, str(rules), replay=replay))
     by_port, socket_path = BrokerAddress(port=port), local_config.socket_in(folder)
     address, remark = by_port, None
     if socket_path is None:

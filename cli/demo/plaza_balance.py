@@ -23,7 +23,7 @@ OBSERVED = (
     "plaza/truth", "toll/passage", "toll/transaction", "toll/receipt", "ledger/state", "v2x/cam", "deadline/report",
     "health/+",
 )  # fmt: skip
-SETTLED_NS = 20_000_000_000  # a passage needs so long from the gate line to its transaction
+SETTLING_TIME_NS = 20_000_000_000  # a passage needs so long from the gate line to its transaction
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class PlazaBalance:
         charged = Counter(charge.contract for charge in self._charges.values())
         truth = {passage.contract: passage for passage in self._truth.values() if passage.contract}
         judged = [charge for charge in self._charges.values() if charge.contract in truth]
-        settled = [p for p in truth.values() if p.crossing_ns < self._truth_ns - SETTLED_NS]
+        settled = [p for p in truth.values() if p.crossing_ns < self._truth_ns - SETTLING_TIME_NS]
         ends = Counter(self._ends.values())
         ready = {name for (name, _), health in self._health.items() if health.state is ProcessState.READY}
         cpu = self._cpu(duration_s)

@@ -6,9 +6,9 @@ import struct
 
 from shared.runtime.alive import CONNECTED, READY, WATCHDOG
 
-LONGEST = 4096
+MAX_LENGTH = 4096
 CREDENTIALS = struct.Struct("3i")  # of Linux: process, user, group
-MOST_READS = 64
+MAX_READS = 64
 
 
 class SignsOfLife:
@@ -24,9 +24,9 @@ class SignsOfLife:
     def heard(self) -> bool:
         """Whether a sign has come since the last call."""
         heard = False
-        for _ in range(MOST_READS):
+        for _ in range(MAX_READS):
             try:
-                text, sender, _, _ = self._socket.recvmsg(LONGEST, socket.CMSG_SPACE(CREDENTIALS.size))
+                text, sender, _, _ = self._socket.recvmsg(MAX_LENGTH, socket.CMSG_SPACE(CREDENTIALS.size))
             except BlockingIOError:
                 break
             if _is_ours(sender):

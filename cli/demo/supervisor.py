@@ -22,11 +22,11 @@ from .signs_of_life import SignsOfLife
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
-SETTLED_S = 10.0  # run time after which earlier failures no longer lengthen the pause
+SETTLING_TIME_S = 10.0  # run time after which earlier failures no longer lengthen the pause
 STOP_S = 4.0
 LAST_STOP_S = 0.5  # for those that end last
 HUNG_S = 14.0  # without a sign of life, after which a child is killed; one that can ends itself before, and tells where
-LISTENS_S = 20.0  # that the others wait for one that runs throughout
+LISTEN_TIMEOUT_S = 20.0  # that the others wait for one that runs throughout
 START_S = 90.0  # until the first sign of a process, which may be long on a machine that starts everything at once
 UNATTENDED_S = 3.0  # between two calls of `watch`: the supervisor was stopped itself, perhaps with its children
 
@@ -141,7 +141,7 @@ class Supervisor:
     def _waits(self, now: float) -> bool:
         """Whether one that runs throughout does not listen yet; one that has ended once is waited for no more."""
         return any(
-            not child.signs.is_connected and (child.process is None or now - child.started < LISTENS_S)
+            not child.signs.is_connected and (child.process is None or now - child.started < LISTEN_TIMEOUT_S)
             for child in self.children.values()
             if child.throughout and child.start_limit_s is not None and not child.exit_codes
         )
@@ -174,7 +174,7 @@ class Supervisor:
             child.misconfigured, child.next_start = True, math.inf
             log.error("%s rejects its configuration; correct it and restart the unit", child.name)
             return
-        child.failures = 0 if now - child.started > SETTLED_S else child.failures + 1
+        child.failures = 0 if now - child.started > SETTLING_TIME_S else child.failures + 1
         pause = BACK_OFF_S[min(max(child.failures - 1, 0), len(BACK_OFF_S) - 1)]
         child.next_start = now + pause
         child.restarts += 1

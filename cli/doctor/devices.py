@@ -16,7 +16,7 @@ from services.sensors.imu.process import Config as ImuDriver
 from shared.devices.can_device import CanDevice, only_answers, open_can
 from shared.devices.device import Device, DeviceBusy, DeviceLost
 from shared.devices.elm327_device import ElmDevice
-from shared.devices.recognising import Port, Recognising
+from shared.devices.recognising import Port, RateRecognition
 from shared.devices.search import LISTEN_S, Search
 from shared.errors import UserError
 from shared.messages.operation import DeviceFound
@@ -27,8 +27,8 @@ from shared.runtime.config import VehicleFile
 from .finding import Finding
 
 BUSY = "another program has it open"
-LONGEST_S = 30.0  # a port
-WAIT_S = 0.1
+MAX_DURATION_S = 30.0  # a port
+WAIT_TIMEOUT_S = 0.1
 LINE_END = b"\n"
 NOT_DECODED = tuple(protocol.title for protocol in PROTOCOLS if not protocol.read_at)
 RATE_S = 2.0  # over which bytes and messages are counted once a device is found
@@ -110,24 +110,24 @@ def listen(url: str, kind: str, what: str, *, may_write: bool) -> Finding:
     """
     with contextlib.closing(Port(url, kind).open(may_write=may_write)) as device:
         search = device.search
-        until = time.monotonic() + LONGEST_S
+        until = time.monotonic() + MAX_DURATION_S
         if url.startswith("file:"):
-            device.read(WAIT_S)
+            device.read(WAIT_TIMEOUT_S)
             return Finding(True, what)
         with _progress(what, search):
             while search.found is DeviceFound.SEARCHING and time.monotonic() < until:
-                device.read(WAIT_S)
+                device.read(WAIT_TIMEOUT_S)
         if search.found is not DeviceFound.WORKING:
             asked = "" if may_write else "; `obu doctor --probe` also asks it, which writes to the port"
             return Finding(False, what, f"{search.sentence()}{asked}")
         return Finding(True, f"{what}: {search.sentence()}, {_rates(device)}")
 
 
-def _rates(device: Recognising) -> str:
+def _rates(device: RateRecognition) -> str:
     """Bytes and messages a second."""
     sample, start = b"", time.monotonic()
     while (passed := time.monotonic() - start) < RATE_S:
-        sample += device.read(WAIT_S)
+        sample += device.read(WAIT_TIMEOUT_S)
     messages = sum(recognise(sample).frames.values())
     return f"{len(sample) / passed:.0f} bytes and {messages / passed:.1f} messages a second"
 
@@ -167,12 +167,12 @@ def _can(config: CanDriver, what: str) -> Iterator[Finding]:
         return
     with contextlib.closing(open_can(config.device, config.obd_identifier, time.time_ns)) as device:
         got, asks = b"", only_answers(config.device)
-        until = time.monotonic() + (LONGEST_S if asks else RATE_S)
+        until = time.monotonic() + (MAX_DURATION_S if asks else RATE_S)
         while time.monotonic() < until and parts.scheme != "file" and not (asks and _is_found(device)):
             if asks:
                 with contextlib.suppress(DeviceBusy):  # it is still being set up
                     device.write(SPEED_REQUEST)
-            got += device.read(WAIT_S)
+            got += device.read(WAIT_TIMEOUT_S)
         yield _can_finding(device, what, got)
 
 

@@ -10,7 +10,7 @@ from shared.runtime.clock import maximum_error_s
 
 from .finding import Finding
 
-ENOUGH_BYTES = 1_000_000_000
+MIN_FREE_BYTES = 1_000_000_000
 HOT_C = 80.0  # at which a Raspberry Pi slows down
 UNDER_VOLTAGE, UNDER_VOLTAGE_BEFORE, THROTTLED = 1 << 0, 1 << 16, 1 << 2
 THROTTLED_FILES = (
@@ -23,7 +23,7 @@ def host(folder: Path, root: Path = Path("/")) -> Iterator[Finding]:
     """Check the computer; `root` is the folder in which its `sys` is."""
     free = shutil.disk_usage(folder).free
     yield Finding(
-        free > ENOUGH_BYTES, f"{free / 1e9:.1f} GB free in {folder}", "delete old recordings or set OBU_STATE"
+        free > MIN_FREE_BYTES, f"{free / 1e9:.1f} GB free in {folder}", "delete old recordings or set OBU_STATE"
     )
     yield from _clock()
     yield from _temperature(root)

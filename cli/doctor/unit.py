@@ -29,7 +29,7 @@ HEARD = (
     "health/+", "gnss/fix", "gnss/receiver", "gnss/configuration", "mode/state", "device/state", "corrections/state",
 )  # fmt: skip
 LISTEN_S = 5.0  # a table of messages comes every two seconds, and two of them give rates
-SILENT_NS = 3_000_000_000
+SILENCE_TIMEOUT_NS = 3_000_000_000
 LISTED = 8
 TOLERATED = 0.01  # share of rejected messages of a kind
 
@@ -83,7 +83,7 @@ def _listen(vehicle: VehicleFile) -> tuple[list[ProcessHealth], list[Message], i
 def _runs(name: str, health: ProcessHealth | None, now_ns: int) -> Finding:
     if health is None:
         return Finding(False, f"{name} runs", "no health message received; see its log")
-    if health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENT_NS:
+    if health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENCE_TIMEOUT_NS:
         state = "no heartbeat" if health.state is ProcessState.READY else health.state
         return Finding(False, f"{name} runs", f"state: {state}; see its log")
     return Finding(not health.last_error, f"{name} runs", f"last error: {health.last_error}")

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
 BLOCK = 1 << 20
-SHOWN = 20  # rows of the table that is printed; summary.json has all
+MAX_ROWS = 20  # rows of the table that is printed; summary.json has all
 SHOWN_LETTERS = 160  # of a result in it
-TOLD = "told.json"  # in the folder of a recording: what the command tells
-LONGEST_S = 6 * 3600.0  # of one recording
+PROGRESS_FILE = "told.json"  # in the folder of a recording: what the command tells
+MAX_DURATION_S = 6 * 3600.0  # of one recording
 CONNECT_S = 10
 FAILED = 2  # exit code of a command whose input cannot be used
 
@@ -59,7 +59,7 @@ MAKES = {Command.SOLVE: "metrics.json", Command.ATTACK_LAB: "report.json"}
 
 
 @dataclass(frozen=True)
-class Done:
+class CommandOutcome:
     """A command that has ended; of `verify`, codes other than 0 are findings."""
 
     recording: str
@@ -115,7 +115,7 @@ def run(
     return 0 if outcome.complete else 1
 
 
-def work_on(recording: str, sha256: str, command: str, words: tuple[str, ...], out: str, code: str) -> Done:
+def work_on(recording: str, sha256: str, command: str, words: tuple[str, ...], out: str, code: str) -> CommandOutcome:
     """Run one command on one recording, wherever a worker is; raises `UserError`."""
     if code != code_of(MODULES[Command(command)]):
         raise UserError("the worker has another version of the program than this command")
@@ -126,15 +126,15 @@ def work_on(recording: str, sha256: str, command: str, words: tuple[str, ...], o
         Command.VERIFY: ["verify", recording],
         Command.ATTACK_LAB: ["attack-lab", "--recording", recording, "--seeds", "0", "--jobs", "1", "--out", out],
     }[Command(command)]
-    begin, told = time.monotonic(), (folder / TOLD).resolve()
+    begin, told = time.monotonic(), (folder / PROGRESS_FILE).resolve()
     told.unlink(missing_ok=True)
     try:
         done = subprocess.run(
             [sys.executable, "-m", "cli", *given, *words], cwd=ROOT, capture_output=True, text=True, errors="replace",
-            timeout=LONGEST_S, check=False, stdin=subprocess.DEVNULL, env={**os.environ, VARIABLE: str(told)},
+            timeout=MAX_DURATION_S, check=False, stdin=subprocess.DEVNULL, env={**os.environ, VARIABLE: str(told)},
         )  # fmt: skip
     except subprocess.TimeoutExpired as error:
-        raise UserError(f"it took more than {LONGEST_S / 3600:.0f} hours") from error
+        raise UserError(f"it took more than {MAX_DURATION_S / 3600:.0f} hours") from error
     (folder / "output.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
     failed = done.returncode if command != Command.VERIFY else done.returncode == FAILED or done.returncode < 0
     if failed:
@@ -142,7 +142,7 @@ def work_on(recording: str, sha256: str, command: str, words: tuple[str, ...], o
         raise UserError(f"{said} (code {done.returncode}; {folder / 'output.txt'})")
     seconds = round(time.monotonic() - begin, 2)
     said = _attacks_detected(folder) if command == Command.ATTACK_LAB else read_report(told).finding
-    return Done(recording, sha256, command, done.returncode, seconds, out, said)
+    return CommandOutcome(recording, sha256, command, done.returncode, seconds, out, said)
 
 
 def _check_folder(out: Path) -> None:
@@ -164,7 +164,7 @@ def _attacks_detected(folder: Path) -> str:
     return f"{detected} of {runs} attacks detected{clean}"
 
 
-def _job(command: Command, path: Path, sha256: str, words: tuple[str, ...], out: Path) -> Job[Done]:
+def _job(command: Command, path: Path, sha256: str, words: tuple[str, ...], out: Path) -> Job[CommandOutcome]:
     digest = sha256[:8]  # a recording that was renamed keeps its folder
     folder = next(iter(sorted(out.glob(f"*-{digest}"))), out / f"{path.stem}-{digest}").resolve()
     made = MAKES.get(command)
@@ -229,13 +229,13 @@ def cluster(scheduler: str | None, jobs: int) -> "Iterator[Client]":
         yield client
 
 
-def _show(found: Sequence[Done], planned: int, out: Path) -> None:
+def _show(found: Sequence[CommandOutcome], planned: int, out: Path) -> None:
     table = Table("recording", "code", "seconds", "result")
-    for done in found[:SHOWN]:
+    for done in found[:MAX_ROWS]:
         table.add_row(
             Path(done.recording).name, str(done.code), f"{done.seconds:.1f}", shorten(done.said, SHOWN_LETTERS)
         )
     console = Console()
     console.print(table)
-    more = f"{len(found) - SHOWN} more in" if len(found) > SHOWN else "also in"
+    more = f"{len(found) - MAX_ROWS} more in" if len(found) > MAX_ROWS else "also in"
     console.print(f"{len(found)} of {planned} recordings done; {more} {out / 'summary.json'}", soft_wrap=True)

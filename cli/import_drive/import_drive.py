@@ -16,10 +16,10 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from shared.bounded import TOML_BYTES, TooMuch, read_bytes, read_text
+from shared.bounded import TOML_BYTES, SizeExceeded, read_bytes, read_text
 from shared.bounded import lines as lines_of
 from shared.errors import UserError
-from shared.messages.explanation import QUOTED_LENGTH, Quoted, explain
+from shared.messages.explanation import QUOTED_LENGTH, QuotedText, explain
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
@@ -30,7 +30,7 @@ from shared.unpacked import compression_of
 
 from ..progress import progress_on
 from .codes import Code
-from .conversion.convert import Accelerometer, Converted, convert, wanted_columns
+from .conversion.convert import Accelerometer, Conversion, convert, wanted_columns
 from .devices.device_files import import_devices, insist_on_decoded, kind_of, shifts_of
 from .estimates.agreement import Motion, motion_of, told
 from .estimates.clocks import offset_of, shifted
@@ -38,7 +38,7 @@ from .estimates.delay import Delay, delay_of_fixes, delay_of_reference
 from .estimates.mounting import mounting_of, rotated
 from .mapping import units
 from .mapping.mapping import Mapping, parse_mapping
-from .mapping.schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
+from .mapping.schema import Gnss, Imu, PositionColumns, Sensor, Speed, TableFile, Time
 from .output import Part, arrival_ns, print_summary, stamps_of, write
 from .readers.arrays import FORMATS, arrays_of
 from .readers.dates import checked_dates, is_day, is_time_of_day
@@ -48,7 +48,7 @@ from .readers.table import Forms, Table, arrays_table, read_table
 
 T = TypeVar("T")
 BEGINNING_BYTES = 40_000  # by which a file is recognised
-WHOLE_BYTES = 500_000_000  # of a file that is read as a whole: a log of GnssLogger, or arrays
+MAX_WHOLE_FILE_BYTES = 500_000_000  # of a file that is read as a whole: a log of GnssLogger, or arrays
 
 
 def import_drive(
@@ -187,7 +187,7 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
     parts = [
         Part(
             BY_MESSAGE[kind].name, digest,
-            Converted([message for message in messages if type(message) is kind], log.lines if number == 0 else 0,
+            Conversion([message for message in messages if type(message) is kind], log.lines if number == 0 else 0,
                       log.rejects if number == 0 else Counter()),
         )
         for number, kind in enumerate(kinds)
@@ -209,7 +209,7 @@ def _corrected(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleF
         if isinstance(table, Sensor) and table.estimate_axes and parts[place].converted.messages:
             parts[place] = _in_body_axes(parts[place], _all(GnssFix, parts))
     for place, table in enumerate(tables):
-        if isinstance(table, Positioned) and table.estimate_delay:
+        if isinstance(table, PositionColumns) and table.estimate_delay:
             if isinstance(table, Gnss):
                 merged = heapq.merge(*(part.converted.messages for part in parts), key=arrival_ns)
                 inputs = [message for message in merged if not isinstance(message, TruthState)]
@@ -228,8 +228,8 @@ def _all(kind: type[T], parts: Sequence[Part]) -> list[T]:
     return [message for part in parts for message in part.converted.messages if isinstance(message, kind)]
 
 
-def _quoted(name: str) -> Quoted:
-    return Quoted(quoted=name[-QUOTED_LENGTH:])
+def _quoted(name: str) -> QuotedText:
+    return QuotedText(quoted=name[-QUOTED_LENGTH:])
 
 
 def _in_body_axes(part: Part, fixes: Sequence[GnssFix]) -> Part:
@@ -270,8 +270,8 @@ def _on_clock_of_fixes(part: Part, fixes: Sequence[GnssFix]) -> Part:
 
 def _read_whole(path: Path) -> bytes:
     try:
-        return read_bytes(path, WHOLE_BYTES)
-    except TooMuch as error:
+        return read_bytes(path, MAX_WHOLE_FILE_BYTES)
+    except SizeExceeded as error:
         raise UserError(f"{path} cannot be read: {error}; cut it into drives first") from error
 
 
@@ -279,7 +279,7 @@ def _text(path: Path) -> str:
     try:
         return read_text(path, TOML_BYTES)
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
+        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, SizeExceeded) else NO_TEXT
         raise UserError(
             f"cannot read the mapping {path}: {reason}; see benchmarks/recordings/mappings/ for examples"
         ) from error
@@ -339,7 +339,7 @@ def _converted(read: Sequence[tuple[TableFile, str, Table]], start_s: float) -> 
             checked_dates(float(table[spec.time.column][0]), spec.file, spec.time.column)
         if isinstance(spec, Imu) and spec.angular_rate is None:
             accelerometer = Accelerometer(spec, table)
-            converted = Converted([], len(table) + table.rejects.total(), table.rejects)
+            converted = Conversion([], len(table) + table.rejects.total(), table.rejects)
         else:
             converted = convert(spec, table, start_s=start_s, accelerometer=accelerometer)
         parts.append(Part(spec.file, digest, converted))
@@ -359,7 +359,7 @@ def _table(spec: TableFile, lines: Iterator[str]) -> tuple[TableFile, Table]:
         table = read_table(chain([first] if first else [], rows), header, wanted_columns(spec), spec.file, forms)
         table.notes.extend(notes)
         return spec, table
-    except (csv.Error, TooMuch) as error:
+    except (csv.Error, SizeExceeded) as error:
         raise UserError(
             f"{spec.file} is not a CSV file ({error}); check `file` and `separator` of the mapping"
         ) from error

@@ -21,7 +21,7 @@ from shared.runtime.config import VehicleFile
 from shared.topics import BY_MESSAGE
 from shared.words.words import reason
 
-from .conversion.convert import Converted, Imported
+from .conversion.convert import Conversion, Imported
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Part:
 
     name: str
     sha256: str
-    converted: Converted
+    converted: Conversion
     correction: Correction | None = None  # what was estimated of its clock or axes
 
     def corrected(self, messages: Sequence[Imported], why: Explanation, setting: str = "") -> "Part":

@@ -16,13 +16,13 @@ from shared.messages.trust import TrustLevel
 
 from ..solve.metrics.errors import Errors
 from ..solve.metrics.gnss_alone import GnssAlone
-from ..solve.metrics.integrity import Protected, protected
+from ..solve.metrics.integrity import AxisProtection, protected
 from ..solve.track import Track
 from ..solve.verdicts import Verdicts
 
 NS = 1_000_000_000
 GRID_NS = NS // 10
-HELD_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
+HOLD_TIME_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
 FIX_HELD_NS = 2 * NS
 CONTINUITY_S = 15.0  # exposure time of an approach (ICAO annex 10), commonly taken for vehicles too
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
@@ -102,7 +102,7 @@ INDICATORS = (
 
 
 @dataclass(frozen=True)
-class Observed:
+class DriveObservations:
     """What a drive holds. Stamps in ns on the OBU time line."""
 
     first_ns: int
@@ -116,7 +116,7 @@ class Observed:
     alert_limits_m: tuple[float, float]
 
 
-def indicators_of(drive: Observed) -> dict[str, Value]:
+def indicators_of(drive: DriveObservations) -> dict[str, Value]:
     """Compute every indicator.
 
     Parameters
@@ -130,7 +130,7 @@ def indicators_of(drive: Observed) -> dict[str, Value]:
         The names of `INDICATORS`, in their order; None if unknown.
     """
     grid = np.arange(drive.first_ns, drive.last_ns, GRID_NS, dtype=np.int64)
-    available = _within(grid, drive.track.stamps_ns, HELD_NS)
+    available = _within(grid, drive.track.stamps_ns, HOLD_TIME_NS)
     usable = None if drive.verdicts is None else available & _allowed(drive.verdicts, grid)
     found: dict[str, Value] = {
         **_accuracy(drive),
@@ -156,7 +156,7 @@ def _allowed(verdicts: Verdicts, grid: Stamps) -> Mask:
     return np.array([level in USABLE for level in verdicts.at(grid)], dtype=bool)
 
 
-def _accuracy(drive: Observed) -> dict[str, Value]:
+def _accuracy(drive: DriveObservations) -> dict[str, Value]:
     found: dict[str, Value] = {}
     errors = drive.errors
     if errors is not None and errors.position_n is not None and len(errors):
@@ -185,7 +185,7 @@ def _errors(prefix: str, error_n: FloatArray) -> dict[str, Value]:
     }
 
 
-def _availability(drive: Observed, grid: Stamps, available: Mask, usable: Mask | None) -> dict[str, Value]:
+def _availability(drive: DriveObservations, grid: Stamps, available: Mask, usable: Mask | None) -> dict[str, Value]:
     found: dict[str, Value] = {
         "solution_available_share": _share(available),
         "usable_share": None if usable is None else _share(usable),
@@ -222,7 +222,7 @@ def _continuity(usable: Mask) -> dict[str, Value]:
     }
 
 
-def _integrity(drive: Observed, usable: Mask | None, grid: Stamps) -> dict[str, Value]:
+def _integrity(drive: DriveObservations, usable: Mask | None, grid: Stamps) -> dict[str, Value]:
     levels = drive.track.columns("protection_level_horizontal_m", 2)
     found: dict[str, Value] = {}
     for column, axis in enumerate(("horizontal", "vertical")):
@@ -238,7 +238,7 @@ def _integrity(drive: Observed, usable: Mask | None, grid: Stamps) -> dict[str, 
     return found
 
 
-def _protected(one: Protected, weights_s: FloatArray, usable: Mask | None) -> dict[str, Value]:
+def _protected(one: AxisProtection, weights_s: FloatArray, usable: Mask | None) -> dict[str, Value]:
     misled = one.error_m > one.level_m
     hazardous = misled & (one.level_m <= one.alert_limit_m) & (one.error_m > one.alert_limit_m)
     return {
@@ -250,10 +250,10 @@ def _protected(one: Protected, weights_s: FloatArray, usable: Mask | None) -> di
 
 
 def _weights_s(stamps: Stamps) -> FloatArray:
-    """Time [s] for which each true state stands: until the next one, at most `HELD_NS`, and the last as the median."""
+    """Time [s] for which each true state stands: until the next one, at most `HOLD_TIME_NS`, and the last as the median."""
     if len(stamps) < 2:
         return np.zeros(len(stamps))
-    steps = np.minimum(np.diff(stamps), HELD_NS)
+    steps = np.minimum(np.diff(stamps), HOLD_TIME_NS)
     weights: FloatArray = np.append(steps, np.median(steps)) / NS
     return weights
 
@@ -265,7 +265,7 @@ def _at(mask: Mask, grid: Stamps, stamps: Stamps) -> Mask:
     return found
 
 
-def _geometry(drive: Observed) -> dict[str, Value]:
+def _geometry(drive: DriveObservations) -> dict[str, Value]:
     dops = {name: _known([getattr(fix, name) for fix in drive.fixes]) for name in ("hdop", "pdop", "vdop")}
     used = _known([fix.satellites_used for fix in drive.fixes])
     strengths = _known([
@@ -280,7 +280,7 @@ def _geometry(drive: Observed) -> dict[str, Value]:
     }
 
 
-def _times(drive: Observed, grid: Stamps, available: Mask, usable: Mask | None) -> dict[str, Value]:
+def _times(drive: DriveObservations, grid: Stamps, available: Mask, usable: Mask | None) -> dict[str, Value]:
     fixes = _stamps(drive.fixes)
     gaps = _runs(~available[int(np.argmax(available)) :]) if available.any() else []
     fixed = _within(grid, fixes, FIX_HELD_NS)

@@ -34,11 +34,11 @@ from ..solve.track import Track, TrackBuilder
 from ..solve.truth import any_fixed, given_truth, insist_on_fixes, truth_of_fixes
 from ..solve.verdicts import VerdictLog
 from ..utc import UtcLine
-from .indicators import INDICATORS, Observed, Value, indicators_of
+from .indicators import INDICATORS, DriveObservations, Value, indicators_of
 from .page import as_shown, page
 
 DAY_NS, MOST_DAYS = 86_400 * 10**9, 7  # beyond it a stamp is wrong
-SAID = ("navigation/solution", "navigation/state", "trust/state", "gnss/fix", "gnss/satellites")
+OUTPUT_TOPICS = ("navigation/solution", "navigation/state", "trust/state", "gnss/fix", "gnss/satellites")
 
 
 def kpi(
@@ -109,7 +109,7 @@ def kpi(
 
 
 @dataclass
-class Seen:
+class DriveCollector:
     """What is collected of a drive."""
 
     solutions: TrackBuilder = field(default_factory=TrackBuilder)
@@ -135,8 +135,8 @@ class Seen:
         return self.solutions.track().valid()
 
 
-def _recorded(recording: Recording, inputs: Inputs, progress: Progress) -> Seen:
-    seen = Seen()
+def _recorded(recording: Recording, inputs: Inputs, progress: Progress) -> DriveCollector:
+    seen = DriveCollector()
     shown = progress.track(recording, total=inputs.topics.total(), description="reading")
     for message in _decoded(shown):
         seen.add(message)
@@ -145,15 +145,15 @@ def _recorded(recording: Recording, inputs: Inputs, progress: Progress) -> Seen:
 
 def _decoded(envelopes: Iterable[Envelope]) -> Iterator[Message]:
     for envelope in envelopes:
-        if envelope.topic in SAID:
+        if envelope.topic in OUTPUT_TOPICS:
             try:
                 yield envelope.decode()
             except BadPayload:  # counted by `inputs_of` where it matters, and no indicator needs every message
                 continue
 
 
-def _solved(inputs: Inputs, vehicle: VehicleFile, progress: Progress) -> Seen:
-    seen, unit = Seen(), OfflineUnit(vehicle)
+def _solved(inputs: Inputs, vehicle: VehicleFile, progress: Progress) -> DriveCollector:
+    seen, unit = DriveCollector(), OfflineUnit(vehicle)
     fusion = cast(Process, unit.process("core.fusion"))
     shown = progress.track(inputs.messages(vehicle), total=len(inputs), description="solving")
     for message in chain(unit.run(shown), fusion.finish()):
@@ -162,15 +162,15 @@ def _solved(inputs: Inputs, vehicle: VehicleFile, progress: Progress) -> Seen:
 
 
 def _observed(
-    inputs: Inputs, vehicle: VehicleFile, seen: Seen, reference: Reference | None, *, independent: bool
-) -> Observed:
+    inputs: Inputs, vehicle: VehicleFile, seen: DriveCollector, reference: Reference | None, *, independent: bool
+) -> DriveObservations:
     """Put a drive together; the receiver is compared with a truth that is not made of its fixes only."""
     first_ns, last_ns = arrival_of(inputs.envelopes[0]), arrival_of(inputs.envelopes[-1])
     facts, track = vehicle.facts, seen.track
     arm = facts.gnss.lever_arm_body_m
     delay_s = vehicle.section("core.fusion", Config).gnss.delay_s
     compared = reference is not None and len(track) > 1
-    return Observed(
+    return DriveObservations(
         first_ns=first_ns,
         last_ns=last_ns,
         track=track,

@@ -202,7 +202,7 @@ def _sensitivity_table(changed: Sequence[Sensitivity]) -> Table:
 
 
 @dataclass(frozen=True)
-class Split:
+class SatelliteSplit:
     """What follows from a choice of real and virtual satellites, without any measurement."""
 
     local_m: list[float]  # bias at which the printed local test of each real satellite fires
@@ -210,7 +210,7 @@ class Split:
     hpl_m: float  # horizontal protection level
 
 
-def splits() -> dict[str, Split]:
+def splits() -> dict[str, SatelliteSplit]:
     """The fitted split; the four highest satellites real; and these with virtual ones that were chosen anew.
 
     Virtual satellites need not exist: they are chosen of directions every 60 degrees of azimuth at 15, 45 and 75
@@ -228,10 +228,10 @@ def splits() -> dict[str, Split]:
     return {name: _split(*pair) for name, pair in pairs.items()}
 
 
-def _split(real: FloatArray, virtual: FloatArray) -> Split:
+def _split(real: FloatArray, virtual: FloatArray) -> SatelliteSplit:
     sd = np.full(4, scenario.PSEUDORANGE_SD)
     W = residual_cov(prediction_matrix(real, virtual), sd, sd)
-    return Split(local_biases(W, P_FA).tolist(), baarda_biases(W, P_FA).tolist(), _level(real, virtual))
+    return SatelliteSplit(local_biases(W, P_FA).tolist(), baarda_biases(W, P_FA).tolist(), _level(real, virtual))
 
 
 def _level(real: FloatArray, virtual: FloatArray) -> float:

@@ -42,7 +42,7 @@ PAPER_FUSED: tuple[Vector, ...] = (
     (0.69, 0.49, 0.80),
     (0.84, 0.83, 1.44),
 )
-SETTLED_NS = 15_000_000_000  # initial levelling at standstill, excluded from the errors
+SETTLING_TIME_NS = 15_000_000_000  # initial levelling at standstill, excluded from the errors
 OUTPUT_STRIDE = 10  # samples at 100 Hz
 YAW_SD = radians(1.5)  # standard deviation of the stored initial heading
 RATIO_LIMIT = 0.40  # 3-D RMSE of the fusion over that of GNSS, all drives
@@ -201,7 +201,7 @@ def measure(job: tuple[Case, int]) -> tuple[str, FloatArray]:
     navigator.use_prior(saved_heading(drive, YAW_SD))
     track = navigate(drive, navigator, wheels=case.wheels)
     errors = (
-        drive.fix_error_n[drive.fix_ns >= SETTLED_NS],
+        drive.fix_error_n[drive.fix_ns >= SETTLING_TIME_NS],
         position_errors(drive, track),
         track.velocity - drive.velocity_n[track.index],
     )

@@ -11,7 +11,7 @@ from . import navigation as drives_table
 from . import outages as outages_table
 from .report import publish
 
-LEAST_DRIVES = 6
+MIN_DRIVES = 6
 
 
 def navigation(runs: int, json: bool) -> int:
@@ -63,7 +63,7 @@ def cooperative(runs: int, json: bool, out: Path | None) -> int:
 
 def spoofing(drives: int, json: bool, out: Path | None) -> int:
     """Reproduce spoofing detection by a phone's sensors; return 1 if a number is outside its tolerance."""
-    if drives < LEAST_DRIVES:
+    if drives < MIN_DRIVES:
         raise UserError(f"{drives} drives: 6 are required, four to learn of: try `obu papers spoofing --drives 6`")
     from .spoofing.paper import reproduce
 

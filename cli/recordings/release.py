@@ -8,7 +8,7 @@ from shared.recording import Recording
 from shared.recording.channels import schema_of
 
 FIRST = "0.1.0"  # recordings do not state versions before
-SAID = frozenset({"description", "title"})  # parts of a schema that describe and decide nothing
+DESCRIPTIVE_KEYS = frozenset({"description", "title"})  # parts of a schema that describe and decide nothing
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,8 @@ def _decisive(schema: bytes) -> object:
 
 def _without_descriptions(value: object, *, of_names: bool = False) -> object:
     if isinstance(value, dict):
-        kept = value.items() if of_names else ((key, item) for key, item in value.items() if key not in SAID)
+        kept = (
+            value.items() if of_names else ((key, item) for key, item in value.items() if key not in DESCRIPTIVE_KEYS)
+        )
         return {key: _without_descriptions(item, of_names=key in ("properties", "$defs")) for key, item in kept}
     return [_without_descriptions(item) for item in value] if isinstance(value, list) else value

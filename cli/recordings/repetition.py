@@ -12,7 +12,7 @@ from shared.bus.bus import Envelope
 from shared.errors import BadPayload, TooManyFaults
 from shared.faults import Faults
 from shared.messages.base import Message, Sender, Tick
-from shared.messages.operation import Consumed
+from shared.messages.operation import ConsumptionOrder
 from shared.runtime.live import Reactor, handled
 from shared.topics import topic_of
 
@@ -98,7 +98,7 @@ class Repetition:
         verdict = Verdict.OTHER_RELEASE if is_other else self.verdict
         return Finding(self.name, self.incarnation, self.consumed, self.compared, self.unrecorded, verdict, self.reason)
 
-    def add_journal(self, consumed: Consumed, received_ns: int) -> None:
+    def add_journal(self, consumed: ConsumptionOrder, received_ns: int) -> None:
         """Append the next part of the order of consumption."""
         self._runs.extend(Run(*run, journal_ns=received_ns) for run in consumed.runs)
         self._journal_ns = received_ns

@@ -14,7 +14,7 @@ from .common import open_recording
 
 
 @dataclass(frozen=True)
-class Checked:
+class SignatureReport:
     """What the signatures of one file prove."""
 
     file: str
@@ -29,12 +29,12 @@ class Checked:
         return [self.outcome, *([Outcome.EDITED] if self.gap else [])]
 
 
-def check_signatures(files: Sequence[Path], keys: Sequence[Path] | None) -> list[Checked]:
+def check_signatures(files: Sequence[Path], keys: Sequence[Path] | None) -> list[SignatureReport]:
     """Check recordings in the order of time."""
     ring = accepted_keys(keys)
     proofs = [_prove(path, ring) for path in files]
     return [
-        Checked(
+        SignatureReport(
             path.name, proof.outcome, proof.text, _facts(proof),
             _succession(proofs[number - 1], proof) if number else None,
         )

@@ -18,9 +18,9 @@ from shared import VERSION
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload, UserError
 from shared.evidence import Outcome
-from shared.evidence.outcome import DIFFERENT, OTHER_RELEASE, gravest
+from shared.evidence.outcome import EXIT_DIFFERENT, OTHER_RELEASE, gravest
 from shared.messages.base import Message
-from shared.messages.operation import Consumed
+from shared.messages.operation import ConsumptionOrder
 from shared.processes import BY_NAME
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile
@@ -33,9 +33,9 @@ from ..progress import progress_on
 from .common import open_recording, print_problems, vehicle_of
 from .release import Release, release_of
 from .repetition import Finding, Key, Repetition, Verdict
-from .signatures import Checked, check_signatures
+from .signatures import SignatureReport, check_signatures
 
-KEPT_NS = 60_000_000_000  # from the arrival of a message to the last journal that may name it
+RETENTION_NS = 60_000_000_000  # from the arrival of a message to the last journal that may name it
 STEP = 2000  # messages between two updates of the progress
 INCOMPLETE = (
     "incomplete: the recording lacks messages that a process consumed, as one that began while the unit ran; "
@@ -90,7 +90,7 @@ def verify(
 
 
 @dataclass(frozen=True)
-class Repeated:
+class RepetitionReport:
     """What the repetition of all processes has given."""
 
     release: Release  # of the recordings
@@ -104,7 +104,9 @@ class Repeated:
         if not self.can or (Verdict.OTHER_RELEASE in verdicts and Verdict.DIFFERENT not in verdicts):
             return OTHER_RELEASE
         return (
-            0 if verdicts == {Verdict.IDENTICAL} and any(finding.compared for finding in self.findings) else DIFFERENT
+            0
+            if verdicts == {Verdict.IDENTICAL} and any(finding.compared for finding in self.findings)
+            else EXIT_DIFFERENT
         )
 
     @property
@@ -113,13 +115,13 @@ class Repeated:
         return f"made by {self.release.name}: repeat it with that release; this one is version {VERSION}"
 
 
-def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None, console: Console) -> Repeated:
+def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None, console: Console) -> RepetitionReport:
     """Repeat processes of recordings."""
     with open_recording(files[0]) as first:
         file, release = vehicle_of(first, vehicle), release_of(first)
         if file.facts.imu.body_from_sensor != file.samples_mounting:
             if not release.is_this:
-                return Repeated(release, can=False)
+                return RepetitionReport(release, can=False)
             raise UserError(
                 f"the inertial samples of {files[0]} were made with another mounting of the IMU than the vehicle's "
                 "file states, so nothing can be repeated byte for byte; `obu solve` processes it anew"
@@ -134,10 +136,10 @@ def _repeat(files: list[Path], wanted: set[str], vehicle: Path | None, console: 
     repetitions = audit.finish()
     if not repetitions:
         raise UserError("the recording holds no message of a process of layers 2 to 4; record a running unit")
-    return Repeated(release, tuple(repetition.finding(release) for repetition in repetitions))
+    return RepetitionReport(release, tuple(repetition.finding(release) for repetition in repetitions))
 
 
-def _document(checked: Sequence[Checked], repeated: Repeated | None, code: int) -> dict[str, object]:
+def _document(checked: Sequence[SignatureReport], repeated: RepetitionReport | None, code: int) -> dict[str, object]:
     """The result for programs."""
     files = [{**asdict(item), "outcome": item.outcome.name.lower()} for item in checked]
     found = {} if repeated is None else {
@@ -147,11 +149,11 @@ def _document(checked: Sequence[Checked], repeated: Repeated | None, code: int) 
     return {"code": code, "files": files, **found}
 
 
-def _finding(checked: Sequence[Checked], repeated: Repeated | None, code: int) -> str:
+def _finding(checked: Sequence[SignatureReport], repeated: RepetitionReport | None, code: int) -> str:
     """The result in a sentence: what the exit code stands for."""
     if repeated is not None and code == OTHER_RELEASE:
         return repeated.remedy
-    if repeated is not None and code in (0, DIFFERENT):
+    if repeated is not None and code in (0, EXIT_DIFFERENT):
         others = [finding for finding in repeated.findings if finding.verdict is not Verdict.IDENTICAL]
         return (
             ", ".join(f"{finding.process}: {finding.verdict}" for finding in others)
@@ -160,7 +162,7 @@ def _finding(checked: Sequence[Checked], repeated: Repeated | None, code: int) -
     return next(file.text for file in checked if code in file.outcomes)
 
 
-def _print_signatures(checked: Sequence[Checked]) -> None:
+def _print_signatures(checked: Sequence[SignatureReport]) -> None:
     for item in checked:
         print(f"{item.file}: {item.text}")
         for more in (item.facts, item.gap):
@@ -213,7 +215,7 @@ class Audit:
             return
         if repetition.add_message(envelope, compare=False):
             message = _decoded(envelope)
-            if isinstance(message, Consumed):
+            if isinstance(message, ConsumptionOrder):
                 repetition.add_journal(message, envelope.received_ns)
             repetition.advance(self._now_ns)
 
@@ -227,7 +229,7 @@ class Audit:
         if old is not None:
             self._recent[_key(old)] = old
             self._arrivals.append((self._now_ns, _key(old)))
-        while self._arrivals and self._arrivals[0][0] < self._now_ns - KEPT_NS:
+        while self._arrivals and self._arrivals[0][0] < self._now_ns - RETENTION_NS:
             self._recent.pop(self._arrivals.popleft()[1], None)
 
     def _find(self, key: Key) -> Envelope | None:
@@ -250,7 +252,7 @@ def _decoded(envelope: Envelope) -> Message | None:
         return None
 
 
-def _print(repeated: Repeated, console: Console) -> None:
+def _print(repeated: RepetitionReport, console: Console) -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("process", "started (UTC)", "consumed", "compared", "unrecorded", "verdict"):
         right = title in ("consumed", "compared", "unrecorded")

@@ -14,7 +14,7 @@ from shared.attacks import ATTACKS, Parameter
 from shared.bus.contract import Json, processes_table, table, topics_table
 from shared.errors import UserError
 from shared.messages.trust import TrustLevel
-from shared.missing_sensors import MISSING
+from shared.missing_sensors import MISSING_COMBINATIONS
 from shared.processes import PROCESSES, Role, running
 from shared.protocols.registry import PROTOCOLS
 from shared.rejects import PARTS
@@ -162,7 +162,7 @@ def missing_page() -> str:
             row.sensors, row.published, row.uncertainty, " → ".join(f"`{phase}`" for phase in row.phases),
             " → ".join(level.upper() for level in row.verdicts), _form(row.code), row.cost,
         )
-        for row in MISSING
+        for row in MISSING_COMBINATIONS
     ]  # fmt: skip
     head = ("missing", "published", "covariance and level", "phase", "verdict", "its reason", "what it costs")
     return (

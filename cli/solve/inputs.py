@@ -21,7 +21,7 @@ from ..recordings.device_data import inputs_among
 
 RECEIVER = ("gnss/raw", "gnss/fix")
 TRUTH = "truth/state"
-LEARNED = ("trust/grade", "trust/inertial_scale")  # what earlier drives had taught when this one began
+LEARNED_TOPICS = ("trust/grade", "trust/inertial_scale")  # what earlier drives had taught when this one began
 CONSUMED = tuple(topic.name for topic in measurements() if topic.consumers)
 
 
@@ -38,7 +38,9 @@ class Inputs:
     def __len__(self) -> int:
         return len(self.envelopes)
 
-    def messages(self, vehicle: VehicleFile, topics: Iterable[str] = (*CONSUMED, TRUTH, *LEARNED)) -> Iterator[Message]:
+    def messages(
+        self, vehicle: VehicleFile, topics: Iterable[str] = (*CONSUMED, TRUTH, *LEARNED_TOPICS)
+    ) -> Iterator[Message]:
         """Decode the messages of the given topics one by one, inertial samples in the axes of a vehicle's file."""
         chosen, axes = frozenset(topics), RecordedAxes(vehicle)
         for place, envelope in enumerate(self.envelopes):
@@ -64,7 +66,7 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
         time of recording are not used, but for what earlier drives had taught.
     """
     found = Inputs()
-    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH, *LEARNED)}
+    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH, *LEARNED_TOPICS)}
     for envelope in envelopes:
         found.topics[envelope.topic] += 1
         if envelope.topic in kept:
@@ -74,7 +76,7 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
         if topic in played:
             found.envelopes += kept[topic]
     found.envelopes.sort(key=arrival_of)
-    learned = [envelope for topic in LEARNED for envelope in learned_before(kept[topic], found.envelopes)]
+    learned = [envelope for topic in LEARNED_TOPICS for envelope in learned_before(kept[topic], found.envelopes)]
     found.envelopes = learned + found.envelopes
     for envelope in kept[TRUTH]:
         with suppress(BadPayload):

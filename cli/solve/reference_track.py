@@ -13,7 +13,7 @@ from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.navigation import TruthState
 
-LEAST_OFFSET_NS = 500_000_000
+MIN_OFFSET_NS = 500_000_000
 POSITION = ("latitude_deg", "longitude_deg", "height_ellipsoid_m")
 VELOCITY = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s")
 ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
@@ -38,7 +38,7 @@ class Reference:
 
         Offsets below half a second are those of delays, which are estimated or set, and not of a clock.
         """
-        if not self.in_utc or abs(utc_offset_ns) < LEAST_OFFSET_NS:
+        if not self.in_utc or abs(utc_offset_ns) < MIN_OFFSET_NS:
             return self
         return replace(self, stamps_ns=self.stamps_ns - utc_offset_ns, in_utc=False)
 

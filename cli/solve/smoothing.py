@@ -35,7 +35,7 @@ STATE = (
     *(f"accelerometer_bias_{axis}_m_s2" for axis in FRD),
     *(f"gyroscope_bias_{axis}_rad_s" for axis in FRD),
 )
-KEPT = ("stationary", "gnss_age_s")  # copied from the filtered track
+COPIED_FIELDS = ("stationary", "gnss_age_s")  # copied from the filtered track
 
 
 def smoothed_track(newest_first: Iterable[ErrorStateFilter], filtered: Track) -> Track:
@@ -61,7 +61,7 @@ def smoothed_track(newest_first: Iterable[ErrorStateFilter], filtered: Track) ->
     values = np.full((len(found), len(NAMES)), np.nan)
     values[:, [NAMES.index(name) for name in STATE]] = np.array(rows).reshape(-1, len(STATE))[order]
     nearest = np.clip(np.searchsorted(filtered.stamps_ns, found), 0, len(filtered) - 1)
-    kept = [NAMES.index(name) for name in KEPT]
+    kept = [NAMES.index(name) for name in COPIED_FIELDS]
     values[:, kept] = filtered.values[nearest][:, kept]
     return Track(found, [filtered.phases[k] for k in nearest.tolist()], values)
 

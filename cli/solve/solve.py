@@ -212,7 +212,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Solved:
+class UnitOutputs:
     """The outputs of the unit over the whole recording."""
 
     builder: TrackBuilder
@@ -285,7 +285,7 @@ def _outages(outage: str | None, drive: Drive) -> Outages | None:
 
 def _run(
     drive: Drive, outages: Outages | None, progress: Progress, history: HistoryFile | None, *, with_trust: bool
-) -> Solved:
+) -> UnitOutputs:
     """Run layers 2 to 4 over all inputs, in the order of arrival, as the vehicle does or without core.trust."""
     processes = [name for name in drive.vehicle.processes if with_trust or name != "core.trust"]
     unit, builder, counters = OfflineUnit(drive.vehicle, processes), TrackBuilder(), Counters()
@@ -311,7 +311,7 @@ def _run(
                 counters.set_up = message
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
-    return Solved(builder, counters, outages, verdicts, fixes, time.perf_counter() - started)
+    return UnitOutputs(builder, counters, outages, verdicts, fixes, time.perf_counter() - started)
 
 
 def _clocks(drive: Drive) -> list[str]:
@@ -324,7 +324,7 @@ def _clocks(drive: Drive) -> list[str]:
     return told({name: motion for name, motion in found.items() if motion is not None})
 
 
-def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progress) -> Track:
+def _smooth(drive: Drive, solved: UnitOutputs, history: HistoryFile, progress: Progress) -> Track:
     """Smooth the filter's history backwards in time."""
     records = progress.track(history.newest_first(), total=len(history), description="smoothing")
     return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
@@ -343,7 +343,7 @@ def _fed(drive: Drive, outages: Outages | None, counters: Counters, progress: Pr
         yield message
 
 
-def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: list[GnssFix]) -> Run:
+def _compared(drive: Drive, solved: UnitOutputs, reference: Reference | None, fixes: list[GnssFix]) -> Run:
     """Compare the solution with the truth."""
     track = solved.builder.track().valid()
     if not len(track):
@@ -372,7 +372,7 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
     )
 
 
-def _gnss_alone(drive: Drive, solved: Solved, reference: Reference | None) -> GnssAlone | None:
+def _gnss_alone(drive: Drive, solved: UnitOutputs, reference: Reference | None) -> GnssAlone | None:
     """Errors of the fixes given to the filter; the truth is not made of them."""
     if reference is None:
         return None
@@ -382,7 +382,7 @@ def _gnss_alone(drive: Drive, solved: Solved, reference: Reference | None) -> Gn
 
 
 def _trust(
-    drive: Drive, solved: Solved, plain: Solved, reference: Reference | None, scored_from_ns: int
+    drive: Drive, solved: UnitOutputs, plain: UnitOutputs, reference: Reference | None, scored_from_ns: int
 ) -> Trust | None:
     """Verdicts of a run, and its errors over those of the run without core.trust; None if that did not run."""
     if not len(solved.verdicts):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from services.core.fusion.process import Config
-from shared.bounded import TooMuch, checked
+from shared.bounded import SizeExceeded, checked
 from shared.errors import UserError
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.navigation import TruthState
@@ -60,7 +60,7 @@ def truth_file(path: Path) -> Reference:
             clock = "utc_s" if "utc_s" in header else "sampled_ns"
             known = [name for name in (*POSITION, *VELOCITY, *ATTITUDE) if name in header]
             table = read_table(rows, header, [clock, *known], path.name)
-    except (OSError, UnicodeDecodeError, csv.Error, TooMuch) as error:
+    except (OSError, UnicodeDecodeError, csv.Error, SizeExceeded) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a CSV file"
         raise UserError(
             f"cannot read the truth {path}: {reason}; --truth is fixes, recorded, none or a CSV file"

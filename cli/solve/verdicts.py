@@ -14,7 +14,7 @@ from shared.messages.trust import TrustLevel, TrustState
 Stamps = npt.NDArray[np.int64]
 # A verdict is published once a second. In a gap of all inputs, where an offline unit makes no tick, it holds as long as
 # that of a live unit, whose verdict is NO_FIX after `solution_silent_after_s` of core.trust.
-HELD_NS = 2_000_000_000
+HOLD_TIME_NS = 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class VerdictLog:
         Returns
         -------
         Verdicts
-            A verdict that is not followed by another one within `HELD_NS` is NO_FIX from then on.
+            A verdict that is not followed by another one within `HOLD_TIME_NS` is NO_FIX from then on.
         """
         stamps = np.maximum.accumulate(np.array(self._stamps, dtype=np.int64))  # a tick may be a little behind
         edges, states, gnss = [first_ns], [TrustLevel.INITIALISING], [False]
@@ -92,8 +92,8 @@ class VerdictLog:
             edges.append(begin)
             states.append(state)
             gnss.append(excluded)
-            if end - begin > HELD_NS:
-                edges.append(begin + HELD_NS)
+            if end - begin > HOLD_TIME_NS:
+                edges.append(begin + HOLD_TIME_NS)
                 states.append(TrustLevel.NO_FIX)
                 gnss.append(excluded)
         bounded = np.clip(np.array([*edges, last_ns], dtype=np.int64), first_ns, last_ns)

@@ -20,8 +20,8 @@ from shared.fleet.topics import VEHICLE
 VEHICLE_DAYS, SERVER_DAYS, AUTHORITY_DAYS = 30, 365, 3650
 SERVER_AGAIN_DAYS = 30  # before its end, when a server's certificate is made anew
 CLOCK_SKEW = timedelta(days=1)  # a vehicle's clock may be slow by so much
-MOST_REQUEST_BYTES = 8192
-MOST_COMMON_NAME = 64  # characters (RFC 5280); clients look at the alternative names
+MAX_REQUEST_BYTES = 8192
+MAX_COMMON_NAME = 64  # characters (RFC 5280); clients look at the alternative names
 UNREADABLE = (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion)  # of a certificate of anybody
 AUTHORITY, AUTHORITY_KEY, SERVER, SERVER_KEY = "ca.pem", "ca.key", "server.pem", "server.key"
 
@@ -31,7 +31,7 @@ class BadRequest(ValueError):
 
 
 @dataclass(frozen=True)
-class Certified:
+class IssuedCertificate:
     """A certificate of a vehicle."""
 
     pem: str
@@ -61,7 +61,7 @@ class Authority:
             raise UserError(f"{folder / AUTHORITY_KEY} is no P-256 key; restore it from a backup")
         self._key = key
 
-    def certify(self, request_pem: str, vehicle: str, now: datetime | None = None) -> Certified:
+    def certify(self, request_pem: str, vehicle: str, now: datetime | None = None) -> IssuedCertificate:
         """Certify a vehicle's key for 30 days; raises `BadRequest`."""
         key = key_of_request(request_pem)
         now = now or datetime.now(UTC)
@@ -72,7 +72,7 @@ class Authority:
             .sign(self._key, hashes.SHA256())
         )
         point = key.public_bytes(serialization.Encoding.X962, serialization.PublicFormat.UncompressedPoint)
-        return Certified(_pem(built), f"{built.serial_number:x}", point, begin, end)
+        return IssuedCertificate(_pem(built), f"{built.serial_number:x}", point, begin, end)
 
     def server(self, names: Sequence[str]) -> tuple[Path, Path]:
         """Give certificate and key of the centre's servers for these names, made anew near their end."""
@@ -107,7 +107,7 @@ class Authority:
         now = datetime.now(UTC)
         begin, end = now - CLOCK_SKEW, now + timedelta(days=SERVER_DAYS)
         built = (
-            _builder(_name(names[0][:MOST_COMMON_NAME]), self._certificate.subject, key.public_key(), begin, end)
+            _builder(_name(names[0][:MAX_COMMON_NAME]), self._certificate.subject, key.public_key(), begin, end)
             .add_extension(x509.SubjectAlternativeName([_general(name) for name in names]), critical=False)
             .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
             .sign(self._key, hashes.SHA256())
@@ -118,7 +118,7 @@ class Authority:
 
 def key_of_request(pem: str) -> ec.EllipticCurvePublicKey:
     """Read the P-256 key of a request that its owner has signed; raises `BadRequest`."""
-    if len(pem) > MOST_REQUEST_BYTES:
+    if len(pem) > MAX_REQUEST_BYTES:
         raise BadRequest("the certificate request is too long")
     try:
         request = x509.load_pem_x509_csr(pem.encode())

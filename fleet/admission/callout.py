@@ -26,10 +26,10 @@ SUBJECT = "$SYS.REQ.USER.AUTH"
 LIFE_S = 3600
 JITTER = 0.1  # of the life, so that vehicles do not all come back at once
 ACCOUNT = "CENTRE"
-MOST_PEM_BYTES = 16_384
+MAX_PEM_BYTES = 16_384
 
 
-class Presented(NamedTuple):
+class PresentedCertificate(NamedTuple):
     """A certificate that the server has verified."""
 
     vehicle: str
@@ -46,7 +46,7 @@ class Callout:
         self,
         issuer: Issuer,
         prepare: Callable[[str], Awaitable[None]],
-        is_valid: Callable[[Presented], Awaitable[bool]],
+        is_valid: Callable[[PresentedCertificate], Awaitable[bool]],
     ) -> None:
         self._issuer, self._prepare, self._is_valid = issuer, prepare, is_valid
 
@@ -91,15 +91,15 @@ class Callout:
         return self._issuer.token(user, ACCOUNT, content, name=vehicle, exp=now_s() + life_s)
 
 
-def presented_in(about: dict[str, object]) -> Presented | None:
+def presented_in(about: dict[str, object]) -> PresentedCertificate | None:
     """Find the verified certificate of a request; None without one, or if the client id is of another vehicle."""
     match about.get("client_tls"):
-        case {"verified_chains": [[str() as pem, *_], *_]} if len(pem) <= MOST_PEM_BYTES:
+        case {"verified_chains": [[str() as pem, *_], *_]} if len(pem) <= MAX_PEM_BYTES:
             certificate = x509.load_pem_x509_certificate(pem.encode())
         case _:
             return None
     name = name_in(certificate)
     match about.get("client_info"):
         case {"mqtt_id": str() as client_id} if client_id == name:
-            return Presented(client_id, f"{certificate.serial_number:x}")
+            return PresentedCertificate(client_id, f"{certificate.serial_number:x}")
     return None

@@ -16,11 +16,11 @@ from shared.evidence.statement import KEY, PUBLIC_KEY, is_genuine
 from shared.fleet.enrolling import STATEMENT, fingerprint_of, new_secret, renewal_text, request_digest
 from shared.fleet.topics import RULE, VEHICLE
 
-from .authority import Authority, Certified, name_in
+from .authority import Authority, IssuedCertificate, name_in
 
 TOKEN_HOURS = 24
 CLOCK = timedelta(days=2)  # by which a vehicle's clock may be wrong when it renews
-MOST_RENEWALS = 20  # in a day and a vehicle: each adds rows to the keys and the audit
+MAX_RENEWALS = 20  # in a day and a vehicle: each adds rows to the keys and the audit
 Row = tuple[object, ...]
 INSERT_KEY = """
 INSERT INTO certificate (key_id, vehicle, tenant_id, kind, public_key, serial, not_before, not_after)
@@ -28,7 +28,7 @@ VALUES (%s, %s, %s, %s, %s, %s, %s, %s) ON CONFLICT (key_id) DO NOTHING
 """
 
 
-class Proven(NamedTuple):
+class RequestSigner(NamedTuple):
     """Whose certificate a request is signed with."""
 
     vehicle: str
@@ -117,7 +117,7 @@ class Enrolment:
             row = db.execute(query, (hashed,)).fetchone()
         return None if row is None else str(row[0])
 
-    def proven(self, certificate: str, request: str, made_ms: int, signature: bytes) -> Proven:
+    def proven(self, certificate: str, request: str, made_ms: int, signature: bytes) -> RequestSigner:
         """The vehicle that a request for renewal proves to be of; raises `Refusal`. The database is not asked."""
         old = self._authority.issued(certificate)
         vehicle = None if old is None else name_in(old)
@@ -134,7 +134,7 @@ class Enrolment:
             key.verify(signature, renewal_text(request, made_ms), ec.ECDSA(hashes.SHA256()))
         except (InvalidSignature, AssertionError) as error:
             raise Refusal("the request is not signed with the key of the certificate") from error
-        return Proven(vehicle, f"{old.serial_number:x}")
+        return RequestSigner(vehicle, f"{old.serial_number:x}")
 
     def renew(
         self, certificate: str, request: str, made_ms: int, signature: bytes, evidence: Mapping[str, str]
@@ -150,8 +150,8 @@ class Enrolment:
             ).fetchone()
             if row is None or row[1] is not None:
                 raise Refusal("the certificate is revoked; ask the operator of the centre")
-            if _renewed(db, vehicle, datetime.now(UTC)) >= MOST_RENEWALS:
-                raise Refusal(f"this vehicle has renewed {MOST_RENEWALS} times in a day; try again tomorrow")
+            if _renewed(db, vehicle, datetime.now(UTC)) >= MAX_RENEWALS:
+                raise Refusal(f"this vehicle has renewed {MAX_RENEWALS} times in a day; try again tomorrow")
             answer = self._certify(db, int(row[0]), vehicle, request, evidence)
             _note(db, int(row[0]), "renewed", vehicle, evidence[KEY])
         return answer
@@ -169,7 +169,7 @@ class Enrolment:
 
     @staticmethod
     def _register(
-        db: psycopg.Connection, tenant_id: int, vehicle: str, made: Certified, evidence: Mapping[str, str]
+        db: psycopg.Connection, tenant_id: int, vehicle: str, made: IssuedCertificate, evidence: Mapping[str, str]
     ) -> None:
         tls_id = hashlib.sha256(made.public_key).hexdigest()[:16]
         row: Row = (tls_id, vehicle, tenant_id, "tls", made.public_key, made.serial, made.begin, made.end)

@@ -2,7 +2,7 @@
 
 import psycopg
 
-from .callout import JITTER, LIFE_S, Presented
+from .callout import JITTER, LIFE_S, PresentedCertificate
 
 IS_VALID = "SELECT 1 FROM certificate WHERE vehicle = %s AND serial = %s AND kind = 'tls' AND revoked IS NULL"
 # Older ones have no connection any more (callout.py).
@@ -11,14 +11,14 @@ OPTIONS = "-c statement_timeout=4000"  # NATS waits for ten seconds
 Row = tuple[object, ...]
 
 
-class Known:
+class VehicleDatabase:
     """One connection to the database that is made again after it was lost."""
 
     def __init__(self, dsn: str) -> None:
         self._dsn = dsn
         self._db: psycopg.AsyncConnection | None = None
 
-    async def is_valid(self, presented: Presented) -> bool:
+    async def is_valid(self, presented: PresentedCertificate) -> bool:
         """Whether a certificate is one of this centre and not revoked; raises errors of psycopg."""
         return bool(await self._ask(IS_VALID, presented))
 

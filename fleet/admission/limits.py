@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 FREE = 30  # refusals in a period; vehicles of a whole fleet may share an address
 PERIOD_S = 600.0
-KEPT = 4096  # names
+MAX_NAMES = 4096  # names
 
 
 class Refusals:
@@ -31,7 +31,7 @@ class Refusals:
             count, since_s = 0, now_s
         is_full = count >= FREE
         self._counts[name] = (count, since_s) if is_full else (count + 1, since_s)
-        while len(self._counts) > KEPT:
+        while len(self._counts) > MAX_NAMES:
             self._counts.popitem(last=False)
         return since_s + PERIOD_S - now_s if is_full else 0.0
 

@@ -23,7 +23,7 @@ from shared.page.server import make_server
 from .authority import Authority, BadRequest
 from .callout import Callout
 from .enrolment import Enrolment, Refusal
-from .known import Known
+from .known import VehicleDatabase
 from .limits import Refusals
 from .nkeys import Issuer
 from .revocation import Revocation
@@ -31,9 +31,9 @@ from .streams import Streams
 
 log = logging.getLogger(__name__)
 
-MOST_BODY_BYTES = 32_768
+MAX_BODY_BYTES = 32_768
 BODY_S = 10.0  # in which a body must be there
-AT_ONCE = 8  # requests that are verified; more wait
+MAX_CONCURRENT = 8  # requests that are verified; more wait
 AT_ONCE_SUSPECT = 2  # of addresses that were refused too often
 CONNECTIONS, PER_ADDRESS = 400, 64  # vehicles of a whole fleet may share an address
 RENEW_PERIOD_S = 12 * 3600.0  # of looking at the certificate of the servers
@@ -105,7 +105,7 @@ class Answers:
 
     def __init__(self) -> None:
         self._addresses, self._holders = Refusals(), Refusals()
-        self._working, self._suspect = asyncio.Semaphore(AT_ONCE), asyncio.Semaphore(AT_ONCE_SUSPECT)
+        self._working, self._suspect = asyncio.Semaphore(MAX_CONCURRENT), asyncio.Semaphore(AT_ONCE_SUSPECT)
 
     async def answer(
         self,
@@ -160,7 +160,7 @@ async def _body(request: Request) -> bytes | None:
         async with asyncio.timeout(BODY_S):
             async for part in request.stream():
                 data += part
-                if len(data) > MOST_BODY_BYTES:
+                if len(data) > MAX_BODY_BYTES:
                     return None
     except TimeoutError:
         return None
@@ -176,7 +176,7 @@ async def serve(centre: Centre, dsn: str) -> None:
     asyncio.get_running_loop().set_exception_handler(quiet_accept)
     authority = Authority(centre.authority)
     enrolment = Enrolment(lambda: psycopg.connect(dsn, connect_timeout=5), authority, centre.address)
-    known = Known(dsn)
+    known = VehicleDatabase(dsn)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(known.close)
         callout, bus, system = [await _joined(centre, name, stack) for name in ("callout", "admission", "system")]

@@ -20,9 +20,11 @@ log = logging.getLogger(__name__)
 
 CONNECTIONS = "$SYS.REQ.SERVER.PING.CONNZ"
 ANSWERS_S = 2.0  # in which every server of a cluster answers
-MOST_ANSWERS = 64
-LOOK_S = 20.0  # between two looks at the database
-AGAIN_S = 1.5 * LOOK_S  # a connection that was asked about before the revocation may be admitted after the first look
+MAX_ANSWERS = 64
+POLL_PERIOD_S = 20.0  # between two looks at the database
+RETRY_PERIOD_S = (
+    1.5 * POLL_PERIOD_S
+)  # a connection that was asked about before the revocation may be admitted after the first look
 Revoked = Callable[[], Awaitable[list[tuple[str, str]]]]  # TLS keys of the last connections' life, with their vehicles
 
 
@@ -41,7 +43,7 @@ class Revocation:
             self._told.clear()
             await self.look()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._told.wait(), LOOK_S)
+                await asyncio.wait_for(self._told.wait(), POLL_PERIOD_S)
 
     async def look(self) -> None:
         """End the connections of keys that were revoked; what fails is tried again at the next look."""
@@ -53,11 +55,11 @@ class Revocation:
             self._ended_s = {key: at_s for key, at_s in self._ended_s.items() if key in known}
             for vehicle, of_vehicle in keys.items():
                 now_s = time.monotonic()
-                if any(now_s - self._ended_s.get(key, now_s) <= AGAIN_S for key in of_vehicle):
+                if any(now_s - self._ended_s.get(key, now_s) <= RETRY_PERIOD_S for key in of_vehicle):
                     await self.end(vehicle)
                     self._ended_s = dict.fromkeys(of_vehicle, now_s) | self._ended_s
         except Exception as error:  # noqa: BLE001  # of the database or of NATS: the next look is the remedy
-            log.error("connections of a revoked vehicle are not ended, tried again in %d s: %s", LOOK_S, error)
+            log.error("connections of a revoked vehicle are not ended, tried again in %d s: %s", POLL_PERIOD_S, error)
 
     async def _take(self, _message: Msg) -> None:
         self._told.set()
@@ -72,7 +74,7 @@ class Revocation:
     async def _connections(self, vehicle: str) -> list[tuple[str, int]]:
         """Find server and number of each connection that was admitted by this name; raises `TimeoutError`."""
         inbox = self._system.new_inbox()
-        answers = await self._system.subscribe(inbox, max_msgs=MOST_ANSWERS)
+        answers = await self._system.subscribe(inbox, max_msgs=MAX_ANSWERS)
         question = json.dumps({"auth": True, "user": vehicle, "limit": 1024}).encode()
         await self._system.publish(CONNECTIONS, question, inbox)
         found, servers = list[tuple[str, int]](), 0

@@ -11,16 +11,16 @@ from nats.aio.client import Client
 
 ANSWER_S = 2.0
 CREATE = "$JS.API.STREAM.CREATE"
-NOTHING = {"storage": "memory", "max_msg_size": 1}
+SMALLEST_STREAM = {"storage": "memory", "max_msg_size": 1}
 STREAMS: dict[str, dict[str, object]] = {
     "$MQTT_sess": {
         "subjects": ["$MQTT.sess.>"], "retention": "limits", "storage": "memory", "max_msgs_per_subject": 1,
         "max_msg_size": 4096,
     },
-    "$MQTT_rmsgs": {"subjects": ["$MQTT.rmsgs.>"], "retention": "limits", "max_msgs_per_subject": 1, **NOTHING},
-    "$MQTT_msgs": {"subjects": ["$MQTT.msgs.>"], "retention": "interest", "max_consumers": 1, **NOTHING},
-    "$MQTT_qos2in": {"subjects": ["$MQTT.qos2.in.>"], "retention": "limits", **NOTHING},
-    "$MQTT_out": {"subjects": ["$MQTT.out.>"], "retention": "interest", "max_consumers": 1, **NOTHING},
+    "$MQTT_rmsgs": {"subjects": ["$MQTT.rmsgs.>"], "retention": "limits", "max_msgs_per_subject": 1, **SMALLEST_STREAM},
+    "$MQTT_msgs": {"subjects": ["$MQTT.msgs.>"], "retention": "interest", "max_consumers": 1, **SMALLEST_STREAM},
+    "$MQTT_qos2in": {"subjects": ["$MQTT.qos2.in.>"], "retention": "limits", **SMALLEST_STREAM},
+    "$MQTT_out": {"subjects": ["$MQTT.out.>"], "retention": "interest", "max_consumers": 1, **SMALLEST_STREAM},
 }  # fmt: skip
 
 

@@ -21,15 +21,16 @@ from fleet.database.erasure import wait_for_erasures
 UNSAFE_MS = 60_000
 MOVING_M_S = 1.0
 SILENT_MOVING_MS, SILENT_STANDING_MS = 300_000, 86_400_000
-HEARD_MS = 300_000  # vehicles connect again within a minute, and send again within five
-MISSING_MS = 600_000  # retries of a vehicle are up to five minutes apart
-LATE_MS = 300_000
-CALM_MS = 3_600_000
+RECONNECT_TIME_MS = 300_000  # vehicles connect again within a minute, and send again within five
+MISSING_AFTER_MS = 600_000  # retries of a vehicle are up to five minutes apart
+MAX_DELAY_MS = 300_000
+CALM_PERIOD_MS = 3_600_000
 LIMITS = {
-    "unsafe_ms": UNSAFE_MS, "moving": MOVING_M_S, "silent_moving_ms": SILENT_MOVING_MS, "heard_ms": HEARD_MS,
-    "silent_standing_ms": SILENT_STANDING_MS, "missing_ms": MISSING_MS, "late_ms": LATE_MS, "calm_ms": CALM_MS,
+    "unsafe_ms": UNSAFE_MS, "moving": MOVING_M_S, "silent_moving_ms": SILENT_MOVING_MS, "heard_ms": RECONNECT_TIME_MS,
+    "silent_standing_ms": SILENT_STANDING_MS, "missing_ms": MISSING_AFTER_MS, "late_ms": MAX_DELAY_MS,
+    "calm_ms": CALM_PERIOD_MS,
 }  # fmt: skip
-AT_ONCE = 1000  # gaps
+GAPS_PER_TURN = 1000  # gaps
 UNSAFE_CODE = 5  # shared.fleet.batch.VERDICTS
 Row = dict[str, Any]
 
@@ -92,7 +93,7 @@ DELETE FROM missing_reports USING epoch WHERE (missing_reports.vehicle, missing_
 DROPPED = f"""
 WITH untold AS (
     SELECT vehicle, epoch, first_sequence, count - told AS number FROM gap WHERE told < count AND content <> ''
-    LIMIT {AT_ONCE} FOR UPDATE SKIP LOCKED
+    LIMIT {GAPS_PER_TURN} FOR UPDATE SKIP LOCKED
 ), told AS (
     UPDATE gap SET told = count FROM untold
     WHERE (gap.vehicle, gap.epoch, gap.first_sequence) = (untold.vehicle, untold.epoch, untold.first_sequence)

@@ -13,11 +13,11 @@ from psycopg.rows import TupleRow, dict_row
 
 from fleet.database.erasure import wait_for_erasures
 
-from .judge import COLUMNS, MISSING_MS, UNSAFE_CODE, UNSAFE_MS, Row
+from .judge import COLUMNS, MISSING_AFTER_MS, UNSAFE_CODE, UNSAFE_MS, Row
 
 DAY_S = 86_400  # looked back at the start
 DELAY_MS = 30_000  # batches that arrive later than this after their end are late
-AROUND_MS = 600_000  # of the period that is looked at
+MARGIN_MS = 600_000  # of the period that is looked at
 WAITING = """
 CREATE TEMP TABLE IF NOT EXISTS late_unsafe (
     vehicle text, epoch bigint, tenant_id integer, from_ms bigint, to_ms bigint, seen_ms bigint,
@@ -34,7 +34,7 @@ ON CONFLICT (vehicle, epoch) DO UPDATE SET
 """
 WHOLE = f"""
 DELETE FROM late_unsafe AS late USING epoch WHERE (late.vehicle, late.epoch) = (epoch.vehicle, epoch.epoch)
-    AND (epoch.highest <= epoch.received + epoch.lost OR late.seen_ms < %(now)s - {MISSING_MS})
+    AND (epoch.highest <= epoch.received + epoch.lost OR late.seen_ms < %(now)s - {MISSING_AFTER_MS})
 RETURNING late.vehicle, late.epoch, late.tenant_id, late.from_ms, late.to_ms,
     (SELECT min(since_ms) FROM alarm WHERE alarm.vehicle = late.vehicle AND kind = 'unsafe'
         AND since_ms <= late.to_ms AND coalesce(until_ms, late.to_ms) >= late.from_ms) AS alarm_ms,
@@ -102,8 +102,8 @@ def judge_late(db: psycopg.Connection, now_ms: int, back_s: float) -> list[Row]:
 
 
 def _segments(db: psycopg.Connection, late: Row) -> list[TupleRow]:
-    from_ms = min(late["from_ms"], late["alarm_ms"] or late["from_ms"]) - AROUND_MS
-    to_ms = late["to_ms"] + AROUND_MS
+    from_ms = min(late["from_ms"], late["alarm_ms"] or late["from_ms"]) - MARGIN_MS
+    to_ms = late["to_ms"] + MARGIN_MS
     first, last = (datetime.fromtimestamp(ms / 1000, UTC).date() for ms in (from_ms, to_ms))
     values = {
         "vehicle": late["vehicle"], "epoch": late["epoch"], "from": from_ms, "to": to_ms,

@@ -17,14 +17,14 @@ from shared.fleet.topics import ALARM, CHANGED
 
 from .judge import Row, judge
 from .late import DAY_S, judge_late
-from .web_hook import Reach, WebHooks
+from .web_hook import AddressPolicy, WebHooks
 
 log = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
 SLOW_PERIOD_S, LATE_BACK_S = 10.0, 60.0  # a transaction of ingest is seen some time after it has begun
 RETRY_S = 5.0  # after the database could not be used
-DEAF_S = 35.0  # without a word of any ingest, which says something every ten seconds
+INGEST_TIMEOUT_S = 35.0  # without a word of any ingest, which says something every ten seconds
 
 
 class Alarms:
@@ -66,7 +66,7 @@ class Alarms:
         self._db = None
 
 
-async def serve(server: NatsAccess, dsn: str, reach: Reach) -> None:
+async def serve(server: NatsAccess, dsn: str, reach: AddressPolicy) -> None:
     """Work until cancelled; `reach` says where web hooks may be."""
     client = await connected(server, "alarms")
     try:
@@ -78,7 +78,7 @@ async def serve(server: NatsAccess, dsn: str, reach: Reach) -> None:
 
 
 async def _judge(client: Client, alarms: Alarms) -> None:
-    heard_s = time.monotonic() - DEAF_S
+    heard_s = time.monotonic() - INGEST_TIMEOUT_S
 
     async def take(_message: Msg) -> None:
         nonlocal heard_s
@@ -87,7 +87,7 @@ async def _judge(client: Client, alarms: Alarms) -> None:
     await client.subscribe(CHANGED, cb=take)
     try:
         while True:
-            if time.monotonic() - heard_s >= DEAF_S:
+            if time.monotonic() - heard_s >= INGEST_TIMEOUT_S:
                 alarms.deaf()
             try:
                 for row in await asyncio.to_thread(alarms.turn):

@@ -26,11 +26,11 @@ log = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
 TIMEOUT_S = 5.0  # of one alarm, from the name to the answer
-TURN_S = 10.0  # of one tenant, so that no other one waits for longer
-AGAIN_S = 60.0  # after a hook has not answered
+TENANT_TURN_S = 10.0  # of one tenant, so that no other one waits for longer
+RETRY_PERIOD_S = 60.0  # after a hook has not answered
 RETRY_S = 5.0  # after the database could not be used
-MOST_ADDRESS = 500  # characters of an address
-MOST = 20  # alarms of a tenant a turn
+MAX_ADDRESS = 500  # characters of an address
+MAX_ALARMS = 20  # alarms of a tenant a turn
 FOR_HOURS = 24  # after which what could not be told is not tried any more
 # An end is told where the beginning was; an alarm that ended before it could be told comes once, with both.
 DUE = f"""
@@ -41,7 +41,7 @@ SELECT * FROM (
     WHERE web_hook_secret IS NOT NULL AND NOT tenant_id = ANY(%s) AND (
         hooked IS NULL AND raised > now() - interval '{FOR_HOURS} hours' OR
         hooked IS NOT NULL AND hooked_end IS NULL AND ended > now() - interval '{FOR_HOURS} hours')
-) AS due WHERE place <= {MOST} ORDER BY tenant_id, place
+) AS due WHERE place <= {MAX_ALARMS} ORDER BY tenant_id, place
 """
 TOLD = """
 UPDATE alarm SET hooked = coalesce(hooked, now()), hooked_end = CASE WHEN %(ended)s THEN now() END
@@ -68,11 +68,11 @@ def is_web_hook(address: str) -> bool:
         port = parts.port or 443
     except ValueError:
         return False
-    fits = len(address) <= MOST_ADDRESS and parts.scheme == "https" and bool(parts.hostname)
+    fits = len(address) <= MAX_ADDRESS and parts.scheme == "https" and bool(parts.hostname)
     return fits and "@" not in parts.netloc and port > 0
 
 
-class Reach:
+class AddressPolicy:
     """Which IP addresses web hooks may have: public ones, and those of networks that the operator names."""
 
     def __init__(self, networks: Sequence[Network] = ()) -> None:
@@ -112,7 +112,7 @@ def is_public(ip: Address) -> bool:
 class WebHooks:
     """Asks the database each second what is due; `trust` is for tests."""
 
-    def __init__(self, dsn: str, reach: Reach, trust: ssl.SSLContext | None = None) -> None:
+    def __init__(self, dsn: str, reach: AddressPolicy, trust: ssl.SSLContext | None = None) -> None:
         self._dsn = dsn
         self._trust, self._reach = trust or ssl.create_default_context(), reach
         self._db: psycopg.AsyncConnection | None = None
@@ -154,7 +154,7 @@ class WebHooks:
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
         for row in rows:
-            if loop.time() - begun_s > TURN_S:
+            if loop.time() - begun_s > TENANT_TURN_S:
                 return
             try:
                 async with asyncio.timeout(TIMEOUT_S):
@@ -162,7 +162,7 @@ class WebHooks:
             except (OSError, ValueError, asyncio.LimitOverrunError, EOFError) as error:
                 log.warning("a web hook of tenant %d is tried again for %d h: %s", tenant, FOR_HOURS,
                             str(error) or type(error).__name__)  # fmt: skip
-                self._waiting[tenant] = loop.time() + AGAIN_S
+                self._waiting[tenant] = loop.time() + RETRY_PERIOD_S
                 return
             await db.execute(TOLD, {"alarm": row["alarm_id"], "ended": row["until_ms"] is not None})
 

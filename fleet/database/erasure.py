@@ -31,7 +31,7 @@ def wait_for_erasures(cursor: psycopg.Cursor[Any]) -> None:
     cursor.execute("SELECT pg_advisory_xact_lock_shared(%s)", (ERASING,))
 
 
-class Erased(NamedTuple):
+class ErasureReport(NamedTuple):
     """What was erased of a vehicle."""
 
     batches: int
@@ -39,7 +39,7 @@ class Erased(NamedTuple):
     charges_kept: int  # of a toll plaza
 
 
-def erase(db: psycopg.Connection, vehicle: str, who: str) -> Erased | None:
+def erase(db: psycopg.Connection, vehicle: str, who: str) -> ErasureReport | None:
     """Erase positions, events and alarms of a vehicle in one transaction; None: there is no such vehicle.
 
     Keys and audit stay, and charges of a toll plaza, which have a retention of their own. What the vehicle sends
@@ -57,7 +57,7 @@ def erase(db: psycopg.Connection, vehicle: str, who: str) -> Erased | None:
         kept = db.execute("SELECT count(*) FROM event WHERE vehicle = %s", (vehicle,)).fetchone()
         for statement in EMPTY:
             db.execute(statement, (vehicle,))
-        done = Erased(batches, events, 0 if kept is None else int(kept[0]))
+        done = ErasureReport(batches, events, 0 if kept is None else int(kept[0]))
         db.execute(
             "INSERT INTO audit (tenant_id, who, action, vehicle, detail) "
             "VALUES (%s, %s, 'erased', %s, jsonb_build_object('batches', %s::int, 'events', %s::int))",

@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 
 FIRST_TENANT = "demo"
 PERIOD_S = 6 * 3600.0
-AGAIN_S = 60.0  # after a failure
+RETRY_PERIOD_S = 60.0  # after a failure
 
 
 def prepare(dsn: str, passwords: Mapping[str, str]) -> None:
@@ -37,7 +37,7 @@ async def serve(dsn: str, passwords: Mapping[str, str]) -> None:
             removed = await asyncio.to_thread(retain, dsn)
         except (psycopg.Error, SQLAlchemyError) as error:
             log.error("the database is tried again in a minute: %s", reason_of(error))
-            await asyncio.sleep(AGAIN_S)
+            await asyncio.sleep(RETRY_PERIOD_S)
             continue
         if removed.days or removed.rows:
             log.info("removed %d days and %d further rows, which no tenant keeps", *removed)

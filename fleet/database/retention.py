@@ -12,7 +12,7 @@ RENEW_AFTER_END = timedelta(days=180)  # in which a certificate that has ended c
 PART_ROWS = 5000  # a statement: locks and memory stay small
 TOLL = "toll/transaction"  # kept apart
 ENROLMENT_DAYS = 90  # after which a token that was used or has expired is forgotten
-FORGOTTEN_S = 3600  # after which attempts to log in do not count any more
+RETENTION_S = 3600  # after which attempts to log in do not count any more
 PARTITION = re.compile(r"segment_(\d{8})")
 # Rows of one tenant, by a column of days or of milliseconds [UTC].
 OLD_ROWS = {
@@ -39,7 +39,7 @@ SELECT relname FROM pg_class WHERE relkind = 'r' AND relname ~ '^segment_[0-9]{8
 """
 
 
-class Removed(NamedTuple):
+class RetentionReport(NamedTuple):
     """What one run has removed."""
 
     days: int  # partitions
@@ -54,7 +54,7 @@ def make_days(dsn: str, today: date | None = None) -> None:
             db.execute("SELECT ensure_segment_day(%s)", (first + timedelta(days=ahead),))
 
 
-def retain(dsn: str, today: date | None = None) -> Removed:
+def retain(dsn: str, today: date | None = None) -> RetentionReport:
     """Remove what no tenant keeps any more; needs the owner of the database. Raises errors of psycopg.
 
     A day that is older than all tenants keep is detached without a lock that stops ingest, and dropped; of others the
@@ -65,7 +65,7 @@ def retain(dsn: str, today: date | None = None) -> Removed:
         db.execute("SET lock_timeout = '5s'")
         tenants = db.execute("SELECT tenant_id, retention_days, toll_retention_days FROM tenant").fetchall()
         if not tenants:
-            return Removed(0, 0)
+            return RetentionReport(0, 0)
         days = _drop_days(db, today - timedelta(days=max(row[1] for row in tenants)))
         rows = sum(_delete(db, today, *row) for row in tenants)
         db.execute(
@@ -73,8 +73,8 @@ def retain(dsn: str, today: date | None = None) -> Removed:
         )
         db.execute("DELETE FROM certificate WHERE kind = 'tls' AND not_after < now() - %s", (RENEW_AFTER_END,))
         db.execute("DELETE FROM session WHERE expires < now()")
-        db.execute("DELETE FROM attempt WHERE last < now() - make_interval(secs => %s)", (FORGOTTEN_S,))
-    return Removed(days, rows)
+        db.execute("DELETE FROM attempt WHERE last < now() - make_interval(secs => %s)", (RETENTION_S,))
+    return RetentionReport(days, rows)
 
 
 def _drop_days(db: psycopg.Connection, before: date) -> int:

@@ -15,16 +15,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from .keys import Limits
-from .verification import Genuine
+from .verification import VerifiedBatch
 
 MB = 1_000_000
 DAY_S = 86_400.0
 ROW_BYTES = 256  # of a batch with its index
 EVENT_BYTES = 128  # of an event
 REPORT_BYTES = 16  # of a report when it is read
-MOST_VEHICLES = 200_000
-RESERVE = 0.25  # of a tenant's accounts, for vehicles that have used less than `USUAL` of their own day
-USUAL = 0.1
+MAX_VEHICLES = 200_000
+RESERVE = 0.25  # of a tenant's accounts, for vehicles that have used less than `DEFAULT_BUDGET` of their own day
+DEFAULT_BUDGET = 0.1
 VEHICLE, TENANT = "vehicle", "tenant"
 
 
@@ -73,7 +73,7 @@ class _Account:
     @property
     def is_usual(self) -> bool:
         """Whether it was used by less than a part of a day lately."""
-        return self.days >= (self.shape.held - USUAL) * self.day_bytes
+        return self.days >= (self.shape.held - DEFAULT_BUDGET) * self.day_bytes
 
     def take(self, size: int) -> None:
         self.now -= size
@@ -118,12 +118,12 @@ class Budgets:
         account = self._vehicles.pop(vehicle, None) or _Account.full(SHAPES[VEHICLE], day_mb, at_s)
         account.fill(day_mb, at_s)
         self._vehicles[vehicle] = account
-        if len(self._vehicles) > MOST_VEHICLES:
+        if len(self._vehicles) > MAX_VEHICLES:
             self._vehicles.popitem(last=False)
         return account
 
 
-def storage_bytes(one: Genuine) -> int:
+def storage_bytes(one: VerifiedBatch) -> int:
     """About what the database needs for a batch, however well it is compressed."""
     batch = one.batch
     events = sum(EVENT_BYTES + len(json.dumps(event.content)) for event in batch.events)

@@ -12,8 +12,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 if TYPE_CHECKING:
     from shared.fleet.cose import PublicKey
 
-FRESH_S = 30.0  # after which a key is asked for again: a message about a revocation may be lost
-MOST_KEYS = 200_000
+FRESH_FOR_S = 30.0  # after which a key is asked for again: a message about a revocation may be lost
+MAX_KEYS = 200_000
 ED25519_BYTES = 32
 
 
@@ -56,9 +56,9 @@ class Keys:
     def load(self, key_ids: set[str]) -> None:
         """Ask the database for what is not known or old, in one question."""
         now = self._now_s()
-        if len(self._known) > MOST_KEYS:
+        if len(self._known) > MAX_KEYS:
             self._known.clear()
-        wanted = [key_id for key_id in key_ids if now - self._known.get(key_id, (-FRESH_S, None))[0] >= FRESH_S]
+        wanted = [key_id for key_id in key_ids if now - self._known.get(key_id, (-FRESH_FOR_S, None))[0] >= FRESH_FOR_S]
         if wanted:
             found = {row.key_id: row for row in self._ask(wanted)}
             for key_id in wanted:

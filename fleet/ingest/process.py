@@ -13,14 +13,14 @@ from nats.aio.msg import Msg
 
 from fleet.bus import closed, connected
 from fleet.servers.nats import NatsAccess
-from shared.fleet.receipts import MOST_BATCHES, Receipt, Refused, Stored
+from shared.fleet.receipts import MAX_BATCHES, Receipt, RejectedBatch, StoredBatch
 from shared.fleet.topics import BATCH, CHANGED, RECEIPT, REVOKED, subject, vehicle_of
 
 from .budgets import ROW_BYTES, VEHICLE, Budgets, storage_bytes
 from .keys import Keys, Limits
-from .store import Changed, Store, Unusable
-from .verification import FORMAT, KEY, Arrived, Genuine, verified
-from .waiting import Waiting
+from .store import Changed, DatabaseUnavailable, Store
+from .verification import FORMAT, KEY, ReceivedBytes, VerifiedBatch, verified
+from .waiting import TenantQueue
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ TOLD_ROWS = 200  # of `vehicle_now` in a message: the longest has 500 bytes, and
 RETRY_S = 2.0  # after the database could not be used
 BEAT_S = 10.0  # an empty list of changes says after as long that an ingest works
 FLOOD_S = 5.0  # between two looks at what was withheld
-UNKNOWN = 0  # tenant of what no known key of its vehicle has signed
+UNKNOWN_TENANT = 0  # tenant of what no known key of its vehicle has signed
 Counts = Counter[tuple[str, str]]  # batches by vehicle and reason
 
 
@@ -47,7 +47,7 @@ class Ingest:
     def __init__(self, client: Client, store: Store, clock_ms: Callable[[], int] = now_ms) -> None:
         self._client, self._store, self._clock_ms = client, store, clock_ms
         self._keys = Keys(store.keys)
-        self._waiting, self._budgets = Waiting(), Budgets()
+        self._waiting, self._budgets = TenantQueue(), Budgets()
         self._withheld = Counts()  # of each vehicle, and whose account was empty; not told yet
         self._flood_s = self._told_s = -BEAT_S
 
@@ -66,12 +66,12 @@ class Ingest:
             number = len(group)
             try:
                 await self._store_group(group)
-            except Unusable as error:
+            except DatabaseUnavailable as error:
                 log.error("nothing is stored, vehicles will send it again: %s", error)
                 await asyncio.sleep(RETRY_S)
 
-    async def _store_group(self, group: Sequence[Arrived]) -> None:
-        """Store what has come, and answer; raises `Unusable`."""
+    async def _store_group(self, group: Sequence[ReceivedBytes]) -> None:
+        """Store what has come, and answer; raises `DatabaseUnavailable`."""
         changed, answers, forgeries, withheld = await asyncio.to_thread(self._work, group)
         self._withheld += withheld
         await self._tell(changed, answers)
@@ -81,7 +81,7 @@ class Ingest:
             await self._tell_floods()
 
     async def _tell_floods(self) -> None:
-        """Raise the alarm `flood`; raises `Unusable`, and what was counted is told later."""
+        """Raise the alarm `flood`; raises `DatabaseUnavailable`, and what was counted is told later."""
         counts = dict(self._withheld)
         await asyncio.to_thread(self._store.tell_floods, counts, self._clock_ms())
         self._withheld.subtract(counts)
@@ -98,25 +98,25 @@ class Ingest:
         if self._budgets.is_empty(vehicle, time.monotonic()):
             self._withheld[vehicle, VEHICLE] += 1
             return
-        arrived = Arrived.of(vehicle, message.data)
+        arrived = ReceivedBytes.of(vehicle, message.data)
         key = None if arrived.sealed is None else self._keys.find(arrived.sealed.key)
-        self._waiting.add(UNKNOWN if key is None or key.vehicle != vehicle else key.tenant_id, arrived)
+        self._waiting.add(UNKNOWN_TENANT if key is None or key.vehicle != vehicle else key.tenant_id, arrived)
 
     async def _forget(self, message: Msg) -> None:
         with contextlib.suppress(ValueError, KeyError, TypeError):  # from a process of the centre
             self._keys.forget(str(json.loads(message.data)["key"]))
 
     def _work(
-        self, group: Sequence[Arrived]
-    ) -> tuple[list[Changed], dict[str, list[Stored | Refused]], Counts, Counts]:
-        """Verify and store a group; raises `Unusable`.
+        self, group: Sequence[ReceivedBytes]
+    ) -> tuple[list[Changed], dict[str, list[StoredBatch | RejectedBatch]], Counts, Counts]:
+        """Verify and store a group; raises `DatabaseUnavailable`.
 
         Returns rows of `vehicle_now`, answers, forgeries, and what gets no answer since a budget is used up.
         """
-        answers: dict[str, list[Stored | Refused]] = defaultdict(list)
+        answers: dict[str, list[StoredBatch | RejectedBatch]] = defaultdict(list)
         forgeries, withheld = Counts(), Counts()
         self._keys.load({arrived.sealed.key for arrived in group if arrived.sealed is not None})
-        genuine: list[Genuine] = []
+        genuine: list[VerifiedBatch] = []
         at_ms = self._clock_ms()
         for arrived in group:
             key = None if arrived.sealed is None else self._keys.find(arrived.sealed.key)
@@ -124,7 +124,7 @@ class Ingest:
             if (whose := self._withheld_by(arrived, found, Limits() if key is None else key.limits)) is not None:
                 withheld[arrived.vehicle, whose] += 1
                 continue
-            if isinstance(found, Genuine):
+            if isinstance(found, VerifiedBatch):
                 genuine.append(found)
                 continue
             answers[arrived.vehicle].append(found)
@@ -138,26 +138,26 @@ class Ingest:
             self._store.tell_forgeries(dict(forgeries), at_ms)
         return changed, answers, forgeries, withheld
 
-    def _withheld_by(self, one: Arrived, found: Genuine | Refused, limits: Limits) -> str | None:
+    def _withheld_by(self, one: ReceivedBytes, found: VerifiedBatch | RejectedBatch, limits: Limits) -> str | None:
         """Take a batch from the budgets; or say whose is used up."""
-        if isinstance(found, Genuine):
+        if isinstance(found, VerifiedBatch):
             size, tenant = storage_bytes(found), found.tenant_id
         else:
             size, tenant = ROW_BYTES + len(one.data), None
         return self._budgets.withheld(one.vehicle, tenant, limits, size, time.monotonic())
 
-    async def _tell(self, changed: list[Changed], answers: dict[str, list[Stored | Refused]]) -> None:
+    async def _tell(self, changed: list[Changed], answers: dict[str, list[StoredBatch | RejectedBatch]]) -> None:
         now_s = time.monotonic()
         if changed or now_s - self._told_s >= BEAT_S:
             for begin in range(0, max(len(changed), 1), TOLD_ROWS):
                 await self._client.publish(CHANGED, json.dumps(changed[begin : begin + TOLD_ROWS]).encode())
             self._told_s = now_s
         for vehicle, rows in answers.items():
-            for begin in range(0, len(rows), MOST_BATCHES):
-                some = rows[begin : begin + MOST_BATCHES]
+            for begin in range(0, len(rows), MAX_BATCHES):
+                some = rows[begin : begin + MAX_BATCHES]
                 receipt = Receipt(
-                    tuple(row for row in some if isinstance(row, Stored)),
-                    tuple(row for row in some if isinstance(row, Refused)),
+                    tuple(row for row in some if isinstance(row, StoredBatch)),
+                    tuple(row for row in some if isinstance(row, RejectedBatch)),
                 )
                 await self._client.publish(subject(vehicle, RECEIPT), receipt.encode())
 

@@ -12,7 +12,7 @@ from fleet.database.retention import TOLL
 from shared.fleet.batch import Kind
 
 from .keys import KeyRow, Limits
-from .verification import CONFLICT, EPOCHS, FORMAT, Genuine, by_kind, last_position, newest
+from .verification import CONFLICT, EPOCHS, FORMAT, VerifiedBatch, by_kind, last_position, newest
 
 # Rows of a group come by COPY into tables of the connection, and from there where they are not yet.
 STAGING = """
@@ -53,12 +53,12 @@ SELECT new.digest FROM new_event AS new JOIN event AS old USING (vehicle, epoch,
 WHERE (old.utc_ms, old.name, old.content) <> (new.utc_ms, new.name, new.content)
 """
 # An outbox begins an epoch when it is made, or after a conflict, at most once an hour.
-MOST_EPOCHS = 10_000  # of a vehicle
+MAX_EPOCHS = 10_000  # of a vehicle
 KNOWN_EPOCHS = 50_000  # remembered as made
 MAKE_EPOCHS = f"""
 INSERT INTO epoch (vehicle, epoch, tenant_id)
 SELECT * FROM unnest(%(vehicles)s::text[], %(epochs)s::bigint[], %(tenants)s::integer[]) AS new (vehicle, epoch, tenant)
-WHERE (SELECT count(*) FROM epoch AS old WHERE old.vehicle = new.vehicle) < {MOST_EPOCHS} ON CONFLICT DO NOTHING
+WHERE (SELECT count(*) FROM epoch AS old WHERE old.vehicle = new.vehicle) < {MAX_EPOCHS} ON CONFLICT DO NOTHING
 """
 # What has an epoch waits for those that store of the same one, before it looks at what is there: otherwise two of them
 # would not see each other's conflicts and gaps. All take them in one order, so that none waits for one that waits.
@@ -178,12 +178,12 @@ FROM certificate JOIN tenant USING (tenant_id) WHERE key_id = ANY(%s) AND kind =
 Changed = dict[str, object]  # a row of vehicle_now
 
 
-class Unusable(Exception):
+class DatabaseUnavailable(Exception):
     """The database cannot store now; nothing of the group is stored, and vehicles send it again."""
 
 
 class Store:
-    """One connection to the database; after `Unusable` the next call connects again."""
+    """One connection to the database; after `DatabaseUnavailable` the next call connects again."""
 
     def __init__(self, dsn: str) -> None:
         self._dsn = dsn
@@ -192,7 +192,7 @@ class Store:
         self._epochs = set[tuple[str, int]]()
 
     def keys(self, key_ids: list[str]) -> list[KeyRow]:
-        """Ask for evidence keys; raises `Unusable`."""
+        """Ask for evidence keys; raises `DatabaseUnavailable`."""
         try:
             with self._connection().transaction(), self._connection().cursor() as cursor:
                 return [
@@ -204,8 +204,8 @@ class Store:
         except psycopg.Error as error:
             raise self._failed(error) from error
 
-    def store(self, batches: Sequence[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
-        """Store a group in one transaction; raises `Unusable`.
+    def store(self, batches: Sequence[VerifiedBatch]) -> tuple[list[Changed], dict[bytes, str]]:
+        """Store a group in one transaction; raises `DatabaseUnavailable`.
 
         Returns
         -------
@@ -225,11 +225,17 @@ class Store:
             raise self._failed(error) from error
 
     def tell_forgeries(self, counts: dict[tuple[str, str], int], now_ms: int) -> None:
-        """Raise an alarm for batches of a known vehicle's topic that it has not signed; raises `Unusable`."""
+        """Raise an alarm for batches of a known vehicle's topic that it has not signed.
+
+        Raises `DatabaseUnavailable`.
+        """
         self._alarm("signature", "reason", "count", counts, now_ms)
 
     def tell_floods(self, counts: dict[tuple[str, str], int], now_ms: int) -> None:
-        """Raise an alarm for batches that get no receipt, by vehicle and whose budget is used up; raises `Unusable`."""
+        """Raise an alarm for batches that get no receipt, by vehicle and whose budget is used up.
+
+        Raises `DatabaseUnavailable`.
+        """
         self._alarm("flood", "budget", "withheld", counts, now_ms)
 
     def _alarm(
@@ -249,7 +255,7 @@ class Store:
             self._db.close()
         self._db = None
 
-    def _halves(self, batches: Sequence[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
+    def _halves(self, batches: Sequence[VerifiedBatch]) -> tuple[list[Changed], dict[bytes, str]]:
         """Store what can be: few transactions more for each that cannot, those of one vehicle beside each other."""
         changed, refused = list[Changed](), dict[bytes, str]()
         ordered = sorted(batches, key=lambda genuine: genuine.vehicle)
@@ -260,7 +266,7 @@ class Store:
             refused |= why
         return changed, refused
 
-    def _store(self, batches: Sequence[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
+    def _store(self, batches: Sequence[VerifiedBatch]) -> tuple[list[Changed], dict[bytes, str]]:
         usable = list({(batch.vehicle, batch.digest): batch for batch in batches}.values())
         epochs = {
             (genuine.vehicle, genuine.batch.epoch_ms): genuine.tenant_id for genuine in usable if genuine.aside is None
@@ -279,7 +285,7 @@ class Store:
             changed, refused = self._write(cursor, [genuine for genuine in usable if genuine.digest not in beyond])
         return changed, refused | beyond
 
-    def _write(self, cursor: psycopg.Cursor, batches: list[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
+    def _write(self, cursor: psycopg.Cursor, batches: list[VerifiedBatch]) -> tuple[list[Changed], dict[bytes, str]]:
         events = by_kind(batches, Kind.EVENTS)
         segments = [*by_kind(batches, Kind.POSITIONS), *events]
         self._copy_segments(cursor, segments)
@@ -324,7 +330,7 @@ class Store:
             self._days.add(day)
 
     @staticmethod
-    def _copy_segments(cursor: psycopg.Cursor, segments: Iterable[Genuine]) -> None:
+    def _copy_segments(cursor: psycopg.Cursor, segments: Iterable[VerifiedBatch]) -> None:
         with cursor.copy(COPY_SEGMENT) as copy:
             copy.set_types(SEGMENT_TYPES)
             for segment in segments:
@@ -336,7 +342,7 @@ class Store:
                 ))  # fmt: skip
 
     @staticmethod
-    def _copy_events(cursor: psycopg.Cursor, batches: Iterable[Genuine]) -> None:
+    def _copy_events(cursor: psycopg.Cursor, batches: Iterable[VerifiedBatch]) -> None:
         with cursor.copy(COPY_EVENT) as copy:
             for batch in batches:
                 for number, event in enumerate(batch.batch.events, batch.batch.first):
@@ -347,7 +353,7 @@ class Store:
                     ))  # fmt: skip
 
     @staticmethod
-    def _update_now(cursor: psycopg.Cursor, segments: Iterable[Genuine]) -> list[Changed]:
+    def _update_now(cursor: psycopg.Cursor, segments: Iterable[VerifiedBatch]) -> list[Changed]:
         with cursor.copy(COPY_NOW) as copy:
             copy.set_types(NOW_TYPES)
             for segment in segments:
@@ -365,12 +371,12 @@ class Store:
             self._epochs.clear()
         return self._db
 
-    def _failed(self, error: psycopg.Error) -> Unusable:
+    def _failed(self, error: psycopg.Error) -> DatabaseUnavailable:
         self.close()
-        return Unusable(reason_of(error))
+        return DatabaseUnavailable(reason_of(error))
 
 
-def _twice(segments: Sequence[Genuine]) -> dict[bytes, str]:
+def _twice(segments: Sequence[VerifiedBatch]) -> dict[bytes, str]:
     """Find batches of a group with the same sequence numbers as an earlier one of it, and other content."""
     first: dict[tuple[str, int, int], bytes] = {}
     return {
@@ -381,7 +387,7 @@ def _twice(segments: Sequence[Genuine]) -> dict[bytes, str]:
     }
 
 
-def _now_row(one: Genuine) -> tuple[object, ...]:
+def _now_row(one: VerifiedBatch) -> tuple[object, ...]:
     last, since_ms, whole = newest(one.batch)
     known = last_position(one.batch)
 
@@ -419,7 +425,7 @@ def _digests(rows: Iterable[tuple[bytes]]) -> list[bytes]:
     return [bytes(row[0]) for row in rows]
 
 
-def _values(one: Genuine) -> dict[str, object]:
+def _values(one: VerifiedBatch) -> dict[str, object]:
     begin, end = one.batch.span_ms
     return {
         "vehicle": one.vehicle, "epoch": one.batch.epoch_ms, "first": one.batch.first, "count": one.batch.count,

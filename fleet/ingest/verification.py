@@ -4,27 +4,27 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime
 
 from shared.fleet.batch import BadBatch, Batch, Kind, Report
-from shared.fleet.receipts import REASONS, Refused, Stored
-from shared.fleet.sealed import Sealed, chain_digest, receipt_digest, unsealed
+from shared.fleet.receipts import REASONS, RejectedBatch, StoredBatch
+from shared.fleet.sealed import SealedBatch, chain_digest, receipt_digest, unsealed
 
 from .keys import Key
 
 DAY_MS = 86_400_000
 FUTURE_MS = DAY_MS  # a clock that is wrong by more is none
-PAST_MS = 400 * DAY_MS  # nothing is kept that long; each day has a partition of its own
+MAX_AGE_MS = 400 * DAY_MS  # nothing is kept that long; each day has a partition of its own
 SIGNATURE, KEY, VEHICLE, FORMAT, CONFLICT, EPOCHS = REASONS
 
 
 @dataclass(frozen=True)
-class Arrived:
+class ReceivedBytes:
     """Bytes from the topic of a vehicle, read as far as they can be without its key."""
 
     vehicle: str
     data: bytes
-    sealed: Sealed | None  # None: they are no batch
+    sealed: SealedBatch | None  # None: they are no batch
 
     @classmethod
-    def of(cls, vehicle: str, data: bytes) -> "Arrived":
+    def of(cls, vehicle: str, data: bytes) -> "ReceivedBytes":
         """Read the frame."""
         try:
             return cls(vehicle, data, unsealed(data))
@@ -33,7 +33,7 @@ class Arrived:
 
 
 @dataclass(frozen=True)
-class Genuine:
+class VerifiedBatch:
     """A batch that its vehicle has signed."""
 
     vehicle: str
@@ -44,13 +44,13 @@ class Genuine:
     aside: str | None  # why it is set aside: its stamps cannot be
 
     @property
-    def stored(self) -> Stored:
+    def stored(self) -> StoredBatch:
         """How a receipt names it."""
-        return Stored(self.batch.epoch_ms, self.batch.first, receipt_digest(self.data))
+        return StoredBatch(self.batch.epoch_ms, self.batch.first, receipt_digest(self.data))
 
-    def refused(self, reason: str) -> Refused:
+    def refused(self, reason: str) -> RejectedBatch:
         """How a receipt refuses it."""
-        return Refused(*self.stored, reason)
+        return RejectedBatch(*self.stored, reason)
 
     @property
     def day(self) -> date:
@@ -63,11 +63,11 @@ class Genuine:
         return max((report.verdict for report in self.batch.reports), default=None)
 
 
-def verified(arrived: Arrived, key: Key | None, now_ms: int) -> Genuine | Refused:
+def verified(arrived: ReceivedBytes, key: Key | None, now_ms: int) -> VerifiedBatch | RejectedBatch:
     """Verify bytes with the key that they name; what is refused is named by its digest alone."""
 
-    def refused(reason: str) -> Refused:
-        return Refused(0, 0, receipt_digest(arrived.data), reason)
+    def refused(reason: str) -> RejectedBatch:
+        return RejectedBatch(0, 0, receipt_digest(arrived.data), reason)
 
     sealed = arrived.sealed
     if sealed is None:
@@ -82,7 +82,7 @@ def verified(arrived: Arrived, key: Key | None, now_ms: int) -> Genuine | Refuse
         batch = sealed.batch
     except BadBatch:
         return refused(FORMAT)
-    return Genuine(
+    return VerifiedBatch(
         arrived.vehicle, key.tenant_id, arrived.data, chain_digest(arrived.data), batch, _impossible(batch, now_ms)
     )
 
@@ -91,7 +91,7 @@ def _impossible(batch: Batch, now_ms: int) -> str | None:
     begin, end = batch.span_ms
     if max(end, batch.epoch_ms) > now_ms + FUTURE_MS:
         return "future"
-    if begin < now_ms - PAST_MS:
+    if begin < now_ms - MAX_AGE_MS:
         return "past"
     return None
 
@@ -112,6 +112,6 @@ def last_position(batch: Batch) -> Report | None:
     return next((report for report in reversed(batch.reports) if report.latitude_e7 is not None), None)
 
 
-def by_kind(batches: "list[Genuine]", kind: Kind) -> "list[Genuine]":
+def by_kind(batches: "list[VerifiedBatch]", kind: Kind) -> "list[VerifiedBatch]":
     """Choose those of a kind that are not set aside."""
     return [batch for batch in batches if batch.batch.kind is kind and batch.aside is None]

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-MOST_BYTES = 5_000_000  # of a file; one older file is kept beside it
+MAX_BYTES = 5_000_000  # of a file; one older file is kept beside it
 TAIL_BYTES = 4096
 CAUSES = ("PANIC:", "FATAL:", "error:", "[FTL]")  # of PostgreSQL and nats-server
 
@@ -14,7 +14,7 @@ CAUSES = ("PANIC:", "FATAL:", "error:", "[FTL]")  # of PostgreSQL and nats-serve
 class BoundedLog:
     """Takes the output of one program at a time."""
 
-    def __init__(self, path: Path, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, path: Path, most_bytes: int = MAX_BYTES) -> None:
         self.path, self._most_bytes = path, most_bytes
         self._tail = b""
         self._thread: threading.Thread | None = None

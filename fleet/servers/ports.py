@@ -6,7 +6,7 @@ from pathlib import Path
 
 from shared.errors import UserError
 
-LISTENS = "0A"  # state of a socket in /proc/net/tcp
+LISTEN_STATE = "0A"  # state of a socket in /proc/net/tcp
 
 
 def must_be_free(host: str, port: int, setting: str) -> None:
@@ -50,6 +50,6 @@ def _listening(port: int) -> list[str]:
         except FileNotFoundError:
             continue  # a kernel without IPv6
         for words in map(str.split, lines):
-            if words[3] == LISTENS and int(words[1].rpartition(":")[2], 16) == port:
+            if words[3] == LISTEN_STATE and int(words[1].rpartition(":")[2], 16) == port:
                 found.append(words[9])
     return found

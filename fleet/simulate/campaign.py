@@ -21,9 +21,9 @@ from shared.evidence.signer import FileSigner
 
 from . import processes, truth
 from .drive import BATCH, PERIOD_MS, reports
-from .entering import Entered, enter
+from .entering import EnrolledVehicle, enter
 from .mqtt import tls_context
-from .outboxes import Made, MemoryOutbox
+from .outboxes import BatchTruth, MemoryOutbox
 from .traffic import Disturbance, Traffic, Vehicle
 from .unit import Orders, read_truth
 
@@ -34,7 +34,7 @@ UNIT = "unit"
 KILLED = (processes.INGEST, processes.POSTGRES, UNIT, processes.NATS)  # in turn
 FILES_BESIDE = 200  # open files besides connections
 SHOWN_S, SAMPLED_S, LOOK_S = 5.0, 1.0, 0.5
-STALLED_S = 60.0  # without another connection
+STALL_TIMEOUT_S = 60.0  # without another connection
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Campaign:
         return outcome
 
     @property
-    def made(self) -> list[Made]:
+    def made(self) -> list[BatchTruth]:
         """The truth list: every batch of the outboxes in memory."""
         return [made for car in self._cars for made in car.outbox.made]
 
@@ -199,13 +199,13 @@ class Campaign:
                 looked_s = now_s
         return drained_s
 
-    def _entered(self) -> list[Entered]:
+    def _entered(self) -> list[EnrolledVehicle]:
         run = secrets.token_hex(2)
         names = [f"s{run}-{number:05d}" for number in range(self._plan.vehicles)]
         self._say(f"entering {len(names)} vehicles, s{run}-00000 and on")
         return list(enter(self._dsn, self._authority, names))
 
-    def _car(self, number: int, entered: Entered, now_ms: int) -> _Car:
+    def _car(self, number: int, entered: EnrolledVehicle, now_ms: int) -> _Car:
         outbox = MemoryOutbox(entered.name, FileSigner(entered.secret), now_ms, self._plan.retry_s)
         begin_ms = now_ms - self._plan.backlog_s * PERIOD_MS
         car = _Car(number, Vehicle(entered.name, outbox, self._tls(entered.tls)), outbox, begin_ms)
@@ -221,7 +221,7 @@ class Campaign:
     def _tls(self, pem: str) -> Callable[[], ssl.SSLContext]:
         return lambda: tls_context(self._authority.pem, pem)
 
-    def _start_units(self, folder: Path, entered: list[Entered], now_ms: int) -> None:
+    def _start_units(self, folder: Path, entered: list[EnrolledVehicle], now_ms: int) -> None:
         plan, settings = self._plan, self._centre.settings
         for part in range(min(plan.unit_processes, len(entered))):
             vehicles = [
@@ -321,7 +321,7 @@ class Campaign:
             self._turn("connecting")
             if self._traffic.ready > most:
                 most, since_s = self._traffic.ready, time.monotonic()
-            if time.monotonic() > since_s + STALLED_S:
+            if time.monotonic() > since_s + STALL_TIMEOUT_S:
                 why = "".join(f"{text}; " for text, _ in self._traffic.faults.most_common(1))
                 raise UserError(
                     f"{len(self._cars) - most} of {len(self._cars)} vehicles cannot connect: {why}start the centre "

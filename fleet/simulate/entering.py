@@ -27,7 +27,7 @@ KEY_TYPES = ("text", "text", "int4", "text", "bytea", "text", "timestamptz", "ti
 NOTE = "simulated"
 
 
-class Entered(NamedTuple):
+class EnrolledVehicle(NamedTuple):
     """A vehicle with keys that the centre knows."""
 
     name: str
@@ -44,7 +44,7 @@ class _Key(NamedTuple):
     end: datetime | None
 
 
-def enter(dsn: str, authority: Authority, names: Sequence[str], tenant: str = "demo") -> Iterator[Entered]:
+def enter(dsn: str, authority: Authority, names: Sequence[str], tenant: str = "demo") -> Iterator[EnrolledVehicle]:
     """Make keys for each vehicle and enter it; raises `UserError`."""
     with refusals(), psycopg.connect(dsn, connect_timeout=5) as db:
         row = db.execute("SELECT tenant_id FROM tenant WHERE name = %s", (tenant,)).fetchone()
@@ -64,7 +64,7 @@ def enter(dsn: str, authority: Authority, names: Sequence[str], tenant: str = "d
     return (entered for entered, _ in made.values())
 
 
-def _made(authority: Authority, name: str) -> tuple[Entered, tuple[_Key, _Key]]:
+def _made(authority: Authority, name: str) -> tuple[EnrolledVehicle, tuple[_Key, _Key]]:
     secret = secrets.token_bytes(SECRET_BYTES)
     signer = FileSigner(secret)
     key = ec.generate_private_key(ec.SECP256R1())
@@ -73,7 +73,7 @@ def _made(authority: Authority, name: str) -> tuple[Entered, tuple[_Key, _Key]]:
     certified = authority.certify(request.public_bytes(Encoding.PEM).decode(), name)
     tls_id = hashlib.sha256(certified.public_key).hexdigest()[:16]
     text = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
-    return Entered(name, secret, text + certified.pem), (
+    return EnrolledVehicle(name, secret, text + certified.pem), (
         _Key(tls_id, "tls", certified.public_key, certified.serial, certified.begin, certified.end),
         _Key(signer.key_id, "evidence", signer.public_key, None, certified.begin, None),
     )

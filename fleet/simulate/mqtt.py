@@ -10,13 +10,13 @@ from shared.tls import reason_of
 
 CONNECT, CONNACK, PUBLISH, SUBSCRIBE, SUBACK, PINGREQ = 0x10, 0x20, 0x30, 0x82, 0x90, 0xC0
 KEEP_ALIVE_S = 120
-MOST_PACKET_BYTES = 131_072
-MOST_LENGTH_BYTES = 4
+MAX_PACKET_BYTES = 131_072
+MAX_LENGTH_BYTES = 4
 READ_BYTES = 16_384
 READ, WRITE = 1, 2  # as in `selectors`
 
 
-class Broken(Exception):
+class ConnectionLost(Exception):
     """The connection has ended; the text says why."""
 
 
@@ -53,7 +53,7 @@ class Connection:
             self.socket = context.wrap_socket(plain, server_hostname=address[0], do_handshake_on_connect=False)
         except OSError as error:
             plain.close()
-            raise Broken(reason_of(error)) from error
+            raise ConnectionLost(reason_of(error)) from error
         self._is_open = False
         self._in, self._out = bytearray(), bytearray()
         self.wants = WRITE
@@ -63,15 +63,15 @@ class Connection:
         return self.socket.fileno()
 
     def publish(self, topic: str, payload: bytes) -> None:
-        """Send a message; raises `Broken`."""
+        """Send a message; raises `ConnectionLost`."""
         self._send(PUBLISH, _text(topic) + payload)
 
     def ping(self) -> None:
-        """Show that this end is there; raises `Broken`."""
+        """Show that this end is there; raises `ConnectionLost`."""
         self._send(PINGREQ, b"")
 
     def work(self) -> list[bytes]:
-        """Read and write what is possible; give the payloads that have come. Raises `Broken`."""
+        """Read and write what is possible; give the payloads that have come. Raises `ConnectionLost`."""
         try:
             if not self._is_open:
                 self.socket.do_handshake()
@@ -84,7 +84,7 @@ class Connection:
         except ssl.SSLWantWriteError:
             self.wants = WRITE
         except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-            raise Broken(reason_of(error)) from error
+            raise ConnectionLost(reason_of(error)) from error
         return []
 
     def close(self) -> None:
@@ -106,7 +106,7 @@ class Connection:
         except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
             self.wants = READ | WRITE
         except OSError as error:
-            raise Broken(reason_of(error)) from error
+            raise ConnectionLost(reason_of(error)) from error
 
     def _read(self) -> Iterator[bytes]:
         while True:
@@ -115,7 +115,7 @@ class Connection:
             except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
                 return
             if not data:
-                raise Broken("the centre has closed the connection")
+                raise ConnectionLost("the centre has closed the connection")
             self.bytes_in += len(data)
             self._in += data
             while (packet := self._packet()) is not None:
@@ -124,7 +124,7 @@ class Connection:
     def _packet(self) -> tuple[int, bytes] | None:
         """Take one whole packet off what has come: kind and body."""
         size = 0
-        for number in range(MOST_LENGTH_BYTES):
+        for number in range(MAX_LENGTH_BYTES):
             if len(self._in) < 2 + number:
                 return None
             byte = self._in[1 + number]
@@ -132,9 +132,9 @@ class Connection:
             if byte < 0x80:
                 break
         else:
-            raise Broken("a length of no packet")
-        if size > MOST_PACKET_BYTES:
-            raise Broken(f"a packet of {size} bytes")
+            raise ConnectionLost("a length of no packet")
+        if size > MAX_PACKET_BYTES:
+            raise ConnectionLost(f"a packet of {size} bytes")
         begin = 2 + number
         if len(self._in) < begin + size:
             return None
@@ -145,7 +145,7 @@ class Connection:
     def _taken(self, kind: int, body: bytes) -> Iterator[bytes]:
         if kind == CONNACK:
             if body[1:2] != b"\0":
-                raise Broken(f"the centre refuses this vehicle: code {body[1:2].hex()}")
+                raise ConnectionLost(f"the centre refuses this vehicle: code {body[1:2].hex()}")
             self._send(SUBSCRIBE, b"\0\1" + b"".join(_text(topic) + b"\0" for topic in self._topics))
         elif kind == SUBACK:
             self.is_ready = True

@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from services.monitoring.uplink.outbox import Outbox
-from services.monitoring.uplink.sending import RETRY_NS, Sending, Tally
+from services.monitoring.uplink.sending import RETRY_NS, BatchCounters, BatchSelection
 from shared.evidence.signer import Signer
 from shared.fleet.batch import Batch, Kind, Report
 from shared.fleet.receipts import Receipt
 from shared.fleet.sealed import RECEIPT_DIGEST_BYTES, chain_digest, seal
 
 WINDOW = 4
-LONGEST_RETRY = 30  # times the first one
-MOST_BYTES = 1 << 28  # of an outbox on the disk: none is dropped here
+MAX_RETRY = 30  # times the first one
+MAX_BYTES = 1 << 28  # of an outbox on the disk: none is dropped here
 
 
-class Made(NamedTuple):
+class BatchTruth(NamedTuple):
     """A batch, as the truth list has it."""
 
     vehicle: str
@@ -29,7 +29,7 @@ class Made(NamedTuple):
     digest: bytes  # SHA-256
 
 
-class Receipted(Protocol):
+class BatchSender(Protocol):
     """What sends batches until a receipt names them; times in s of any clock."""
 
     @property
@@ -63,7 +63,7 @@ class MemoryOutbox:
     """Batches in memory: the newest first, then the oldest, four in flight."""
 
     def __init__(self, vehicle: str, signer: Signer, epoch_ms: int, retry_s: float) -> None:
-        self.made: list[Made] = []
+        self.made: list[BatchTruth] = []
         self.refused = Counter[str]()
         self.repeated_receipts = 0
         self._vehicle, self._signer, self._epoch_ms, self._retry_s = vehicle, signer, epoch_ms, retry_s
@@ -89,7 +89,7 @@ class MemoryOutbox:
         batch = Batch(Kind.POSITIONS, self._epoch_ms, self._next, len(reports), self._previous, tuple(reports))
         data = seal(batch, self._signer, self._vehicle)
         digest = chain_digest(data)
-        self.made.append(Made(self._vehicle, self._epoch_ms, self._next, len(reports), digest))
+        self.made.append(BatchTruth(self._vehicle, self._epoch_ms, self._next, len(reports), digest))
         self._next, self._previous = self._next + len(reports), digest
         name = digest[:RECEIPT_DIGEST_BYTES]
         self._open[name] = _Entry(data, len(self.made) - 1)
@@ -107,7 +107,7 @@ class MemoryOutbox:
             return None
         entry = self._flying[chosen] = self._open[chosen]
         entry.first_s = now_s if entry.first_s is None else entry.first_s
-        entry.due_s = now_s + self._retry_s * min(1 << min(entry.attempts, 10), LONGEST_RETRY)
+        entry.due_s = now_s + self._retry_s * min(1 << min(entry.attempts, 10), MAX_RETRY)
         entry.attempts += 1
         return entry.data
 
@@ -147,9 +147,9 @@ class DiskOutbox:
     """The outbox of `monitoring.uplink`; its retries are made shorter by a faster clock."""
 
     def __init__(self, path: Path, vehicle: str, signer: Signer, retry_s: float) -> None:
-        self.outbox = Outbox(path, vehicle, time.time_ns() // 1_000_000, MOST_BYTES)
+        self.outbox = Outbox(path, vehicle, time.time_ns() // 1_000_000, MAX_BYTES)
         self._signer, self._speed = signer, RETRY_NS / retry_s  # ns of its clock a second
-        self._sending = Sending(self.outbox, Tally(), Counter())
+        self._sending = BatchSelection(self.outbox, BatchCounters(), Counter())
 
     @property
     def waiting(self) -> int:

@@ -15,15 +15,15 @@ from shared.fleet.cbor import BadCbor
 from shared.fleet.receipts import Receipt
 from shared.fleet.topics import BATCH, RECEIPT, WATCH, topic
 
-from .mqtt import Broken, Connection
-from .outboxes import Receipted
+from .mqtt import Connection, ConnectionLost
+from .outboxes import BatchSender
 
-AT_ONCE = 32  # connections that are being made
+MAX_CONCURRENT = 32  # connections that are being made
 SET_UP_S = 20.0  # for TCP, TLS and MQTT together
 AGAIN_S, LONGEST_AGAIN_S = 1.0, 60.0
-HELD = 0.2  # share of batches that are held back for a time, when they are reordered
+DELAYED_SHARE = 0.2  # share of batches that are held back for a time, when they are reordered
 HELD_S, REPEATED_S = 3.0, 5.0  # at most
-LONGEST_WAIT_S = 0.5
+MAX_WAIT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Vehicle:
     """A vehicle that sends from an outbox."""
 
     name: str
-    outbox: Receipted
+    outbox: BatchSender
     tls: Callable[[], ssl.SSLContext]
     connection: Connection | None = None
     attempts: int = 0
@@ -75,10 +75,10 @@ class Traffic:
         now_s = time.monotonic()
         while self._timers and self._timers[0][0] <= now_s:
             heapq.heappop(self._timers)[2]()
-        while self._queue and len(self._setting_up) < AT_ONCE:
+        while self._queue and len(self._setting_up) < MAX_CONCURRENT:
             self._connect(self._queue.popleft(), now_s)
-        wait_s = self._timers[0][0] - time.monotonic() if self._timers else LONGEST_WAIT_S
-        for key, _ in self._selector.select(max(0.0, min(wait_s, LONGEST_WAIT_S))):
+        wait_s = self._timers[0][0] - time.monotonic() if self._timers else MAX_WAIT_S
+        for key, _ in self._selector.select(max(0.0, min(wait_s, MAX_WAIT_S))):
             self._work(key.data)
         for vehicle in [item for item, until_s in self._setting_up.items() if time.monotonic() > until_s]:
             self._drop(vehicle, "it does not answer")
@@ -95,7 +95,7 @@ class Traffic:
             if draw() < self._disturbance.repeat:
                 self.counts["repeated"] += 1
                 self._later(vehicle, data, REPEATED_S)
-            if self._disturbance.reorder and draw() < HELD:
+            if self._disturbance.reorder and draw() < DELAYED_SHARE:
                 self.counts["held back"] += 1
                 self._later(vehicle, data, HELD_S)
             else:
@@ -125,7 +125,7 @@ class Traffic:
     def _guarded(self, vehicle: Vehicle, work: Callable[[], None]) -> None:
         try:
             self._counted(vehicle, work)
-        except Broken as error:
+        except ConnectionLost as error:
             self._drop(vehicle, str(error))
         else:
             self._watch(vehicle)
@@ -145,7 +145,7 @@ class Traffic:
         topics = topic(vehicle.name, RECEIPT), topic(vehicle.name, WATCH)
         try:
             vehicle.connection = Connection(self._address, vehicle.tls(), vehicle.name, topics)
-        except Broken as error:
+        except ConnectionLost as error:
             self._drop(vehicle, str(error))
             return
         self._setting_up[vehicle] = now_s + SET_UP_S

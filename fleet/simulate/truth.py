@@ -13,7 +13,7 @@ from shared.errors import UserError
 from shared.fleet.batch import BadBatch, Kind
 from shared.fleet.sealed import chain_digest, unsealed
 
-from .outboxes import Made
+from .outboxes import BatchTruth
 
 STORED = """
 SELECT vehicle, epoch, first_sequence, count, digest FROM segment WHERE vehicle = ANY(%s)
@@ -48,27 +48,27 @@ class Verdict:
         )  # fmt: skip
 
 
-def write(path: Path, made: Iterable[Made]) -> None:
+def write(path: Path, made: Iterable[BatchTruth]) -> None:
     """Write the truth list; raises `UserError`."""
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow(Made._fields)
+            writer.writerow(BatchTruth._fields)
             writer.writerows((*item[:-1], item.digest.hex()) for item in made)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}; name another file with --out") from error
 
 
-def compared(dsn: str, vehicles: list[str], made: Iterable[Made]) -> Verdict:
+def compared(dsn: str, vehicles: list[str], made: Iterable[BatchTruth]) -> Verdict:
     """Compare the truth list with the database, batch by batch; raises `UserError`."""
     truth = set(made)
     found = Verdict(made=sum(made.reports for made in truth))
-    rows = Counter[Made]()
+    rows = Counter[BatchTruth]()
     ends: dict[tuple[str, int], list[tuple[int, int]]] = defaultdict(list)
     sums = Counter[tuple[str, int]]()
     with _connected(dsn) as db, db.cursor("stored") as cursor:
         for row in cursor.execute(STORED, (vehicles,) * 3):
-            one = Made(row[0], row[1], row[2], row[3], bytes(row[4]))
+            one = BatchTruth(row[0], row[1], row[2], row[3], bytes(row[4]))
             rows[one] += 1
             sums[one.vehicle, one.epoch_ms] += one.reports
             ends[one.vehicle, one.epoch_ms].append((one.first, one.first + one.reports))

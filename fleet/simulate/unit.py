@@ -20,7 +20,7 @@ from shared.evidence.signer import FileSigner
 from shared.fleet.batch import Report
 
 from .drive import BATCH, PERIOD_MS, reports
-from .entering import Entered
+from .entering import EnrolledVehicle
 from .mqtt import tls_context
 from .outboxes import DiskOutbox
 from .traffic import Disturbance, Traffic, Vehicle
@@ -79,7 +79,7 @@ def read_truth(folder: Path) -> tuple[dict[str, set[int]], dict[str, set[int]]]:
 class Unit:
     """One vehicle of the process."""
 
-    def __init__(self, orders: Orders, entered: Entered, number: int, folder: Path, truth: Truth) -> None:
+    def __init__(self, orders: Orders, entered: EnrolledVehicle, number: int, folder: Path, truth: Truth) -> None:
         self._orders, self._number, self._truth = orders, number, truth
         signer = FileSigner(entered.secret)
         self.outbox = DiskOutbox(folder / f"{entered.name}.sqlite", entered.name, signer, orders.retry_s)
@@ -117,7 +117,7 @@ def run(folder: Path) -> None:
     orders, truth = Orders.read(folder), Truth(folder)
     traffic = Traffic((orders.host, orders.port), Disturbance(orders.repeat, orders.reorder), os.getpid())
     units = [
-        Unit(orders, Entered(name, bytes.fromhex(secret), tls), number, folder, truth)
+        Unit(orders, EnrolledVehicle(name, bytes.fromhex(secret), tls), number, folder, truth)
         for number, name, secret, tls in orders.vehicles
     ]
 

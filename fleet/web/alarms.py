@@ -6,13 +6,13 @@ from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
 from pydantic import Field
 
 from fleet.alarms.signing import new_secret
-from fleet.alarms.web_hook import MOST_ADDRESS, SET, Reach
+from fleet.alarms.web_hook import MAX_ADDRESS, SET, AddressPolicy
 from shared.page.body import json_response
 
 from .access.guard import visitor_of
 from .audit import note
 from .database import Database
-from .live import Live
+from .live import VerdictNotifier
 from .requests import Body, read
 from .tiles import now_ms
 from .told import alarm_with_languages
@@ -39,13 +39,13 @@ RETURNING {COLUMNS}
 class WebHook(Body):
     """Address that is told of alarms; empty: none."""
 
-    address: Annotated[str, Field(max_length=MOST_ADDRESS)]
+    address: Annotated[str, Field(max_length=MAX_ADDRESS)]
 
 
 class AlarmsApi:
     """What the page Alarms asks for."""
 
-    def __init__(self, database: Database, live: Live, reach: Reach) -> None:
+    def __init__(self, database: Database, live: VerdictNotifier, reach: AddressPolicy) -> None:
         self._database, self._live, self._reach = database, live, reach
 
     def add_to(self, app: FastAPI) -> None:

@@ -15,13 +15,13 @@ from fleet.database.refusals import reason_of
 log = logging.getLogger(__name__)
 
 CONNECTIONS = 6
-WAIT_S = 5.0  # for a free connection
+WAIT_TIMEOUT_S = 5.0  # for a free connection
 STATEMENT_MS = 8000
 OPTIONS = f"-c role=fleet_web -c statement_timeout={STATEMENT_MS} -c lock_timeout=2000 -c jit=off"
 AWAY = "the database cannot be used now; what vehicles report is stored when it is back. Try again"
 # What is shown of an event: a vehicle may sign one of 262 kB, and pages list hundreds.
-MOST_CONTENT = 8192  # bytes
-CONTENT = f"""CASE WHEN octet_length(content::text) <= {MOST_CONTENT} THEN content
+MAX_CONTENT = 8192  # bytes
+CONTENT = f"""CASE WHEN octet_length(content::text) <= {MAX_CONTENT} THEN content
     ELSE jsonb_build_object('left_out', octet_length(content::text) || ' bytes') END AS content"""
 Row = dict[str, Any]
 Cursor = psycopg.AsyncCursor[Row]
@@ -59,7 +59,7 @@ class Database:
     @asynccontextmanager
     async def _transaction(self, tenant: str) -> AsyncIterator[Cursor]:
         try:
-            connection = await asyncio.wait_for(self._free.get(), WAIT_S)
+            connection = await asyncio.wait_for(self._free.get(), WAIT_TIMEOUT_S)
         except TimeoutError as error:
             raise HTTPException(503, "the centre is busy; try again", {"Retry-After": "5"}) from error
         try:

@@ -25,7 +25,7 @@ from .vehicles import unknown
 log = logging.getLogger(__name__)
 
 LISTED = 200
-MOST_HOURS = 720
+MAX_HOURS = 720
 TOKENS = f"""
 SELECT token_id AS id, vehicle, (extract(epoch FROM made) * 1000)::bigint AS made_ms, made_by,
     (extract(epoch FROM expires) * 1000)::bigint AS expires_ms, (extract(epoch FROM used) * 1000)::bigint AS used_ms,
@@ -51,7 +51,7 @@ class NewToken(Body):
     """For which vehicle, and how long it may be used."""
 
     vehicle: Annotated[str, Field(max_length=48)] = ""  # empty: the unit's own name
-    hours: Annotated[int, Field(ge=1, le=MOST_HOURS)] = 24
+    hours: Annotated[int, Field(ge=1, le=MAX_HOURS)] = 24
 
 
 class Revocation(Body):

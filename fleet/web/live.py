@@ -29,12 +29,12 @@ log = logging.getLogger(__name__)
 
 PERIOD_S = 0.25
 MOST_PAGES, MOST_OF_TENANT = 200, 100  # of all tenants, and of one
-MOST_CHANGES = 300  # vehicles of a frame; of more the page asks for the list
+MAX_CHANGES = 300  # vehicles of a frame; of more the page asks for the list
 REMEMBERED = 200_000  # vehicles whose last verdict is known
 Changes = dict[str, dict[str, Any]]
 
 
-class Newest(NamedTuple):
+class LatestReport(NamedTuple):
     """The newest report of a vehicle that was heard of."""
 
     epoch: int
@@ -42,21 +42,21 @@ class Newest(NamedTuple):
     utc_ms: int
     verdict: int
 
-    def is_after(self, other: "Newest") -> bool:
+    def is_after(self, other: "LatestReport") -> bool:
         """Order as that of `vehicle_now`: by number within an epoch, else by stamp; a clock may be set back."""
         if self.epoch == other.epoch:
             return self.sequence > other.sequence
         return self.utc_ms > other.utc_ms
 
 
-class Live:
+class VerdictNotifier:
     """Notices changes of verdicts, and tells them and alarms to the pages."""
 
     def __init__(self, nats: Nats, clock_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000) -> None:
         self._nats = nats
         self._begun_ms = clock_ms()
         self._clients: dict[int, Clients] = {}
-        self._newest: OrderedDict[str, Newest] = OrderedDict()
+        self._newest: OrderedDict[str, LatestReport] = OrderedDict()
         self._changes: defaultdict[int, Changes] = defaultdict(dict)
         self._alarms: defaultdict[int, list[object]] = defaultdict(list)
         self._reports: defaultdict[int, int] = defaultdict(int)
@@ -94,7 +94,7 @@ class Live:
 
     def add_alarm(self, tenant_id: int, row: Mapping[str, Any]) -> None:
         """Tell a changed row of `alarm` to the pages of its tenant."""
-        if self._watched(tenant_id) and len(self._alarms[tenant_id]) < MOST_CHANGES:
+        if self._watched(tenant_id) and len(self._alarms[tenant_id]) < MAX_CHANGES:
             self._alarms[tenant_id].append(dict(row))
 
     async def _take_changed(self, message: Msg) -> None:
@@ -106,13 +106,13 @@ class Live:
                     "verdict_since_ms": int() as since_ms,
                 }:  # fmt: skip
                     self._reports[tenant_id] += 1
-                    changed = self._is_change(vehicle, Newest(epoch, sequence, utc_ms, verdict), since_ms)
+                    changed = self._is_change(vehicle, LatestReport(epoch, sequence, utc_ms, verdict), since_ms)
                     if changed and self._watched(tenant_id):
                         self._changes[tenant_id][vehicle] = dict(row)
         while len(self._newest) > REMEMBERED:
             self._newest.popitem(last=False)
 
-    def _is_change(self, vehicle: str, newest: Newest, since_ms: int) -> bool:
+    def _is_change(self, vehicle: str, newest: LatestReport, since_ms: int) -> bool:
         """Remember a report, unless a newer one came before it; whether its verdict is another than before.
 
         Of the first report that is heard of a vehicle: whether its verdict began while this process was there.
@@ -153,7 +153,7 @@ class Live:
 
     def _frame(self, tenant_id: int, changes: Changes, alarms: list[object]) -> Frame:
         self._sent_s[tenant_id] = asyncio.get_running_loop().time()
-        many = len(changes) > MOST_CHANGES
+        many = len(changes) > MAX_CHANGES
         return Frame(to_json({
             "bus": self._nats.is_connected, "reports": self._reports.pop(tenant_id, 0), "many": many,
             "changes": [] if many else list(changes.values()), "alarms": alarms,

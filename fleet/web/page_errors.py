@@ -14,7 +14,7 @@ from .access.guard import visitor_of
 
 log = logging.getLogger(__name__)
 
-LOGGED_S = 1.0  # between two that are logged: a visitor decides how many come
+LOG_PERIOD_S = 1.0  # between two that are logged: a visitor decides how many come
 
 
 class PageErrorsApi:
@@ -23,7 +23,7 @@ class PageErrorsApi:
     def __init__(self) -> None:
         self._count, self._left_out = 0, 0
         self._newest: dict[str, object] | None = None
-        self._logged_s = -LOGGED_S
+        self._logged_s = -LOG_PERIOD_S
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -39,7 +39,7 @@ class PageErrorsApi:
         self._count += 1
         self._newest = {"at_ms": time.time_ns() // 1_000_000, "sentence": report.sentence}
         now_s = time.monotonic()
-        if now_s - self._logged_s >= LOGGED_S:
+        if now_s - self._logged_s >= LOG_PERIOD_S:
             more = f" ({self._left_out} before it are left out)" if self._left_out else ""
             log.error("%s, of %s%s", report.sentence, visitor_of(request).name, more)
             self._logged_s, self._left_out = now_s, 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import uvicorn
 from nats.aio.client import Client
 
-from fleet.alarms.web_hook import Network, Reach
+from fleet.alarms.web_hook import AddressPolicy, Network
 from fleet.bus import closed, connected
 from fleet.centre import check_certificate
 from fleet.servers.nats import NatsAccess
@@ -28,7 +28,7 @@ from .app import make_app
 from .audit import AuditApi
 from .database import Database
 from .enrolment import EnrolmentApi
-from .live import Live
+from .live import VerdictNotifier
 from .page_errors import PageErrorsApi
 from .passages import PassagesApi
 from .tiles import Tiles
@@ -74,7 +74,7 @@ async def serve(settings: WebSettings) -> None:
 
 def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.Server:
     """Put the parts together; raises `UserError`."""
-    sessions, live = Sessions(database, settings.session_h * 3600.0), Live(client)
+    sessions, live = Sessions(database, settings.session_h * 3600.0), VerdictNotifier(client)
     map_file = None if settings.map_file is None else str(settings.map_file)
     gate = WatchGate(database, client, map_file)
     routes = (
@@ -82,7 +82,7 @@ def make(settings: WebSettings, database: Database, client: Client) -> uvicorn.S
         Tiles(database),
         VehiclesApi(database),
         InstalledMap(map_file),
-        AlarmsApi(database, live, Reach(settings.web_hook_networks)),
+        AlarmsApi(database, live, AddressPolicy(settings.web_hook_networks)),
         PassagesApi(database),
         EnrolmentApi(database, client, settings.enrol_url, settings.fingerprint),
         AccountsApi(database, sessions),

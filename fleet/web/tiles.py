@@ -8,25 +8,25 @@ from typing import Annotated
 
 from fastapi import Depends, FastAPI, HTTPException, Path, Query, Request, Response
 
-from shared.fleet.times import OLD_S
+from shared.fleet.times import MAX_AGE_S
 
 from .access.guard import visitor_of
 from .database import Database
 
-MOST_ZOOM = 22
+MAX_ZOOM = 22
 EXTENT = 4096  # units of a tile
 CELLS = 12  # clusters beside each other in a tile of 512 pixels
 SINGLE_ZOOM = 16  # from here on every vehicle is drawn
 MOST_SINGLE = 2000  # vehicles of one cell or tile that are drawn beside each other
 CACHED_S = 2.0
 CACHED_TILES = 2000
-LEAST_SPEED_M_S = 0.5  # at which a course is shown
+MIN_SPEED_M_S = 0.5  # at which a course is shown
 HALF_M = 20_037_508.342789244  # of the square of Web Mercator
 # Conditions of the map and of the list: both show the same vehicles.
 CHOSEN = f"""
     (%(find)s = '' OR position(lower(%(find)s) IN lower(vehicle)) > 0)
     AND (%(verdicts)s::smallint[] IS NULL OR verdict = ANY(%(verdicts)s))
-    AND (%(age)s = 'any' OR (%(now)s - utc_ms > {OLD_S * 1000}) = (%(age)s = 'old'))
+    AND (%(age)s = 'any' OR (%(now)s - utc_ms > {MAX_AGE_S * 1000}) = (%(age)s = 'old'))
     AND (NOT %(alarm)s OR EXISTS (SELECT FROM alarm WHERE alarm.vehicle = vehicle_now.vehicle AND until_ms IS NULL))
 """
 # No vehicle is in two tiles, so that no cluster counts it twice. The worst verdict of a cluster is that of the reports
@@ -35,7 +35,7 @@ CHOSEN = f"""
 FRESH = 16  # more than any verdict: put before those that are not old
 TILE = f"""
 WITH found AS (
-    SELECT vehicle, CASE WHEN %(now)s - utc_ms > {OLD_S * 1000} THEN verdict ELSE verdict + {FRESH} END AS verdict,
+    SELECT vehicle, CASE WHEN %(now)s - utc_ms > {MAX_AGE_S * 1000} THEN verdict ELSE verdict + {FRESH} END AS verdict,
         x_m - %(west)s AS x, y_m - %(south)s AS y
     FROM vehicle_now
     WHERE x_m >= %(west)s AND x_m < %(west)s + %(size)s AND y_m >= %(south)s AND y_m < %(south)s + %(size)s AND {CHOSEN}
@@ -50,7 +50,7 @@ WITH found AS (
     SELECT ST_MakePoint(x * {EXTENT} / %(size)s, {EXTENT} - y * {EXTENT} / %(size)s) AS geometry,
         vehicles, cluster.verdict %% {FRESH} AS verdict, old, one.vehicle AS name,
         ((%(now)s - one.utc_ms) / 1000)::int AS age_s,
-        CASE WHEN one.north_m_s * one.north_m_s + one.east_m_s * one.east_m_s > {LEAST_SPEED_M_S**2}
+        CASE WHEN one.north_m_s * one.north_m_s + one.east_m_s * one.east_m_s > {MIN_SPEED_M_S**2}
             THEN round(degrees(atan2(one.east_m_s, one.north_m_s)))::int END AS course_deg
     FROM cluster LEFT JOIN vehicle_now AS one ON vehicles = 1 AND one.vehicle = name
 )
@@ -114,9 +114,9 @@ class Tiles:
     async def tile(
         self,
         request: Request,
-        zoom: Annotated[int, Path(ge=0, le=MOST_ZOOM)],
-        x: Annotated[int, Path(ge=0, lt=2**MOST_ZOOM)],
-        y: Annotated[int, Path(ge=0, lt=2**MOST_ZOOM)],
+        zoom: Annotated[int, Path(ge=0, le=MAX_ZOOM)],
+        x: Annotated[int, Path(ge=0, lt=2**MAX_ZOOM)],
+        y: Annotated[int, Path(ge=0, lt=2**MAX_ZOOM)],
         chosen: Annotated[Filter, Depends(filter_of)],
     ) -> Response:
         """One tile; 204 where there is no vehicle."""

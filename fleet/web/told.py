@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from fleet.alarms.codes import code_of
 from shared.messages.explanation import Explanation
-from shared.words.words import LANGUAGES, Told, Words, words
+from shared.words.words import LANGUAGES, CodedText, Words, words
 
 from .database import Row
 
@@ -57,4 +57,4 @@ def _told(text: object, code: object, spoken: Words) -> object:
         explanation = Explanation.model_validate_json(json.dumps(code))
     except (ValidationError, RecursionError):
         return text
-    return spoken.told(Told(text if isinstance(text, str) else "", explanation)) or text
+    return spoken.told(CodedText(text if isinstance(text, str) else "", explanation)) or text

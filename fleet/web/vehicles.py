@@ -9,7 +9,7 @@ from fastapi import Depends, FastAPI, HTTPException, Path, Query, Request, Respo
 
 from shared.fleet.batch import BadBatch, Kind
 from shared.fleet.sealed import unsealed
-from shared.fleet.times import OLD_S
+from shared.fleet.times import MAX_AGE_S
 from shared.fleet.topics import VEHICLE
 from shared.page.body import json_response
 from shared.words.words import words
@@ -33,11 +33,11 @@ NOW = """
 ALARMS = "ARRAY(SELECT kind FROM alarm WHERE alarm.vehicle = vehicle_now.vehicle AND until_ms IS NULL ORDER BY kind)"
 LIST = f"""
 SELECT {NOW}, {ALARMS} AS alarms FROM vehicle_now WHERE {CHOSEN}
-ORDER BY (verdict = 5) DESC, (%(now)s - utc_ms > {OLD_S * 1000}), verdict DESC, vehicle
+ORDER BY (verdict = 5) DESC, (%(now)s - utc_ms > {MAX_AGE_S * 1000}), verdict DESC, vehicle
 LIMIT {LISTED} OFFSET %(skip)s
 """
 COUNTS = f"""
-SELECT verdict, %(now)s - utc_ms > {OLD_S * 1000} AS old, count(*) AS vehicles FROM vehicle_now GROUP BY 1, 2
+SELECT verdict, %(now)s - utc_ms > {MAX_AGE_S * 1000} AS old, count(*) AS vehicles FROM vehicle_now GROUP BY 1, 2
 """
 EXTENT = """
 SELECT min(longitude_deg) AS west, min(latitude_deg) AS south, max(longitude_deg) AS east, max(latitude_deg) AS north

@@ -23,8 +23,8 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from ..errors import BadPayload, UserError
 from ..messages.base import Message, Sender
-from ..messages.operation import Carried, MessageKind, ProcessHealth, ProcessState
-from ..runtime.alive import Alive
+from ..messages.operation import MessageKind, ProcessHealth, ProcessState, TopicTraffic
+from ..runtime.alive import LivenessSignal
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.credentials import OBSERVER, Identity, identity_of, observer_of, replay_of
@@ -45,13 +45,13 @@ HUNG_S = 12.0  # without a heartbeat, after which the process ends itself and te
 KEEP_ALIVE_S = 5
 CONNECT_S = 1.0  # timeout; shorter than the time between SIGTERM and SIGKILL
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
-STEADY_S = 3.0  # a shorter connection counts as failed: two clients of one name disconnect each other
+STABLE_AFTER_S = 3.0  # a shorter connection counts as failed: two clients of one name disconnect each other
 QUEUE_LENGTH = 2000
 IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
 REFUSAL = re.compile(rb"\bClient (.{1,64}?) disconnected, not authori[sz]ed")
-CROWDED = re.compile(rb"\bClient connection from .{1,100}? denied: max_connections exceeded")
+TOO_MANY_CONNECTIONS = re.compile(rb"\bClient connection from .{1,100}? denied: max_connections exceeded")
 REFUSED_KEPT = 8
-MOST_READS = 64  # per call, so that a flood of messages does not stop the loop
+MAX_READS = 64  # per call, so that a flood of messages does not stop the loop
 
 
 class Bus:
@@ -97,7 +97,7 @@ class Bus:
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = self._brief = self._tables = 0
         self._connected_s = 0.0
-        self._alive: Alive | None = None  # of a process that is watched
+        self._alive: LivenessSignal | None = None  # of a process that is watched
         self._observer, self._guarded, self._hears_broker = observer, False, False
         self._identity = self._identify()
         self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
@@ -261,7 +261,9 @@ class Bus:
             pss_bytes=self._memory.read(),
             last_error=self.last_error or self._end.reason,
             published=tuple(
-                Carried(topic=name, count=count, newest_ns=sent_ns, stamp_ns=codec.stamp_ns(BY_NAME[name], payload))
+                TopicTraffic(
+                    topic=name, count=count, newest_ns=sent_ns, stamp_ns=codec.stamp_ns(BY_NAME[name], payload)
+                )
                 for name, (count, sent_ns, payload) in self._published.items()
             ),
             received=tuple(_received(name, count, newest) for name, (count, newest) in self._received.items()),
@@ -274,7 +276,7 @@ class Bus:
 
     def guard(self) -> None:
         """End the program if `receive` is not called for `HUNG_S`; its next run tells where it hung."""
-        self._guarded, self._alive = True, Alive()
+        self._guarded, self._alive = True, LivenessSignal()
         self._end.begin()
 
     def failed(self, error: BaseException) -> None:
@@ -344,7 +346,7 @@ class Bus:
         readable = readable or waiting
         if writable:
             client.loop_write()
-        for _ in range(MOST_READS):
+        for _ in range(MAX_READS):
             if not readable:
                 break
             client.loop_read()
@@ -400,7 +402,7 @@ class Bus:
         if found := REFUSAL.search(line):
             self.refusals += 1
             self.refused = [*self.refused[1 - REFUSED_KEPT :], found[1].decode("utf-8", "replace")]
-        elif CROWDED.search(line):
+        elif TOO_MANY_CONNECTIONS.search(line):
             self.crowded += 1
 
     def _on_disconnect(
@@ -415,7 +417,7 @@ class Bus:
         if self.stopping:
             return
         self.reconnections += 1
-        if time.monotonic() - self._connected_s < STEADY_S:
+        if time.monotonic() - self._connected_s < STABLE_AFTER_S:
             self._brief += 1
         else:
             self._attempts = self._brief = self._tables = 0
@@ -483,11 +485,11 @@ def decoded(bus: Bus, envelope: Envelope) -> Message | None:
         return None
 
 
-def _received(name: str, count: int, newest: Envelope | None) -> Carried:
+def _received(name: str, count: int, newest: Envelope | None) -> TopicTraffic:
     if newest is None:
-        return Carried(topic=name, count=count)
+        return TopicTraffic(topic=name, count=count)
     stamp_ns = codec.stamp_ns(BY_NAME[name], newest.payload)
-    return Carried(
+    return TopicTraffic(
         topic=name, count=count, newest_ns=newest.received_ns, stamp_ns=stamp_ns, producer=newest.producer
     )  # fmt: skip
 

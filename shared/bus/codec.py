@@ -6,7 +6,7 @@ from functools import cache
 from pydantic import ValidationError
 
 from ..errors import BadPayload
-from ..maths.dates import BEYOND_NS
+from ..maths.dates import END_DATE_NS
 from ..messages.base import Message, Sender
 from ..topics import BY_MESSAGE, Topic, topic_of
 
@@ -72,8 +72,8 @@ def stamp_ns(topic: Topic, payload: bytes) -> int | None:
     """Find the stamp of a message without decoding it: arrival at the driver, else when it was true; None without."""
     pattern = _stamp_pattern(topic.message)
     match = pattern.search(payload, 0, HEAD_BYTES) if pattern else None
-    stamp = int(match[1]) if match else BEYOND_NS
-    return stamp if stamp < BEYOND_NS else None
+    stamp = int(match[1]) if match else END_DATE_NS
+    return stamp if stamp < END_DATE_NS else None
 
 
 @cache

@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 from ..messages.operation import DeviceFound
 
-SILENT_S = 5.0  # without a frame, as of the topic can/raw
-RECENT_S = 5.0  # in which error frames count as now
+SILENCE_TIMEOUT_S = 5.0  # without a frame, as of the topic can/raw
+RECENT_WINDOW_S = 5.0  # in which error frames count as now
 
 
 class BusWatch:
@@ -42,11 +42,11 @@ class BusWatch:
     def found(self) -> DeviceFound:
         """Working, silent, or nothing but error frames; searching in the first seconds."""
         now_s = self._clock_s()
-        if self._frame_s is not None and now_s - self._frame_s < SILENT_S:
+        if self._frame_s is not None and now_s - self._frame_s < SILENCE_TIMEOUT_S:
             return DeviceFound.WORKING
-        if self._error_s is not None and now_s - self._error_s < RECENT_S:
+        if self._error_s is not None and now_s - self._error_s < RECENT_WINDOW_S:
             return DeviceFound.NOISE
-        return DeviceFound.SEARCHING if now_s - self._start_s < SILENT_S else DeviceFound.SILENT
+        return DeviceFound.SEARCHING if now_s - self._start_s < SILENCE_TIMEOUT_S else DeviceFound.SILENT
 
     @property
     def protocols(self) -> tuple[str, ...]:
@@ -57,7 +57,7 @@ class BusWatch:
         """What was found, and what to do about it."""
         match self.found:
             case DeviceFound.WORKING:
-                disturbed = self._error_s is not None and self._clock_s() - self._error_s < RECENT_S
+                disturbed = self._error_s is not None and self._clock_s() - self._error_s < RECENT_WINDOW_S
                 more = f"; {self._errors} error frames so far: check the termination and the ground of the bus"
                 return f"CAN frames{more * disturbed}"
             case DeviceFound.NOISE:
@@ -69,7 +69,8 @@ class BusWatch:
                 return "listening: no frame so far"
             case _:
                 return (
-                    f"no frame on {self._name} for {SILENT_S:g} s: the bus sleeps (switch the ignition on), its "
+                    f"no frame on {self._name} for {SILENCE_TIMEOUT_S:g} s: the bus sleeps (switch the ignition on), "
+                    "its "
                     "bitrate differs, H or L is open, or a gateway lets nothing through unasked (set obd_period_s)"
                 )
 

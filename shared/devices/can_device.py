@@ -22,8 +22,8 @@ from .device import Device, DeviceBusy, DeviceLost, open_device, split_url
 from .elm327_device import ElmDevice
 
 NS = 1_000_000_000
-MOST_FRAMES = 500  # in one read
-KNOWN: dict[str, set[str]] = {
+MAX_FRAMES = 500  # in one read
+KNOWN_OPTIONS: dict[str, set[str]] = {
     "socketcan": set(), "slcan": {"bitrate", "baud"}, "elm327": {"baud"}, "elm327+tcp": set(),
     "udp-multicast": {"port"}, "virtual": set(), "file": set(),
 }  # fmt: skip
@@ -37,7 +37,7 @@ MULTICAST_PORT = 43113  # of python-can
 FLOW_CONTROL = bytes.fromhex("3000000000000000")  # ISO 15765-2: continue to send, any number of frames, without a pause
 FLOW_CONTROL_S = 2.0  # after a request, for which an answer of several frames may come
 LOG_LINE = "(1436509052.249713) can0 7E8#03410D3200000000"
-LONGEST_LINE = 1024  # as candump shows a frame of 64 bytes with its text: 310
+MAX_LINE = 1024  # as candump shows a frame of 64 bytes with its text: 310
 WITHOUT_STAMPS_NS = 10_000_000  # between the frames of a log without time stamps
 ERROR_FLAG = 0x20000000  # of the identifier of an error frame, as in the kernel and in candump's logs
 _STAMP = (
@@ -55,7 +55,7 @@ Clock = Callable[[], int]
 
 def check_can_url(url: str) -> None:
     """Raise `UserError` for an invalid URL."""
-    parts, options = split_url(url, KNOWN, EXAMPLES)
+    parts, options = split_url(url, KNOWN_OPTIONS, EXAMPLES)
     if parts.scheme == "slcan" and options.get("bitrate", 500_000) not in BITRATES:
         raise UserError(f"device {url!r}: bitrate must be one of {', '.join(map(str, BITRATES))}")
     if parts.scheme == "elm327+tcp":
@@ -77,7 +77,7 @@ def only_answers(url: str) -> bool:
 def open_can(url: str, request_identifier: int, now_ns: Clock) -> Device:
     """Open a CAN interface or a log; raises `DeviceLost` if it is not available, `UserError` if the URL is invalid."""
     check_can_url(url)
-    parts, options = split_url(url, KNOWN, EXAMPLES)
+    parts, options = split_url(url, KNOWN_OPTIONS, EXAMPLES)
     name = parts.netloc + parts.path
     if parts.scheme == "elm327":
         port = open_device(f"serial://{name}?baud={options.get('baud', ELM_BAUD)}")
@@ -116,7 +116,7 @@ class CanDevice:
         """Return the received frames as candump lines."""
         lines: list[bytes] = []
         try:
-            while len(lines) < MOST_FRAMES and (frame := self._bus.recv(0 if lines else wait_s)) is not None:
+            while len(lines) < MAX_FRAMES and (frame := self._bus.recv(0 if lines else wait_s)) is not None:
                 lines.append(self._line(frame))
                 self._watch(frame)
         except (can.CanError, OSError) as error:
@@ -185,7 +185,7 @@ class LogDevice:
         lines: list[bytes] = []
         until_s = (self._next[0] + self._offset_ns - self._now_ns()) / NS if self._next else wait_s
         time.sleep(min(max(until_s, 0.0), wait_s))
-        while self._next and len(lines) < MOST_FRAMES and self._next[0] + self._offset_ns <= self._now_ns():
+        while self._next and len(lines) < MAX_FRAMES and self._next[0] + self._offset_ns <= self._now_ns():
             lines.append(stamped_line(self._next[0] + self._offset_ns, self._next[1]))
             self.search.frames += 1
             self._next = self._scan()
@@ -206,7 +206,7 @@ class LogDevice:
     def _scan(self) -> tuple[int, str] | None:
         """Time stamp [ns] and remainder of the next valid line; None at the end."""
         # A file without ends of lines is read in pieces.
-        while line := self._file.readline(LONGEST_LINE):
+        while line := self._file.readline(MAX_LINE):
             if found := frame_of(line):
                 time_ns, rest = found
                 self._last_ns = self._last_ns + WITHOUT_STAMPS_NS if time_ns is None else time_ns

@@ -54,7 +54,7 @@ class Device(Protocol):
         ...
 
 
-class Found(Protocol):
+class DeviceFindings(Protocol):
     """What a device finds out about itself while it is read."""
 
     @property

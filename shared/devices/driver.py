@@ -11,19 +11,19 @@ from ..bus.bus import Bus, Envelope
 from ..messages.base import Message
 from ..messages.operation import DeviceFound, DeviceState, HostClock, Origin, OriginKind
 from ..runtime.clock import maximum_error_s
-from .device import Device, DeviceBusy, DeviceLost, Found
+from .device import Device, DeviceBusy, DeviceFindings, DeviceLost
 
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.5, 1.0, 2.0, 5.0)
-WAIT_S = 0.02  # timeout of the first byte of a chunk
+WAIT_TIMEOUT_S = 0.02  # timeout of the first byte of a chunk
 CHUNK_BYTES = 16384
 ORIGIN_S = 2.0
 HOST_CLOCK_S = 10.0
 FAULTY = (DeviceFound.SILENT, DeviceFound.NOISE, DeviceFound.OTHER)
 
 
-class Writable(Protocol):
+class WritableDevice(Protocol):
     """What a device and a radio have in common."""
 
     def write(self, data: bytes, /) -> None:
@@ -35,7 +35,7 @@ class Writable(Protocol):
         ...
 
 
-D = TypeVar("D", bound=Writable)
+D = TypeVar("D", bound=WritableDevice)
 
 
 class Connection(Generic[D]):
@@ -129,7 +129,7 @@ class Link(Connection[Device]):
         self._gap_s, self._chunk_s = gap_s, chunk_s
 
     @property
-    def search(self) -> Found | None:
+    def search(self) -> DeviceFindings | None:
         """What is known of the open device; None while it is absent, or where it is not watched."""
         return getattr(self._device, "search", None)
 
@@ -238,7 +238,7 @@ def run_driver(
     while not bus.stopping and not bus.connected:  # data published before would be lost
         bus.receive(0.1)
     while not bus.stopping:
-        data, received_ns = link.read(bus, WAIT_S)
+        data, received_ns = link.read(bus, WAIT_TIMEOUT_S)
         if data:
             bus.publish(make_raw(data, received_ns))
         handle(bus.receive(0.0 if link.present else 0.1))

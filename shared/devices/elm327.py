@@ -16,9 +16,9 @@ from ..messages.operation import DeviceFound
 from .elm327_lines import AnswerLines, ElmFrame
 
 RATES = (38400, 9600, 115200, 230400, 500000)  # of adapters as delivered; 38400 is the ELM327's own
-MOST_BYTES = 4096  # of one answer: the longest has 4095 bytes, but the adapter's own memory holds 512
-MOST_LINE = 64  # an identifier and eight bytes, with blanks: 32
-MOST_PENDING = 8  # requests that wait for the adapter
+MAX_BYTES = 4096  # of one answer: the longest has 4095 bytes, but the adapter's own memory holds 512
+MAX_LINE = 64  # an identifier and eight bytes, with blanks: 32
+MAX_PENDING = 8  # requests that wait for the adapter
 RESET_S = 4.0  # ATZ: an original takes about 1 s, and slow clones three times that
 COMMAND_S = 2.0
 REQUEST_S = 12.0  # the search for the vehicle's protocol tries up to ten
@@ -104,7 +104,7 @@ class Elm327:
         text = payload.hex().upper()
         if text in self._pending or (self._waiting is not None and self._waiting.text == text):
             return True
-        if len(self._pending) >= MOST_PENDING:
+        if len(self._pending) >= MAX_PENDING:
             return False
         self._pending.append(text)
         return True
@@ -122,7 +122,7 @@ class Elm327:
             self.rejects["adapter_byte"] += noise
         self._buffer += clean
         *lines, self._buffer = re.split(rb"[\r\n]|(?<=>)", self._buffer)
-        if len(self._buffer) > MOST_LINE:
+        if len(self._buffer) > MAX_LINE:
             self.rejects["adapter_line"] += 1
             self._buffer = b""
         for line in lines:
@@ -235,7 +235,7 @@ class Elm327:
 
     def _line(self, line: str, now_s: float) -> Iterator[ElmFrame]:
         self._answer_bytes += len(line)
-        if self._answer_bytes > MOST_BYTES:  # an answer without end
+        if self._answer_bytes > MAX_BYTES:  # an answer without end
             self.rejects["adapter_line"] += 1
             self._begin_again()
             return

@@ -11,7 +11,7 @@ ENGINE = 0x7E8  # of answers without an identifier
 OLDER = "12345"  # protocols whose messages have three bytes of header and one that checks them: J1850 and K-line
 WITH_SUM = "345"  # the last byte is the sum of those before it
 ANSWERS = (*range(0x41, 0x4B), 0x7F)  # first byte: to modes 01 to 0A, and that a request is refused (SAE J1979)
-MOST_DIGITS = 24  # an identifier of 29 bits and eight bytes
+MAX_DIGITS = 24  # an identifier of 29 bits and eight bytes
 _HEX = re.compile(r"[0-9A-F]+")
 _IDENTIFIER = re.compile(r"7E[89A-F]")
 _LENGTH = re.compile(r"[0-9A-F]{3}")  # of an answer of several lines, without identifiers
@@ -56,7 +56,7 @@ class AnswerLines:
         """
         if part := _PART.fullmatch(digits):
             return self._numbered(int(part[1], 16), bytes.fromhex(part[2]))
-        if not _HEX.fullmatch(digits) or len(digits) > MOST_DIGITS:
+        if not _HEX.fullmatch(digits) or len(digits) > MAX_DIGITS:
             raise ValueError("no frame")
         if _LENGTH.fullmatch(digits) and not _IDENTIFIER.fullmatch(digits):
             self._length = int(digits, 16)

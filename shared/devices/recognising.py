@@ -13,7 +13,7 @@ BY_ID = Path("/dev/serial/by-id")  # links that udev makes of vendor, product an
 WITHOUT_RATE = ("ttyACM",)  # USB devices that ignore the rate of their port
 
 
-class Recognising:
+class RateRecognition:
     """Passes bytes on, unless they came at a rate that is not known to be right."""
 
     def __init__(self, device: Device, search: Search) -> None:
@@ -57,7 +57,7 @@ class Port:
         self._link: Path | None = None  # stable name of the port that worked
         self.opened_as: str | None = None
 
-    def open(self, *, may_write: bool = True) -> Recognising:
+    def open(self, *, may_write: bool = True) -> RateRecognition:
         """Open the device, which may be asked what it is; raises `DeviceLost`."""
         parts = urlsplit(self.url)
         named = parts.scheme == "serial" and not parts.netloc
@@ -72,7 +72,7 @@ class Port:
         search = Search(self._kind, rate, may_write=may_write and parts.scheme != "file")
         if parts.scheme != "serial":
             search.remedy = "check that its server has data" if parts.scheme == "tcp" else "the file has ended"
-        return Recognising(device, search)
+        return RateRecognition(device, search)
 
     def _stable_name(self, path: Path) -> Path | None:
         """The link of udev that leads to a port."""

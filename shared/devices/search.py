@@ -1,19 +1,19 @@
 """Finds out what a device speaks, and at which rate of its port: by its bytes, never by a fix.
 
-The state machine has no clock and no port: `Recognising` in `recognising.py` gives it bytes and time. It listens at
+The state machine has no clock and no port: `RateRecognition` in `recognising.py` gives it bytes and time. It listens at
 each rate first. Only then it asks at each rate, and only where it may: at a wrong rate a question is noise.
 """
 
 from dataclasses import dataclass
 
 from ..messages.operation import DeviceFound
-from ..protocols.recognition import Recognised, recognise
+from ..protocols.recognition import ProtocolCounts, recognise
 from ..protocols.registry import BY_NAME, PROTOCOLS, read_at
 
 RATES = (38400, 9600, 115200, 460800, 921600, 230400)  # of receivers as delivered, the most frequent first
 LISTEN_S = 1.2  # a rate: a burst comes once a second
 ANSWER_S = 0.6  # a question
-REST_S = 10.0  # after a search that found nothing, and without messages after which a new search begins
+SEARCH_PAUSE_S = 10.0  # after a search that found nothing, and without messages after which a new search begins
 SAMPLE_BYTES = 4096
 
 
@@ -130,7 +130,7 @@ class Search:
             return Step(before, self.rate_baud, question.ask)
         return self._fail(now_s, before)
 
-    def _settle(self, seen: Recognised, now_s: float) -> bool:
+    def _settle(self, seen: ProtocolCounts, now_s: float) -> bool:
         """Whether a protocol that is read here was found."""
         names = tuple(name for name in seen.names if name in self._wanted)
         certain = [name for name in names if BY_NAME[name].framing.least == 1]
@@ -149,7 +149,7 @@ class Search:
         else:
             self.found = DeviceFound.NOISE if self._noise_bytes else DeviceFound.SILENT
             self.protocols = ()
-        self._until_s = self._message_s = now_s + REST_S
+        self._until_s = self._message_s = now_s + SEARCH_PAUSE_S
         return Step(before, self.rate_baud)
 
     def _watch(self, now_s: float) -> Step | None:
@@ -162,7 +162,7 @@ class Search:
             self.found, self._message_s = DeviceFound.WORKING, now_s
             self.protocols = tuple(dict.fromkeys((*self.protocols, *names))) if self.protocols else names
         self._sample = b""
-        if now_s - self._message_s < (REST_S if self.found is DeviceFound.WORKING else 0.0):
+        if now_s - self._message_s < (SEARCH_PAUSE_S if self.found is DeviceFound.WORKING else 0.0):
             return None
         self.found, self._place, self._noise_bytes, self._other = DeviceFound.SEARCHING, 0, 0, None
         self._until_s, self._message_s = now_s + LISTEN_S, now_s

@@ -27,7 +27,7 @@ EXAMPLES = "udp://127.0.0.1:47347 or mqtt://127.0.0.1:1883/v2x"
 RECEIVE_BUFFER_BYTES = 1 << 20  # of the kernel: half a second of 2,000 frames/s of 500 bytes with its own overhead
 SO_TIMESTAMPNS = 35  # Linux: arrival time of a datagram as control message, struct timespec of CLOCK_REALTIME
 TIMESPEC = struct.Struct("@ll")
-OLDEST_NS = 1_000_000_000  # a greater age of a datagram comes from a host's clock that was set meanwhile
+MAX_AGE_NS = 1_000_000_000  # a greater age of a datagram comes from a host's clock that was set meanwhile
 QUEUE_LENGTH = 4096
 KEEP_ALIVE_S = 10
 CONNECT_S = 1.0
@@ -121,7 +121,7 @@ class UdpRadio:
                 raise DeviceLost(f"lost the UDP socket: {error}; check the network interface") from error
             if 0 < len(data) <= MAX_FRAME_BYTES:
                 age_ns = now_ns - _arrival_ns(control, now_ns)
-                frames.append((age_ns if 0 <= age_ns <= OLDEST_NS else 0, data))
+                frames.append((age_ns if 0 <= age_ns <= MAX_AGE_NS else 0, data))
             else:
                 self._rejects["frame_length"] += 1
         return frames

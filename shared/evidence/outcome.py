@@ -14,7 +14,7 @@ class Outcome(IntEnum):
     REWRITTEN = 7  # the signed content in another form, or a copy that says what it was made of
 
 
-DIFFERENT = 1  # exit code: a process that is repeated publishes something else
+EXIT_DIFFERENT = 1  # exit code: a process that is repeated publishes something else
 OTHER_RELEASE = 8  # exit code: only the release that has made the recording can repeat it
 GRAVITY = (Outcome.EDITED, Outcome.FOREIGN, Outcome.REWRITTEN, Outcome.CUT, Outcome.UNSIGNED, Outcome.VERIFIED)
 

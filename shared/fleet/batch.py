@@ -18,7 +18,7 @@ from .cbor import BadCbor, decoded, encoded
 VERSION = 1
 MOST_REPORTS, MOST_EVENTS = 600, 100
 MOST_BYTES, MOST_UNPACKED = 65_536, 262_144  # of a batch, and of its CBOR
-MOST_SEQUENCE = 1 << 53
+MAX_SEQUENCE = 1 << 53
 EARLIEST_MS, LATEST_MS = 1_577_836_800_000, 4_102_444_800_000  # 2020-01-01 and 2100-01-01, UTC
 DIGEST_BYTES = 32
 MOST_VALUES, MOST_TEXT = 4096, 16_384  # of an event
@@ -140,7 +140,7 @@ def decode(data: bytes) -> Batch:
             pass  # True and False are no numbers here: a database tells them apart
         case _:
             raise BadBatch("its content is not that of a batch")
-    if not (0 <= first < first + count <= MOST_SEQUENCE):
+    if not (0 <= first < first + count <= MAX_SEQUENCE):
         raise BadBatch("its sequence numbers are out of range")
     return _body(Batch(_kind(kind), epoch, first, count, previous), columns, events)
 

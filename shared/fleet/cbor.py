@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import cbor2
 
-MOST_DEPTH = 12
+MAX_DEPTH = 12
 # Tags that cbor2 turns into objects: dates, big numbers, patterns, shared references. Nothing of this protocol has one.
 _TAGS = (0, 1, 2, 3, 4, 5, 25, 28, 29, 30, 35, 36, 37, 52, 54, 100, 256, 258, 260, 261, 1004, 43000, 55799)
 
@@ -35,7 +35,7 @@ def decoded(data: bytes, *, canonical: bool = True) -> object:
             stream,
             semantic_decoders=_DECODERS,
             tag_hook=_refused,
-            max_depth=MOST_DEPTH,
+            max_depth=MAX_DEPTH,
             allow_indefinite=False,
             allow_duplicate_keys=False,
         ).decode()

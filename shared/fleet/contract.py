@@ -10,10 +10,10 @@ from .batch import (
     EARLIEST_MS,
     LATEST_MS,
     LIMITS,
+    MAX_SEQUENCE,
     MOST_BYTES,
     MOST_EVENTS,
     MOST_REPORTS,
-    MOST_SEQUENCE,
     NAME,
     NOT_NEGATIVE,
     VERDICTS,
@@ -21,9 +21,9 @@ from .batch import (
     Report,
 )
 from .batch import VERSION as FORMAT_VERSION
-from .receipts import MOST_BATCHES, REASONS
+from .receipts import MAX_BATCHES, REASONS
 from .sealed import RECEIPT_DIGEST_BYTES
-from .topics import BATCH, LIVE, MOST_WATCH_S, RECEIPT, WATCH, WATCHABLE
+from .topics import BATCH, LIVE, MAX_WATCH_S, RECEIPT, WATCH, WATCHABLE
 
 Json = dict[str, object]
 UNITS = {
@@ -129,8 +129,8 @@ def _batch() -> Json:
             {"const": FORMAT_VERSION},
             {"enum": [int(kind) for kind in Kind], "description": ", ".join(f"{k} {k.name.lower()}" for k in Kind)},
             _whole(EARLIEST_MS, LATEST_MS, "epoch: creation time of the outbox [ms, UTC]"),
-            _whole(0, MOST_SEQUENCE, "first sequence number"),
-            _whole(1, MOST_SEQUENCE, "count of sequence numbers"),
+            _whole(0, MAX_SEQUENCE, "first sequence number"),
+            _whole(1, MAX_SEQUENCE, "count of sequence numbers"),
             {**digest, "description": f"SHA-256 of the batch before, {DIGEST_BYTES} bytes"},
             {
                 "anyOf": [
@@ -146,7 +146,7 @@ def _batch() -> Json:
 
 
 def _receipt() -> Json:
-    named = [_whole(0, MOST_SEQUENCE, "epoch"), _whole(0, MOST_SEQUENCE, "first sequence number"), DIGEST]
+    named = [_whole(0, MAX_SEQUENCE, "epoch"), _whole(0, MAX_SEQUENCE, "first sequence number"), DIGEST]
     refused = [*named, {"enum": list(REASONS)}]
     return {
         "type": "object",
@@ -154,11 +154,11 @@ def _receipt() -> Json:
         "required": ["stored", "refused"],
         "properties": {
             "stored": {
-                "type": "array", "maxItems": MOST_BATCHES,
+                "type": "array", "maxItems": MAX_BATCHES,
                 "items": {"type": "array", "prefixItems": named, "items": False},
             },
             "refused": {
-                "type": "array", "maxItems": MOST_BATCHES,
+                "type": "array", "maxItems": MAX_BATCHES,
                 "description": "named by the digest alone: epoch and first are 0 where the batch could not be read",
                 "items": {"type": "array", "prefixItems": refused, "items": False},
             },
@@ -172,7 +172,7 @@ def _watch() -> Json:
         "required": ["topics", "for_s", "watchers"],
         "properties": {
             "topics": {"type": "array", "items": {"enum": list(WATCHABLE)}},
-            "for_s": {"type": "number", "maximum": MOST_WATCH_S, "description": "seconds from its arrival"},
+            "for_s": {"type": "number", "maximum": MAX_WATCH_S, "description": "seconds from its arrival"},
             "watchers": {"type": "integer", "minimum": 0, "description": "0 ends it"},
         },
     }

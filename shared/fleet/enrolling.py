@@ -30,7 +30,7 @@ RENEWAL = b"obu renewal 1\n"
 SECRET_BYTES = 24  # of a token
 FINGERPRINT_BYTES = 16  # of the SHA-256 of the authority's certificate (DER)
 TIMEOUT_S = 15.0
-MOST_ANSWER_BYTES = 65_536
+MAX_ANSWER_BYTES = 65_536
 MOST_HOST, LATEST_YEAR = 253, 2100  # of a name (RFC 1035), and of an end that the unit can publish
 
 
@@ -202,7 +202,7 @@ def _exchange(
     try:
         link.request(method, path, body, {"Content-Type": "application/json"} if body else {})
         answer = link.getresponse()
-        data = answer.read(MOST_ANSWER_BYTES + 1)
+        data = answer.read(MAX_ANSWER_BYTES + 1)
     except ssl.SSLCertVerificationError as error:
         raise UserError(
             f"{place.netloc} does not prove to be the centre: {error.verify_message}; check the address, and the "
@@ -215,7 +215,7 @@ def _exchange(
         ) from error
     finally:
         link.close()
-    if len(data) > MOST_ANSWER_BYTES:
+    if len(data) > MAX_ANSWER_BYTES:
         raise UserError(f"{place.netloc} does not answer as a centre: it sends too much; check the address")
     return answer.status, data
 

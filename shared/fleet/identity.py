@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..bounded import TooMuch, read_bytes
+from ..bounded import SizeExceeded, read_bytes
 from ..errors import UserError
 from ..runtime.private import UPLINK, private_folder
 from .topics import VEHICLE
@@ -19,7 +19,7 @@ from .topics import VEHICLE
 NS = 1_000_000_000
 DAY_NS = 86_400 * NS
 RENEW_BEFORE_NS = 10 * DAY_NS  # of the 30 days of a certificate
-MOST_BYTES = 65_536
+MAX_BYTES = 65_536
 TLS, AUTHORITY, CENTRE = "tls.pem", "ca.pem", "centre.json"
 
 
@@ -63,7 +63,7 @@ class UplinkIdentity:
         """Read an enrolment; raises `UserError` if there is none or it is damaged."""
         path = folder / CENTRE
         try:
-            content = json.loads(read_bytes(path, MOST_BYTES))
+            content = json.loads(read_bytes(path, MAX_BYTES))
             centre = Centre(**{name: kind(content[name]) for name, kind in Centre.__annotations__.items()})
             for name in (TLS, AUTHORITY):
                 with (folder / name).open("rb"):
@@ -74,7 +74,7 @@ class UplinkIdentity:
             ) from error
         except OSError as error:
             raise UserError(f"cannot read {error.filename}: {error.strerror}; check its owner") from error
-        except (TooMuch, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        except (SizeExceeded, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise UserError(f"{path} is damaged: {error}; run `obu enrol URL TOKEN` again") from error
         if not VEHICLE.fullmatch(centre.vehicle) or not 0 < centre.mqtt_port < 65536:
             raise UserError(f"{path} names no possible vehicle or port; run `obu enrol URL TOKEN` again")

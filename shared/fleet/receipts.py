@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from .batch import MOST_SEQUENCE
+from .batch import MAX_SEQUENCE
 from .cbor import BadCbor, decoded, encoded
 from .sealed import RECEIPT_DIGEST_BYTES
 
-MOST_BATCHES = 256  # named in one receipt
+MAX_BATCHES = 256  # named in one receipt
 REASONS = ("signature", "key", "vehicle", "format", "conflict", "epochs")
 
 
-class Stored(NamedTuple):
+class StoredBatch(NamedTuple):
     """A batch that is committed, now or before."""
 
     epoch_ms: int
@@ -19,7 +19,7 @@ class Stored(NamedTuple):
     digest: bytes
 
 
-class Refused(NamedTuple):
+class RejectedBatch(NamedTuple):
     """A batch that is not stored, and why: one of `REASONS`."""
 
     epoch_ms: int
@@ -32,8 +32,8 @@ class Refused(NamedTuple):
 class Receipt:
     """Names exactly the batches that it answers."""
 
-    stored: tuple[Stored, ...] = ()
-    refused: tuple[Refused, ...] = ()
+    stored: tuple[StoredBatch, ...] = ()
+    refused: tuple[RejectedBatch, ...] = ()
 
     def encode(self) -> bytes:
         """Encode it as CBOR."""
@@ -46,17 +46,17 @@ class Receipt:
         """Read a receipt; raises `BadCbor`."""
         match decoded(data):
             case {"stored": list() as stored, "refused": list() as refused, **rest} if (
-                not rest and len(stored) + len(refused) <= MOST_BATCHES
+                not rest and len(stored) + len(refused) <= MAX_BATCHES
             ):
-                return cls(tuple(Stored(*_named(row)) for row in stored), tuple(_refused(row) for row in refused))
+                return cls(tuple(StoredBatch(*_named(row)) for row in stored), tuple(_refused(row) for row in refused))
         raise BadCbor("no receipt")
 
 
 def _named(row: object) -> tuple[int, int, bytes]:
     match row:
         case [int() as epoch, int() as first, bytes() as digest] if (
-            0 <= epoch <= MOST_SEQUENCE
-            and 0 <= first <= MOST_SEQUENCE
+            0 <= epoch <= MAX_SEQUENCE
+            and 0 <= first <= MAX_SEQUENCE
             and len(digest) == RECEIPT_DIGEST_BYTES
             and bool not in (type(epoch), type(first))
         ):
@@ -64,8 +64,8 @@ def _named(row: object) -> tuple[int, int, bytes]:
     raise BadCbor("a receipt that names no batch")
 
 
-def _refused(row: object) -> Refused:
+def _refused(row: object) -> RejectedBatch:
     match row:
         case [epoch, first, digest, str() as reason] if reason in REASONS:
-            return Refused(*_named([epoch, first, digest]), reason)
+            return RejectedBatch(*_named([epoch, first, digest]), reason)
     raise BadCbor("a receipt that refuses for no known reason")

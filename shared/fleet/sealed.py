@@ -18,7 +18,7 @@ RECEIPT_DIGEST_BYTES = 8
 
 
 @dataclass(frozen=True)
-class Sealed:
+class SealedBatch:
     """A batch of somebody, whose signature is not verified yet."""
 
     data: bytes
@@ -47,7 +47,7 @@ def seal(batch: Batch, signer: Signer, vehicle: str) -> bytes:
     return data
 
 
-def unsealed(data: bytes) -> Sealed:
+def unsealed(data: bytes) -> SealedBatch:
     """Read the frame of a signed batch; raises `BadBatch`."""
     if len(data) > MOST_BYTES:
         raise BadBatch(f"it has {len(data)} bytes, and at most {MOST_BYTES} are taken")
@@ -58,7 +58,7 @@ def unsealed(data: bytes) -> Sealed:
     # What is not signed could be changed on the way, and the same batch would have another digest.
     if message.unprotected or set(message.header) != {ALGORITHM, KEY_ID} or len(message.key_id or b"") != KEY_BYTES:
         raise BadBatch("its header is not that of a batch")
-    return Sealed(data, message)
+    return SealedBatch(data, message)
 
 
 def chain_digest(data: bytes) -> bytes:

@@ -6,7 +6,7 @@ BATCH, RECEIPT, WATCH, LIVE = "uplink/batch", "uplink/receipt", "uplink/watch", 
 VEHICLE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,47}")  # a command line takes what begins with - for an option
 RULE = "letters, digits, _ and -, at most 48 and not - first"
 CHANGED, ALARM, REVOKED = "centre.now", "centre.alarm", "centre.revoked"  # subjects within a centre
-MOST_WATCH_S = 60
+MAX_WATCH_S = 60
 # What a watch session may ask for: what the pages Now, Map, Trust and GNSS of a unit show.
 WATCHABLE = (
     "gnss/fix", "gnss/satellites", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",

@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 PERIOD_NS = 100_000_000  # of the increments
 GAP_NS = 100_000_000  # between two samples, beyond which the motion between them is not known
-NEVER_NS = -(2**62)
+NO_TIME_NS = -(2**62)
 
 
 class Increment(NamedTuple):
@@ -49,7 +49,7 @@ class Decimator:
         self._rejected, self._bridged_ns = rejected, bridged_ns
         self._waiting: list[tuple[Sequence[int], Sequence[Vector], Sequence[Vector]]] = []
         self._times, self._rows = np.empty(0, np.int64), np.empty((0, 6))  # since the last end, its sample included
-        self._newest_ns, self._after_gap = NEVER_NS, True
+        self._newest_ns, self._after_gap = NO_TIME_NS, True
 
     def add(self, times_ns: Sequence[int], forces_b: Sequence[Vector], rates_b: Sequence[Vector]) -> int:
         """Keep a batch of samples [m/s², rad/s; body]; give the number of batches that wait."""
@@ -96,7 +96,7 @@ class Decimator:
         """Which samples are in order and plausible, shape (n,); the others are counted."""
         beyond, finite = (np.abs(rows) > self._limits).any(axis=1), np.isfinite(rows).all(axis=1)
         reached = np.maximum.accumulate(
-            np.concatenate([[self._newest_ns], np.where(finite & ~beyond, times_ns, NEVER_NS)])
+            np.concatenate([[self._newest_ns], np.where(finite & ~beyond, times_ns, NO_TIME_NS)])
         )
         self._newest_ns, late = int(reached[-1]), times_ns <= reached[:-1]
         usable: npt.NDArray[np.bool_] = finite & ~beyond & ~late

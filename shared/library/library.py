@@ -11,8 +11,8 @@ from .order import in_order, read_order
 from .summary import KEEP_SUFFIX, RECORDING_SUFFIX, RecordingSummary, SummaryWorker, read_summary
 from .summary import SUFFIX as SUMMARY_SUFFIX
 
-MOST = 200  # recordings that are listed, the newest
-SETTLED_S = 5.0  # without a change: a recorder writes twice a second
+MAX_LISTED = 200  # recordings that are listed, the newest
+SETTLING_TIME_S = 5.0  # without a change: a recorder writes twice a second
 READ_AT_ONCE = 10  # summaries: the caller has other work
 
 
@@ -53,7 +53,7 @@ class Library:
         self._reads = READ_AT_ONCE
         entries: dict[str, Entry] = {}
         for name in reversed(in_order(names, read_order(self.folder))):
-            if len(entries) < MOST and (entry := self._entry(self.folder / name)) is not None:
+            if len(entries) < MAX_LISTED and (entry := self._entry(self.folder / name)) is not None:
                 entries[name] = entry
         self.entries = entries
         if self._reads <= 0 or self._worker is not None:
@@ -61,7 +61,7 @@ class Library:
         for entry in self.entries.values():
             key = entry.name, entry.size_bytes
             settled = (
-                entry.name != open_name and abs(time.time() - entry.modified_s) > SETTLED_S
+                entry.name != open_name and abs(time.time() - entry.modified_s) > SETTLING_TIME_S
             )  # the clock may be set back
             if entry.summary is None and settled and key not in self._tried:
                 self._tried.add(key)

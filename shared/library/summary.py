@@ -14,7 +14,7 @@ from ..messages.replay import TrustChange
 RECORDING_SUFFIX, KEEP_SUFFIX, SUFFIX = ".mcap", ".keep", ".summary.json"
 VERSION = 1  # of what is computed: another one is computed anew
 SUMMARY_BYTES = 20_000_000
-LONGEST = 500  # changes and outages that are kept
+MAX_LENGTH = 500  # changes and outages that are kept
 NICE = 15  # beside the processes of a vehicle, which come first
 
 Point = tuple[Latitude, Longitude]
@@ -31,8 +31,8 @@ class RecordingSummary(Message):
     end_ns: Nanoseconds
     distance_m: float | None = None  # None without a position
     track: tuple[Point, ...] = ()  # evenly spaced along the way
-    trust: tuple[TrustChange, ...] = Field(default=(), max_length=LONGEST)
-    outages: tuple[Outage, ...] = Field(default=(), max_length=LONGEST)
+    trust: tuple[TrustChange, ...] = Field(default=(), max_length=MAX_LENGTH)
+    outages: tuple[Outage, ...] = Field(default=(), max_length=MAX_LENGTH)
     solved: bool = False  # it holds solutions, and not only measurements
 
 

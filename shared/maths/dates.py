@@ -16,20 +16,20 @@ WEEK_NS = 604_800 * NS
 DAY_NS = 86_400 * NS
 ERA_NS = 1024 * WEEK_NS  # of the week number of GPS L1 C/A
 # UTC in ns since 1970
-EARLIEST_NS = 315_532_800 * NS  # 1980-01-01
-BEYOND_NS = 4_133_980_800 * NS  # 2101-01-01, the first that is too late
+MIN_DATE_NS = 315_532_800 * NS  # 1980-01-01
+END_DATE_NS = 4_133_980_800 * NS  # 2101-01-01, the first that is too late
 GPS_EPOCH_UTC_NS = 315_964_800 * NS  # 1980-01-06
 EARLIEST_HOST_NS = ((RELEASED - date(1970, 1, 1)).days - 400) * DAY_NS
 
 
 def is_plausible(utc_ns: int) -> bool:
     """Whether a time [ns since 1970] is one from 1980 to 2100."""
-    return EARLIEST_NS <= utc_ns < BEYOND_NS
+    return MIN_DATE_NS <= utc_ns < END_DATE_NS
 
 
 def plausible_host_ns(host_ns: int) -> int:
     """The host's clock [ns since 1970]; the release date less 400 days for one that is earlier, or beyond 2100."""
-    return host_ns if EARLIEST_HOST_NS <= host_ns < BEYOND_NS else EARLIEST_HOST_NS
+    return host_ns if EARLIEST_HOST_NS <= host_ns < END_DATE_NS else EARLIEST_HOST_NS
 
 
 def in_nearest_era(utc_ns: int, host_ns: int) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, cast
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationInfo, WithJsonSchema
 from pydantic.fields import FieldInfo
 
-from ..maths.dates import BEYOND_NS
+from ..maths.dates import END_DATE_NS
 
 
 def unit(name: str) -> FieldInfo:
@@ -16,24 +16,24 @@ def unit(name: str) -> FieldInfo:
 
 # What no sensor on Earth can say, and a sum or a square of which is still a number: the bounds of every number on the
 # bus, by its unit. A process may compute with whatever the contract lets through.
-LARGEST = 1e9  # of a quantity, in its unit
-LARGEST_S = 1e10  # of a duration: since 1970, and more
-LARGEST_SQUARE = 1e18
-LARGEST_STATISTIC = 1e30  # of a test, which divides by the square of a small standard deviation
-LARGEST_COUNT = 2**53  # the last that a float holds exactly
+MAX_VALUE = 1e9  # of a quantity, in its unit
+MAX_DURATION_S = 1e10  # of a duration: since 1970, and more
+MAX_SQUARE = 1e18
+MAX_STATISTIC = 1e30  # of a test, which divides by the square of a small standard deviation
+MAX_COUNT = 2**53  # the last that a float holds exactly
 
 
 def _within(largest: float) -> FieldInfo:
     return cast(FieldInfo, Field(ge=-largest, le=largest))
 
 
-Count = Annotated[int, Field(ge=0, le=LARGEST_COUNT), unit("1")]
-Bytes = Annotated[int, Field(ge=0, le=LARGEST_COUNT)]
-Ratio = Annotated[float, _within(LARGEST), unit("1")]
-Statistic = Annotated[float, _within(LARGEST_STATISTIC)]  # with a unit of its own
-Quantity = Annotated[float, _within(LARGEST)]  # its unit ends the name of its field
-Seconds = Annotated[float, _within(LARGEST_S)]
-Square = Annotated[float, _within(LARGEST_SQUARE)]
+Count = Annotated[int, Field(ge=0, le=MAX_COUNT), unit("1")]
+Bytes = Annotated[int, Field(ge=0, le=MAX_COUNT)]
+Ratio = Annotated[float, _within(MAX_VALUE), unit("1")]
+Statistic = Annotated[float, _within(MAX_STATISTIC)]  # with a unit of its own
+Quantity = Annotated[float, _within(MAX_VALUE)]  # its unit ends the name of its field
+Seconds = Annotated[float, _within(MAX_DURATION_S)]
+Square = Annotated[float, _within(MAX_SQUARE)]
 Vector3 = tuple[Quantity, Quantity, Quantity]
 # Upper triangle of a symmetric 3x3 matrix, row by row: NN NE ND EE ED DD.
 Symmetric3 = tuple[Square, Square, Square, Square, Square, Square]
@@ -42,12 +42,12 @@ Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 # Wide enough for every field of UBX.
 Height = Annotated[float, _within(1e7)]
 Speed = Annotated[float, _within(1e7)]
-Deviation = Annotated[float, Field(ge=0.0, le=LARGEST)]
+Deviation = Annotated[float, Field(ge=0.0, le=MAX_VALUE)]
 Velocity3 = tuple[Speed, Speed, Speed]
 Deviation3 = tuple[Deviation, Deviation, Deviation]
 # A stamp in ns since 1970 on the OBU time line, or since 1980 by GPS: up to 2100, and differences of two fit 64 bits.
 # Live, one before 1980 is rejected as well; the clock of a recorded file may begin at zero, less a delay.
-Nanoseconds = Annotated[int, Field(gt=-BEYOND_NS, lt=BEYOND_NS)]
+Nanoseconds = Annotated[int, Field(gt=-END_DATE_NS, lt=END_DATE_NS)]
 Integer = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Name = Annotated[str, Field(max_length=64)]
 # Parsers append what they read it from, such as "/nmea", and the result is a `Name`.
@@ -98,7 +98,7 @@ class Sender(Message):
     recorded_ns: Nanoseconds | None = None  # arrival at the recorder, of a message that is replayed
 
 
-class Stamped(Message):
+class StampedMessage(Message):
     """A measurement with its two stamps on the OBU time line."""
 
     sampled_ns: Nanoseconds  # when the value was true

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import LARGEST_STATISTIC, Integer, Message, Name
+from .base import MAX_STATISTIC, Integer, Message, Name
 
 CODE = r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+$"
 QUOTED_LENGTH = 80
@@ -50,7 +50,7 @@ def passage(passage_id: str) -> Reference:
     return Reference(kind=ReferenceKind.PASSAGE, name=passage_id[:PASSAGE_DIGITS])
 
 
-class Quoted(Message):
+class QuotedText(Message):
     """Text of a device, as it is."""
 
     quoted: Annotated[str, Field(max_length=QUOTED_LENGTH)]
@@ -59,12 +59,12 @@ class Quoted(Message):
 Code = Annotated[str, Field(pattern=CODE, max_length=64)]  # begins with its owner
 ValueName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]  # of a number it ends in its unit
 Word = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]  # of an enumeration
-Number = Annotated[float, Field(ge=-LARGEST_STATISTIC, le=LARGEST_STATISTIC)]
+Number = Annotated[float, Field(ge=-MAX_STATISTIC, le=MAX_STATISTIC)]
 Value = (
     Integer
     | Number
     | Word
-    | Quoted
+    | QuotedText
     | Reference
     | Annotated[tuple[Word, ...], Field(max_length=LIST_MAXIMUM)]
     | Annotated[tuple[Reference, ...], Field(max_length=LIST_MAXIMUM)]
@@ -98,5 +98,5 @@ def _plain(value: object) -> object:
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, float):
-        return float(f"{min(max(value, -LARGEST_STATISTIC), LARGEST_STATISTIC):.{SIGNIFICANT}g}")
+        return float(f"{min(max(value, -MAX_STATISTIC), MAX_STATISTIC):.{SIGNIFICANT}g}")
     return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value

@@ -23,7 +23,7 @@ from .base import (
     Reason,
     Seconds,
     Speed,
-    Stamped,
+    StampedMessage,
     Statistic,
     Symmetric3,
     Velocity3,
@@ -66,7 +66,7 @@ class CarrierSolution(StrEnum):
     FIXED = "fixed"
 
 
-class GnssFix(Stamped):
+class GnssFix(StampedMessage):
     """One navigation epoch of a receiver: position and velocity of its antenna."""
 
     gps_time_ns: Nanoseconds | None = None  # since 1980-01-06, GPS time
@@ -141,7 +141,7 @@ class Satellite(Message):
     orbit_known: bool | None = None  # from an ephemeris, almanac or assistance data
 
 
-class GnssSatellites(Stamped):
+class GnssSatellites(StampedMessage):
     """The satellites of one epoch."""
 
     satellites: tuple[Satellite, ...]
@@ -163,7 +163,7 @@ class GnssSignal(Message):
     corrected: bool  # whether corrections of the pseudorange are used
 
 
-class GnssSignals(Stamped):
+class GnssSignals(StampedMessage):
     """The signals of one epoch, from receivers that state them one by one."""
 
     signals: Annotated[tuple[GnssSignal, ...], Field(max_length=MAX_SIGNALS)]
@@ -188,7 +188,7 @@ class RawMeasurement(Message):
     lock_time_s: Seconds | None = None
 
 
-class GnssRawEpoch(Stamped):
+class GnssRawEpoch(StampedMessage):
     """The raw measurements of one reception time, as the receiver's clock shows it."""
 
     gps_time_ns: Nanoseconds  # since 1980-01-06, by the receiver's clock
@@ -197,7 +197,7 @@ class GnssRawEpoch(Stamped):
     measurements: Annotated[tuple[RawMeasurement, ...], Field(max_length=MAX_RAW_MEASUREMENTS)]
 
 
-class FaultFreeFix(Stamped):
+class FaultFreeFix(StampedMessage):
     """Least-squares fix of an epoch without the satellites that are excluded, in place of the receiver's own."""
 
     latitude_deg: Latitude
@@ -209,7 +209,7 @@ class FaultFreeFix(Stamped):
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=MAX_RAW_MEASUREMENTS)]
 
 
-class GnssNavigationBits(Stamped):
+class GnssNavigationBits(StampedMessage):
     """One subframe or page of a navigation message, in the words in which the receiver gives it."""
 
     constellation: Constellation
@@ -261,7 +261,7 @@ class ReceiverClock(Message):
     drift_sd_ratio: Ratio
 
 
-class GnssSignalQuality(Stamped):
+class GnssSignalQuality(StampedMessage):
     """What a receiver says of its signals and clock in one epoch; None for what it did not send."""
 
     status: ReceiverStatus | None = None  # of UBX-NAV-STATUS

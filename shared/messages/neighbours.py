@@ -13,13 +13,13 @@ from .base import (
     Message,
     Quantity,
     Ratio,
-    Stamped,
+    StampedMessage,
     Symmetric3,
     Velocity3,
 )
 
 MAX_NEIGHBOURS = 64  # in one message
-LARGEST_STATION_ID = 2**32 - 1  # ETSI TS 102 894-2, StationID
+MAX_STATION_ID = 2**32 - 1  # ETSI TS 102 894-2, StationID
 
 
 class Neighbour(Message):
@@ -29,7 +29,7 @@ class Neighbour(Message):
     fractional frequency offset of an oscillator is actual over nominal frequency, minus one.
     """
 
-    station_id: Annotated[Count, Field(ge=0, le=LARGEST_STATION_ID)]
+    station_id: Annotated[Count, Field(ge=0, le=MAX_STATION_ID)]
     latitude_deg: Latitude
     longitude_deg: Longitude
     height_ellipsoid_m: Height
@@ -41,7 +41,7 @@ class Neighbour(Message):
     cfo_sd_hz: Deviation | None = None
 
 
-class NeighbourStates(Stamped):
+class NeighbourStates(StampedMessage):
     """Neighbours at one time, states and measurements alike; the radio's antenna is at the GNSS antenna."""
 
     neighbours: Annotated[tuple[Neighbour, ...], Field(max_length=MAX_NEIGHBOURS)]

@@ -126,7 +126,7 @@ class ProcessLoad(Message):
     skipped: Count = 0  # inputs that were too old, since the start of the process
 
 
-class Carried(Message):
+class TopicTraffic(Message):
     """What one fast topic has carried from or to a process since its start."""
 
     topic: Name
@@ -136,7 +136,7 @@ class Carried(Message):
     producer: Name | None = None  # of the newest; None: this process
 
 
-CarriedTopics = Annotated[tuple[Carried, ...], Field(max_length=64)]
+CarriedTopics = Annotated[tuple[TopicTraffic, ...], Field(max_length=64)]
 
 
 class DeviceFound(StrEnum):
@@ -333,7 +333,7 @@ class HostClock(Message):
     maximum_error_s: Seconds | None = None  # as the kernel states it; None of a clock that nothing holds
 
 
-class Consumed(Message):
+class ConsumptionOrder(Message):
     """The order in which a process consumed its messages, so that its work can be repeated exactly.
 
     Each run is (topic, producer, incarnation of the producer, first sequence number, count);

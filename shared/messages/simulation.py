@@ -8,8 +8,8 @@ from pydantic import Field
 from .base import Deviation, Latitude, Longitude, Message, Name, Nanoseconds, Quantity, Reason, unit
 
 Parameters = Annotated[dict[str, Annotated[Quantity, unit("of the parameter")]], Field(max_length=8)]
-LONGEST_S = 86_400.0
-Duration = Annotated[float, Field(gt=0.0, le=LONGEST_S)]
+MAX_DURATION_S = 86_400.0
+Duration = Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)]
 
 
 class AttackName(StrEnum):

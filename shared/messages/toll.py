@@ -29,7 +29,7 @@ Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecima
 Cents = Annotated[int, Field(ge=-10_000_000, le=10_000_000), unit("1/100 of the currency")]
 PASSAGES = 400  # at most in one message
 STATIONS = 1000  # at most in one message
-SETTLED = 700  # that are listed in one message
+MAX_SETTLED = 700  # that are listed in one message
 STATION_IDS = 16  # of one passage
 MAX_USED = 2000  # CAM in one message
 OVERLAPS = 16  # of one passage with others in its lane

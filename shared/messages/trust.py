@@ -29,7 +29,9 @@ from .explanation import Explanation, Explanations
 Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
-UNSAID = Field(exclude_if=lambda value: not value)  # is not encoded: tests are half of the traffic of a verdict
+OMITTED_IF_EMPTY = Field(
+    exclude_if=lambda value: not value
+)  # is not encoded: tests are half of the traffic of a verdict
 
 
 class Outcome(StrEnum):
@@ -45,7 +47,7 @@ class MonitorTest(Message):
 
     name: Name
     outcome: Outcome
-    reason: Annotated[Reason, UNSAID] = ""  # for people, where there is no code
+    reason: Annotated[Reason, OMITTED_IF_EMPTY] = ""  # for people, where there is no code
     reason_code: Explanation | None = None
     statistic: Annotated[Statistic, unit("of the test")] | None = None
     threshold: Annotated[Statistic, unit("of the test")] | None = None
@@ -63,15 +65,17 @@ class TrustMonitor(Message):
     outcome: Outcome
     reason: Reason
     reason_code: Explanation | None = None  # of `reason`, where the monitor has codes
-    accused: Annotated[tuple[Name, ...], UNSAID] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
+    accused: Annotated[
+        tuple[Name, ...], OMITTED_IF_EMPTY
+    ] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
-    doubtful: Annotated[bool, UNSAID] = False  # it passes, but by little: the position deserves caution
+    doubtful: Annotated[bool, OMITTED_IF_EMPTY] = False  # it passes, but by little: the position deserves caution
     since_ns: Nanoseconds | None = None  # when this outcome was reached
     statistic: Annotated[Statistic, unit("of the test")] | None = None
     threshold: Annotated[Statistic, unit("of the test")] | None = None
     false_alarm_rate: Ratio | None = None
     window_s: Seconds | None = None
-    tests: Annotated[tuple[MonitorTest, ...], UNSAID] = ()
+    tests: Annotated[tuple[MonitorTest, ...], OMITTED_IF_EMPTY] = ()
 
 
 class LearnedGrade(Message):

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from .base import LARGEST, Name, Quantity, RawBytes, Speed, Stamped, unit
+from .base import MAX_VALUE, Name, Quantity, RawBytes, Speed, StampedMessage, unit
 
 
 class CanRaw(RawBytes):
@@ -13,23 +13,23 @@ class CanRaw(RawBytes):
     is_stream: ClassVar[bool] = True
 
 
-class VehicleSpeed(Stamped):
+class VehicleSpeed(StampedMessage):
     """Speed of the vehicle as one number: OBD-II, tachograph or dashboard."""
 
     speed_m_s: Speed
     resolution_m_s: Quantity | None = None
 
 
-class VehicleSignal(Stamped):
+class VehicleSignal(StampedMessage):
     """A further quantity of the vehicle's network: yaw rate, steering angle, gear, distance, and what a file names."""
 
     name: Annotated[str, Field(min_length=1, max_length=32)]
-    value: Annotated[float, Field(ge=-LARGEST, le=LARGEST), unit("that of `unit`")] | None = None  # None of a text
+    value: Annotated[float, Field(ge=-MAX_VALUE, le=MAX_VALUE), unit("that of `unit`")] | None = None  # None of a text
     unit: Annotated[str, Field(max_length=16)] = ""  # SI for the names that the unit knows, else as the file states it
     text: Name | None = None  # of a quantity that is none, such as the VIN
 
 
-class WheelSpeeds(Stamped):
+class WheelSpeeds(StampedMessage):
     """Speed of each wheel over ground; a wheel without a sensor is missing."""
 
     front_left_m_s: Speed | None = None

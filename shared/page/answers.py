@@ -33,7 +33,7 @@ class Refusal(TypedDict):
 
 
 @answer()
-class Taken(TypedDict):
+class AcceptedRequest(TypedDict):
     """The request was taken; what follows from it is in the state."""
 
 

@@ -11,11 +11,11 @@ from .framing.finder import Sums
 from .framing.framing import Framing
 from .registry import PROTOCOLS
 
-MOST_BYTES = 8192  # that are looked at
+MAX_BYTES = 8192  # that are looked at
 
 
 @dataclass(frozen=True)
-class Recognised:
+class ProtocolCounts:
     """What was found in some bytes: frames of each protocol."""
 
     frames: dict[str, int]
@@ -26,7 +26,7 @@ class Recognised:
         return tuple(sorted(self.frames, key=lambda name: -self.frames[name]))
 
 
-def recognise(data: bytes) -> Recognised:
+def recognise(data: bytes) -> ProtocolCounts:
     """Find the protocols in some bytes.
 
     Parameters
@@ -40,14 +40,14 @@ def recognise(data: bytes) -> Recognised:
         Frames with a valid checksum by protocol. A line of text with a checksum of NMEA counts as both, unless it is a
         sentence of a receiver.
     """
-    data = data[-MOST_BYTES:]
+    data = data[-MAX_BYTES:]
     sums = _SumsOf(data)
     found: Counter[str] = Counter()
     for protocol in PROTOCOLS:
         number = _frames_of(protocol.framing, data, sums)
         if number >= protocol.framing.least:
             found[protocol.name] = number
-    return Recognised(dict(found))
+    return ProtocolCounts(dict(found))
 
 
 def _frames_of(framing: Framing, data: bytes, sums: "_SumsOf") -> int:

@@ -11,7 +11,7 @@ from .framing.framing import Framing
 from .protocol import Protocol, Reason
 
 HEADER_BYTES = 12  # as many as the longest header has; a shorter one has a payload behind it
-LONGEST_BYTES = 1200  # header 12, payload 1023, authentication 64, CRC 4
+MAX_BYTES = 1200  # header 12, payload 1023, authentication 64, CRC 4
 _AUTHENTICATION_BYTES = (8, 12, 16, 32, 64)  # by TF015
 CRC_8, CRC_16, CRC_24, CRC_32 = range(4)  # TF005
 
@@ -23,7 +23,7 @@ class SpartnFraming(Framing):
     starts = rb"s[\x00-\x09\xf0\xf1](?s:.){10}"
     begun = rb"s(?:[\x00-\x09\xf0\xf1](?s:.){0,9})?"
     crc_from = rb"s(?:[\x00-\x09\xf0\xf1]|\Z)"
-    most_bytes, too_long, bad_header = LONGEST_BYTES, "spartn_header", "spartn_header"
+    most_bytes, too_long, bad_header = MAX_BYTES, "spartn_header", "spartn_header"
     tail, stands_alone = HEADER_BYTES - 1, False  # RXM-PMP holds SPARTN, possibly whole
 
     def size(self, buffer: bytes | bytearray, start: int, header: int) -> int | None:

@@ -11,8 +11,8 @@ from .framing.finder import Sums
 from .framing.framing import Framing
 from .protocol import Protocol, Reason
 
-ENOUGH = 3  # lines of a protocol without a checksum, fewer of which may be chance
-LONGEST_LINE = 1024  # [bytes]
+MIN_LINES = 3  # lines of a protocol without a checksum, fewer of which may be chance
+MAX_LINE = 1024  # [bytes]
 _HEXADECIMAL = string.hexdigits.encode()
 _SLCAN = rb"t[0-9A-Fa-f]{3}[0-8][0-9A-Fa-f]{0,16}\r"
 # Sentences of receivers, which are no lines of another device even if their checksum is switched off.
@@ -22,7 +22,7 @@ _OF_RECEIVER = re.compile(rb"\$(?:(?:G[ABILNPQ]|BD|QZ|PQ)[A-Z]{3}|P(?:UBX|MTK|QT
 class LineFraming(Framing):
     """Frames that are whole where their pattern matches, without a checksum."""
 
-    most_bytes = LONGEST_LINE
+    most_bytes = MAX_LINE
 
     def size(self, buffer: bytes | bytearray, start: int, header: int) -> int | None:
         """The whole frame is the header."""
@@ -43,15 +43,15 @@ class Elm327Framing(LineFraming):
 class SlcanFraming(LineFraming):
     """A frame of a CAN bus as a line."""
 
-    protocol, begins, least = "slcan", ((b"t", _HEXADECIMAL, _HEXADECIMAL, _HEXADECIMAL, b"012345678"),), ENOUGH
+    protocol, begins, least = "slcan", ((b"t", _HEXADECIMAL, _HEXADECIMAL, _HEXADECIMAL, b"012345678"),), MIN_LINES
     starts = _SLCAN
 
 
 class TextFraming(LineFraming):
     """A line of printable characters that is no sentence of a receiver and no line of an adapter."""
 
-    protocol, begins, least = "text lines", (), ENOUGH
-    starts = rb"(?<=[\r\n])[ -~\t]{3,%d}[\r\n]" % LONGEST_LINE
+    protocol, begins, least = "text lines", (), MIN_LINES
+    starts = rb"(?<=[\r\n])[ -~\t]{3,%d}[\r\n]" % MAX_LINE
 
     def fault(self, buffer: bytes | bytearray, start: int, stop: int, at: Callable[[int], Sums]) -> str | None:
         """Leave to the other protocols what is theirs."""

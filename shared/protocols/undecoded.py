@@ -12,13 +12,13 @@ from .framing.finder import Sums
 from .framing.framing import Framing
 from .protocol import Protocol
 
-MOST_BYTES = 8192
+MAX_BYTES = 8192
 
 
 class SampleFraming(Framing):
     """Frames that are looked for in samples alone, since checking one costs as much as it is long."""
 
-    most_bytes = MOST_BYTES
+    most_bytes = MAX_BYTES
     length_at: int  # of the length in the header, two bytes
     byte_order: str
     around: int  # bytes that the length does not count

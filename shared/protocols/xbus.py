@@ -21,12 +21,12 @@ from .protocol import Protocol, Question, Reason
 HEADER = b"\xfa\xff"
 LONG = 0xFF  # in place of the length, which follows in two bytes
 MTDATA2 = 0x36
-KNOWN = {
+KNOWN_MESSAGES = {
     0x00: "0x00", 0x01: "DeviceID", 0x0D: "ProductCode", 0x13: "FirmwareRev", 0x31: "GotoConfigAck",
     0x11: "GotoMeasurementAck", 0x32: "MTData", 0x3E: "WakeUp", 0x42: "Error", 0xC1: "OutputConfiguration",
 }  # fmt: skip
 MAX_PAYLOAD_BYTES = 2048
-MOST_FIELDS = 64  # of a measurement
+MAX_FIELDS = 64  # of a measurement
 
 # Data identifiers without their format bits: the low two bits are the number format
 # (0 float32, 1 fixed 12.20, 2 fixed 16.32, 3 float64), the next two the reference frame.
@@ -189,7 +189,7 @@ class _FieldLayout(NamedTuple):
 
 
 _layouts: dict[int, _FieldLayout] = {}  # by payload length, hence bounded
-MOST_NUMBERS = 64
+MAX_NUMBERS = 64
 
 
 def _cache_layout(payload: bytes) -> None:
@@ -210,7 +210,7 @@ def _cache_layout(payload: bytes) -> None:
         code += "HB" + layout.format.removeprefix(">")
         fields.append((kind, count, count + len(layout.unpack(data))))
         count = fields[-1][2]
-    if len(heads) > 2 and count <= MOST_NUMBERS:
+    if len(heads) > 2 and count <= MAX_NUMBERS:
         form = struct.Struct(code)
         pick = itemgetter(*heads)
         _layouts[len(payload)] = _FieldLayout(form, pick, pick(form.unpack(payload)), tuple(fields))
@@ -316,11 +316,11 @@ class XbusReader(FrameFinder[XbusMessage]):
         return start + (6 if self._buffer[start + 3] == LONG else 4)
 
     def _sure(self, start: int, stop: int) -> bool:
-        """Whether it is a measurement with complete fields, of which a tracker sends no more than `MOST_FIELDS`."""
+        """Whether it is a measurement with complete fields, of which a tracker sends no more than `MAX_FIELDS`."""
         if self._buffer[start + 2] != MTDATA2:
             return False
         position, stop = self._payload_start(start), stop - 1
-        for _ in range(MOST_FIELDS):
+        for _ in range(MAX_FIELDS):
             if position + 3 > stop:
                 break
             position += 3 + self._buffer[position + 2]

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredRecording:
     """A recording in the folder, and its place in the order in which they were made.
 
     It is `kept` if a file of its name and `.keep` lies beside it, or if it could not be deleted.
@@ -82,7 +82,7 @@ class RecordingFolder:
         """Number of messages that could not be written."""
         return self._received - self.messages - (self._writer.pending if self._writer else 0)
 
-    def stored(self) -> list[Stored]:
+    def stored(self) -> list[StoredRecording]:
         """List the recordings in the order in which they were made, and determine the free space.
 
         The folder is made if it is missing. What it lies in is not: where that is missing, a disk is not mounted.
@@ -102,7 +102,7 @@ class RecordingFolder:
         sizes = {name: size for name in entries if (size := self._size(name)) is not None}
         kept = {name for name in sizes if name + KEEP_SUFFIX in entries} | self._undeletable
         order = self._ordered(sizes)
-        return [Stored(name, sizes[name], name in kept, place) for place, name in enumerate(order)]
+        return [StoredRecording(name, sizes[name], name in kept, place) for place, name in enumerate(order)]
 
     def _is_in(self, entries: Mapping[str, os.DirEntry[str]]) -> bool:
         """Whether the recording in progress is in the folder, and no other file of its name."""

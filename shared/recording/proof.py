@@ -45,7 +45,7 @@ class Proof:
 
 
 @dataclass
-class _Found:
+class _LocatedSeal:
     """A seal, where it is, its digest and the pieces before it."""
 
     seal: Seal
@@ -58,9 +58,9 @@ class _Found:
 class _Walk:
     """What was found on the way through a file."""
 
-    seals: list[_Found] = field(default_factory=list)
+    seals: list[_LocatedSeal] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
-    proven: _Found | None = None
+    proven: _LocatedSeal | None = None
     index: Index = field(default_factory=Index)
     pieces: list[tuple[int, int]] = field(default_factory=list)  # since the last seal
     data_end: Record | None = None
@@ -189,7 +189,7 @@ def _check_seal(recording: Recording, walk: _Walk, record: Record, fields: dict[
         walk.others.append((fields, record))
         walk.fault(f"the seal at byte {record.begin} is changed: its signature does not fit it")
         return
-    found = _Found(seal, record, hashlib.sha256(raw).hexdigest(), pieces)
+    found = _LocatedSeal(seal, record, hashlib.sha256(raw).hexdigest(), pieces)
     faults = len(walk.faults)
     before = walk.seals[-1] if walk.seals else None
     _check_order(walk, seal, before)
@@ -201,7 +201,7 @@ def _check_seal(recording: Recording, walk: _Walk, record: Record, fields: dict[
         walk.fault("its first seal is missing")
 
 
-def _check_order(walk: _Walk, seal: Seal, before: _Found | None) -> None:
+def _check_order(walk: _Walk, seal: Seal, before: _LocatedSeal | None) -> None:
     if before is None:
         if seal.number != 0:
             walk.fault(f"its begin is missing: the first seal is number {seal.number}")
@@ -217,7 +217,7 @@ def _check_order(walk: _Walk, seal: Seal, before: _Found | None) -> None:
         walk.fault(f"the seal of {clock(old.until_ns)} was replaced")
 
 
-def _check_pieces(recording: Recording, walk: _Walk, found: _Found, before: _Found | None) -> None:
+def _check_pieces(recording: Recording, walk: _Walk, found: _LocatedSeal, before: _LocatedSeal | None) -> None:
     """Compare the pieces before a seal with its digests, each by the digest that is stated of the one before."""
     stated, pieces = found.seal.chain, found.pieces
     since = clock(before.seal.until_ns) if before else "its begin"

@@ -30,10 +30,10 @@ MESSAGE = int(Opcode.MESSAGE)  # with which every record is compared
 MESSAGE_FIELDS = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 OPCODES = frozenset(int(opcode) for opcode in Opcode)
 CHUNK_START = re.compile(rb"\x06(?=[\s\S]{4}\0{4})")  # opcode, and a length below 4 GiB
-LONGEST_NAME = 16  # of a compression
+MAX_NAME = 16  # of a compression
 MAXIMUM_RECORD = 1 << 24  # of metadata or an attachment
 MAXIMUM_SUMMARY = 1 << 26
-MOST_DESCRIBED = 1000  # records of metadata and attachments
+MAX_DESCRIBED = 1000  # records of metadata and attachments
 MAXIMUM_CHUNK = 1 << 24  # this unit writes 1 MB, other tools 4 MB
 COMPRESSIONS: dict[bytes, Form | None] = {b"": None, b"zstd": "zstd", b"lz4": "lz4"}
 PLACE = struct.Struct("<QQ")  # the first fields of an index record: begin and length of what it names
@@ -146,11 +146,11 @@ class Recording:
     def _describe(self, record: Record) -> bool:
         """Store metadata or an attachment; False for a record that is malformed, or has more than they may have."""
         self._described += 1
-        if record.end - record.start > MAXIMUM_RECORD or self._described > MOST_DESCRIBED:
+        if record.end - record.start > MAXIMUM_RECORD or self._described > MAX_DESCRIBED:
             self._refused.add(
-                f"metadata and attachments beyond {MAXIMUM_RECORD >> 20} MB each, or {MOST_DESCRIBED}, are not read"
+                f"metadata and attachments beyond {MAXIMUM_RECORD >> 20} MB each, or {MAX_DESCRIBED}, are not read"
             )
-            return self._described <= MOST_DESCRIBED
+            return self._described <= MAX_DESCRIBED
         try:
             if record.opcode == Opcode.METADATA:
                 described = cast(Metadata, Metadata.read(self._stream(record)))
@@ -281,7 +281,7 @@ class Recording:
         if position > self.size:
             return None
         _, _, raw_size, checksum, word = CHUNK_HEAD.unpack(self._buffer[record.start : position])
-        name = self._buffer[position : position + min(word, LONGEST_NAME)]
+        name = self._buffer[position : position + min(word, MAX_NAME)]
         start = position + word + 8
         if start > self.size or start + int.from_bytes(self._buffer[start - 8 : start], "little") != record.end:
             return None

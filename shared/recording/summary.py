@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
-from ..library.summary import LONGEST, NICE, Point, RecordingSummary
+from ..library.summary import MAX_LENGTH, NICE, Point, RecordingSummary
 from ..maths.ellipsoid import curvature_radii
 from ..messages.base import Name
 from ..messages.gnss import GnssFix
@@ -66,8 +66,8 @@ def summarise(path: Path) -> RecordingSummary:
             end_ns=stamps[-1],
             distance_m=way.length_m if way.points else None,
             track=way.outline(),
-            trust=tuple(trust[-LONGEST:]),
-            outages=tuple(outages.values())[-LONGEST:],
+            trust=tuple(trust[-MAX_LENGTH:]),
+            outages=tuple(outages.values())[-MAX_LENGTH:],
             solved=bool(solutions.points),
         )
 

@@ -15,7 +15,7 @@ READY, WATCHDOG, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
 CONNECTED, WAITING = "STATUS=connected to the broker", "STATUS=waiting for the broker"
 
 
-class Alive:
+class LivenessSignal:
     """Signs of life of one process; nobody may listen."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic.fields import FieldInfo
 
 from .. import shipped
-from ..bounded import TOML_BYTES, TooMuch, load_toml, read_text
+from ..bounded import TOML_BYTES, SizeExceeded, load_toml, read_text
 from ..errors import ConfigError, UserError
 from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
@@ -29,7 +29,7 @@ NO_TEXT = "it is not UTF-8 text"
 EXAMPLES = f"{shipped(Path('deploy/vehicles'))}/"
 # Sockets at which the broker serves the unit's own processes: in the state folder, and of an installed unit.
 UNIX, SOCKET, INSTALLED_SOCKET = "mqtt+unix", Path("bus/socket"), Path("/run/obu-broker/socket")
-LONGEST_SOCKET = 107  # bytes of its path, in Linux
+MAX_SOCKET = 107  # bytes of its path, in Linux
 ADDRESS_FILE = "status.address"  # where monitoring.status serves the dashboard
 
 S = TypeVar("S", bound="Section")
@@ -294,7 +294,7 @@ def read_toml(text: str, path: str) -> dict[str, object]:
     """Read the text of a vehicle's file as it is; raises `ConfigError` if it is no TOML."""
     try:
         return load_toml(text)
-    except TooMuch as error:
+    except SizeExceeded as error:
         raise ConfigError(f"{path} is no vehicle's file: {error}; see {EXAMPLES} for examples") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
@@ -337,8 +337,8 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
         return parse_vehicle("", "<no vehicle file>")
     try:
         text = read_text(shipped(Path(name)), TOML_BYTES)
-    except (OSError, UnicodeDecodeError, TooMuch) as error:
-        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, TooMuch) else NO_TEXT
+    except (OSError, UnicodeDecodeError, SizeExceeded) as error:
+        reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, SizeExceeded) else NO_TEXT
         raise UserError(f"cannot read the vehicle's file {name}: {reason}; see {EXAMPLES} for examples") from error
     return parse_vehicle(text, str(name))
 

@@ -20,7 +20,7 @@ FOLDER = "credentials"
 ADDRESS = "address"  # in the folder: where the broker that knows these secrets is, where a program started it
 READERS = "readers"  # in the folder: those of `obu keys add`
 INSTALLED = PRIVATE  # of a unit under systemd
-LONGEST = 1_000  # bytes of a file
+MAX_LENGTH = 1_000  # bytes of a file
 PLAIN = "/:[]"  # letters of an address that stand as they are
 OBSERVER = "observer"
 OBSERVERS = tuple(f"{OBSERVER}.{number}" for number in range(1, 9))
@@ -72,7 +72,7 @@ def observer_of(state: Path, address: str) -> Identity:
         except OSError:
             file.close()
             continue
-        return Identity(name, file.read(LONGEST).strip(), file)
+        return Identity(name, file.read(MAX_LENGTH).strip(), file)
     raise UserError(
         f"all {len(OBSERVERS)} observers of the bus are in use; end an `obu tail` or `obu record`, or make a user of "
         "your own with `obu keys add NAME --read`"
@@ -109,7 +109,7 @@ def _is_folder(path: Path) -> bool:
 def _read(path: Path) -> str | None:
     try:
         with path.open(encoding="ascii") as file:
-            return file.read(LONGEST).strip()
+            return file.read(MAX_LENGTH).strip()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, UnicodeDecodeError) as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 FOLDER = "ends"  # in the state folder; a file of each process that runs, removed when it ends as it should
-LONGEST = 100_000  # characters that are read
+MAX_LENGTH = 100_000  # characters that are read
 PLACE = re.compile(r'File "[^"]*?([^/"]+)", line (\d+) in (\S+)')
 
 log = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ class LastEnd:
         """Read what the run before has left, and make room for this one; a full disk leaves nothing to tell."""
         with contextlib.suppress(OSError):
             with contextlib.suppress(FileNotFoundError), self._path.open(encoding="utf-8", errors="replace") as left:
-                text = left.read(LONGEST)
+                text = left.read(MAX_LENGTH)
                 self.reason = _reason(text)
                 if self.reason:
                     log.error("%s:\n%s", self.reason, text.strip())

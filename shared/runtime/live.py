@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Protocol, cast
 
-from ..bounded import TooMuch, read_bytes
+from ..bounded import SizeExceeded, read_bytes
 from ..bus import codec
 from ..bus.bus import QUEUE_LENGTH, Bus, Envelope, decoded
 from ..errors import BadPayload
@@ -22,9 +22,9 @@ from ..faults import Faults
 from ..kinds import Kinds
 from ..load import Load
 from ..maths.dates import is_plausible
-from ..messages.base import Message, Persistent, RawBytes, Stamped, Tick
+from ..messages.base import Message, Persistent, RawBytes, StampedMessage, Tick
 from ..messages.imu import ImuSamples
-from ..messages.operation import Consumed, ProcessLoad
+from ..messages.operation import ConsumptionOrder, ProcessLoad
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .clock import boot_id
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 TICK_NS = 1_000_000_000
 JOURNAL_S = 1.0
-MOST_RUNS = 600  # in one message of the journal: 114 kB with the longest names
+MAX_RUNS = 600  # in one message of the journal: 114 kB with the longest names
 SERVE_S = 0.2  # longest time between two turns of the bus, which sends the heartbeats
 PORTION_BYTES = 32 * 1024  # more than the chunk of a driver; whatever they hold takes less than 0.1 s
 
@@ -49,7 +49,7 @@ class Reactor(Protocol):
 
 def arrival_ns(message: Message) -> int | None:
     """When the bytes of a message arrived at their driver; None for a message without such a stamp."""
-    return message.received_ns if isinstance(message, (RawBytes, Stamped, ImuSamples)) else None
+    return message.received_ns if isinstance(message, (RawBytes, StampedMessage, ImuSamples)) else None
 
 
 def portions(message: Message) -> Iterable[Message]:
@@ -100,11 +100,11 @@ class Journal:
         """Note that `close` of the process was called."""
         self._append("close", "", 0, 0)
 
-    def take(self) -> Iterator[Consumed]:
+    def take(self) -> Iterator[ConsumptionOrder]:
         """The runs since the last call, in messages that the broker passes on; none without any."""
         while self._runs:
-            runs, self._runs = tuple(self._runs[:MOST_RUNS]), self._runs[MOST_RUNS:]
-            yield Consumed(process=self._process, incarnation=self._incarnation, runs=runs)
+            runs, self._runs = tuple(self._runs[:MAX_RUNS]), self._runs[MAX_RUNS:]
+            yield ConsumptionOrder(process=self._process, incarnation=self._incarnation, runs=runs)
 
     def _append(self, topic: str, producer: str, incarnation: int, sequence: int) -> None:
         if self._runs:
@@ -262,7 +262,7 @@ class LiveReactor:
                 continue
             try:
                 message = codec.decode(topic.name, read_bytes(path, codec.MAXIMUM_PAYLOAD))
-            except (BadPayload, OSError, TooMuch) as error:
+            except (BadPayload, OSError, SizeExceeded) as error:
                 self._bus.rejects["saved state"] += 1
                 log.warning("ignored the saved %s: %s", topic.name, error)
                 continue

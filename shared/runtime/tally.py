@@ -8,19 +8,19 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ..messages.operation import Carried, ProcessHealth
+from ..messages.operation import ProcessHealth, TopicTraffic
 from ..processes import BY_NAME as PROCESS_ROWS
 from ..topics import BY_NAME, Topic
 
 HEARTBEAT_NS = round(1e9 / (BY_NAME["health/+"].rate_hz or 2.0))
-SILENT_NS = 4 * HEARTBEAT_NS  # by which another's newest message is newer, after which that one's word counts
+SILENCE_TIMEOUT_NS = 4 * HEARTBEAT_NS  # by which another's newest message is newer, after which that one's word counts
 RATE_WINDOW_NS = 10_000_000_000
 DEAF_HEARTBEATS = 10  # without a message of this topic, while
 DEAF_MESSAGES = 10  # so many were sent
 Teller = tuple[str, bool]  # process, and whether it is about what it published
 
 
-def told(health: ProcessHealth) -> Iterator[tuple[Carried, bool]]:
+def told(health: ProcessHealth) -> Iterator[tuple[TopicTraffic, bool]]:
     """Yield what a heartbeat tells of fast topics, and whether the process has published them."""
     for published, carried in ((True, health.published), (False, health.received)):
         yield from ((item, published) for item in carried if item.topic in BY_NAME and BY_NAME[item.topic].fast)
@@ -38,7 +38,7 @@ class _Word:
     total: int = 0  # of these messages at the last heartbeat
 
 
-class Tally:
+class TopicCounters:
     """Count, rate, age and latency of one topic; empty while no heartbeat tells of it."""
 
     def __init__(self, topic: Topic) -> None:
@@ -53,7 +53,7 @@ class Tally:
         self._said_ns = 0  # when the leader spoke last
         self._marks: deque[tuple[int, int]] = deque()
 
-    def take(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> None:
+    def take(self, health: ProcessHealth, carried: TopicTraffic, *, published: bool, now_ns: int) -> None:
         """Note what a heartbeat tells of the topic; nothing is newer than its arrival here."""
         said_ns = min(health.sent_ns, now_ns)
         teller = health.process, published
@@ -102,11 +102,11 @@ class Tally:
     def _leads(self, teller: Teller, newest_ns: int) -> bool:
         """Whether this one's word counts: a producer's before a consumer's, and nobody's who has fallen silent."""
         overrules = self._leader is None or teller[1] > self._leader[1]
-        if overrules or newest_ns > (self.newest_ns or 0) + SILENT_NS:
+        if overrules or newest_ns > (self.newest_ns or 0) + SILENCE_TIMEOUT_NS:
             self._leader = teller
         return self._leader == teller
 
-    def _latency_s(self, teller: Teller, carried: Carried) -> float | None:
+    def _latency_s(self, teller: Teller, carried: TopicTraffic) -> float | None:
         """Time from the stamp of the newest message to its arrival, or its sending where nobody receives it at once."""
         process, published = teller
         if published is not self._by_producer or carried.newest_ns is None or carried.stamp_ns is None:

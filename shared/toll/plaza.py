@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from .. import shipped
-from ..bounded import TooMuch, load_json, read_bytes
+from ..bounded import SizeExceeded, load_json, read_bytes
 from ..errors import ConfigError
 from ..maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from ..messages.fitting import size
@@ -206,7 +206,7 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
         raise ConfigError(f"{path} has more than {MAXIMUM_BYTES} bytes; a plaza needs a few kilobytes")
     try:
         document = _Document.model_validate(load_json(text, MAXIMUM_BYTES))
-    except (UnicodeDecodeError, json.JSONDecodeError, TooMuch) as error:
+    except (UnicodeDecodeError, json.JSONDecodeError, SizeExceeded) as error:
         raise ConfigError(f"{path} is not valid JSON: {error}; compare with deploy/plazas/example.geojson") from error
     except ValidationError as error:
         first = error.errors()[0]
@@ -251,7 +251,7 @@ def load_plaza(path: Path) -> Plaza:
     """Read a plaza's file."""
     try:
         plaza = parse_plaza(read_bytes(plaza_path(path), MAXIMUM_BYTES), str(path))
-    except TooMuch as error:
+    except SizeExceeded as error:
         raise ConfigError(f"{path} is no plaza: {error}; a plaza needs a few kilobytes") from error
     except OSError as error:
         raise ConfigError(f"cannot read the plaza's file {path}: {error.strerror}; see deploy/plazas/") from error

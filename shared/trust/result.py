@@ -53,7 +53,7 @@ class Test:
         return ORDER.index(self.outcome), ratio
 
 
-NOTHING: Mapping[str, Test] = MappingProxyType({})
+NO_TESTS: Mapping[str, Test] = MappingProxyType({})
 
 
 def judged(base: Test, statistic: float, threshold: float, *, accuses: bool | None = None) -> Test:
@@ -113,7 +113,7 @@ def published(name: str, test: Test) -> MonitorTest:
     )  # fmt: skip
 
 
-def statement(monitor: str, decides: Test, time_ns: int, tests: Mapping[str, Test] = NOTHING) -> TrustMonitor:
+def statement(monitor: str, decides: Test, time_ns: int, tests: Mapping[str, Test] = NO_TESTS) -> TrustMonitor:
     """Message of a monitor: its deciding test, and all of them by name."""
     return TrustMonitor(
         sampled_ns=time_ns, monitor=monitor, outcome=decides.outcome, reason=reason(complete(decides.why, decides)),

@@ -6,8 +6,8 @@ from math import degrees, hypot
 from ..maths.earth import Geodetic, ned_from_geodetic_difference, wrap_angle
 
 NS_PER_MS = 1_000_000
-SHORTEST_PERIOD_NS = 100 * NS_PER_MS  # T_GenCamMin, and T_GenCam_Dcc without congestion control
-LONGEST_PERIOD_NS = 1000 * NS_PER_MS  # T_GenCamMax
+MIN_PERIOD_NS = 100 * NS_PER_MS  # T_GenCamMin, and T_GenCam_Dcc without congestion control
+MAX_PERIOD_NS = 1000 * NS_PER_MS  # T_GenCamMax
 LOW_FREQUENCY_PERIOD_NS = 500 * NS_PER_MS
 PERIODIC_CAMS = 3  # N_GenCam: consecutive CAM by time alone after which the period is the longest again
 HEADING_CHANGE_DEG = 4.0
@@ -43,27 +43,27 @@ class GenerationRules:
 
     def __init__(self) -> None:
         self._last: Dynamics | None = None
-        self._period_ns = LONGEST_PERIOD_NS
+        self._period_ns = MAX_PERIOD_NS
         self._periodic = 0
         self._low_frequency_ns: int | None = None
 
     def check(self, now: Dynamics) -> Generation | None:
         """Decide whether a CAM is due; to be called about every 100 ms or more often."""
-        if self._last is not None and now.time_ns < self._last.time_ns - LONGEST_PERIOD_NS:
+        if self._last is not None and now.time_ns < self._last.time_ns - MAX_PERIOD_NS:
             self._last = self._low_frequency_ns = None  # the time line began anew
         if self._last is not None:
             elapsed_ns = now.time_ns - self._last.time_ns + CHECK_JITTER_NS
-            if elapsed_ns < SHORTEST_PERIOD_NS:
+            if elapsed_ns < MIN_PERIOD_NS:
                 return None
             if _has_changed(now, self._last):
-                self._period_ns = min(max(elapsed_ns - CHECK_JITTER_NS, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
+                self._period_ns = min(max(elapsed_ns - CHECK_JITTER_NS, MIN_PERIOD_NS), MAX_PERIOD_NS)
                 self._periodic = 0
             elif elapsed_ns < self._period_ns:
                 return None
             else:
                 self._periodic += 1
                 if self._periodic >= PERIODIC_CAMS:
-                    self._period_ns = LONGEST_PERIOD_NS
+                    self._period_ns = MAX_PERIOD_NS
         self._last = now
         last_ns = self._low_frequency_ns
         # No tolerance here: the container comes at the earliest 500 ms after the last one, also if a check is late.

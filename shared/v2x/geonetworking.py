@@ -30,7 +30,7 @@ BTP_AT = POSITION_AT + POSITION.size + MEDIA_DEPENDENT.size
 PAYLOAD_AT = BTP_AT + BTP_B.size
 
 HEADING_PER_RAD = 1800 / math.pi  # 0.1 degrees
-GREATEST_SPEED = 0x3FFF  # 15 bits, signed, 0.01 m/s
+MAX_SPEED = 0x3FFF  # 15 bits, signed, 0.01 m/s
 TIME_CYCLE_MS = 1 << 32  # of the time in a position vector: 49.7 days
 
 
@@ -93,7 +93,7 @@ def pseudonymous_address(station_id: int) -> bytes:
 
 def encode_packet(payload: bytes, sender: PositionVector, *, mobile: bool = True) -> bytes:
     """Put a payload into a single-hop broadcast to the BTP port of the CAM."""
-    speed = max(-GREATEST_SPEED - 1, min(GREATEST_SPEED, round(sender.speed_m_s * 100)))
+    speed = max(-MAX_SPEED - 1, min(MAX_SPEED, round(sender.speed_m_s * 100)))
     return b"".join(
         (
             BASIC.pack(VERSION << 4 | BASIC_NEXT_COMMON, 0, LIFETIME_1_S, 1),

@@ -14,7 +14,7 @@ from math import degrees
 from pathlib import Path
 from typing import cast
 
-from ..messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value
+from ..messages.explanation import Explanation, QuotedText, Reference, ReferenceKind, Value
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent
@@ -46,7 +46,7 @@ Names = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True)
-class Told:
+class CodedText:
     """A code, and the text of its message, which is shown where the code has no words, or where there is no code."""
 
     text: str
@@ -136,18 +136,18 @@ class Words:
         """Row of a code, empty where there is none."""
         return self.rows.get(code, Row())
 
-    def sentence(self, explanation: Explanation, **causes: Told) -> str | None:
+    def sentence(self, explanation: Explanation, **causes: CodedText) -> str | None:
         """One line for a driver; None without a row that fits. `causes` are those that its placeholders name."""
         clauses = {name: self.clause(cause) for name, cause in causes.items()}
         found = self._render(self.row(explanation.code).sentence, explanation, clauses=clauses)
         return found or (self.otherwise.sentence(explanation, **causes) if self.otherwise else None)
 
-    def clause(self, told: Told) -> str:
+    def clause(self, told: CodedText) -> str:
         """A few words for the sentence of another code; without a row that fits, the text of the message."""
         found = None if told.code is None else self._render(self.row(told.code.code).clause, told.code)
         return found or (self.otherwise.clause(told) if self.otherwise else told.text)
 
-    def told(self, told: Told, zone: tzinfo = UTC) -> str:
+    def told(self, told: CodedText, zone: tzinfo = UTC) -> str:
         """One line with figures; without a row that fits, the text of the message."""
         return (None if told.code is None else self.detail(told.code, zone)) or told.text
 
@@ -205,7 +205,7 @@ class Words:
     def _single(self, value: Value, table: str | None) -> str:
         if isinstance(value, Reference):
             return self._reference(value)
-        if isinstance(value, Quoted):
+        if isinstance(value, QuotedText):
             return f"“{value.quoted}”"
         if not table or not isinstance(value, str):
             raise TypeError(f"{value!r} is written by the name of a table")
@@ -228,7 +228,7 @@ class Words:
 
 def said(text: str, code: Explanation | None, zone: tzinfo = UTC) -> str:
     """Say why, of a message: by the words of its code, else by its own text as it is, else by the code itself."""
-    return words().told(Told(text, code), zone) or (code.code if code else "")
+    return words().told(CodedText(text, code), zone) or (code.code if code else "")
 
 
 def reason(*explanations: Explanation) -> str:
@@ -236,9 +236,9 @@ def reason(*explanations: Explanation) -> str:
     return "; ".join(words().detail(explanation) or explanation.code for explanation in explanations)[:REASON_LENGTH]
 
 
-def stated(explanation: Explanation) -> Told:
+def stated(explanation: Explanation) -> CodedText:
     """A code of one's own with its English detail."""
-    return Told(reason(explanation), explanation)
+    return CodedText(reason(explanation), explanation)
 
 
 @cache

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, ViewportSize
 
 from tests.support.dashboard.chromium import chromium, uncaught
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 
 THEMES: dict[str, ViewportSize] = {
     "light": {"width": 1360, "height": 850},
@@ -42,14 +42,14 @@ def no_page_fails() -> Iterator[list[str]]:
     assert not found, "a page reported an error that its program did not catch"
 
 
-class Units(dict[str, Running]):
+class Units(dict[str, RunningServer]):
     """Units in four states, each started when a test first asks for it: one that works, and three that do not."""
 
     def __init__(self, stack: ExitStack, folder: Callable[[str], Path]) -> None:
         super().__init__()
         self._stack, self._folder = stack, folder
 
-    def __missing__(self, state: str) -> Running:
+    def __missing__(self, state: str) -> RunningServer:
         """Start the unit of a state."""
         running = self._stack.enter_context(
             status_server(self._folder(state), unit=state != "empty", allowed_hosts=["obu.local"])

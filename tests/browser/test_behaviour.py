@@ -15,7 +15,7 @@ from shared.messages.uplink import UplinkState
 from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
 from tests.support.dashboard.fake_unit import SIMULATED
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 from tests.support.patience import HANGS_S
 
 DEADLINE_S = 2.0  # of navigation/solution
@@ -78,7 +78,7 @@ def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open
     ],
 )
 def test_the_badge_says_where_the_data_are_from(
-    units: dict[str, Running], open_page: Callable[..., Page], kind: OriginKind, shown: str
+    units: dict[str, RunningServer], open_page: Callable[..., Page], kind: OriginKind, shown: str
 ) -> None:
     bus = units["empty"].bus
     page = open_page(units["empty"].address)
@@ -119,7 +119,7 @@ def test_whoever_is_watched_from_a_control_centre_sees_it_on_every_page_while_it
 
 
 def test_the_reasons_of_the_banner_are_listed_with_what_is_not_evaluated(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["alarm"].address)
     page.get_by_role("button", name="Why?").click()
@@ -138,7 +138,7 @@ def test_the_reasons_of_the_banner_are_listed_with_what_is_not_evaluated(
 
 
 def test_the_keyboard_goes_everywhere_and_can_be_silenced(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address)
     expect(page.locator("svg.closeup")).to_be_visible()
@@ -168,7 +168,7 @@ def test_the_keyboard_goes_everywhere_and_can_be_silenced(
 
 
 def test_the_topic_inspector_shows_pauses_plots_and_copies(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     # By a plain name over HTTP there is no secure context, and so no navigator.clipboard.
     address = units["normal"].address.replace("127.0.0.1", "obu.local")
@@ -198,18 +198,24 @@ def test_the_topic_inspector_shows_pauses_plots_and_copies(
     expect(drawer).to_be_hidden()
 
 
-def test_bytes_of_a_device_are_shown_as_hexadecimal(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_bytes_of_a_device_are_shown_as_hexadecimal(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["normal"].address, path="system?topic=gnss/raw")
     expect(page.get_by_role("dialog")).to_contain_text('"hexadecimal": "b5 62 01 07')
 
 
-def test_a_topic_that_never_spoke_says_who_would(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_a_topic_that_never_spoke_says_who_would(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["empty"].address, path="system?topic=gnss/fix")
     expect(page.get_by_role("dialog")).to_contain_text("No message received yet.")
     expect(page.get_by_role("dialog")).to_contain_text("It is published by parsers.gnss")
 
 
-def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_a_process_shows_its_life_and_its_topics(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["alarm"].address, path="system")
     node = page.get_by_role("link", name="lost: monitoring.recorder")
     expect(node).to_be_visible()
@@ -223,13 +229,17 @@ def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open
     expect(outages.locator("li", has_text="imu/raw")).to_contain_text("its device sends nothing")
 
 
-def test_problems_in_the_footer_lead_to_their_place(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_problems_in_the_footer_lead_to_their_place(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["stale"].address)
     page.get_by_role("link", name="1 problem: core.fusion is stale").click()
     expect(page.get_by_role("dialog", name="Process core.fusion")).to_contain_text("no heartbeat within the deadline")
 
 
-def test_pictures_have_a_table_that_says_the_same(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_pictures_have_a_table_that_says_the_same(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["normal"].address)
     for name, heading in (("Close-up", "95 % error ellipse"), ("Speed", "Odometer, km/h")):
         card = page.get_by_role("region", name=name, exact=True).first
@@ -241,7 +251,9 @@ def test_pictures_have_a_table_that_says_the_same(units: dict[str, Running], ope
         expect(key).to_have_css("background-color", "rgba(0, 0, 0, 0)")  # a line as in the plot, and no square
 
 
-def test_the_close_up_zooms_turns_and_fits_again(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_the_close_up_zooms_turns_and_fits_again(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["normal"].address)
     scale = page.locator(".scale text")
     fitted = scale.text_content() or ""
@@ -327,7 +339,7 @@ def test_after_a_restart_of_the_status_process_its_history_is_there_and_nothing_
         expect(page.locator("main .checks .state.safe")).to_have_count(0)
 
 
-def test_colours_are_remembered(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_colours_are_remembered(units: dict[str, RunningServer], open_page: Callable[..., Page]) -> None:
     page = open_page(units["normal"].address)
     page.get_by_role("button", name="Colours: Automatic colours").click()
     page.get_by_role("button", name="Colours: Light colours").click()
@@ -336,7 +348,7 @@ def test_colours_are_remembered(units: dict[str, Running], open_page: Callable[.
     expect(page.locator("html")).to_have_attribute("data-theme", "dark")
 
 
-def test_targets_are_large_enough_for_a_thumb(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_targets_are_large_enough_for_a_thumb(units: dict[str, RunningServer], open_page: Callable[..., Page]) -> None:
     page = open_page(units["normal"].address, theme="phone")
     expect(page.locator("svg.closeup")).to_be_visible()
     small = page.evaluate(
@@ -457,7 +469,7 @@ def test_an_old_protection_level_is_not_shown_as_one_of_now(tmp_path: Path, open
 
 
 def test_figures_lines_and_states_of_the_system_page_are_explained(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address, path="system")
     layers = page.get_by_role("region", name="Processes by layer")
@@ -478,7 +490,7 @@ def test_figures_lines_and_states_of_the_system_page_are_explained(
 
 
 def test_a_silent_topic_and_one_of_events_look_different(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["alarm"].address, path="system")
     topics = page.get_by_role("region", name="Topics").first
@@ -500,7 +512,7 @@ def test_a_unit_that_has_just_started_is_not_called_well(tmp_path: Path, open_pa
 
 
 def test_the_page_trust_shows_statistics_against_thresholds_and_unfolds_the_tests(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["alarm"].address, path="trust")
     verdict = page.get_by_role("region", name="Verdict", exact=True)
@@ -551,7 +563,7 @@ def test_without_core_trust_the_page_says_that_trust_is_not_evaluated(
 
 
 def test_the_page_trust_without_any_verdict_is_empty_and_says_why(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="trust")
     expect(page.get_by_text("No outcome of any monitor yet")).to_be_visible()
@@ -588,7 +600,7 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
 
 
 def test_attacks_are_offered_only_where_the_data_are_simulated(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="trust")
     expect(page.get_by_role("region", name="Monitors")).to_be_visible()

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 from shared.messages.operation import DeviceFound
 from tests.browser.test_pages import judge_everywhere
 from tests.support.cases import crossed
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 
 PAGE_BYTES = 120_000
 FIRST_HEADING = {
@@ -26,7 +26,7 @@ FIRST_HEADING = {
     [*crossed(["normal"], ["gnss", "charts"]), *crossed(["stale", "alarm", "empty"], ["gnss", "charts"])],
 )
 def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
-    units: dict[str, Running], open_page: Callable[..., Page], state: str, path: str
+    units: dict[str, RunningServer], open_page: Callable[..., Page], state: str, path: str
 ) -> None:
     page = open_page("about:blank")
     sizes: list[int] = []
@@ -44,7 +44,7 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
 
 
 def test_the_sky_shows_used_tracked_and_excluded_satellites_and_the_table_says_why(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address, path="gnss")
     sky = page.get_by_role("img", name="Sky plot, north up: 16 satellites used, 7 not used, 1 excluded")
@@ -69,7 +69,7 @@ def test_the_sky_shows_used_tracked_and_excluded_satellites_and_the_table_says_w
 
 
 def test_signals_fix_interference_and_settings_of_the_receiver_are_shown(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address, path="gnss")
     signals = page.get_by_role("region", name="Signals", exact=True)
@@ -114,7 +114,7 @@ def test_the_port_and_what_became_of_each_kind_of_message_are_shown(
 
 
 def test_without_a_receiver_the_page_says_what_to_connect(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="gnss")
     expect(page.get_by_text("No message of a GNSS receiver yet")).to_be_visible()
@@ -122,7 +122,7 @@ def test_without_a_receiver_the_page_says_what_to_connect(
 
 
 def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_the_cursor(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address, path="system?topic=navigation/solution")
     drawer = page.get_by_role("dialog", name="Topic navigation/solution")
@@ -157,7 +157,7 @@ def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_th
 
 
 def test_charts_stand_still_while_the_display_is_paused(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["normal"].address, path="charts")
     expect(page.locator(".plot canvas").first).to_be_visible()

@@ -58,7 +58,7 @@ TIMELINE = "() => [...document.querySelectorAll('.band .segment')].map((s) => s.
 
 
 @dataclass
-class Seen:
+class PageReaction:
     """What the page showed after one failure, with the time until it did [s]."""
 
     banner: dict[str, float] = field(default_factory=dict)  # words other than those of `VOUCHED`
@@ -69,14 +69,14 @@ class Seen:
     recovered_s: float = 0.0  # when something did not work for the last time
 
 
-class Watched:
+class WatchedSystemPage:
     """The page System of a unit in which one process fails."""
 
     def __init__(self, page: Page, process: str) -> None:
         self._page, self._process = page, process
         self._begins = {begin_of(outage) for outage in self._look()["outages"]}
         self._started_s = time.monotonic()
-        self.seen = Seen()
+        self.seen = PageReaction()
 
     def _look(self) -> dict[str, Any]:
         found: dict[str, Any] = self._page.evaluate(LOOK, self._process)
@@ -167,9 +167,9 @@ def pages(demo: Demo, browser: Browser) -> Iterator[tuple[Page, Page]]:
 
 
 @pytest.fixture(scope="module")
-def results() -> Iterator[dict[tuple[str, str], Seen]]:
+def results() -> Iterator[dict[tuple[str, str], PageReaction]]:
     """What was seen of each process and failure, written as a table if a file is named."""
-    found: dict[tuple[str, str], Seen] = {}
+    found: dict[tuple[str, str], PageReaction] = {}
     yield found
     if path := os.environ.get(TABLE):
         Path(path).write_text(as_table(found))
@@ -177,13 +177,13 @@ def results() -> Iterator[dict[tuple[str, str], Seen]]:
 
 @pytest.mark.parametrize(("name", "failure"), CHOSEN)
 def test_a_failure_is_shown_by_banner_row_outage_and_timeline(
-    name: str, failure: str, demo: Demo, pages: tuple[Page, Page], results: dict[tuple[str, str], Seen]
+    name: str, failure: str, demo: Demo, pages: tuple[Page, Page], results: dict[tuple[str, str], PageReaction]
 ) -> None:
     system, trust = pages
     before = len(trust.evaluate(TIMELINE))
     child = demo.child("mosquitto.conf" if name == BROKER else f"run {name}")
-    Watched(system, name).recover()  # from the failure before
-    watched = Watched(system, name)
+    WatchedSystemPage(system, name).recover()  # from the failure before
+    watched = WatchedSystemPage(system, name)
     seen = results[name, failure] = watched.seen
     child.send_signal(SIGNALS[failure])
     try:
@@ -259,7 +259,7 @@ def lost_of(before: dict[str, Any], after: dict[str, Any]) -> set[int]:
     return {time_ns for time_ns in known(before) - known(after) if time_ns >= oldest_ns}
 
 
-def as_table(results: dict[tuple[str, str], Seen]) -> str:
+def as_table(results: dict[tuple[str, str], PageReaction]) -> str:
     """Write the results as a Markdown table."""
 
     def times(found: dict[str, float]) -> str:

@@ -8,13 +8,13 @@ from playwright.sync_api import Page, ViewportSize, expect
 
 from shared.messages.trust import Hypothesis
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 
 SMALL: ViewportSize = {"width": 760, "height": 600}  # WebGL is computed in software here
 
 
 @pytest.fixture(scope="module")
-def suspecting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def suspecting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     """A unit whose GNSS or IMU may be wrong."""
     with status_server(tmp_path_factory.mktemp("suspecting")) as server:
         assert server.unit
@@ -24,7 +24,7 @@ def suspecting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
-    suspecting: Running, open_page: Callable[..., Page]
+    suspecting: RunningServer, open_page: Callable[..., Page]
 ) -> None:
     page = open_page(suspecting.address, path="trust")
     banner = page.get_by_role("region", name="Can the position be trusted?")
@@ -55,7 +55,7 @@ def test_the_page_trust_says_which_hypotheses_survive_where_they_are_and_why(
 
 @pytest.mark.slow
 def test_the_map_draws_the_alternatives_while_one_is_suspected_and_as_somebody_chose(
-    suspecting: Running, open_page: Callable[..., Page]
+    suspecting: RunningServer, open_page: Callable[..., Page]
 ) -> None:
     unit = suspecting.unit
     assert unit
@@ -102,7 +102,7 @@ def test_without_beliefs_and_positions_the_page_trust_says_what_is_missing(
     ],
 )
 def test_the_banner_speaks_the_language_of_the_browser_and_otherwise_english(
-    suspecting: Running, open_page: Callable[..., Page], locale: str, language: str, sentence: str
+    suspecting: RunningServer, open_page: Callable[..., Page], locale: str, language: str, sentence: str
 ) -> None:
     shown = open_page(suspecting.address, locale=locale).locator(".banner .sentence > span").first
     expect(shown).to_have_text(sentence)

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.browser.test_pages import keep_picture
 from tests.support.dashboard.fake_unit import SIMULATED
-from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 from tests.support.v2x.fake_plaza import FakePlaza
 
 PAGES = ("now", "map", "gnss", "charts", "trust", "recordings", "system")
@@ -37,20 +37,20 @@ BOXES = "(selector) => [...document.querySelectorAll(selector)].map((one) => one
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     with status_server(tmp_path_factory.mktemp("unit")) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def plaza(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def plaza(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     with status_server(tmp_path_factory.mktemp("plaza"), plaza=FakePlaza()) as running:
         yield running
 
 
 @pytest.mark.parametrize("path", [*PAGES, "toll"])
 def test_no_text_is_covered_or_off_the_screen(
-    server: Running, plaza: Running, open_page: Callable[..., Page], path: str
+    server: RunningServer, plaza: RunningServer, open_page: Callable[..., Page], path: str
 ) -> None:
     page = open_page("about:blank")
     page.route("**/lib/maplibre*.js", lambda _: None)  # never answered: the tools are there, and no map is drawn
@@ -67,7 +67,7 @@ def test_no_text_is_covered_or_off_the_screen(
         keep_picture(page, f"layout-{path}-{width}")
 
 
-def test_what_is_not_fitted_is_listed_beside_the_boxes(server: Running, open_page: Callable[..., Page]) -> None:
+def test_what_is_not_fitted_is_listed_beside_the_boxes(server: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page(server.address, path="system")
     expect(page.locator("a.node").first).to_be_visible()
     for width in (320, 390, 1001, 1101, 1360, 1920):
@@ -78,7 +78,7 @@ def test_what_is_not_fitted_is_listed_beside_the_boxes(server: Running, open_pag
 
 
 @pytest.mark.parametrize("path", ["now", "gnss", "trust", "system"])
-def test_drawers_fit_the_screen_of_a_phone(server: Running, open_page: Callable[..., Page], path: str) -> None:
+def test_drawers_fit_the_screen_of_a_phone(server: RunningServer, open_page: Callable[..., Page], path: str) -> None:
     page = open_page(server.address, path=path, theme="phone")
     expect(page.locator(".banner .word")).to_have_text("SAFE")
     for opens in ("w", "?"):
@@ -92,7 +92,9 @@ def test_drawers_fit_the_screen_of_a_phone(server: Running, open_page: Callable[
         nothing_is(page, OFF_SCREEN)
 
 
-def test_a_drawer_that_follows_another_at_once_stays_open(server: Running, open_page: Callable[..., Page]) -> None:
+def test_a_drawer_that_follows_another_at_once_stays_open(
+    server: RunningServer, open_page: Callable[..., Page]
+) -> None:
     """The event of a dialog's end comes later than the key."""
     page = open_page(server.address, path="now")
     expect(page.locator(".banner .word")).to_have_text("SAFE")
@@ -109,7 +111,7 @@ def test_a_drawer_that_follows_another_at_once_stays_open(server: Running, open_
     expect(page.get_by_role("dialog", name="Help")).to_be_visible()
 
 
-def test_names_of_lanes_stand_beside_lines_and_vehicles(plaza: Running, open_page: Callable[..., Page]) -> None:
+def test_names_of_lanes_stand_beside_lines_and_vehicles(plaza: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page(plaza.address, path="toll")
     expect(page.locator(".plaza text").first).to_be_visible()
     names, lines = boxes_of(page, ".plaza text"), boxes_of(page, ".plaza line")
@@ -119,7 +121,9 @@ def test_names_of_lanes_stand_beside_lines_and_vehicles(plaza: Running, open_pag
     assert order[-7:] == ["rect", *["text"] * 6], "the names stand on a ground of their own, above the vehicles"
 
 
-def test_an_account_that_is_not_closed_has_no_mark_of_agreement(plaza: Running, open_page: Callable[..., Page]) -> None:
+def test_an_account_that_is_not_closed_has_no_mark_of_agreement(
+    plaza: RunningServer, open_page: Callable[..., Page]
+) -> None:
     page = open_page(plaza.address, path="toll")
     cell = page.locator(".account-card tbody td").last
     expect(cell).to_contain_text("not closed yet: 4")
@@ -158,7 +162,7 @@ def late(route: Route) -> None:
 
 @pytest.mark.parametrize("slow", ["**/system/system.js", "**/ws**"])
 def test_the_search_has_the_focus_when_its_page_is_there(
-    server: Running, open_page: Callable[..., Page], slow: str
+    server: RunningServer, open_page: Callable[..., Page], slow: str
 ) -> None:
     page = open_page("about:blank")
     if slow.endswith(".js"):
@@ -182,7 +186,7 @@ def connect_late(route: Any) -> None:
     route.connect_to_server()
 
 
-def test_tools_of_the_map_wait_for_the_map(server: Running, open_page: Callable[..., Page]) -> None:
+def test_tools_of_the_map_wait_for_the_map(server: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page("about:blank")
     held: list[Route] = []
     page.route("**/lib/maplibre*.js", lambda route: held.append(route))  # noqa: PLW0108  # playwright wants a function

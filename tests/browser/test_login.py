@@ -11,14 +11,14 @@ from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens
 from tests.browser.conftest import THEMES
 from tests.support.dashboard.chromium import AXE
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 
 
 @dataclass
-class Guarded:
+class GuardedPage:
     """A page that asks everybody to log in."""
 
-    unit: Running
+    unit: RunningServer
     tokens: Tokens
 
     def link(self) -> str:
@@ -27,10 +27,10 @@ class Guarded:
 
 
 @pytest.fixture(scope="module")
-def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedPage]:
     folder = tmp_path_factory.mktemp("guarded")
     with status_server(folder, login_on_loopback=True, recordings=["download", "keep", "delete"]) as unit:
-        yield Guarded(unit, Tokens(folder))
+        yield GuardedPage(unit, Tokens(folder))
 
 
 def is_login(url: str) -> bool:
@@ -39,7 +39,7 @@ def is_login(url: str) -> bool:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_without_a_login_the_page_asks_for_one_and_is_readable(
-    guarded: Guarded, open_page: Callable[..., Page], theme: str
+    guarded: GuardedPage, open_page: Callable[..., Page], theme: str
 ) -> None:
     page = open_page(guarded.unit.address, theme=theme, path="map")
     page.wait_for_url(is_login)
@@ -55,7 +55,9 @@ def test_without_a_login_the_page_asks_for_one_and_is_readable(
 
 
 @pytest.mark.parametrize("theme", ["light", "phone-dark"])
-def test_a_link_logs_in_once_and_leaves_no_token_in_the_history(guarded: Guarded, browser: Browser, theme: str) -> None:
+def test_a_link_logs_in_once_and_leaves_no_token_in_the_history(
+    guarded: GuardedPage, browser: Browser, theme: str
+) -> None:
     link = guarded.link()
     context = browser.new_context(viewport=THEMES[theme])
     page = context.new_page()
@@ -81,7 +83,7 @@ def test_a_link_logs_in_once_and_leaves_no_token_in_the_history(guarded: Guarded
     context.close()
 
 
-def test_a_token_by_hand_leads_to_the_page_that_was_asked_for(guarded: Guarded, browser: Browser) -> None:
+def test_a_token_by_hand_leads_to_the_page_that_was_asked_for(guarded: GuardedPage, browser: Browser) -> None:
     secret = guarded.tokens.add("hand", Right.VIEW)
     context = browser.new_context(viewport=THEMES["phone"])
     page = context.new_page()
@@ -100,7 +102,7 @@ def test_a_token_by_hand_leads_to_the_page_that_was_asked_for(guarded: Guarded, 
     context.close()
 
 
-def test_a_change_of_the_page_is_accepted_and_the_role_decides(guarded: Guarded, browser: Browser) -> None:
+def test_a_change_of_the_page_is_accepted_and_the_role_decides(guarded: GuardedPage, browser: Browser) -> None:
     for right, answer in ((Right.VIEW, "this needs the role operate"), (Right.OPERATE, None)):
         context = browser.new_context()
         page = context.new_page()

@@ -24,7 +24,7 @@ from services.sensors.simulator.vehicle import AntennaState
 from shared.maths.earth import Geodetic, ecef_from_geodetic
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
 from tests.support.dashboard.fake_unit import LATITUDE_DEG, LONGITUDE_DEG
-from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 from tests.support.dashboard.tile_files import write_mbtiles, write_pmtiles
 from tests.support.v2x.tolling import PLAZA
 
@@ -40,7 +40,7 @@ ROUND = Course((RoadSegment(100.0, (5.0, 6.0)), bend(360.0, 60.0, (5.0, 6.0), (1
 
 
 @pytest.fixture(scope="module")
-def tiled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def tiled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     """A unit that has driven a while, with a PMTiles file."""
     folder = tmp_path_factory.mktemp("tiled")
     write_pmtiles(folder / "a.pmtiles", LATITUDE_DEG, LONGITUDE_DEG, protomaps=True)
@@ -49,7 +49,7 @@ def tiled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield server
 
 
-def rows(server: Running) -> list[int]:
+def rows(server: RunningServer) -> list[int]:
     answer = httpx.get(f"{server.address}/api/track").raise_for_status().json()
     return list(answer["columns"]["time_ns"])
 
@@ -66,7 +66,7 @@ def drawn(page: Page, colour: tuple[int, int, int], at_least: float) -> None:
 
 
 def test_the_map_page_is_accessible_asks_nobody_else_and_keeps_to_its_budget(
-    tiled: Running, open_page: Callable[..., Page]
+    tiled: RunningServer, open_page: Callable[..., Page]
 ) -> None:
     page = open_page("about:blank", reduced_motion="reduce", viewport=SIZES["wide"])
     asked: list[str] = []
@@ -87,7 +87,7 @@ def test_the_map_page_is_accessible_asks_nobody_else_and_keeps_to_its_budget(
 
 @pytest.mark.slow
 def test_layers_follow_measure_table_and_inspection_do_what_they_say(
-    tiled: Running, open_page: Callable[..., Page]
+    tiled: RunningServer, open_page: Callable[..., Page]
 ) -> None:
     page = open_page(tiled.address, path="map", reduced_motion="reduce", viewport=SIZES["small"])
     drawn(page, WATER, 0.2)
@@ -123,7 +123,7 @@ def test_layers_follow_measure_table_and_inspection_do_what_they_say(
     assert faults(page) == []
 
 
-def test_distances_agree_with_chords_of_the_ellipsoid(tiled: Running, open_page: Callable[..., Page]) -> None:
+def test_distances_agree_with_chords_of_the_ellipsoid(tiled: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page(tiled.address)
     expect(page.locator("svg.closeup")).to_be_visible()
     for a, b in (([11.0, 48.0], [11.03, 48.02]), ([-70.0, -33.0], [-70.0, -33.05]), ([25.0, 68.0], [25.1, 68.0])):
@@ -134,7 +134,7 @@ def test_distances_agree_with_chords_of_the_ellipsoid(tiled: Running, open_page:
         assert (found["degrees"] - back["degrees"]) % 360 == pytest.approx(180.0)
 
 
-def test_each_layer_draws_the_messages_of_its_topic(tiled: Running, open_page: Callable[..., Page]) -> None:
+def test_each_layer_draws_the_messages_of_its_topic(tiled: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page(tiled.address)
     expect(page.locator("svg.closeup")).to_be_visible()
     scenario = scenario_of("urban")
@@ -149,7 +149,7 @@ def test_each_layer_draws_the_messages_of_its_topic(tiled: Running, open_page: C
         assert all(f["properties"]["role"] for f in features)
 
 
-def test_the_track_can_be_downloaded_and_is_sent_in_parts(tiled: Running) -> None:
+def test_the_track_can_be_downloaded_and_is_sent_in_parts(tiled: RunningServer) -> None:
     for name, root in (("gpx", "gpx"), ("kml", "kml")):
         answer = httpx.get(f"{tiled.address}/api/track.{name}").raise_for_status()
         assert answer.headers["content-disposition"] == f'attachment; filename="truck-07-fused.{name}"'

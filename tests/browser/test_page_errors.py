@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.test_pages import PLAIN_FRAMES, faults, keep_picture
 from tests.support.dashboard.fake_unit import EVIDENCE_TESTS, SIMULATED
-from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 
 FAILED = "This part of the page cannot be shown"
 PAGES = ("now", "map", "gnss", "charts", "trust", "recordings", "system")
@@ -30,14 +30,14 @@ BROKEN = {
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     with status_server(tmp_path_factory.mktemp("unit")) as running:
         yield running
 
 
 @pytest.mark.parametrize("broken", BROKEN)
 def test_a_page_that_fails_says_so_and_the_others_go_on(
-    server: Running, open_page: Callable[..., Page], no_page_fails: list[str], broken: str
+    server: RunningServer, open_page: Callable[..., Page], no_page_fails: list[str], broken: str
 ) -> None:
     server.bus.rejects.clear()
     page = open_page("about:blank", expected=("broken for a test",))
@@ -63,7 +63,7 @@ def test_a_page_that_fails_says_so_and_the_others_go_on(
 
 
 def test_a_part_of_the_shell_that_fails_leaves_the_page_and_the_verdict(
-    server: Running, open_page: Callable[..., Page], no_page_fails: list[str]
+    server: RunningServer, open_page: Callable[..., Page], no_page_fails: list[str]
 ) -> None:
     page = open_page("about:blank", expected=("of null", "of undefined"))
     page.add_init_script(PLAIN_FRAMES)

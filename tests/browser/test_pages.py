@@ -15,7 +15,7 @@ from shared.messages.operation import Mode, ModeState
 from tests.browser.conftest import THEMES
 from tests.support.cases import crossed
 from tests.support.dashboard.chromium import AXE
-from tests.support.dashboard.status_server import Running, eventually
+from tests.support.dashboard.status_server import RunningServer, eventually
 
 PLAIN_FRAMES = "delete window.DecompressionStream"  # so that a test can change them
 WORDS: dict[str, str | re.Pattern[str]] = {
@@ -84,7 +84,7 @@ def keep_picture(page: Page, name: str) -> None:
     ],
 )
 def test_a_page_is_right_accessible_and_asks_nobody_else(
-    units: dict[str, Running], open_page: Callable[..., Page], state: str, path: str
+    units: dict[str, RunningServer], open_page: Callable[..., Page], state: str, path: str
 ) -> None:
     requests: list[str] = []
     page = open_page("about:blank")
@@ -99,7 +99,7 @@ def test_a_page_is_right_accessible_and_asks_nobody_else(
     assert hosts == {urlsplit(units[state].address).netloc}
 
 
-def test_the_first_paint_keeps_to_its_budget(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_the_first_paint_keeps_to_its_budget(units: dict[str, RunningServer], open_page: Callable[..., Page]) -> None:
     page = open_page("about:blank")
     sizes: list[int] = []
     page.on("requestfinished", lambda request: sizes.append(request.sizes()["responseBodySize"]))
@@ -112,7 +112,9 @@ def test_the_first_paint_keeps_to_its_budget(units: dict[str, Running], open_pag
     assert paint < 3000, "even a busy test machine paints within three seconds"
 
 
-def test_numbers_on_the_page_are_those_of_the_unit(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_numbers_on_the_page_are_those_of_the_unit(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
     page = open_page(units["normal"].address)
     position = page.get_by_role("region", name="Position", exact=True)
     expect(position).to_contain_text("32.4 km/h")
@@ -126,7 +128,7 @@ def test_numbers_on_the_page_are_those_of_the_unit(units: dict[str, Running], op
     expect(page.locator(".origin")).to_have_text("SIMULATEDcity-loop")
 
 
-def test_the_unsafe_state_is_shouted_once(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_the_unsafe_state_is_shouted_once(units: dict[str, RunningServer], open_page: Callable[..., Page]) -> None:
     page = open_page("about:blank")
     page.add_init_script(PLAIN_FRAMES)
 
@@ -154,7 +156,7 @@ def test_the_unsafe_state_is_shouted_once(units: dict[str, Running], open_page: 
 
 
 def test_a_topic_between_neighbours_of_a_layer_is_a_line_below_them(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page("about:blank")
     page.add_init_script(PLAIN_FRAMES)
@@ -185,7 +187,7 @@ def test_a_topic_between_neighbours_of_a_layer_is_a_line_below_them(
 
 
 def test_a_narrow_window_and_large_text_do_not_scroll_sideways(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     for path in ("now", "trust", "system"):
         page = open_page(units["alarm"].address, path=path, viewport={"width": 320, "height": 640})
@@ -197,7 +199,7 @@ def test_a_narrow_window_and_large_text_do_not_scroll_sideways(
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "text at 200 %"
 
 
-def test_whoever_wants_no_motion_sees_none(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_whoever_wants_no_motion_sees_none(units: dict[str, RunningServer], open_page: Callable[..., Page]) -> None:
     page = open_page(units["normal"].address, reduced_motion="reduce")
     ground = page.locator(".ground")
     expect(ground).to_be_attached()
@@ -205,7 +207,7 @@ def test_whoever_wants_no_motion_sees_none(units: dict[str, Running], open_page:
 
 
 def test_text_of_a_message_cannot_become_part_of_the_page(
-    units: dict[str, Running], open_page: Callable[..., Page]
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     bus = units["empty"].bus
     text = "<img src=x onerror=alert(1)>"

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 from shared.library.summary import SUFFIX
 from shared.recording.summary import write_summary
 from tests.browser.test_pages import judge_everywhere
-from tests.support.dashboard.status_server import Running, change, eventually, status_server
+from tests.support.dashboard.status_server import RunningServer, change, eventually, status_server
 from tests.support.drives.meridian import record
 from tests.support.patience import HANGS_S
 
@@ -29,7 +29,7 @@ def stored(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     folder = tmp_path_factory.mktemp("recordings")
     stored(folder)
     with status_server(folder, recordings=ALL) as running:
@@ -37,13 +37,13 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield running
 
 
-def listed(server: Running) -> list[dict[str, object]]:
+def listed(server: RunningServer) -> list[dict[str, object]]:
     found = httpx.get(f"{server.address}/api/recordings", timeout=HANGS_S).json()["recordings"]
     assert isinstance(found, list)
     return found
 
 
-def test_a_recording_is_shown_with_its_drive(server: Running, open_page: Callable[..., Page]) -> None:
+def test_a_recording_is_shown_with_its_drive(server: RunningServer, open_page: Callable[..., Page]) -> None:
     page = open_page(server.address, path="recordings")
     row = page.locator(".recording")
     expect(row).to_contain_text("2023-11-14 22:13:20")
@@ -86,7 +86,7 @@ def test_what_the_configuration_does_not_allow_is_neither_offered_nor_done(
         assert path.exists()
 
 
-def test_no_other_site_and_no_other_file(server: Running) -> None:
+def test_no_other_site_and_no_other_file(server: RunningServer) -> None:
     url = f"{server.address}/api/recordings"
     evil = {"Origin": "http://evil.example"}
     command = {"action": "delete", "name": NAME}

@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.test_pages import judge_everywhere
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 from tests.support.v2x.fake_plaza import FakePlaza
 
 PLAZAS = {
@@ -25,7 +25,7 @@ WORDS: dict[str, str | re.Pattern[str]] = {
 
 
 @pytest.fixture(scope="module")
-def plazas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Running]]:
+def plazas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, RunningServer]]:
     with (
         status_server(tmp_path_factory.mktemp("normal"), plaza=PLAZAS["normal"]) as normal,
         status_server(tmp_path_factory.mktemp("stale"), plaza=PLAZAS["stale"]) as stale,
@@ -37,7 +37,7 @@ def plazas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Runni
 
 @pytest.mark.parametrize("state", list(PLAZAS))
 def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
-    plazas: dict[str, Running], open_page: Callable[..., Page], state: str
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page], state: str
 ) -> None:
     page = open_page(plazas[state].address, path="toll")
     expect(page.locator(".banner .word")).to_have_text(WORDS[state])
@@ -46,7 +46,7 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
 
 
 def test_a_road_side_unit_opens_on_its_plaza_and_has_no_pages_of_a_vehicle(
-    plazas: dict[str, Running], open_page: Callable[..., Page]
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address)
     expect(page.get_by_role("heading", name="Plaza example")).to_be_visible()
@@ -55,7 +55,7 @@ def test_a_road_side_unit_opens_on_its_plaza_and_has_no_pages_of_a_vehicle(
 
 
 def test_vehicles_lanes_passages_and_accounts_are_shown(
-    plazas: dict[str, Running], open_page: Callable[..., Page]
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address, path="toll")
     picture = page.get_by_role("img", name="Plaza example from above with 4 tracked vehicles")
@@ -74,7 +74,7 @@ def test_vehicles_lanes_passages_and_accounts_are_shown(
 
 
 def test_a_charge_opens_its_evidence_and_says_how_to_verify_it(
-    plazas: dict[str, Running], open_page: Callable[..., Page]
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address, path="toll")
     row = page.locator(".passages-card tr", has_text="Charged")
@@ -86,7 +86,7 @@ def test_a_charge_opens_its_evidence_and_says_how_to_verify_it(
 
 
 def test_held_reviewed_and_unconfirmed_charges_are_shown_in_words(
-    plazas: dict[str, Running], open_page: Callable[..., Page]
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address, path="toll")
     account = page.locator(".account-card")
@@ -114,7 +114,7 @@ def test_an_account_that_does_not_agree_is_a_caution_that_names_the_lane(
         expect(page.locator(".account-card tbody")).to_contain_text("does not agree")
 
 
-def test_a_lost_ledger_is_named_as_the_reason(plazas: dict[str, Running], open_page: Callable[..., Page]) -> None:
+def test_a_lost_ledger_is_named_as_the_reason(plazas: dict[str, RunningServer], open_page: Callable[..., Page]) -> None:
     page = open_page(plazas["alarm"].address, path="toll")
     expect(page.locator(".banner .sentence")).to_contain_text("Nothing is charged: the ledger cannot be used")
     expect(page.locator(".account-card")).to_contain_text("make room on its disk")

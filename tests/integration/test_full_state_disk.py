@@ -82,7 +82,7 @@ def test_with_a_full_state_disk_every_process_starts_and_says_so(tmp_path: Path)
         broker.stop()
 
 
-def _start(name: str, role: Role, folder: Path, broker: simulated.Simulated) -> subprocess.Popen[bytes]:
+def _start(name: str, role: Role, folder: Path, broker: simulated.SimulatedMosquitto) -> subprocess.Popen[bytes]:
     """Start a process with a full disk of its own below its state folder, which there was no room to make."""
     disk = folder / "disk"
     environment = {

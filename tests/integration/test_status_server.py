@@ -24,7 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from services.monitoring.status.history.columns import HistoryColumns
 from services.monitoring.status.process import Config, Process
-from services.monitoring.status.views.models.dashboard import Contract, Dashboard, Everything
+from services.monitoring.status.views.models.dashboard import Contract, Dashboard, DashboardState
 from services.monitoring.status.views.models.gnss import Receivers
 from services.monitoring.status.views.models.position import Feature, Solution
 from services.monitoring.status.views.models.recordings import Recordings
@@ -46,7 +46,7 @@ from shared.runtime.config import ADDRESS_FILE
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.fake_unit import FakeBus
 from tests.support.dashboard.frames import followed
-from tests.support.dashboard.status_server import Running, change, eventually, status_server
+from tests.support.dashboard.status_server import RunningServer, change, eventually, status_server
 from tests.support.patience import HANGS_S
 
 Json = dict[str, Any]
@@ -58,23 +58,23 @@ needs_libraries = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     with status_server(tmp_path_factory.mktemp("status")) as running:
         eventually(lambda: get(running, "/api/state")["solution"] is not None)
         yield running
 
 
-def ask(server: Running, path: str, **headers: str) -> httpx.Response:
+def ask(server: RunningServer, path: str, **headers: str) -> httpx.Response:
     return httpx.get(server.address + path, headers=headers, timeout=HANGS_S)
 
 
-def get(server: Running, path: str) -> Json:
+def get(server: RunningServer, path: str) -> Json:
     found = ask(server, path).json()
     assert isinstance(found, dict)
     return found
 
 
-def watch(server: Running, **headers: str) -> ClientConnection:
+def watch(server: RunningServer, **headers: str) -> ClientConnection:
     return connect(server.address.replace("http", "ws") + "/ws", additional_headers=headers, max_size=None)
 
 
@@ -84,7 +84,7 @@ def frame(socket_: ClientConnection) -> Json:
     return found
 
 
-def test_the_state_holds_the_newest_message_of_each_topic(server: Running) -> None:
+def test_the_state_holds_the_newest_message_of_each_topic(server: RunningServer) -> None:
     eventually(lambda: get(server, "/api/state")["banner"]["word"] == "SAFE")
     state = get(server, "/api/state")
     assert state["vehicle"] == "truck-07"
@@ -96,7 +96,7 @@ def test_the_state_holds_the_newest_message_of_each_topic(server: Running) -> No
     assert state["topics"]["gnss/fix"]["age_s"] < 3.0
 
 
-def test_answers_are_json_and_not_cached(server: Running) -> None:
+def test_answers_are_json_and_not_cached(server: RunningServer) -> None:
     for path in (
         "/api/state",
         "/api/health",
@@ -112,7 +112,7 @@ def test_answers_are_json_and_not_cached(server: Running) -> None:
         assert answer.headers["cache-control"] == "no-store"
 
 
-def test_a_topic_is_shown_with_its_rate_and_size(server: Running) -> None:
+def test_a_topic_is_shown_with_its_rate_and_size(server: RunningServer) -> None:
     topic = get(server, "/api/topics/health/core.fusion")
     assert topic["type"] == "ProcessHealth"
     assert topic["message"]["process"] == "core.fusion"
@@ -137,13 +137,13 @@ def test_a_fast_topic_comes_here_only_while_somebody_asks_and_is_shown_then(
         assert (health["freshness"], health["cause"]) == ("fresh", None)
 
 
-def test_an_unknown_topic_is_404_with_a_remedy(server: Running) -> None:
+def test_an_unknown_topic_is_404_with_a_remedy(server: RunningServer) -> None:
     answer = ask(server, "/api/topics/gnss/colour")
     assert answer.status_code == 404
     assert "/api/state" in answer.json()["detail"]
 
 
-def test_the_history_holds_the_requested_fields(server: Running) -> None:
+def test_the_history_holds_the_requested_fields(server: RunningServer) -> None:
     eventually(lambda: len(get(server, "/api/history?seconds=60&fields=speed_fused_m_s")["time_ns"]) > 4)
     history = get(server, "/api/history?seconds=60&fields=speed_fused_m_s,position_error_m")
     assert set(history["fields"]) == {"speed_fused_m_s", "position_error_m"}
@@ -162,28 +162,28 @@ def test_the_history_holds_the_requested_fields(server: Running) -> None:
         (f"fields={'a,' * 300}", 422),
     ],
 )
-def test_requests_out_of_bounds_are_rejected(server: Running, query: str, status: int) -> None:
+def test_requests_out_of_bounds_are_rejected(server: RunningServer, query: str, status: int) -> None:
     assert ask(server, f"/api/history?{query}").status_code == status
 
 
-def test_a_long_topic_name_is_rejected(server: Running) -> None:
+def test_a_long_topic_name_is_rejected(server: RunningServer) -> None:
     assert ask(server, f"/api/topics/{'x' * 500}").status_code == 422
 
 
-def test_only_attacks_can_be_commanded_over_http(server: Running) -> None:
+def test_only_attacks_can_be_commanded_over_http(server: RunningServer) -> None:
     head = {"X-OBU-CSRF": get(server, "/api/session")["csrf"]}
     for path in ("/", "/api/state", "/api/topics/gnss/fix", "/ws"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
             assert httpx.request(method, server.address + path, headers=head, timeout=HANGS_S).status_code in (404, 405)
 
 
-def test_metrics_are_in_the_format_of_prometheus(server: Running) -> None:
+def test_metrics_are_in_the_format_of_prometheus(server: RunningServer) -> None:
     answer = ask(server, "/metrics")
     assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
     assert 'obu_integrity_state{state="safe"} 1.0' in answer.text
 
 
-def test_every_answer_carries_the_security_headers(server: Running) -> None:
+def test_every_answer_carries_the_security_headers(server: RunningServer) -> None:
     for path in ("/", "/style.css", "/api/state", "/metrics", "/docs", "/nowhere"):
         headers = ask(server, path).headers
         assert "default-src" in headers["content-security-policy"], path
@@ -193,20 +193,20 @@ def test_every_answer_carries_the_security_headers(server: Running) -> None:
         assert "server" not in headers
 
 
-def test_a_websocket_of_another_origin_is_rejected(server: Running) -> None:
+def test_a_websocket_of_another_origin_is_rejected(server: RunningServer) -> None:
     with pytest.raises(InvalidStatus) as rejected:
         watch(server, Origin="http://attacker.example")
     assert rejected.value.response.status_code == 403
 
 
-def test_an_unknown_host_name_is_rejected(server: Running) -> None:
+def test_an_unknown_host_name_is_rejected(server: RunningServer) -> None:
     assert ask(server, "/api/state", Host="attacker.example").status_code == 421
     with pytest.raises(InvalidStatus) as rejected:
         connect(server.address.replace("http", "ws") + "/ws", additional_headers={"Host": "attacker.example"})
     assert rejected.value.response.status_code in (400, 421)
 
 
-def test_the_websocket_sends_a_snapshot_and_then_changes(server: Running) -> None:
+def test_the_websocket_sends_a_snapshot_and_then_changes(server: RunningServer) -> None:
     with watch(server) as first:
         snapshot = frame(first)
         assert snapshot["kind"] == "snapshot"
@@ -225,7 +225,7 @@ def test_the_websocket_sends_a_snapshot_and_then_changes(server: Running) -> Non
     assert state == whole["state"], "all differences give the snapshot of a new client"
 
 
-def test_all_browsers_receive_the_same_frames_within_their_budget(server: Running) -> None:
+def test_all_browsers_receive_the_same_frames_within_their_budget(server: RunningServer) -> None:
     with watch(server) as one, watch(server) as two:
         frame(one), frame(two)
         frames: list[dict[int, str | bytes]] = [{}, {}]
@@ -242,7 +242,7 @@ def test_all_browsers_receive_the_same_frames_within_their_budget(server: Runnin
     assert size / PERIOD_S < 60_000, "the budget of a browser is 60 kB/s"
 
 
-def test_a_stopped_process_is_shown_stale_and_is_the_one_outage(server: Running) -> None:
+def test_a_stopped_process_is_shown_stale_and_is_the_one_outage(server: RunningServer) -> None:
     assert server.unit is not None
     server.unit.silent.add("parsers.can")
     eventually(lambda: get(server, "/api/health")["processes"]["parsers.can"]["status"] == "stale")
@@ -254,7 +254,7 @@ def test_a_stopped_process_is_shown_stale_and_is_the_one_outage(server: Running)
     assert [outage["what"] for outage in get(server, "/api/outages")["closed"]] == ["parsers.can"]
 
 
-def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: Running) -> None:
+def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: RunningServer) -> None:
     eventually(lambda: get(server, "/api/trust")["history"]["ratios"].get("satellites"))
     trust = get(server, "/api/trust")
     assert trust["state"] == get(server, "/api/health")["position"]["state"] == "safe"
@@ -263,7 +263,7 @@ def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: Runni
     assert ask(server, "/api/trust?seconds=-1").status_code == 422
 
 
-def test_an_invalid_message_is_counted_and_the_server_continues(server: Running) -> None:
+def test_an_invalid_message_is_counted_and_the_server_continues(server: RunningServer) -> None:
     before = server.bus.rejects["payload"]
     server.bus.feed_bytes("mode/state", b'{"mode": "flying"}', "controller.mode")
     server.bus.feed_bytes("vehicle/wheel_speed", b'{"received_ns":1,"source":"y"}', "parsers.can")
@@ -272,7 +272,7 @@ def test_an_invalid_message_is_counted_and_the_server_continues(server: Running)
     assert get(server, "/api/state")["mode"]["mode"] == "measuring"
 
 
-def test_a_lost_broker_is_the_only_reason_for_503(server: Running) -> None:
+def test_a_lost_broker_is_the_only_reason_for_503(server: RunningServer) -> None:
     server.bus.connected = False
     eventually(lambda: ask(server, "/api/health").status_code == 503)
     assert get(server, "/api/health")["state"] == "failed"
@@ -282,7 +282,7 @@ def test_a_lost_broker_is_the_only_reason_for_503(server: Running) -> None:
 
 
 @needs_libraries
-def test_pages_are_compressed_and_unchanged_ones_are_304(server: Running) -> None:
+def test_pages_are_compressed_and_unchanged_ones_are_304(server: RunningServer) -> None:
     first = ask(server, "/main.js", **{"Accept-Encoding": "gzip"})
     assert first.headers["content-encoding"] == "gzip"
     assert first.text.startswith("//")
@@ -296,12 +296,12 @@ def test_pages_are_compressed_and_unchanged_ones_are_304(server: Running) -> Non
 @pytest.mark.parametrize(
     "path", ["/lib/../package.json", "/package.json", "/lib/package.json", "/%2e%2e/process.py", "/.npmrc"]
 )
-def test_only_listed_files_are_served(server: Running, path: str) -> None:
+def test_only_listed_files_are_served(server: RunningServer, path: str) -> None:
     assert ask(server, path).status_code == 404
 
 
 @needs_libraries
-def test_the_page_of_the_api_loads_no_external_resources(server: Running) -> None:
+def test_the_page_of_the_api_loads_no_external_resources(server: RunningServer) -> None:
     page = ask(server, "/docs")
     assert page.status_code == 200
     for asset in re.findall(r'(?:src|href)="([^"]+)"', page.text):
@@ -343,7 +343,7 @@ def test_a_viewer_above_the_limit_is_rejected_with_their_number_and_not_logged(
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
-def test_a_packed_frame_is_the_same_frame_in_less_than_half_the_bytes(server: Running) -> None:
+def test_a_packed_frame_is_the_same_frame_in_less_than_half_the_bytes(server: RunningServer) -> None:
     packed = connect(server.address.replace("http", "ws") + "/ws?packed=1", max_size=None)
     with packed, watch(server) as plain:
         one, other = packed.recv(timeout=HANGS_S), plain.recv(timeout=HANGS_S)
@@ -420,7 +420,7 @@ def test_the_begin_and_the_end_of_an_outage_are_events(tmp_path: Path) -> None:
         assert seen[0]["until_ns"] is None
 
 
-def test_the_solution_is_json_or_geojson_as_requested(server: Running) -> None:
+def test_the_solution_is_json_or_geojson_as_requested(server: RunningServer) -> None:
     flat = get(server, "/api/solution")
     assert flat["live"] and flat["verdict_known"] and flat["age_s"] < 2.0
     for answer in (
@@ -459,7 +459,7 @@ ANSWERS: dict[str, type] = {
     "/api/outages": Outages,
     "/api/topics/gnss/fix": Topic,
     "/api/topics/imu/raw": Topic,
-    "/api/state": Everything,
+    "/api/state": DashboardState,
     "/api/gnss": Receivers,
     "/api/viewers": Viewers,
     "/api/simulation": Simulation,
@@ -472,14 +472,14 @@ ANSWERS: dict[str, type] = {
 
 
 @pytest.mark.parametrize("path", ANSWERS)
-def test_every_answer_is_valid_by_its_schema_and_kept_by_no_browser(server: Running, path: str) -> None:
+def test_every_answer_is_valid_by_its_schema_and_kept_by_no_browser(server: RunningServer, path: str) -> None:
     answer = ask(server, path)
     TypeAdapter(ANSWERS[path]).validate_json(answer.content)
     if answer.status_code == 200:
         assert answer.headers["cache-control"] == "no-store"
 
 
-def test_what_a_page_follows_is_valid_by_the_schema_of_the_views(server: Running) -> None:
+def test_what_a_page_follows_is_valid_by_the_schema_of_the_views(server: RunningServer) -> None:
     with connect(server.address.replace("http", "ws") + "/ws", max_size=None) as stream:
         snapshot = json.loads(stream.recv(HANGS_S))
     state = snapshot["state"]
@@ -489,7 +489,7 @@ def test_what_a_page_follows_is_valid_by_the_schema_of_the_views(server: Running
     TypeAdapter(HistoryColumns).validate_json(json.dumps(snapshot["history"]))
 
 
-def test_the_description_of_the_api_is_openapi_with_a_tag_and_a_schema_for_every_route(server: Running) -> None:
+def test_the_description_of_the_api_is_openapi_with_a_tag_and_a_schema_for_every_route(server: RunningServer) -> None:
     description = get(server, "/openapi.json")
     validate(description)
     tags = {tag["name"] for tag in description["tags"]}
@@ -568,11 +568,11 @@ def test_the_process_has_less_than_67_mib(tmp_path: Path) -> None:
     assert resident_kb and int(resident_kb[1]) < 67 * 1024
 
 
-def command(server: Running, body: object, **headers: str) -> httpx.Response:
+def command(server: RunningServer, body: object, **headers: str) -> httpx.Response:
     return change(server.address, "/api/simulation/attack", body, **headers)
 
 
-def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: Running) -> None:
+def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: RunningServer) -> None:
     answer = command(server, {"command": "start", "attack": "drag_off", "parameters": {"speed": 1.0}})
     assert answer.status_code == 202
     request_id = answer.json()["request_id"]
@@ -597,7 +597,9 @@ def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: Runnin
         ({"command": "start", "attack": "jam", "x": "y" * 4000}, 413, "at most 2048 bytes"),
     ],
 )
-def test_a_command_that_cannot_be_executed_is_rejected(server: Running, body: object, status: int, detail: str) -> None:
+def test_a_command_that_cannot_be_executed_is_rejected(
+    server: RunningServer, body: object, status: int, detail: str
+) -> None:
     before = len(server.bus.published)
     answer = command(server, body)
     assert answer.status_code == status
@@ -605,11 +607,11 @@ def test_a_command_that_cannot_be_executed_is_rejected(server: Running, body: ob
     assert len(server.bus.published) == before
 
 
-def test_a_command_of_another_origin_is_rejected(server: Running) -> None:
+def test_a_command_of_another_origin_is_rejected(server: RunningServer) -> None:
     assert command(server, {"command": "stop"}, Origin="http://evil.example").status_code == 403
 
 
-def test_a_command_of_the_operator_is_published_as_it_was_given(server: Running) -> None:
+def test_a_command_of_the_operator_is_published_as_it_was_given(server: RunningServer) -> None:
     given = {"request_id": "r7", "command": "select_source", "source": "gnss1"}
     answer = change(server.address, "/api/command", given)
     assert (answer.status_code, answer.json()) == (202, {"request_id": "r7"})
@@ -629,7 +631,7 @@ def test_a_command_of_the_operator_is_published_as_it_was_given(server: Running)
     ],
 )
 def test_what_is_no_command_of_the_operator_is_rejected(
-    server: Running, body: object, status: int, headers: dict[str, str]
+    server: RunningServer, body: object, status: int, headers: dict[str, str]
 ) -> None:
     answer = change(server.address, "/api/command", body, **headers)
     assert answer.status_code == status
@@ -648,7 +650,7 @@ def test_a_unit_that_is_not_simulated_rejects_attacks(tmp_path: Path) -> None:
         assert not real.bus.published and get(real, "/api/state")["simulation"] is None
 
 
-def test_any_numeric_field_is_a_series_and_another_field_is_rejected(server: Running) -> None:
+def test_any_numeric_field_is_a_series_and_another_field_is_rejected(server: RunningServer) -> None:
     listed = {field["path"]: field for field in get(server, "/api/fields/navigation/aiding")["fields"]}
     assert listed["test_ratio"]["name"].startswith("navigation/aiding[gnss_")
     assert get(server, "/api/fields/gnss/fix")["fields"][-1]["path"] == "@latency_s"
@@ -669,7 +671,7 @@ def known(series: Json, name: str) -> int:
     return sum(value is not None for value in series["values"][name])
 
 
-def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(server: Running) -> None:
+def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(server: RunningServer) -> None:
     address = server.address.replace("http", "ws")
     with connect(f"{address}/ws/series?fields=computed:speed_m_s&seconds=20") as socket:
         frames = [json.loads(socket.recv(timeout=HANGS_S)) for _ in range(6)]

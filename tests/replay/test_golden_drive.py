@@ -99,7 +99,7 @@ def test_every_explanation_of_a_monitor_has_words(computed: list[Row]) -> None:
 TEXTS = frozenset(("reason", "reasons", "findings", "missing", "exclusion_declined", "held_reason", "sentence"))
 
 
-class Wordless(OfflineUnit):
+class UnitWithoutTexts(OfflineUnit):
     """The unit, with every text that explains something replaced by "x" before another process reads it."""
 
     def _handled(self, name: str, message: Message) -> Iterator[Message]:
@@ -129,6 +129,6 @@ def decisions(table: list[Row]) -> list[object]:
 
 
 def test_with_every_text_replaced_by_x_all_decisions_are_the_same(computed: list[Row]) -> None:
-    table = list(rows(results(Wordless)))
+    table = list(rows(results(UnitWithoutTexts)))
     assert {"x"} == {text for row in table if row["type"] == "TrustState" for text in row["reasons"]}  # type: ignore[attr-defined]
     assert decisions(table) == decisions(computed)

@@ -31,7 +31,7 @@ from services.core.cooperative.measurements import (
     SatelliteId,
     SatelliteVerdict,
 )
-from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
+from services.core.cooperative.satellites.model import ErrorModel, SatelliteMeasurement, Sky
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
 from shared.messages.trust import Outcome, TrustHypotheses
@@ -194,7 +194,7 @@ def _angles_off(
         if gnss not in (2, "Galileo") or source != 1 or isinstance(ephemeris, str):
             continue
         state = satellite_state(ephemeris, now_ns, 0.08)
-        sight = Sight(ephemeris.satellite, 0.0, None, None, state.position_e, state.velocity_e)
+        sight = SatelliteMeasurement(ephemeris.satellite, 0.0, None, None, state.position_e, state.velocity_e)
         geometry = Sky((sight,), now_ns, None, model).geometry(here)
         turn = (degrees(geometry.azimuth[0]) - azimuth + 180.0) % 360.0 - 180.0
         yield degrees(geometry.elevation[0]) - elevation, turn * cos(radians(elevation))

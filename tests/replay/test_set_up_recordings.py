@@ -13,20 +13,20 @@ from cli.solve.solve import solve
 from services.core.fusion.set_up.findings import Verdict
 from services.core.fusion.settings import Settings
 from tests.support.data import REPOSITORY, recording
-from tests.support.drives.set_up import Faults, Recorded, recorded
+from tests.support.drives.set_up import Faults, RecordedDrive, recorded
 
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
-def messages_of(mapping: str, folder: Path, out: Path, settings: Settings) -> Recorded:
+def messages_of(mapping: str, folder: Path, out: Path, settings: Settings) -> RecordedDrive:
     path = out / "drive.mcap"
     import_drive(MAPPINGS / f"{mapping}.toml", folder, path)
     with open_recording(path) as opened:
         return recorded(list(inputs_of(opened).messages(vehicle_of(opened, None))), settings)
 
 
-def contradicted(drive: Recorded, faults: Faults, settings: Settings) -> set[str]:
+def contradicted(drive: RecordedDrive, faults: Faults, settings: Settings) -> set[str]:
     return {name for name, check in faults.checks(drive, settings).items() if check.verdict is Verdict.CONTRADICTS}
 
 

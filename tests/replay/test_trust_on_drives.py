@@ -44,7 +44,7 @@ ABOVE_LEVEL = 1e-3  # the integrity risk
 
 
 @dataclass(frozen=True)
-class Solved:
+class DriveRun:
     """Solution, verdicts and fixes of one run."""
 
     track: Track
@@ -56,7 +56,7 @@ class Solved:
 Messages = Callable[[], Iterable[Message]]  # the same ones for each run
 
 
-def solved(vehicle: VehicleFile, messages: Messages, *, with_trust: bool = True) -> Solved:
+def solved(vehicle: VehicleFile, messages: Messages, *, with_trust: bool = True) -> DriveRun:
     processes = [name for name in vehicle.processes if with_trust or name != "core.trust"]
     builder, log, fixes = TrackBuilder(), VerdictLog(), list[GnssFix]()
     arrivals = list[int]()
@@ -75,7 +75,7 @@ def solved(vehicle: VehicleFile, messages: Messages, *, with_trust: bool = True)
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
     verdicts = log.verdicts(arrivals[0], arrivals[-1]) if with_trust else None
-    return Solved(builder.track().valid(), log, verdicts, fixes)
+    return DriveRun(builder.track().valid(), log, verdicts, fixes)
 
 
 def assert_harmless(

@@ -26,7 +26,7 @@ DURATIONS_S = {"monday": 110.0, "tuesday": 110.0, "later": 80.0}
 
 
 @dataclass(frozen=True)
-class Learned:
+class CalibratedProfile:
     """A folder with three recordings, and the profile estimated from two of them."""
 
     folder: Path
@@ -47,14 +47,14 @@ def record(path: Path, seed: int, duration_s: float) -> Path:
 
 
 @pytest.fixture(scope="module")
-def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
+def learned(tmp_path_factory: pytest.TempPathFactory) -> CalibratedProfile:
     folder = tmp_path_factory.mktemp("calibrate")
     drives = [record(folder / f"{name}.mcap", seed, s) for seed, (name, s) in enumerate(DURATIONS_S.items(), 1)]
     assert calibrate_spoofing(drives[:2], output=folder / "profile.json") == 0
-    return Learned(folder, folder / "profile.json")
+    return CalibratedProfile(folder, folder / "profile.json")
 
 
-def statements(learned: Learned, vehicle: VehicleFile) -> list[TrustMonitor]:
+def statements(learned: CalibratedProfile, vehicle: VehicleFile) -> list[TrustMonitor]:
     """Statements of core.spoofing on the 5 s metrics in a drive that is not part of the profile."""
     with Recording(learned.folder / "later.mcap") as opened:
         inputs = inputs_of(opened)
@@ -62,7 +62,7 @@ def statements(learned: Learned, vehicle: VehicleFile) -> list[TrustMonitor]:
     return [message for message in said if isinstance(message, TrustMonitor) and message.monitor == "inertial_short"]
 
 
-def test_the_profile_names_its_recordings_and_is_read_by_core_spoofing(learned: Learned) -> None:
+def test_the_profile_names_its_recordings_and_is_read_by_core_spoofing(learned: CalibratedProfile) -> None:
     document = json.loads(learned.profile.read_text())
     assert [drive["file"] for drive in document["origin"]["drives"]] == ["monday.mcap", "tuesday.mcap"]
     assert sum(drive["windows"] for drive in document["origin"]["drives"]) >= 100
@@ -72,7 +72,7 @@ def test_the_profile_names_its_recordings_and_is_read_by_core_spoofing(learned: 
     assert all(0.0 < sigma < 2.0 for values in config.profile.sigma.values() for sigma in values)
 
 
-def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learned: Learned) -> None:
+def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learned: CalibratedProfile) -> None:
     vehicle = learned.vehicle(VEHICLE)
     profile = vehicle.section("core.spoofing", Config).profile
     judged = [s for s in statements(learned, vehicle) if s.outcome is not Outcome.NOT_EVALUATED]
@@ -82,13 +82,13 @@ def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learn
     assert not [s for s in judged if "another unit" in s.model_dump_json()]
 
 
-def test_a_profile_of_another_configuration_is_used_with_a_warning(learned: Learned) -> None:
+def test_a_profile_of_another_configuration_is_used_with_a_warning(learned: CalibratedProfile) -> None:
     other = learned.vehicle(VEHICLE.replace("0.3, 0.0, -1.2", "2.5, 0.0, -1.2"))
     assert [s for s in statements(learned, other) if "the profile was learned for another unit" in s.model_dump_json()]
 
 
-def test_a_damaged_profile_and_too_short_a_drive_are_errors(learned: Learned, tmp_path: Path) -> None:
-    short = Learned(learned.folder, learned.folder / "cut.json")
+def test_a_damaged_profile_and_too_short_a_drive_are_errors(learned: CalibratedProfile, tmp_path: Path) -> None:
+    short = CalibratedProfile(learned.folder, learned.folder / "cut.json")
     short.profile.write_text(learned.profile.read_text()[:-20])
     with pytest.raises(ConfigError, match=r"cut\.json is no profile"):
         short.vehicle(VEHICLE).section("core.spoofing", Config)

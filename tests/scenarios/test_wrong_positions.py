@@ -21,7 +21,7 @@ Wrong = Callable[[Drive, int], None]  # falsifies a fix
 
 
 @dataclass(frozen=True)
-class Seen:
+class FaultRun:
     """Horizontal errors and levels [m] since the begin of the fault, twice a second, and the counters."""
 
     error: FloatArray
@@ -30,7 +30,7 @@ class Seen:
     counts: Counts
 
 
-def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
+def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> FaultRun:
     drive = simulate(scenario, seed, DURATION_S)
     for k in np.flatnonzero((drive.fix_ns > BEGIN_S * 10**9) & (drive.fix_ns <= END_S * 10**9)).tolist():
         wrong(drive, k)
@@ -46,7 +46,7 @@ def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
         north, east, _ = ned_track(np.array([solution.position]), true)[0]
         rows.append((np.hypot(north, east), solution.protection_level_horizontal))
     error, level = np.array(rows).T
-    return Seen(error, level, before, navigator.counts)
+    return FaultRun(error, level, before, navigator.counts)
 
 
 def frozen(drive: Drive, k: int) -> None:

@@ -21,7 +21,7 @@ BANNER = "ELM327 v1.5 (a fake of the tests)"
 
 
 @dataclass
-class Habits:
+class AdapterBehaviour:
     """What an adapter does that an original does not, and what its vehicle answers."""
 
     echoes_always: bool = False  # ignores ATE0
@@ -43,7 +43,7 @@ class Habits:
 class FakeElm327:
     """The state of the fake: gives the bytes that answer a command."""
 
-    def __init__(self, habits: Habits) -> None:
+    def __init__(self, habits: AdapterBehaviour) -> None:
         self.habits = habits
         self.commands: list[str] = []
         self.spaces = self.echo = True
@@ -102,8 +102,8 @@ class FakeElm327:
 class _Served:
     """Serves a fake in a thread until the end of a `with`."""
 
-    def __init__(self, habits: Habits | None = None) -> None:
-        self.fake = FakeElm327(habits or Habits())
+    def __init__(self, habits: AdapterBehaviour | None = None) -> None:
+        self.fake = FakeElm327(habits or AdapterBehaviour())
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -140,7 +140,7 @@ class _Served:
 class SerialFake(_Served):
     """On a pseudo-terminal."""
 
-    def __init__(self, habits: Habits | None = None) -> None:
+    def __init__(self, habits: AdapterBehaviour | None = None) -> None:
         super().__init__(habits)
         self._far, self._near = pty.openpty()
         tty.setraw(self._near)
@@ -159,7 +159,7 @@ class SerialFake(_Served):
 class TcpFake(_Served):
     """On a TCP port of this computer."""
 
-    def __init__(self, habits: Habits | None = None) -> None:
+    def __init__(self, habits: AdapterBehaviour | None = None) -> None:
         super().__init__(habits)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.settimeout(HANGS_S)

@@ -12,7 +12,7 @@ def built(folder: Path) -> Path:
     """Build the wheel into a folder; the test is skipped where the dashboard or a builder is not installed."""
     try:
         return wheel.build(folder)
-    except wheel.NotSetUp as error:
+    except wheel.WheelIncomplete as error:
         pytest.skip(str(error))
     except subprocess.CalledProcessError:
         if wheel.builds_offline():

@@ -3,8 +3,16 @@
 from collections.abc import Iterator, Mapping
 from functools import cache
 
-from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, Reference, ReferenceKind, explain, process
-from shared.words.words import CLAUSE, INSTANT, LANGUAGES, PLACEHOLDER, QUANTITIES, SUBJECT, Told, Words, words
+from shared.messages.explanation import (
+    QUOTED_LENGTH,
+    Explanation,
+    QuotedText,
+    Reference,
+    ReferenceKind,
+    explain,
+    process,
+)
+from shared.words.words import CLAUSE, INSTANT, LANGUAGES, PLACEHOLDER, QUANTITIES, SUBJECT, CodedText, Words, words
 from tests.support.data import REPOSITORY
 
 FILE = REPOSITORY / "tests" / "golden" / "sentences.txt"
@@ -35,27 +43,27 @@ def texts(code: str, spoken: Words) -> Mapping[str, str | None]:
     explanation = longest(code, spoken)
     return {
         "sentence": spoken.sentence(explanation, cause=longest_cause(spoken)),
-        "clause": spoken.clause(Told("", explanation)) or None,
+        "clause": spoken.clause(CodedText("", explanation)) or None,
         "action": spoken.action(explanation),
         "detail": spoken.detail(explanation),
     }
 
 
 @cache
-def _longest_cause(language: str) -> Told:
+def _longest_cause(language: str) -> CodedText:
     spoken = words(language)
-    every = [Told("", longest(code, spoken)) for code, row in words().rows.items() if row.clause]
+    every = [CodedText("", longest(code, spoken)) for code, row in words().rows.items() if row.clause]
     return max(every, key=lambda told: len(spoken.clause(told)))
 
 
-def longest_cause(spoken: Words) -> Told:
+def longest_cause(spoken: Words) -> CodedText:
     """The longest clause of a language."""
     return _longest_cause(spoken.language)
 
 
 def _value(name: str, kind: str | None, spoken: Words) -> object:
     if not kind and name in QUOTED:
-        return Quoted(quoted="x" * QUOTED_LENGTH)
+        return QuotedText(quoted="x" * QUOTED_LENGTH)
     if not kind and name in LISTS:
         return (Reference(kind=ReferenceKind.SATELLITE, name="G05"),) * LISTS[name]
     if not kind:

@@ -50,7 +50,7 @@ class PeerResult(TypedDict):
 
 
 @dataclass(frozen=True)
-class Given:
+class PeerInput:
     """One set as every peer gets it."""
 
     imu: FloatArray  # time, three increments of angle [rad], three of velocity [m/s]; forward, right, down
@@ -64,7 +64,7 @@ class Given:
         """Of the inertial samples."""
         return round(1.0 / float(np.median(np.diff(self.imu[:, 0]))))
 
-    def without(self, gaps: Sequence[Gap]) -> "Given":
+    def without(self, gaps: Sequence[Gap]) -> "PeerInput":
         """Take GNSS away."""
         stamps = nanoseconds(self.gnss[:, 0])
         hidden = np.any([(stamps >= first) & (stamps < last) for first, last in gaps], axis=0)
@@ -77,7 +77,7 @@ def nanoseconds(seconds: FloatArray) -> Stamps:
     return stamps
 
 
-def given(name: str) -> Given:
+def given(name: str) -> PeerInput:
     """Read a set."""
     folder = data_folder() / DRIVES[name].folder
     imu, truth = np.load(folder / "imu.npz"), np.load(folder / "truth_20hz.npz")
@@ -89,7 +89,7 @@ def given(name: str) -> Given:
         velocity_n=truth["velocity_ned_m_s"].astype(float), attitude=attitude,
     )  # fmt: skip
     increments = np.column_stack([imu["t_s"], imu["dtheta_rad"], imu["dvel_m_s"]])
-    return Given(increments, np.loadtxt(folder / "gnssv.txt"), np.loadtxt(folder / "odo.txt"), reference, initial)
+    return PeerInput(increments, np.loadtxt(folder / "gnssv.txt"), np.loadtxt(folder / "odo.txt"), reference, initial)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Peer(ABC):
     outages: bool = True
 
     @abstractmethod
-    def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
+    def prepare(self, data: PeerInput, folder: Path, program: str) -> list[str]:
         """Write the peer's own files; the command that runs it."""
 
     @abstractmethod
@@ -139,7 +139,7 @@ class Peer(ABC):
         samples = int((data.imu[:, 0] >= START_S).sum())
         return SetResult(us_per_sample=1e6 * cost.cpu_s / samples, peak_mb=cost.peak_mb, accuracy=accuracy)
 
-    def _drift(self, data: Given, folder: Path, program: str) -> float:
+    def _drift(self, data: PeerInput, folder: Path, program: str) -> float:
         largest: list[float] = []
         for phase in PHASES:
             gaps = protocol_gaps(phase)
@@ -148,7 +148,7 @@ class Peer(ABC):
             largest += [drift.largest_m for drift in drifts(errors, gaps)]
         return round(float(np.sqrt(np.mean(np.square(largest)))), 4)
 
-    def _run(self, data: Given, folder: Path, program: str) -> tuple[Cost, FloatArray]:
+    def _run(self, data: PeerInput, folder: Path, program: str) -> tuple[Cost, FloatArray]:
         folder.mkdir(parents=True, exist_ok=True)
         cost = run(self.prepare(data, folder, program), folder)
         return cost, self.result(folder)

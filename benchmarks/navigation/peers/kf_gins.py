@@ -6,7 +6,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 
-from .common import ACCEL_BIAS, ARW, CORRELATION_H, GYRO_BIAS, LEVER_M, SCALE, START_S, VRW, Given, Peer, thinned
+from .common import ACCEL_BIAS, ARW, CORRELATION_H, GYRO_BIAS, LEVER_M, SCALE, START_S, VRW, Peer, PeerInput, thinned
 
 HOW = "`python -m benchmarks.navigation.peers.build` builds it, or set OBU_KF_GINS to its bin/KF-GINS."
 
@@ -16,7 +16,7 @@ class KfGins(Peer):
 
     name, variable, how, built = "KF-GINS", "OBU_KF_GINS", HOW, "KF-GINS/bin/KF-GINS"
 
-    def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
+    def prepare(self, data: PeerInput, folder: Path, program: str) -> list[str]:
         """Write its text files and its YAML."""
         np.savetxt(folder / "imu.txt", data.imu, fmt=["%.6f"] + ["%.12e"] * 6)
         np.savetxt(folder / "gnss.txt", data.gnss[:, :7], fmt=["%.6f", "%.12f", "%.12f"] + ["%.4f"] * 4)
@@ -28,7 +28,7 @@ class KfGins(Peer):
         return thinned(np.loadtxt(folder / "KF_GINS_Navresult.nav", usecols=range(1, 11)))
 
 
-def configuration(data: Given, folder: Path) -> str:
+def configuration(data: PeerInput, folder: Path) -> str:
     """Its YAML: the true state at the start, and the noise as published."""
     place, velocity, attitude = data.initial[:3], data.initial[3:6], data.initial[6:]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 
-from .common import ACCEL_BIAS, ARW, CORRELATION_H, GYRO_BIAS, LEVER_M, START_S, VRW, Given, Peer, thinned
+from .common import ACCEL_BIAS, ARW, CORRELATION_H, GYRO_BIAS, LEVER_M, START_S, VRW, Peer, PeerInput, thinned
 
 METRES_PER_DEGREE = 111_200.0  # of latitude; good to 0.5 %, for a way of millimetres
 HOW = (
@@ -20,7 +20,7 @@ class ObGins(Peer):
 
     name, variable, how = "OB_GINS", "OBU_OB_GINS", HOW
 
-    def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
+    def prepare(self, data: PeerInput, folder: Path, program: str) -> list[str]:
         """Write its text files and its YAML."""
         speed = np.interp(data.imu[:, 0], data.odometer[:, 0], data.odometer[:, 1])
         np.savetxt(folder / "imu.txt", np.column_stack([data.imu, speed]), fmt=["%.6f"] + ["%.12e"] * 6 + ["%.4f"])
@@ -45,7 +45,7 @@ def at_whole_seconds(gnss: FloatArray) -> FloatArray:
     return rows
 
 
-def configuration(data: Given, folder: Path) -> str:
+def configuration(data: PeerInput, folder: Path) -> str:
     """Its YAML: the true state at the start, the noise as published, its odometer's noise as it comes."""
     velocity, attitude = data.initial[3:6].tolist(), data.initial[6:].tolist()
     return f"""imufile: "{folder / "imu.txt"}"

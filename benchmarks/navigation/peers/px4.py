@@ -6,7 +6,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 
-from .common import START_S, Given, Peer, thinned
+from .common import START_S, Peer, PeerInput, thinned
 
 HOW = (
     "EKF2 is a library without a program that reads files: link one of your own with src/modules/ekf2/EKF of "
@@ -23,7 +23,7 @@ class Px4(Peer):
 
     name, variable, how = "PX4 EKF2", "OBU_PX4_EKF2", HOW
 
-    def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
+    def prepare(self, data: PeerInput, folder: Path, program: str) -> list[str]:
         """Write CSV files."""
         imu, gnss = data.imu[data.imu[:, 0] >= START_S], data.gnss[data.gnss[:, 0] >= START_S]
         lengths = np.full(len(imu), 1e6 / data.rate_hz)

@@ -9,7 +9,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 
-from .common import START_S, Given, Peer, thinned
+from .common import START_S, Peer, PeerInput, thinned
 
 HOW = "`python -m benchmarks.navigation.peers.build` installs it, or set OBU_PYINS to the bin/python that has it."
 
@@ -20,7 +20,7 @@ class Pyins(Peer):
     name, variable, how, outages = "pyins", "OBU_PYINS", HOW, False
     sets, built = ("rtk",), "pyins/bin/python"
 
-    def prepare(self, data: Given, folder: Path, program: str) -> list[str]:
+    def prepare(self, data: PeerInput, folder: Path, program: str) -> list[str]:
         """Write arrays."""
         after = data.imu[data.imu[:, 0] > START_S]
         gnss = data.gnss[data.gnss[:, 0] > START_S]

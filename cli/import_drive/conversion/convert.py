@@ -24,7 +24,7 @@ from .stamps import Stamps, stamped
 from .truth import true_states
 
 MAXIMUM_IMU_MESSAGES_HZ = 100.0  # samples at higher rates are batched, as on the bus
-LONGEST_STEPS = 3.0  # median intervals of an accelerometer, over which its specific force is interpolated
+MAX_STEPS = 3.0  # median intervals of an accelerometer, over which its specific force is interpolated
 GRAVITY_RANGE_M_S2 = (7.0, 13.0)  # plausible median magnitude of a vehicle's specific force
 SCALARS = ("column", "arrival_column", "date_column", "week_column", "satellites_used", "front_left", "front_right",
            "rear_left", "rear_right", "hdop", "vdop")  # fmt: skip
@@ -35,7 +35,7 @@ Imported: TypeAlias = (
 
 
 @dataclass(frozen=True)
-class Converted:
+class Conversion:
     """The messages of one file in the order of arrival, and the numbers of read and rejected rows."""
 
     messages: Sequence[Imported]
@@ -69,7 +69,7 @@ class Accelerometer:
 
 def convert(
     spec: TableFile, table: Table, *, start_s: float = 0.0, accelerometer: Accelerometer | None = None
-) -> Converted:
+) -> Conversion:
     """Convert the rows of one file to messages.
 
     Parameters
@@ -98,7 +98,7 @@ def convert(
         if accelerometer is None:
             raise ValueError("a gyroscope without accelerometer")
         return _both(spec, accelerometer, Rows(table, sampled, received), start_s, rows)
-    return Converted(list(_messages(spec, table, sampled, received)), rows, table.rejects, table.notes)
+    return Conversion(list(_messages(spec, table, sampled, received)), rows, table.rejects, table.notes)
 
 
 def _changes(spec: TableFile, table: Table) -> Table:
@@ -154,7 +154,7 @@ def _rate(axes: Imu | Gyroscope, rate: Rate, table: Table, sampled: Stamps) -> F
     return _means(rate, units.RATE, units.RATE_INCREMENT, table, sampled) @ axes.matrix().T
 
 
-def _both(spec: Gyroscope, accelerometer: Accelerometer, gyroscope: Rows, start_s: float, rows: int) -> Converted:
+def _both(spec: Gyroscope, accelerometer: Accelerometer, gyroscope: Rows, start_s: float, rows: int) -> Conversion:
     """Interpolate the specific force to the stamps of the gyroscope; rows far from any specific force are omitted."""
     imu = accelerometer.spec
     table, stamps, _ = stamped(imu, _changes(imu, accelerometer.table), start_s)
@@ -162,13 +162,13 @@ def _both(spec: Gyroscope, accelerometer: Accelerometer, gyroscope: Rows, start_
     if len(stamps) < 2:
         raise UserError(f"{imu.file} holds a single row; the specific force between rows is interpolated: add rows")
     after = np.clip(np.searchsorted(stamps, at), 1, len(stamps) - 1)
-    longest = LONGEST_STEPS * float(np.median(np.diff(stamps)))
+    longest = MAX_STEPS * float(np.median(np.diff(stamps)))
     near = (at >= stamps[0]) & (at <= stamps[-1]) & (stamps[after] - stamps[after - 1] <= longest)
     kept = gyroscope.table.keep(near, f"no specific force of {imu.file} near")
     at, received = at[near], gyroscope.received[near]
     between = np.column_stack([np.interp(at, stamps, axis) for axis in force.T])
     messages = _samples(spec.source, between, _rate(spec, spec.angular_rate, kept, at), at, received)
-    return Converted(list(messages), rows, kept.rejects, [*table.notes, *kept.notes])
+    return Conversion(list(messages), rows, kept.rejects, [*table.notes, *kept.notes])
 
 
 def _samples(

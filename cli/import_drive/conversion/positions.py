@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from shared.maths.earth import FloatArray, Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
 
 from ..mapping import units
-from ..mapping.schema import Positioned, Quaternion, Velocity
+from ..mapping.schema import PositionColumns, Quaternion, Velocity
 from ..readers.table import Table
 from .quantities import as_ned, degrees_of, heights, longitudes_of
 
@@ -16,7 +16,7 @@ NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
 
 
-def positions_of(spec: Positioned, table: Table) -> tuple[FloatArray, list[float] | None, list[float] | None]:
+def positions_of(spec: PositionColumns, table: Table) -> tuple[FloatArray, list[float] | None, list[float] | None]:
     """Compute the positions of all rows.
 
     Parameters
@@ -42,7 +42,7 @@ def positions_of(spec: Positioned, table: Table) -> tuple[FloatArray, list[float
     return points[:, :2], points[:, 2].tolist(), None
 
 
-def _cartesian(spec: Positioned, table: Table) -> list[Geodetic]:
+def _cartesian(spec: PositionColumns, table: Table) -> list[Geodetic]:
     if spec.position_ecef is not None:
         ecef = table.many(spec.position_ecef.columns) * units.LENGTH[spec.position_ecef.unit]
     elif (local := spec.position_local) is not None:

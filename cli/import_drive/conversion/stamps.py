@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import UserError
-from shared.maths.dates import BEYOND_NS, NS
+from shared.maths.dates import END_DATE_NS, NS
 from shared.maths.earth import FloatArray
 
 from ..mapping import units
@@ -45,7 +45,7 @@ def stamped(spec: TableFile, table: Table, start_s: float) -> tuple[Table, Stamp
     time = spec.time
     for column in filter(None, (time.column, time.arrival_column)):
         told_s = table[column] * units.TIME[time.unit] + _days(time, table) + time.offset_s + start_s
-        table = table.keep(np.abs(told_s) < BEYOND_NS / NS, "date after 2100")  # one would make all others late
+        table = table.keep(np.abs(told_s) < END_DATE_NS / NS, "date after 2100")  # one would make all others late
     if not len(table):
         reasons = ", ".join(f"{count} {reason}" for reason, count in table.rejects.items())
         raise UserError(f"{spec.file} holds no row that can be used: {reasons}; check the columns and `quality`")

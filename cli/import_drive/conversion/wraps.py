@@ -12,20 +12,20 @@ PERIODS_S: dict[str, float] = {
     "a week": 604_800.0,
     **{f"2^{bits} {tick}": 2**bits * step_s for bits in (16, 24, 31, 32) for tick, step_s in TICKS_S.items()},
 }  # fmt: skip
-LARGEST_STEP = 1e-3  # fraction of the period that the step over its end may be off the period
-LARGEST_STEPS = 3.0  # the same, in median steps of the clock
-FEWEST_LOST = 5  # rows behind a step back that is worth a sentence
+MAX_STEP = 1e-3  # fraction of the period that the step over its end may be off the period
+MAX_STEPS = 3.0  # the same, in median steps of the clock
+MIN_LOST = 5  # rows behind a step back that is worth a sentence
 
 
 @dataclass
-class Unwrapped:
+class UnwrappedClock:
     """A continuous clock, and what was found, one sentence each."""
 
     seconds: FloatArray
     sentences: list[str] = field(default_factory=list)
 
 
-def unwrapped(seconds: FloatArray, rows: FloatArray, period_s: float | None, what: str) -> Unwrapped:
+def unwrapped(seconds: FloatArray, rows: FloatArray, period_s: float | None, what: str) -> UnwrappedClock:
     """Make a clock continuous over the ends of its period.
 
     Parameters
@@ -61,8 +61,8 @@ def unwrapped(seconds: FloatArray, rows: FloatArray, period_s: float | None, wha
         count = int(turns.sum())
         again = "" if count == 1 else f" and {count - 1} more times"
         said = f"{what} starts anew after {name} at row {_row(rows, first)}{again}; the stamps were continued."
-        return Unwrapped(seconds + total, [said, *_lost(seconds + total, rows, what)])
-    return Unwrapped(seconds, _lost(seconds, rows, what))
+        return UnwrappedClock(seconds + total, [said, *_lost(seconds + total, rows, what)])
+    return UnwrappedClock(seconds, _lost(seconds, rows, what))
 
 
 def _period(step_s: float, usual_s: float, stated_s: float | None) -> tuple[str, float] | None:
@@ -78,7 +78,7 @@ def _period(step_s: float, usual_s: float, stated_s: float | None) -> tuple[str,
 
 
 def _tolerance(period_s: float, usual_s: float) -> float:
-    return max(LARGEST_STEPS * usual_s, LARGEST_STEP * period_s)
+    return max(MAX_STEPS * usual_s, MAX_STEP * period_s)
 
 
 def _lost(seconds: FloatArray, rows: FloatArray, what: str) -> list[str]:
@@ -89,7 +89,7 @@ def _lost(seconds: FloatArray, rows: FloatArray, what: str) -> list[str]:
     behind = np.r_[False, seconds[1:] <= newest[:-1]] & (seconds < newest)
     edges = np.flatnonzero(np.diff(np.r_[False, behind, False]))
     lengths = edges[1::2] - edges[::2]
-    if not len(lengths) or lengths.max() < FEWEST_LOST:
+    if not len(lengths) or lengths.max() < MIN_LOST:
         return []
     longest = int(np.argmax(lengths))
     start, lost = int(edges[::2][longest]), int(lengths[longest])

@@ -19,10 +19,10 @@ from ..conversion.convert import Imported
 from ..estimates.agreement import AGREES, Motion, agreement_of, motion_of, told
 from ..estimates.delay import delay_of_fixes
 from .can_log import shifted_lines
-from .stamped import NS, ClockKind, FileKind, Portion, Stamped
+from .stamped import NS, ClockKind, FileKind, Portion, StampedFile
 
 PARSERS = ("parsers.gnss", "parsers.imu", "parsers.can")
-COARSE_S = 0.1  # half a step of the grid on which motions are compared
+GRID_TOLERANCE_S = 0.1  # half a step of the grid on which motions are compared
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Device:
 
     path: Path
     source: str
-    stamped: Stamped
+    stamped: StampedFile
     shift_ns: int | None = None  # asked for
     messages: Sequence[Imported] = ()
     decoded: tuple[Message, ...] = field(default=(), repr=False)  # what has motion in it
@@ -162,7 +162,7 @@ def _refined(
         [s] Shift and its standard deviation.
     """
     if device.stamped.kind is not FileKind.TRACKER or reference.stamped.kind is not FileKind.RECEIVER:
-        return shift_s, COARSE_S
+        return shift_s, GRID_TOLERANCE_S
     by_ns = round(shift_s * NS)
     samples = [
         message.model_copy(update={
@@ -180,5 +180,5 @@ def _refined(
     try:
         delay = delay_of_fixes(shown, vehicle)
     except UserError:  # too few turns: the shift stays as coarse as it is
-        return shift_s, COARSE_S
+        return shift_s, GRID_TOLERANCE_S
     return shift_s + delay.seconds, delay.sd_s

@@ -13,11 +13,11 @@ import can
 from shared.devices.can_device import WITHOUT_STAMPS_NS, candump_line, frame_of, stamped_line
 from shared.errors import UserError
 
-from .stamped import ABSOLUTE_FROM_NS, NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
+from .stamped import ABSOLUTE_FROM_NS, NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, StampedFile
 
 PORTION_NS = NS // 10  # as the driver publishes them
-MOST_LINES = 2000  # of a portion: 100 KB
-LEAST_DIFFERENCES = 10  # stamps from which their order tells what they are
+MAX_LINES = 2000  # of a portion: 100 KB
+MIN_DIFFERENCES = 10  # stamps from which their order tells what they are
 SHARE_FALLING, SHARE_EQUAL = 0.1, 0.9  # [-] of the steps between stamps that are differences
 CHANNEL = "can0"  # of an ASC log, whose channels have numbers
 ASC_BASE = re.compile(r"base\s+(hex|dec)\b(?:.*\btimestamps\s+(absolute|relative)\b)?", re.IGNORECASE)
@@ -25,7 +25,7 @@ ASC_EVENT = re.compile(r"(\d{1,12})[.,](\d{1,9})\s+(\S.*)", re.ASCII)
 Line = tuple[int, str]  # time [ns] and the rest of a candump line
 
 
-def read_candump(lines: Iterable[str]) -> Stamped:
+def read_candump(lines: Iterable[str]) -> StampedFile:
     """Read a log of candump, or what candump shows on a screen; lines that are neither are counted."""
     rejects: Counter[str] = Counter()
     found: list[Line] = []
@@ -50,14 +50,14 @@ def read_candump(lines: Iterable[str]) -> Stamped:
 
 def _are_differences(times_ns: list[int]) -> bool:
     """Whether stamps are the times since the frame before: short, and they fall often, or are one period."""
-    if len(times_ns) < LEAST_DIFFERENCES or max(times_ns) >= ABSOLUTE_FROM_NS:
+    if len(times_ns) < MIN_DIFFERENCES or max(times_ns) >= ABSOLUTE_FROM_NS:
         return False
     steps = [later - earlier for earlier, later in pairwise(times_ns)]
     falling, equal = sum(step < 0 for step in steps), sum(step == 0 for step in steps)
     return falling > SHARE_FALLING * len(steps) or (equal > SHARE_EQUAL * len(steps) and times_ns[-1] > 0)
 
 
-def read_asc(path: Path) -> Stamped:
+def read_asc(path: Path) -> StampedFile:
     """Read an ASC log, without its date, which is in an unknown time zone; raises `UserError` for a broken one."""
     rejects: Counter[str] = Counter()
     found = list(_asc_lines(path, rejects))
@@ -116,19 +116,19 @@ class _AscEvents(io.TextIOBase):
                 yield f"{time_ns // NS}.{time_ns % NS:09d} {event[3]}\n"
 
 
-def _stamped(found: list[Line], rows: int, rejects: Counter[str], notes: tuple[str, ...]) -> Stamped:
+def _stamped(found: list[Line], rows: int, rejects: Counter[str], notes: tuple[str, ...]) -> StampedFile:
     ordered = sorted(found, key=lambda line: line[0])
     first_ns = ordered[0][0] if ordered else 0
     absolute = first_ns >= ABSOLUTE_FROM_NS
     start_ns = 0 if absolute else WITHOUT_DATE_NS - first_ns
     clock = ClockKind.UTC if absolute else ClockKind.FREE
-    return Stamped(FileKind.CAN, clock, list(_portions(ordered, start_ns)), rows, rejects, notes)
+    return StampedFile(FileKind.CAN, clock, list(_portions(ordered, start_ns)), rows, rejects, notes)
 
 
 def _portions(lines: list[Line], start_ns: int) -> Iterator[Portion]:
     part: list[Line] = []
     for time_ns, rest in lines:
-        if part and (time_ns - part[0][0] >= PORTION_NS or len(part) >= MOST_LINES):
+        if part and (time_ns - part[0][0] >= PORTION_NS or len(part) >= MAX_LINES):
             yield _portion(part, start_ns)
             part = []
         part.append((time_ns, rest))

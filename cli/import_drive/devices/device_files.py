@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from services.parsers.gnss.process import Config as GnssConfig
 from services.parsers.imu.process import Config as ImuConfig
-from shared.bounded import LINE_BYTES, TooMuch, lines
+from shared.bounded import LINE_BYTES, SizeExceeded, lines
 from shared.devices.can_device import frame_of
 from shared.errors import UserError
 from shared.messages.corrections import CorrectionBytes
@@ -24,20 +24,20 @@ from shared.protocols.registry import BY_NAME
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 
 from ...progress import progress_on
-from ..conversion.convert import Converted, Imported
+from ..conversion.convert import Conversion, Imported
 from ..output import Part, print_summary, write
 from .alignment import Device, aligned
 from .can_log import ASC_BASE, read_asc, read_candump
 from .receiver import read_receiver
-from .stamped import NS, ClockKind, FileKind, Portion, Stamped
+from .stamped import NS, ClockKind, FileKind, Portion, StampedFile
 from .tracker import read_tracker
 
 HEAD_BYTES = 64 * 1024
 CHUNK_BYTES = 1 << 20
-MOST_BYTES = 1 << 31  # of a file, whose frames are held in memory
+MAX_BYTES = 1 << 31  # of a file, whose frames are held in memory
 RECEIVER, TRACKER = frozenset(("UBX", "NMEA", "RTCM")), "Xbus"
 SOURCES = {FileKind.RECEIVER: "gnss", FileKind.CORRECTIONS: "corrections", FileKind.TRACKER: "imu", FileKind.CAN: "can"}
-LONGEST_SHIFT_S = 1e10
+MAX_SHIFT_S = 1e10
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def shifts_of(texts: Sequence[str], files: Sequence[Path]) -> dict[Path, int]:
             value = float(seconds)
         except ValueError:
             value = float("nan")
-        if len(named) != 1 or not abs(value) <= LONGEST_SHIFT_S:
+        if len(named) != 1 or not abs(value) <= MAX_SHIFT_S:
             raise UserError(f"--shift {text}: give the name of one of the files and seconds, such as mti.bin=12.5")
         found[named[0]] = round(value * NS)
     return found
@@ -104,7 +104,7 @@ def import_devices(
             Part(
                 device.path.name,
                 _digest(device.path),
-                Converted(device.messages, device.stamped.rows, device.stamped.rejects),
+                Conversion(device.messages, device.stamped.rows, device.stamped.rejects),
             )
             for device in devices
         ]
@@ -165,10 +165,10 @@ def _is_of_rtcm(path: Path) -> bool:
         return recognise(file.read(8192)).names == ("RTCM",)
 
 
-def _read(path: Path, form: Form, week_of_ns: int | None, progress: Progress) -> Stamped:
+def _read(path: Path, form: Form, week_of_ns: int | None, progress: Progress) -> StampedFile:
     size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise UserError(f"{path} is larger than {MOST_BYTES >> 30} GB; cut it into drives first, as with `split`")
+    if size > MAX_BYTES:
+        raise UserError(f"{path} is larger than {MAX_BYTES >> 30} GB; cut it into drives first, as with `split`")
     task = progress.add_task(f"reading {path.name}", total=size)
 
     def chunks() -> Iterator[bytes]:
@@ -192,7 +192,7 @@ def _insist_on_lines(path: Path) -> None:
     with path.open("rb") as file:
         try:
             deque(lines(file), maxlen=0)
-        except TooMuch as error:
+        except SizeExceeded as error:
             raise UserError(f"{path} is no ASC log: {error}; give the file as the tool wrote it") from error
 
 

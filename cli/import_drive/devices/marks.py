@@ -14,13 +14,13 @@ from shared.maths.dates import DAY_NS, WEEK_NS
 
 from .stamped import NS
 
-MOST_STEP_NS = 30 * NS  # by which leap seconds change; what is further off is another clock
-MOST_PAUSE_NS = 600 * NS  # between two times that are not valid; what is further apart is a clock that was set
+MAX_STEP_NS = 30 * NS  # by which leap seconds change; what is further off is another clock
+MAX_PAUSE_NS = 600 * NS  # between two times that are not valid; what is further apart is a clock that was set
 REPEATED = 0.02  # [-] share of repeated times from which they are no steps, but a habit of the receiver
 
 
 @dataclass(frozen=True)
-class Mark:
+class TimeMark:
     """What a frame says of time: UTC, else the time of the GPS week or of the UTC day."""
 
     utc_ns: int | None = None
@@ -39,7 +39,7 @@ class Mark:
         return WEEK_NS if self.day_ns is None else DAY_NS
 
 
-def with_validity(marks: Sequence[Mark]) -> list[Mark]:
+def with_validity(marks: Sequence[TimeMark]) -> list[TimeMark]:
     """Give each mark the validity that was told last, the first ones that which is told first.
 
     Where a receiver never had a fix, its times count, without their date.
@@ -54,7 +54,7 @@ def with_validity(marks: Sequence[Mark]) -> list[Mark]:
     return found
 
 
-def without_steps(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequence[Mark]) -> list[Mark]:
+def without_steps(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequence[TimeMark]) -> list[TimeMark]:
     """Move the marks before a step of UTC by the step.
 
     Parameters
@@ -73,7 +73,7 @@ def without_steps(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequen
     return _without_steps_of_day(kinds, contents, _without_steps_of_week(marks))
 
 
-def _without_steps_of_week(marks: Sequence[Mark]) -> list[Mark]:
+def _without_steps_of_week(marks: Sequence[TimeMark]) -> list[TimeMark]:
     offsets = [
         (mark.utc_ns - mark.week_ns) % WEEK_NS
         for mark in marks
@@ -86,12 +86,12 @@ def _without_steps_of_week(marks: Sequence[Mark]) -> list[Mark]:
     for mark in marks:
         if mark.utc_ns is not None and mark.week_ns is not None:
             step_ns = _signed(last_ns - mark.utc_ns + mark.week_ns, WEEK_NS)
-            mark = replace(mark, utc_ns=mark.utc_ns + step_ns) if abs(step_ns) <= MOST_STEP_NS else mark  # noqa: PLW2901
+            mark = replace(mark, utc_ns=mark.utc_ns + step_ns) if abs(step_ns) <= MAX_STEP_NS else mark  # noqa: PLW2901
         found.append(mark)
     return found
 
 
-def _without_steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequence[Mark]) -> list[Mark]:
+def _without_steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequence[TimeMark]) -> list[TimeMark]:
     found = list(marks)
     for at, step_ns in _steps_of_day(kinds, contents, marks):
         for k in range(at):
@@ -102,7 +102,7 @@ def _without_steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks
     return found
 
 
-def _steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequence[Mark]) -> list[tuple[int, int]]:
+def _steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequence[TimeMark]) -> list[tuple[int, int]]:
     """First frame behind each step back, and the step [ns], by the sentence that comes most often."""
     told = [k for k, mark in enumerate(marks) if mark.valid and mark.day_ns is not None]
     if not told:
@@ -117,7 +117,7 @@ def _steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequen
     found = []
     for n, (step, following) in enumerate(pairwise(steps)):
         before, behind = times[n][0], times[n + 1][0]
-        if not -MOST_STEP_NS <= step <= 0 or 2 * following >= 3 * period_ns - step:
+        if not -MAX_STEP_NS <= step <= 0 or 2 * following >= 3 * period_ns - step:
             continue  # a time that is wrong alone is followed by one of the clock before it
         if step == 0 and (contents[before] == contents[behind] or repeated > max(REPEATED * len(steps), 1)):
             continue
@@ -125,7 +125,7 @@ def _steps_of_day(kinds: Sequence[str], contents: Sequence[bytes], marks: Sequen
     return found
 
 
-def with_times_without_fix(marks: Sequence[Mark], times_ns: Sequence[int | None]) -> list[int | None]:
+def with_times_without_fix(marks: Sequence[TimeMark], times_ns: Sequence[int | None]) -> list[int | None]:
     """Place frames whose times are not valid before the next valid one, else behind the last one.
 
     Parameters
@@ -148,7 +148,7 @@ def with_times_without_fix(marks: Sequence[Mark], times_ns: Sequence[int | None]
     return found
 
 
-def _place(times_ns: list[int | None], marks: Sequence[Mark], before: int, behind: int) -> None:
+def _place(times_ns: list[int | None], marks: Sequence[TimeMark], before: int, behind: int) -> None:
     """Set the times between two frames whose times are known; at least one of them is."""
     run = marks[before + 1 : behind]
     clocks = [mark for mark in run if mark.clock_ns is not None]
@@ -174,12 +174,12 @@ def _place(times_ns: list[int | None], marks: Sequence[Mark], before: int, behin
             times_ns[k] = start_ns + own if first_ns is None else max(start_ns + own, first_ns)
 
 
-def _pause(earlier: Mark, later: Mark) -> int | None:
+def _pause(earlier: TimeMark, later: TimeMark) -> int | None:
     """Time between two marks of one clock [ns]; None where they are of two clocks, or one was set between them."""
     if earlier.clock_ns is None or later.clock_ns is None or earlier.period_ns != later.period_ns:
         return None
     pause_ns = (later.clock_ns - earlier.clock_ns) % earlier.period_ns
-    return pause_ns if pause_ns <= MOST_PAUSE_NS else None
+    return pause_ns if pause_ns <= MAX_PAUSE_NS else None
 
 
 def _signed(time_ns: int, period_ns: int) -> int:

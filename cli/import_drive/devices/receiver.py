@@ -19,13 +19,13 @@ from shared.maths.dates import DAY_NS, GPS_EPOCH_UTC_NS, WEEK_NS, is_plausible
 from shared.protocols.framing.framer import Frame, Framer
 
 from ..conversion.scales import utc_of
-from .marks import Mark, with_times_without_fix, with_validity, without_steps
-from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
+from .marks import TimeMark, with_times_without_fix, with_validity, without_steps
+from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, StampedFile
 
 MS = 1_000_000
-MOST_PORTION = 8192  # bytes; a message on the bus may hold 512 KB
-BACK_NS = 10 * NS  # by which a time may go back within the messages of an epoch
-SURE = 20  # frames in a row that tell an earlier time, after which the later ones before them were wrong
+MAX_PORTION = 8192  # bytes; a message on the bus may hold 512 KB
+MAX_STEP_BACK_NS = 10 * NS  # by which a time may go back within the messages of an epoch
+MIN_EARLIER_FRAMES = 20  # frames in a row that tell an earlier time, after which the later ones before them were wrong
 LEAP_NS = 18 * NS  # GPS time less UTC since 2017
 NAV, RXM = 0x01, 0x02
 # Offset of the time of week [ms] in messages of the class NAV that do not begin with it; None where there is none.
@@ -74,7 +74,7 @@ class _Epochs:
     back: int = 0  # frames in a row that tell an earlier time
     rejects: Counter[str] = field(default_factory=Counter)
 
-    def time_of(self, mark: Mark) -> int | None:
+    def time_of(self, mark: TimeMark) -> int | None:
         """UTC of a mark near the newest time; None if nothing is known yet."""
         if mark.utc_ns is not None:
             if mark.week_ns is not None:
@@ -91,7 +91,7 @@ class _Epochs:
         return time_ns + (now_ns - time_ns + period_ns // 2) // period_ns * period_ns
 
 
-def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> Stamped:
+def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> StampedFile:
     """Read the bytes of a receiver, or corrections for one.
 
     Parameters
@@ -130,7 +130,7 @@ def read_receiver(chunks: Iterable[bytes], *, week_of_ns: int | None = None) -> 
         epochs.now_ns, clock = WITHOUT_DATE_NS, ClockKind.FREE
     of_rtcm = sum(frame.protocol == "RTCM" for frame, _ in frames)
     kind = FileKind.CORRECTIONS if frames and of_rtcm == len(frames) else FileKind.RECEIVER
-    return Stamped(kind, clock, _portions(frames, epochs), len(frames), rejects)
+    return StampedFile(kind, clock, _portions(frames, epochs), len(frames), rejects)
 
 
 def _frames(chunks: Iterable[bytes], rejects: Counter[str]) -> Iterator[Frame]:
@@ -139,20 +139,20 @@ def _frames(chunks: Iterable[bytes], rejects: Counter[str]) -> Iterator[Frame]:
         yield from framer.feed(chunk)
 
 
-def _with_marks(frames: list[Frame]) -> list[tuple[Frame, Mark]]:
+def _with_marks(frames: list[Frame]) -> list[tuple[Frame, TimeMark]]:
     """What each frame tells of time, as far as it is valid and of one clock."""
     marks = with_validity([_mark(frame) for frame in frames])
     names = [frame.data[3:6].decode("ascii", "replace") if frame.protocol == "NMEA" else "" for frame in frames]
     return list(zip(frames, without_steps(names, [frame.data for frame in frames], marks), strict=True))
 
 
-def _first_known(frames: list[tuple[Frame, Mark]]) -> Mark | None:
+def _first_known(frames: list[tuple[Frame, TimeMark]]) -> TimeMark | None:
     """The first UTC, with the time of week of the same frame if it has one."""
     dated = [mark for _, mark in frames if mark.valid and mark.utc_ns is not None]
     return next((mark for mark in dated if mark.week_ns is not None), None) or next(iter(dated), None)
 
 
-def _portions(frames: list[tuple[Frame, Mark]], epochs: _Epochs) -> list[Portion]:
+def _portions(frames: list[tuple[Frame, TimeMark]], epochs: _Epochs) -> list[Portion]:
     """Portions whose times never go back; what told a later time before a clock was set is left out."""
     marks, times_ns = [mark for _, mark in frames], list[int | None]()
     for mark in marks:
@@ -163,7 +163,7 @@ def _portions(frames: list[tuple[Frame, Mark]], epochs: _Epochs) -> list[Portion
     for (frame, _), time_ns in zip(frames, with_times_without_fix(marks, times_ns), strict=True):
         if time_ns is None:
             continue
-        if parts and (time_ns != at_ns or size + len(frame.data) > MOST_PORTION):
+        if parts and (time_ns != at_ns or size + len(frame.data) > MAX_PORTION):
             portions.append(Portion(at_ns, b"".join(parts)))
             parts, size = [], 0
         parts.append(frame.data)
@@ -173,17 +173,17 @@ def _portions(frames: list[tuple[Frame, Mark]], epochs: _Epochs) -> list[Portion
     return portions
 
 
-def _accepted(epochs: _Epochs, mark: Mark, times_ns: list[int | None]) -> int | None:
+def _accepted(epochs: _Epochs, mark: TimeMark, times_ns: list[int | None]) -> int | None:
     """Time of a frame, at least that of the one before; None for one that tells a much earlier time."""
     told_ns, now_ns = epochs.time_of(mark) if mark.valid else None, epochs.now_ns or 0
-    if told_ns is None or now_ns - BACK_NS <= told_ns <= now_ns:
+    if told_ns is None or now_ns - MAX_STEP_BACK_NS <= told_ns <= now_ns:
         if told_ns is not None:
             epochs.back = 0
         return now_ns
     if told_ns < now_ns:
         epochs.back += 1
         epochs.rejects["time_goes_back"] += 1
-        if epochs.back < SURE:
+        if epochs.back < MIN_EARLIER_FRAMES:
             return None
         for k in reversed(range(len(times_ns))):
             if (time_ns := times_ns[k]) is not None and time_ns <= told_ns:
@@ -195,7 +195,7 @@ def _accepted(epochs: _Epochs, mark: Mark, times_ns: list[int | None]) -> int | 
     return told_ns
 
 
-def _mark(frame: Frame) -> Mark:
+def _mark(frame: Frame) -> TimeMark:
     if frame.protocol == "UBX":
         return _mark_of_ubx(frame.data[2], frame.data[3], frame.data[6:-2])
     if frame.protocol == "NMEA":
@@ -203,13 +203,13 @@ def _mark(frame: Frame) -> Mark:
     return _mark_of_rtcm(frame.data)
 
 
-def _mark_of_ubx(kind: int, number: int, payload: bytes) -> Mark:
+def _mark_of_ubx(kind: int, number: int, payload: bytes) -> TimeMark:
     if kind == RXM and number == 0x15 and len(payload) >= 16:
         return _mark_of_rawx(payload)
-    return _mark_of_nav(number, payload) if kind == NAV else Mark()
+    return _mark_of_nav(number, payload) if kind == NAV else TimeMark()
 
 
-def _mark_of_nav(number: int, payload: bytes) -> Mark:
+def _mark_of_nav(number: int, payload: bytes) -> TimeMark:
     if number in CALENDAR and len(payload) >= CALENDAR[number].size:
         return _mark_of_calendar(number, payload)
     if number == 0x20 and len(payload) >= 16:
@@ -223,17 +223,17 @@ def _mark_of_nav(number: int, payload: bytes) -> Mark:
         tow_ms, _, week, _, flags = struct.unpack_from("<IihBB", payload)
         return _mark_of_week(week, tow_ms * MS, None) if flags & 0x0C == 0x0C else _tow(payload, 0)
     at = TOW_AT.get(number, 0)
-    return Mark() if at is None else _tow(payload, at)
+    return TimeMark() if at is None else _tow(payload, at)
 
 
-def _tow(payload: bytes, at: int) -> Mark:
+def _tow(payload: bytes, at: int) -> TimeMark:
     if len(payload) < at + 4:
-        return Mark()
+        return TimeMark()
     tow_ns = int.from_bytes(payload[at : at + 4], "little") * MS
-    return Mark(week_ns=tow_ns) if tow_ns < WEEK_NS else Mark()
+    return TimeMark(week_ns=tow_ns) if tow_ns < WEEK_NS else TimeMark()
 
 
-def _mark_of_calendar(number: int, payload: bytes) -> Mark:
+def _mark_of_calendar(number: int, payload: bytes) -> TimeMark:
     """Mark of a message with the date: the time of week stays where that is not valid."""
     form = CALENDAR[number]
     tow_ms, *fields = form.layout.unpack_from(payload)
@@ -245,39 +245,39 @@ def _mark_of_calendar(number: int, payload: bytes) -> Mark:
     if utc_ns is None:
         return _tow(payload, 0)
     # `nano` holds the receiver's clock error as well: the epoch is the time of week, which is in whole ms.
-    return Mark(utc_ns=round(utc_ns / MS) * MS, week_ns=tow_ms * MS, valid=True)
+    return TimeMark(utc_ns=round(utc_ns / MS) * MS, week_ns=tow_ms * MS, valid=True)
 
 
-def _mark_of_rawx(payload: bytes) -> Mark:
+def _mark_of_rawx(payload: bytes) -> TimeMark:
     tow_s, week, leap, _, status = struct.unpack_from("<dHbBB", payload)
     if not 0.0 <= tow_s < WEEK_NS / NS or not week:
-        return Mark()
+        return TimeMark()
     return _mark_of_week(week, round(tow_s * 1000) * MS, leap if status & 1 else None)
 
 
-def _mark_of_week(week: int, tow_ns: int, leap: int | None) -> Mark:
+def _mark_of_week(week: int, tow_ns: int, leap: int | None) -> TimeMark:
     gps_ns = GPS_EPOCH_UTC_NS + week * WEEK_NS + tow_ns
     utc_ns = gps_ns - _leap_ns(gps_ns) if leap is None else gps_ns - leap * NS
-    return Mark(utc_ns=utc_ns, week_ns=tow_ns) if is_plausible(utc_ns) else Mark()
+    return TimeMark(utc_ns=utc_ns, week_ns=tow_ns) if is_plausible(utc_ns) else TimeMark()
 
 
-def _mark_of_nmea(sentence: bytes) -> Mark:
+def _mark_of_nmea(sentence: bytes) -> TimeMark:
     fields = sentence.split(b"*")[0].split(b",")
     name = fields[0][-3:]
     place = TIME_AT.get(name)
     match = TIME_OF_DAY.fullmatch(fields[place]) if place is not None and place < len(fields) else None
     if match is None:
-        return Mark()
+        return TimeMark()
     fraction_ns = int((match[4] or b"0").ljust(9, b"0"))
     day_ns = (int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3])) * NS + fraction_ns
     valid = _has_fix(name, fields)
     digits = fields[9] if name == b"RMC" and len(fields) > 9 else b"".join(fields[2:5]) if name == b"ZDA" else b""
     if not digits.isdigit() or len(digits) not in (6, 8):
-        return Mark(day_ns=day_ns, valid=valid)
+        return TimeMark(day_ns=day_ns, valid=valid)
     day, month, year = int(digits[:2]), int(digits[2:4]), int(digits[4:])
     if len(digits) == 6:
         year += 1900 if year >= 80 else 2000
-    return Mark(utc_ns=_utc_ns(year, month, day, day_ns), day_ns=day_ns, valid=valid)
+    return TimeMark(utc_ns=_utc_ns(year, month, day, day_ns), day_ns=day_ns, valid=valid)
 
 
 def _has_fix(name: bytes, fields: list[bytes]) -> bool | None:
@@ -288,14 +288,14 @@ def _has_fix(name: bytes, fields: list[bytes]) -> bool | None:
     return bool(fields[place].strip(none))
 
 
-def _mark_of_rtcm(frame: bytes) -> Mark:
+def _mark_of_rtcm(frame: bytes) -> TimeMark:
     number = frame[3] << 4 | frame[4] >> 4
     if len(frame) < 13 or number not in RTCM_WITH_TOW | RTCM_BEIDOU:
-        return Mark()
+        return TimeMark()
     tow_ns = (int.from_bytes(frame[3:11], "big") >> 10 & 0x3FFFFFFF) * MS  # bits 24 to 53 of the message
     if number in RTCM_BEIDOU:
         tow_ns += BEIDOU_NS
-    return Mark(week_ns=tow_ns % WEEK_NS) if tow_ns < WEEK_NS + BEIDOU_NS else Mark()
+    return TimeMark(week_ns=tow_ns % WEEK_NS) if tow_ns < WEEK_NS + BEIDOU_NS else TimeMark()
 
 
 def _utc_ns(year: int, month: int, day: int, day_ns: int) -> int | None:

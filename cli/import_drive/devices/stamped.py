@@ -36,7 +36,7 @@ class Portion:
 
 
 @dataclass(frozen=True)
-class Stamped:
+class StampedFile:
     """A device file: its portions in order of time, its clock, and what was not used."""
 
     kind: FileKind

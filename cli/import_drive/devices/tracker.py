@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from shared.maths.dates import is_plausible
 from shared.protocols import xbus
 
-from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, Stamped
+from .stamped import NS, WITHOUT_DATE_NS, ClockKind, FileKind, Portion, StampedFile
 
 UTC_TIME = 0x1010  # ns, year, month, day, hour, minute, second, flags
 UTC_VALID = 4  # flag: UTC is valid, as the receiver of the tracker knows it
@@ -16,7 +16,7 @@ TICK_NS, TICK_WRAP = 100_000, 1 << 32
 PORTION_NS = 50_000_000  # of a live driver's chunk, at most
 
 
-def read_tracker(chunks: Iterable[bytes]) -> Stamped:
+def read_tracker(chunks: Iterable[bytes]) -> StampedFile:
     """Read a dump of Xbus messages.
 
     Returns
@@ -46,7 +46,7 @@ def read_tracker(chunks: Iterable[bytes]) -> Stamped:
             found.append((ticks, xbus.encode_message(message.mid, message.payload)))
     start_ns = offset_ns if offset_ns is not None else WITHOUT_DATE_NS - (found[0][0] * TICK_NS if found else 0)
     clock = ClockKind.FREE if offset_ns is None else ClockKind.UTC
-    return Stamped(FileKind.TRACKER, clock, _portions(found, start_ns), number, rejects)
+    return StampedFile(FileKind.TRACKER, clock, _portions(found, start_ns), number, rejects)
 
 
 def _portions(found: list[tuple[int, bytes]], start_ns: int) -> list[Portion]:

@@ -16,13 +16,13 @@ from shared.messages.navigation import TruthState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 GRID_S = 0.2
-LONGEST_S = 6 * 3600.0  # of a file, of which the motion is compared
-SLOWEST_M_S = 1.5  # below which the course of a receiver is noise
+MAX_DURATION_S = 6 * 3600.0  # of a file, of which the motion is compared
+MIN_SPEED_M_S = 1.5  # below which the course of a receiver is noise
 LEAST_OVERLAP_S, LEAST_OVERLAP = 20.0, 0.5  # seconds, and fraction of the shorter file, that a comparison needs
 AGREES, CLEARLY = 0.7, 0.2  # correlation of two that agree, and by how much it exceeds that of the clocks as they are
-SMALLEST_SHIFT_S = 0.9  # smaller ones are delays, which `obu solve` estimates
-SMALLEST_SPREAD = 1e-3  # [m/s, m/s2, rad/s] standard deviation of a channel below which nothing moved
-CLOSE_S = 0.7  # of a named offset
+MIN_SHIFT_S = 0.9  # smaller ones are delays, which `obu solve` estimates
+MIN_SPREAD = 1e-3  # [m/s, m/s2, rad/s] standard deviation of a channel below which nothing moved
+OFFSET_TOLERANCE_S = 0.7  # of a named offset
 HALF_SHARED = 0.5  # fraction of the shorter file below which an overlap is told
 OFFSETS_S: dict[float, str] = {
     18.0: "the leap seconds between GPS time and UTC",
@@ -79,7 +79,7 @@ class MotionLog:
         values = np.frombuffer(self._rows).reshape(-1, self._width)
         values = values[np.r_[True, np.diff(values[:, 0]) > 0.0]]
         motion = Motion(float(values[0, 0]), float(values[-1, 0]))
-        values = values[values[:, 0] < motion.first_s + LONGEST_S]
+        values = values[values[:, 0] < motion.first_s + MAX_DURATION_S]
         if len(values) > 2 and motion.last_s - motion.first_s >= LEAST_OVERLAP_S:
             positions = self._names[0] == "north"
             motion.channels = _of_positions(values) if positions else _of_sensor(values, self._names)
@@ -135,7 +135,7 @@ def _of_positions(values: FloatArray) -> dict[str, FloatArray]:
         velocity_n, velocity_e = (_slope(np.interp(grid, values[:, 0], track[:, axis])) for axis in (0, 1))
     speed = np.hypot(velocity_n, velocity_e)
     course = np.unwrap(np.arctan2(velocity_e, velocity_n))
-    return {"speed": speed, "acceleration": _slope(speed), "rate": np.where(speed > SLOWEST_M_S, _slope(course), 0.0)}
+    return {"speed": speed, "acceleration": _slope(speed), "rate": np.where(speed > MIN_SPEED_M_S, _slope(course), 0.0)}
 
 
 def _of_sensor(values: FloatArray, names: Sequence[str]) -> dict[str, FloatArray]:
@@ -183,7 +183,7 @@ def agreement_of(first: Motion, second: Motion) -> Agreement | None:
     for name in common:
         a, b = first.channels[name], second.channels[name]
         spread_a, spread_b = float(np.std(a)), float(np.std(b))
-        if min(spread_a, spread_b) > SMALLEST_SPREAD:
+        if min(spread_a, spread_b) > MIN_SPREAD:
             pairs.append(((a - np.mean(a)) / spread_a, (b - np.mean(b)) / spread_b))
     if not pairs:
         return None
@@ -236,7 +236,7 @@ def _likely(a: Motion, b: Motion) -> tuple[float | None, str]:
     """The shift of the second clock that is likely, and why; None if the clocks may well agree."""
     found = agreement_of(a, b)
     if found is not None and found.correlation >= AGREES:
-        if abs(found.shift_s) < SMALLEST_SHIFT_S or found.correlation < found.correlation_unshifted + CLEARLY:
+        if abs(found.shift_s) < MIN_SHIFT_S or found.correlation < found.correlation_unshifted + CLEARLY:
             return None, ""
         near = _nearest(found.shift_s)
         shift_s = found.shift_s if near is None else float(np.copysign(near, found.shift_s))
@@ -255,7 +255,7 @@ def _nearest(seconds: float) -> float | None:
     """The named offset that a shift is close to, without its sign."""
     size = abs(seconds)
     zones = [round(size / ZONE_S) * ZONE_S] if ZONE_S / 2 < size < WIDEST_ZONE_S + ZONE_S / 2 else []
-    return next((known for known in (*OFFSETS_S, *zones) if abs(size - known) <= CLOSE_S), None)
+    return next((known for known in (*OFFSETS_S, *zones) if abs(size - known) <= OFFSET_TOLERANCE_S), None)
 
 
 def _named(shift_s: float) -> str:
@@ -266,7 +266,7 @@ def _named(shift_s: float) -> str:
 
 
 def _scale(shift_s: float, first: str, second: str) -> str:
-    if abs(abs(shift_s) - 18.0) > CLOSE_S:
+    if abs(abs(shift_s) - 18.0) > OFFSET_TOLERANCE_S:
         return ""
     return f', or set `scale = "gps"` in that of {second if shift_s < 0.0 else first}'
 

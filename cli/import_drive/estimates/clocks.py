@@ -11,9 +11,9 @@ from shared.messages.gnss import GnssFix
 from shared.messages.vehicle import VehicleSpeed
 
 COARSE_S, FINE_S = 0.2, 0.005
-LONGEST_STEP_S = 2.0  # longest time between two fixes whose distance gives a speed
-LEAST_OVERLAP = 0.5  # fraction of the shorter series
-SMALLEST_SPREAD_M_S = 0.5  # standard deviation of the speed below which the offset is not observable
+MAX_STEP_S = 2.0  # longest time between two fixes whose distance gives a speed
+MIN_OVERLAP = 0.5  # fraction of the shorter series
+MIN_SPREAD_M_S = 0.5  # standard deviation of the speed below which the offset is not observable
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ def offset_of(speeds: Sequence[VehicleSpeed], fixes: Sequence[GnssFix]) -> Offse
     """
     time, speed = _arrays([s.sampled_ns for s in speeds], [abs(s.speed_m_s) for s in speeds])
     true_time, true_speed = _speeds_of(fixes)
-    if len(time) < 2 or len(true_time) < 2 or min(np.std(speed), np.std(true_speed)) < SMALLEST_SPREAD_M_S:
+    if len(time) < 2 or len(true_time) < 2 or min(np.std(speed), np.std(true_speed)) < MIN_SPREAD_M_S:
         raise UserError("the clocks cannot be aligned by the speed: it is known too rarely or nearly constant")
     start = true_time[0] - time[0]
     span, true_span = time[-1] - time[0], true_time[-1] - true_time[0]
     shifts = start + np.arange(-span, true_span, COARSE_S)
-    least = LEAST_OVERLAP * min(span, true_span)
+    least = MIN_OVERLAP * min(span, true_span)
 
     def cost(shift: float) -> float:
         inside = (true_time >= time[0] + shift) & (true_time <= time[-1] + shift)
@@ -92,7 +92,7 @@ def _speeds_of(fixes: Sequence[GnssFix]) -> tuple[FloatArray, FloatArray]:
         return stamps, stamps
     distance = np.hypot(*np.diff(ned_track(places, Geodetic(*places[0].tolist()))[:, :2], axis=0).T)
     steps = np.diff(stamps)
-    near = steps < LONGEST_STEP_S
+    near = steps < MAX_STEP_S
     middle: FloatArray = 0.5 * (stamps[1:] + stamps[:-1])
     speed: FloatArray = distance / steps
     return middle[near], speed[near]

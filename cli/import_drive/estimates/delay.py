@@ -12,9 +12,9 @@ from services.core.fusion.aids.kinds import measurements_of
 from services.core.fusion.messages import samples_of
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config
-from services.core.fusion.set_up.delay import LARGEST_S as LARGEST_LAG_S
+from services.core.fusion.set_up.delay import MAX_DURATION_S as LARGEST_LAG_S
 from services.core.fusion.set_up.delay import REPEATED, lag_of, lag_of_positions
-from services.core.fusion.set_up.monitor import FEWEST_VELOCITIES
+from services.core.fusion.set_up.monitor import MIN_VELOCITIES
 from services.core.fusion.set_up.motion import MotionLog
 from services.core.fusion.settings import Settings
 from shared.errors import UserError
@@ -28,15 +28,15 @@ from shared.runtime.config import VehicleFile
 
 Input = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
 
-LONGEST_S = 400.0  # of a drive, over which the delay of fixes is estimated
-FARTHEST_S = 2.0  # delay that a setting can correct
+MAX_DURATION_S = 400.0  # of a drive, over which the delay of fixes is estimated
+MAX_OFFSET_S = 2.0  # delay that a setting can correct
 GRID_S, AROUND = 0.06, 2  # between two delays for which the filter runs, and how many on each side of the best
 CLIPPED = 9.0  # squared normalised innovation above which it counts no more: that of an outlier
-WORST_SD_S = 0.1  # standard deviation above which the delay of fixes is not known
+MAX_SD_S = 0.1  # standard deviation above which the delay of fixes is not known
 LARGEST_S, STEP_S = 3.0, 0.02  # range and step of the delays of a reference
-SLOWEST_M_S = 2.0  # the delay is not observable at standstill
+MIN_SPEED_M_S = 2.0  # the delay is not observable at standstill
 GAP_S = 2.5  # longest time between two fixes that is interpolated
-LEAST_ROWS = 30
+MIN_ROWS = 30
 UNKNOWN = (
     "the delay of the fixes cannot be estimated: the drive has too few turns and changes of speed; give it as "
     "`stamps_late_s`"
@@ -95,7 +95,7 @@ def delay_of_fixes(messages: Iterable[Message], vehicle: VehicleFile) -> Delay:
 def _at_the_bottom(delays_s: FloatArray, costs: FloatArray) -> Delay:
     """Delay of the least cost by a parabola."""
     curvature, slope, _ = np.polyfit(delays_s, costs, 2).tolist()
-    if curvature <= REPEATED / WORST_SD_S**2:
+    if curvature <= REPEATED / MAX_SD_S**2:
         raise UserError(UNKNOWN)
     return Delay(round(-0.5 * slope / curvature, 3), float(np.sqrt(REPEATED / curvature)))
 
@@ -106,7 +106,7 @@ def _first(messages: Iterable[Message]) -> list[Input]:
     first = next(inputs, None)
     if first is None:
         return []
-    return [first, *takewhile(lambda m: m.received_ns - first.received_ns <= LONGEST_S * 1e9, inputs)]
+    return [first, *takewhile(lambda m: m.received_ns - first.received_ns <= MAX_DURATION_S * 1e9, inputs)]
 
 
 def _lag_s(inputs: Sequence[Input], settings: Settings) -> float:
@@ -121,7 +121,7 @@ def _lag_s(inputs: Sequence[Input], settings: Settings) -> float:
     if motion is None:
         raise UserError(UNKNOWN)
     by_receiver = motion.of_receiver()
-    found = lag_of_positions(motion) if len(by_receiver.begin) < FEWEST_VELOCITIES else lag_of(motion, by_receiver)
+    found = lag_of_positions(motion) if len(by_receiver.begin) < MIN_VELOCITIES else lag_of(motion, by_receiver)
     if found is None:
         raise UserError(UNKNOWN)
     return found[0]
@@ -130,7 +130,7 @@ def _lag_s(inputs: Sequence[Input], settings: Settings) -> float:
 def _squares(inputs: Sequence[Input], settings: Settings, delay_s: float) -> list[float]:
     """Squared normalised innovations of GNSS, clipped, of a filter with a delay of fixes [s] beyond the settings."""
     delay_s += settings.gnss.delay_s
-    if abs(delay_s) > FARTHEST_S:
+    if abs(delay_s) > MAX_OFFSET_S:
         raise UserError(UNKNOWN)
     navigator = Navigator(settings.with_values({"gnss.delay_s": delay_s}))
     squares = [
@@ -174,14 +174,14 @@ def delay_of_reference(states: Sequence[TruthState], fixes: Sequence[GnssFix]) -
     time_s, path = _path([(s.sampled_ns, s.latitude_deg, s.longitude_deg) for s in states])
     known = [(f.sampled_ns, f.latitude_deg, f.longitude_deg) for f in fixes if f.latitude_deg and f.longitude_deg]
     fix_time_s, fix_path = _path(known, states)
-    if min(len(time_s), len(fix_time_s)) < LEAST_ROWS:
+    if min(len(time_s), len(fix_time_s)) < MIN_ROWS:
         raise UserError("the delay of the reference cannot be estimated from so few positions; give `stamps_late_s`")
     speed = np.hypot(*np.gradient(path, time_s, axis=0).T)
     after = np.clip(np.searchsorted(fix_time_s, time_s), 1, len(fix_time_s) - 1)
     near = fix_time_s[after] - fix_time_s[after - 1] < GAP_S
     inside = (time_s > fix_time_s[0] + LARGEST_S) & (time_s < fix_time_s[-1] - LARGEST_S)
-    rows = near & inside & (speed > SLOWEST_M_S)
-    if rows.sum() < LEAST_ROWS:
+    rows = near & inside & (speed > MIN_SPEED_M_S)
+    if rows.sum() < MIN_ROWS:
         raise UserError("the delay of the reference cannot be estimated at standstill; give `stamps_late_s`")
 
     def squares(delay_s: float) -> float:

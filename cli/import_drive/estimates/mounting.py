@@ -12,9 +12,9 @@ from shared.messages.imu import ImuSamples
 
 from ..conversion.quantities import triples
 
-LEAST_CORRELATION = 0.5  # of the forward acceleration with the changes of speed
-LEAST_STEPS = 30
-LONGEST_STEP_S = 1.5  # time between two fixes of which the change of speed is used
+MIN_CORRELATION = 0.5  # of the forward acceleration with the changes of speed
+MIN_STEPS = 30
+MAX_STEP_S = 1.5  # time between two fixes of which the change of speed is used
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ def mounting_of(imu: Sequence[ImuSamples], fixes: Sequence[GnssFix]) -> Mounting
     integral = np.vstack([np.zeros(3), np.cumsum(0.5 * (horizontal[1:] + horizontal[:-1])
                                                  * np.diff(stamps)[:, None], axis=0)])  # fmt: skip
     at = np.column_stack([np.interp(time_s, stamps, column) for column in integral.T])
-    inside = (time_s[:-1] >= stamps[0]) & (time_s[1:] <= stamps[-1]) & (steps < LONGEST_STEP_S)
+    inside = (time_s[:-1] >= stamps[0]) & (time_s[1:] <= stamps[-1]) & (steps < MAX_STEP_S)
     gained, change = np.diff(at, axis=0)[inside], np.diff(speed)[inside]
-    if len(change) < LEAST_STEPS or np.std(change) == 0.0:
+    if len(change) < MIN_STEPS or np.std(change) == 0.0:
         raise UserError("`estimate_axes` requires a drive with changes of speed; give `axes` or `body_from_sensor`")
     direction, *_ = np.linalg.lstsq(gained, change, rcond=None)
     forward = direction - (direction @ up) * up
     forward /= np.linalg.norm(forward)
     correlation = float(np.corrcoef(gained @ forward, change)[0, 1])
-    if not correlation > LEAST_CORRELATION:
+    if not correlation > MIN_CORRELATION:
         raise UserError(
             f"`estimate_axes`: forces and changes of speed correlate by {correlation:.2f} only; was the sensor fixed "
             "to the vehicle? Give `axes` or `body_from_sensor`"

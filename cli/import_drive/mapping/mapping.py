@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from shared.bounded import TooMuch, load_toml
+from shared.bounded import SizeExceeded, load_toml
 from shared.errors import UserError
 from shared.runtime.config import Section
 
@@ -92,7 +92,7 @@ def parse_mapping(text: str, path: str) -> Mapping:
     """Parse a mapping; raises `UserError` with one sentence on the first fault."""
     try:
         return Mapping.model_validate(load_toml(text))
-    except TooMuch as error:
+    except SizeExceeded as error:
         raise UserError(f"{path} is no mapping: {error}; see benchmarks/recordings/mappings/ for examples") from error
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path} is not valid TOML: {error}; correct that line") from error

@@ -271,7 +271,7 @@ class Gyroscope(Sensor):
     angular_rate: Rate
 
 
-class Positioned(TableFile):
+class PositionColumns(TableFile):
     """A file with positions in one of three forms."""
 
     latitude: Coordinate | None = None
@@ -293,7 +293,7 @@ class Positioned(TableFile):
         return self
 
 
-class Gnss(Positioned):
+class Gnss(PositionColumns):
     """The GNSS receiver: position and velocity of its antenna."""
 
     source: str = "gnss"
@@ -369,7 +369,7 @@ class Wheels(TableFile):
         return self
 
 
-class Truth(Positioned):
+class Truth(PositionColumns):
     """A reference of higher grade: position and, if known, velocity, attitude and angular rate of the body.
 
     `at` is the point of its positions: "imu", or "antenna" for those of a receiver. With `quality`, rows of unlisted

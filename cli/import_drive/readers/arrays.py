@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import UserError
-from shared.unpacked import ALWAYS_BYTES, MOST_TIMES, BadPack, check_size, unpacked_size
+from shared.unpacked import MAX_TIMES, MIN_LIMIT_BYTES, BadPack, check_size, unpacked_size
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 FORMATS = (".npz", ".mat")
@@ -40,7 +40,7 @@ def _numpy_bytes(data: bytes) -> int:
 def _matlab_bytes(data: bytes) -> int:
     """Bytes that the packed elements of a file of version 7 unpack to, as far as `check_size` allows."""
     tag = struct.Struct(">II" if data[126:128] == b"MI" else "<II")
-    allowed = max(ALWAYS_BYTES, MOST_TIMES * len(data))
+    allowed = max(MIN_LIMIT_BYTES, MAX_TIMES * len(data))
     total, place = 0, MATLAB_HEADER
     while place + tag.size <= len(data) and total <= allowed:
         kind, size = tag.unpack_from(data, place)

@@ -34,10 +34,10 @@ MS = 1_000_000
 LEAP_SECONDS = 18  # GPS - UTC since 2017, for logs that state none
 L1_HZ = 1_575_420_030.0
 RANGES_M = (1.5e7, 6e7)  # pseudoranges of satellites in medium and geostationary orbits
-LARGEST_SV_TIME_SD_NS = 500.0
+MAX_SV_TIME_SD_NS = 500.0
 BATCH = 10  # inertial samples a message
 SENSORS = ("UncalAccel", "Accel"), ("UncalGyro", "Gyro")
-FEWEST_SAMPLES = 2  # accelerations, between which those at the rates' times are interpolated
+MIN_SAMPLES = 2  # accelerations, between which those at the rates' times are interpolated
 GAP_NS = 100 * MS  # between accelerations, over which none is interpolated
 # Bits of State. A time of week or of day is decoded from this satellite, or known from others. A Galileo E1 signal has
 # a bit of its own for the lock to its code.
@@ -197,9 +197,9 @@ def contents(log: Log) -> str:
     missing = [f"`{kind}`" for kind in ("Fix", "Raw", "Status") if not counts.get(kind)]
     lacks = [f"{' and '.join(missing)} lines (GNSS)"] if missing else []
     for kinds in SENSORS:
-        if (best := max(counts.get(kind, 0) for kind in kinds)) < FEWEST_SAMPLES:
+        if (best := max(counts.get(kind, 0) for kind in kinds)) < MIN_SAMPLES:
             names = " or ".join(f"`{kind}`" for kind in kinds)
-            lacks.append(f"{names} lines ({best}, at least {FEWEST_SAMPLES} are required)")
+            lacks.append(f"{names} lines ({best}, at least {MIN_SAMPLES} are required)")
     return f"{held}" + (f"; rejected: {rejected}" if rejected else "") + f"; missing: {', '.join(lacks) or 'nothing'}"
 
 
@@ -276,7 +276,7 @@ def _measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
     if system not in SYSTEMS or number is None or not 0 < number < 300:
         return "constellation"
     sent_sd_ns = _number(row, "receivedsvtimeuncertaintynanos")
-    if sent_ns is None or sent_sd_ns is None or not 0.0 <= sent_sd_ns <= LARGEST_SV_TIME_SD_NS:
+    if sent_ns is None or sent_sd_ns is None or not 0.0 <= sent_sd_ns <= MAX_SV_TIME_SD_NS:
         return "time of transmission"
     constellation, behind_ns = SYSTEMS[system]
     flight_ns = (gps_ns - behind_ns - sent_ns + WEEK_NS // 2) % WEEK_NS - WEEK_NS // 2 + offset_ns
@@ -317,7 +317,7 @@ def _inertial(log: Log, offset_ns: int | None, axes: FloatArray) -> Iterator[Imu
     if offset_ns is None or None in kinds:
         return
     (force_ns, force), (rate_ns, rate) = (_triples(log, kind, offset_ns) for kind in kinds if kind)
-    if len(force_ns) < FEWEST_SAMPLES:
+    if len(force_ns) < MIN_SAMPLES:
         return
     after = np.clip(np.searchsorted(force_ns, rate_ns), 1, len(force_ns) - 1)
     inside = (rate_ns >= force_ns[0]) & (rate_ns <= force_ns[-1]) & (force_ns[after] - force_ns[after - 1] <= GAP_NS)

@@ -18,7 +18,7 @@ BEGIN_S = DURATION_S / 2.0  # of the falsification: bends before it are the refe
 
 
 @dataclass(frozen=True)
-class Alike:
+class ScaledDrive:
     """One drive with both speeds times a factor, from its middle on."""
 
     factor: float
@@ -30,26 +30,26 @@ class Alike:
 
 
 @dataclass(frozen=True)
-class Measured:
+class DriveMeasurements:
     """All that is measured on one simulated drive."""
 
     result: DriveResult
-    alike: list[Alike]
+    alike: list[ScaledDrive]
 
 
-def measure(job: tuple[str, int]) -> Measured:
+def measure(job: tuple[str, int]) -> DriveMeasurements:
     """Simulate, sweep and falsify one drive."""
     scenario, seed = job
     drive = simulate(scenario, seed, DURATION_S)
-    return Measured(result_of(scenario, speeds_of(drive)), falsified_alike(drive))
+    return DriveMeasurements(result_of(scenario, speeds_of(drive)), falsified_alike(drive))
 
 
-def falsified_alike(drive: Drive) -> list[Alike]:
+def falsified_alike(drive: Drive) -> list[ScaledDrive]:
     """Falsify both speeds of a simulated drive by each factor; 1 is the drive as it was."""
     return [_falsified(drive, factor) for factor in ALIKE_FACTORS]
 
 
-def _falsified(drive: Drive, factor: float) -> Alike:
+def _falsified(drive: Drive, factor: float) -> ScaledDrive:
     begin_ns = round(BEGIN_S * SECOND_NS)
     changed = replace(
         drive,
@@ -59,11 +59,11 @@ def _falsified(drive: Drive, factor: float) -> Alike:
     tachograph = with_scale(speeds_of(changed), 0.0)
     monitor, first = _monitored(changed, begin_ns)
     if first is None:
-        return Alike(factor, tachograph, None, None, len(monitor.bends), before=True)
+        return ScaledDrive(factor, tachograph, None, None, len(monitor.bends), before=True)
     time_ns, suspect_ns = first
     bends = sum(begin_ns < bend.end_ns < time_ns for bend in monitor.bends)
     after_s = (time_ns - begin_ns) / SECOND_NS
-    return Alike(factor, tachograph, bends, after_s, len(monitor.bends), before=suspect_ns < begin_ns)
+    return ScaledDrive(factor, tachograph, bends, after_s, len(monitor.bends), before=suspect_ns < begin_ns)
 
 
 def _monitored(drive: Drive, begin_ns: int) -> tuple[InertialSpeed, tuple[int, int] | None]:

@@ -25,8 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 Positions = dict[float, FloatArray]  # [s]: [m, ECEF]
 
 SYSTEMS = {"GPS": ("1", "GPS_L1"), "Galileo": ("6", "GAL_E1")}
-LEAST_SD = 3.0  # [m] of a phone's pseudorange
-LONGEST_S = 5.5  # between two epochs of the phone, which come every 5 s
+MIN_SD = 3.0  # [m] of a phone's pseudorange
+MAX_DURATION_S = 5.5  # between two epochs of the phone, which come every 5 s
 ROUNDS = 15
 PHONE, STATION = "gsdc_samples", "geonet_rinex_raim"
 
@@ -56,7 +56,7 @@ def compare_phone(folder: Path) -> Comparison:
     for name, system in SYSTEMS.items():
         found = {t: _position([r for r in rows if _system(r) == system]) for t, rows in epochs.items()}
         solved[name] = {t: position for t, position in found.items() if position is not None}
-    speeds = [speeds_of(positions, LONGEST_S) for positions in solved.values()]
+    speeds = [speeds_of(positions, MAX_DURATION_S) for positions in solved.values()]
     both = sorted(set(speeds[0]) & set(speeds[1]))
     differences = np.array([abs(speeds[0][t] - speeds[1][t]) for t in both]) / KM_H
     return Comparison({name: len(record) for name, record in solved.items()}, len(epochs), differences)
@@ -104,7 +104,7 @@ def _position(rows: Sequence[Mapping[str, str]]) -> FloatArray | None:
     satellite = np.column_stack([column(f"{axis}SatPosM") for axis in "xyz"])
     delays = column("isrbM") + column("ionoDelayM") + column("tropoDelayM")
     pseudorange = column("rawPrM") + column("satClkBiasM") - delays
-    sd = np.maximum(column("rawPrUncM"), LEAST_SD)
+    sd = np.maximum(column("rawPrUncM"), MIN_SD)
     state = np.append(6.37e6 * satellite.mean(axis=0) / np.linalg.norm(satellite.mean(axis=0)), 0.0)
     for _ in range(ROUNDS):
         turn = EARTH_RATE * np.linalg.norm(satellite - state[:3], axis=1) / SPEED_OF_LIGHT

@@ -16,7 +16,7 @@ from services.core.motion_conflict.tachograph import trimmed_mean
 from .. import recordings
 from ..navigation import WORKERS, in_parallel
 from ..report import Figure, Paper, Table, figure
-from .alike import Alike, measure
+from .alike import ScaledDrive, measure
 from .constellations import PHONE, STATION, Comparison, compare_phone, station_speeds
 from .drives import ALIKE_FACTORS, DURATION_S, FAULTS, RECORDING, SCENARIOS, DriveResult, recorded, result_of
 from .profiles import PERIOD_S, PROFILES, Drive
@@ -60,7 +60,7 @@ class Findings:
     phone: Comparison | None
     station: FloatArray | None
     skipped: list[str]
-    alike: dict[str, list[Alike]]  # by kind of drive
+    alike: dict[str, list[ScaledDrive]]  # by kind of drive
 
 
 def reproduce(drives: int, progress: bool) -> Paper:

@@ -13,7 +13,7 @@ from .profiles import PERIOD_S
 
 LIMIT_KM_H = 10.0
 GAP_S = 600  # [s] start of a gap
-LONGEST_GAP = 60  # samples
+MAX_GAP = 60  # samples
 DELAYS_S = tuple(0.5 * k for k in range(1, 60))
 SCALES = tuple(0.005 * k for k in range(1, 100))
 EVENT_SCALES = (0.05, 0.08, 0.09, 0.095, 0.10, 0.12, 0.2, 0.3, 0.34, 0.35, 0.36, 0.4)
@@ -132,8 +132,8 @@ def _crossings(swept: list[tuple[float, Statistics]]) -> tuple[float | None, flo
 def break_points(drive: Speeds) -> BreakPoints:
     """Sweep gaps, delays and scales."""
     nominal = with_scale(drive, 0.0).mean
-    gaps = {k: with_gap(drive, k) for k in range(1, LONGEST_GAP)}
-    held = {(k + 1) * PERIOD_S: with_gap(drive, k, hold=1) for k in range(1, LONGEST_GAP)}
+    gaps = {k: with_gap(drive, k) for k in range(1, MAX_GAP)}
+    held = {(k + 1) * PERIOD_S: with_gap(drive, k, hold=1) for k in range(1, MAX_GAP)}
     return BreakPoints(
         first(gaps, lambda k: gaps[int(k)].mean > nominal + 1.0),
         first(gaps, lambda k: gaps[int(k)].mean > LIMIT_KM_H),

@@ -31,8 +31,8 @@ IntArray = npt.NDArray[np.int64]
 Sigma = Mapping[Metric, FloatArray]  # per dynamics class
 
 ALL = tuple(Metric)
-SETTLED = 20  # windows after the start, in which filters settle
-LEAST = 30  # windows of a class; with fewer it takes the largest standard deviation of all classes
+SETTLING_WINDOWS = 20  # windows after the start, in which filters settle
+MIN_WINDOWS = 30  # windows of a class; with fewer it takes the largest standard deviation of all classes
 PAPER_K = 3.0
 CUT_OFFS_HZ = (0.03, 0.06, 0.12, 0.24, 0.45)
 EPISODES_PER_HOUR = 1.0
@@ -50,7 +50,7 @@ class Mode(StrEnum):
 
 
 @dataclass(frozen=True)
-class Measured:
+class DriveRates:
     """A drive as the methods see it: rates of the sensors by mode and cut-off, and what the classes depend on."""
 
     velocity: FloatArray  # shape (n, 3) [m/s, ENU]
@@ -59,7 +59,7 @@ class Measured:
     force_class: IntArray  # shape (n - 1,) of the largest | |f| - g | of each second
 
 
-def measured(drive: PhoneDrive) -> Measured:
+def measured(drive: PhoneDrive) -> DriveRates:
     """Compute the rates of the sensors of a simulated phone, for all modes and cut-offs."""
     sensors = {}
     read, mounting = (drive.force, drive.field, drive.height, RATE_HZ), ned_from_body(*MOUNT)
@@ -72,22 +72,22 @@ def measured(drive: PhoneDrive) -> Measured:
     )
     excess = np.abs(np.linalg.norm(drive.force, axis=1) - STANDARD_GRAVITY).reshape(-1, RATE_HZ).max(axis=1)
     force_class = np.searchsorted(FORCE_EDGES_M_S2, excess)[:-1]
-    return Measured(drive.velocity, drive.true_velocity, sensors, force_class)
+    return DriveRates(drive.velocity, drive.true_velocity, sensors, force_class)
 
 
-def measure(seed: int) -> Measured:
+def measure(seed: int) -> DriveRates:
     """Simulate a drive and compute its rates."""
     return measured(drive_phone(seed))
 
 
-def sensors_of(drive: Measured, mode: Mode, velocity: FloatArray, cut_off_hz: float = CUT_OFF_HZ) -> Rates:
+def sensors_of(drive: DriveRates, mode: Mode, velocity: FloatArray, cut_off_hz: float = CUT_OFF_HZ) -> Rates:
     """Rates of the sensors in east, north, up: the paper turns them by the course of GNSS, true or not."""
     rates = drive.sensors[mode, cut_off_hz]
     return turned_by_course(rates, velocity) if mode in (Mode.PAPER, Mode.PAPER_RAW) else rates
 
 
 def differences(
-    drive: Measured, mode: Mode, *, velocity: FloatArray | None = None, cut_off_hz: float = CUT_OFF_HZ
+    drive: DriveRates, mode: Mode, *, velocity: FloatArray | None = None, cut_off_hz: float = CUT_OFF_HZ
 ) -> dict[Metric, FloatArray]:
     """Metrics of every window, with the GNSS velocity of the drive or another one."""
     given = drive.velocity if velocity is None else velocity
@@ -95,7 +95,7 @@ def differences(
     return metrics(gnss, sensors_of(drive, mode, given, cut_off_hz), np.hypot(given[:, 0], given[:, 1]))
 
 
-def class_range(drive: Measured, metric: Metric, velocity: FloatArray | None = None) -> tuple[IntArray, IntArray]:
+def class_range(drive: DriveRates, metric: Metric, velocity: FloatArray | None = None) -> tuple[IntArray, IntArray]:
     """Lowest and highest dynamics class that each window visits: of the speed, or of the specific force."""
     if metric in SPEED_METRICS:
         given = drive.velocity if velocity is None else velocity
@@ -108,7 +108,7 @@ def class_range(drive: Measured, metric: Metric, velocity: FloatArray | None = N
     return seen.max(axis=1), seen.max(axis=1)
 
 
-def learn(drives: Sequence[Measured], mode: Mode, cut_off_hz: float = CUT_OFF_HZ) -> dict[Metric, FloatArray]:
+def learn(drives: Sequence[DriveRates], mode: Mode, cut_off_hz: float = CUT_OFF_HZ) -> dict[Metric, FloatArray]:
     """Standard deviation of each metric in each dynamics class; by the paper's rule, of errors at 1 Hz."""
     found = {}
     for metric in Metric:
@@ -118,17 +118,19 @@ def learn(drives: Sequence[Measured], mode: Mode, cut_off_hz: float = CUT_OFF_HZ
         sigma = np.full(CLASSES, np.nan)
         for number in range(CLASSES):
             chosen = [value[(classes == number) & np.isfinite(value)] for value in values]
-            if len(chosen[0]) >= LEAST:
+            if len(chosen[0]) >= MIN_WINDOWS:
                 sigma[number] = paper_sigma(*chosen) if len(chosen) == 2 else np.sqrt(np.mean(chosen[0] ** 2))
         found[metric] = np.where(np.isnan(sigma), np.nanmax(sigma), sigma)
     return found
 
 
-def _samples(drive: Measured, mode: Mode, metric: Metric, cut_off_hz: float) -> tuple[IntArray, tuple[FloatArray, ...]]:
+def _samples(
+    drive: DriveRates, mode: Mode, metric: Metric, cut_off_hz: float
+) -> tuple[IntArray, tuple[FloatArray, ...]]:
     """Classes, and either the metric of each window or the errors of GNSS and sensors in each second."""
     if mode is not Mode.PAPER_RAW:
         values = differences(drive, mode, cut_off_hz=cut_off_hz)[metric]
-        return class_range(drive, metric)[0][SETTLED:], (values[SETTLED:],)
+        return class_range(drive, metric)[0][SETTLING_WINDOWS:], (values[SETTLING_WINDOWS:],)
     if drive.true_velocity is None:
         raise ValueError("the paper's sigma needs the true velocity; a recording has none")
     true = gnss_rates(drive.true_velocity)
@@ -139,7 +141,7 @@ def _samples(drive: Measured, mode: Mode, metric: Metric, cut_off_hz: float) -> 
         slow = np.minimum(speed, np.hypot(drive.velocity[:-1, 0], drive.velocity[:-1, 1])) <= 1.0
         pair = [np.where(slow, np.nan, np.pi - np.mod(np.pi - error, 2.0 * np.pi)) for error in pair]
     classes = np.searchsorted(SPEED_EDGES_M_S, speed) if metric in SPEED_METRICS else drive.force_class
-    return classes[SETTLED:], tuple(error[SETTLED:] for error in pair)
+    return classes[SETTLING_WINDOWS:], tuple(error[SETTLING_WINDOWS:] for error in pair)
 
 
 def _rate(rates: Rates, metric: Metric) -> FloatArray:
@@ -156,7 +158,7 @@ def _rate(rates: Rates, metric: Metric) -> FloatArray:
 
 
 def normalised(
-    drive: Measured, mode: Mode, sigma: Sigma, *, velocity: FloatArray | None = None, cut_off_hz: float = CUT_OFF_HZ
+    drive: DriveRates, mode: Mode, sigma: Sigma, *, velocity: FloatArray | None = None, cut_off_hz: float = CUT_OFF_HZ
 ) -> dict[Metric, FloatArray]:
     """|metric| over the standard deviation of the worst class that the window visits; 0 where it is not defined."""
     found = {}
@@ -164,12 +166,12 @@ def normalised(
         lowest, highest = class_range(drive, metric, velocity)
         table = np.array([[sigma[metric][a : b + 1].max(initial=0.0) for b in range(CLASSES)] for a in range(CLASSES)])
         scale = table[np.minimum(lowest, highest), highest]
-        found[metric] = np.where(np.isnan(values), 0.0, np.abs(values) / scale)[SETTLED:]
+        found[metric] = np.where(np.isnan(values), 0.0, np.abs(values) / scale)[SETTLING_WINDOWS:]
     return found
 
 
 def false_detections(
-    drives: Sequence[Measured],
+    drives: Sequence[DriveRates],
     mode: Mode,
     sigma: Sigma,
     cut_off_hz: float = CUT_OFF_HZ,
@@ -191,7 +193,7 @@ def alarms(values: Mapping[Metric, FloatArray], k: float, used: Sequence[Metric]
     return found
 
 
-def threshold(drives: Sequence[Measured], mode: Mode, sigma: Sigma, cut_off_hz: float = CUT_OFF_HZ) -> float:
+def threshold(drives: Sequence[DriveRates], mode: Mode, sigma: Sigma, cut_off_hz: float = CUT_OFF_HZ) -> float:
     """Smallest k, a multiple of 1/4, with at most one alarm episode an hour on the drives."""
     rows = [normalised(drive, mode, sigma, cut_off_hz=cut_off_hz) for drive in drives]
     hours = sum(len(row[Metric.ACCELERATION]) for row in rows) / 3600.0
@@ -268,7 +270,7 @@ class Detection:
 
 
 def detect(
-    drives: Sequence[Measured],
+    drives: Sequence[DriveRates],
     mode: Mode,
     sigma: Sigma,
     k: float,
@@ -289,7 +291,7 @@ def detect(
             velocity = np.concatenate([drive.velocity[:start], attack(drive.velocity, start, other, rng)])
             values = normalised(drive, mode, sigma, velocity=velocity, cut_off_hz=cut_off_hz)
             alarm = alarms(values, k, used)
-            first = start + 1 - WINDOW - SETTLED  # row of the window that ends with the epoch after the start
+            first = start + 1 - WINDOW - SETTLING_WINDOWS  # row of the window that ends with the epoch after the start
             after = np.flatnonzero(alarm[first : first + LATER_S])
             count += 1
             if len(after):

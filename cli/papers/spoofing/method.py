@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 
 CUT_OFF_HZ = 0.12
 WINDOW = 5  # [epochs of 1 s]
-LEAST_SPEED = 1.0  # [m/s] for the heading rate
+MIN_SPEED = 1.0  # [m/s] for the heading rate
 GRAVITY_LOW_PASS_HZ = 0.01  # with 0.05 Hz seconds of braking tilt the compass: M has twice the sigma
 
 
@@ -141,7 +141,7 @@ def turned_by_course(rates: Rates, velocity_enu: FloatArray) -> Rates:
         it was below 1 m/s.
     """
     mean = 0.5 * (velocity_enu[1:, :2] + velocity_enu[:-1, :2])
-    moving = np.hypot(mean[:, 0], mean[:, 1]) > LEAST_SPEED
+    moving = np.hypot(mean[:, 0], mean[:, 1]) > MIN_SPEED
     newest = np.maximum.accumulate(np.where(moving, np.arange(len(mean)), -1))
     first = int(np.argmax(moving))  # the course before it is not known: that of the first is taken
     course = np.arctan2(mean[:, 0], mean[:, 1])[np.where(newest < 0, first, newest)]
@@ -176,7 +176,7 @@ def mounting_of(force: FloatArray, gravity: FloatArray, velocity_enu: FloatArray
     change, course = np.diff(velocity_enu, axis=0), np.arctan2(mean[:, 0], mean[:, 1])
     along = change[:, 0] * np.sin(course) + change[:, 1] * np.cos(course)
     across = change[:, 0] * np.cos(course) - change[:, 1] * np.sin(course)
-    moving = np.hypot(mean[:, 0], mean[:, 1]) > LEAST_SPEED
+    moving = np.hypot(mean[:, 0], mean[:, 1]) > MIN_SPEED
     x, y, _ = level @ (force - gravity)[1:].T
     angle = np.angle(np.sum(((x - 1j * y) * (along + 1j * across))[moving]))
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
@@ -269,7 +269,7 @@ def metrics(gnss: Rates, sensors: Rates, speed: FloatArray) -> dict[Metric, Floa
     heading = window_mean(gnss.heading_rate) - window_mean(sensors.heading_rate)
     slowest = np.lib.stride_tricks.sliding_window_view(speed, WINDOW + 1).min(axis=1)
     return {
-        Metric.HEADING_RATE: np.where(slowest > LEAST_SPEED, heading, np.nan),
+        Metric.HEADING_RATE: np.where(slowest > MIN_SPEED, heading, np.nan),
         Metric.ACCELERATION_EAST: difference[:, 0],
         Metric.ACCELERATION_NORTH: difference[:, 1],
         Metric.ACCELERATION_UP: difference[:, 2],

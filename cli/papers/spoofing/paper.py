@@ -23,7 +23,7 @@ from .campaign import (
     LATER_S,
     SOON_S,
     Detection,
-    Measured,
+    DriveRates,
     Mode,
     Sigma,
     alarms,
@@ -87,8 +87,8 @@ NOT_REPRODUCED = (
 )
 TOLERANCE, POINTS = 0.25, 0.5  # of the reference numbers, which come without one; [%]
 LIMITS = {"static replay": 10.0, "climb to 1 m/s": 10.0, "other drive replayed": 3.0}  # [s] median
-LEAST_DRAG_OFF = 70.0  # [%] of drag-offs at 0.3 m/s2 within 30 s, with the gyroscope; two binomial sd are allowed
-LARGEST_FALSE = (1.0, 5.0)  # [%] of a metric, of any
+MIN_DRAG_OFF = 70.0  # [%] of drag-offs at 0.3 m/s2 within 30 s, with the gyroscope; two binomial sd are allowed
+MAX_FALSE = (1.0, 5.0)  # [%] of a metric, of any
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Findings:
     """Everything that is printed."""
 
     training: int
-    validation: Sequence[Measured]
+    validation: Sequence[DriveRates]
     modes: dict[Mode, ModeResult]
     cut_offs: dict[tuple[Mode, float], tuple[float, float, float]]  # sigma [m/s²], any false [%], static replay [%]
     without_barometer: tuple[float, dict[str, Detection]]  # false detections [%], attacks; mode G
@@ -138,7 +138,7 @@ def reproduce(drives: int, progress: bool) -> Paper:
     )  # fmt: skip
 
 
-def evaluate(training: Sequence[Measured], validation: Sequence[Measured], mode: Mode) -> ModeResult:
+def evaluate(training: Sequence[DriveRates], validation: Sequence[DriveRates], mode: Mode) -> ModeResult:
     """Learn thresholds of the training drives, and count false detections and attacks on the others."""
     sigma = learn(training, mode)
     k = threshold(training, mode, sigma)
@@ -150,7 +150,7 @@ def evaluate(training: Sequence[Measured], validation: Sequence[Measured], mode:
 
 
 def _cut_offs(
-    training: Sequence[Measured], validation: Sequence[Measured]
+    training: Sequence[DriveRates], validation: Sequence[DriveRates]
 ) -> dict[tuple[Mode, float], tuple[float, float, float]]:
     found = {}
     for mode in (Mode.PAPER, Mode.MATCHED):
@@ -167,7 +167,7 @@ def _cut_offs(
 
 
 def _without_barometer(
-    validation: Sequence[Measured], modes: dict[Mode, ModeResult]
+    validation: Sequence[DriveRates], modes: dict[Mode, ModeResult]
 ) -> tuple[float, dict[str, Detection]]:
     """Mode G without the altitude rate, with the threshold of all metrics."""
     mode, used = Mode.GYROSCOPE, tuple(metric for metric in Metric if metric is not Metric.ALTITUDE_RATE)
@@ -179,7 +179,7 @@ def _without_barometer(
     return false, detected
 
 
-def _phone(drive: Measured) -> dict[Mode, tuple[dict[str, float], float, float]]:
+def _phone(drive: DriveRates) -> dict[Mode, tuple[dict[str, float], float, float]]:
     """Learn of the first half of a recorded drive, validate with the second; the paper's sigma needs the truth."""
     first, second = halves(drive)
     found = {}
@@ -191,7 +191,7 @@ def _phone(drive: Measured) -> dict[Mode, tuple[dict[str, float], float, float]]
     return found
 
 
-def _heading_sigma(drive: Measured) -> tuple[float, float]:
+def _heading_sigma(drive: DriveRates) -> tuple[float, float]:
     """Standard deviation [deg/s] of the heading-rate metric by compass and by gyroscope."""
     compass, gyroscope = (
         float(np.degrees(np.nanstd(differences(drive, mode)[Metric.HEADING_RATE])))
@@ -220,7 +220,7 @@ def outside_tolerance(modes: dict[Mode, ModeResult]) -> list[str]:
 def deviations(modes: dict[Mode, ModeResult]) -> list[str]:
     """Acceptance limits that are exceeded: the paper's thresholds, and the attacks with the gyroscope."""
     texts = []
-    each, either = LARGEST_FALSE
+    each, either = MAX_FALSE
     for name, value in modes[Mode.PAPER_RAW].false.items():
         limit = either if name == "any" else each
         if value > limit:
@@ -231,9 +231,9 @@ def deviations(modes: dict[Mode, ModeResult]) -> list[str]:
         if median is None or median > limit_s:
             texts.append(f"{attack}: median delay {median} s with the gyroscope, limit {limit_s:g} s")
     drag_off = detected["drag-off to 3 m/s"]
-    share, p = drag_off.share(SOON_S), LEAST_DRAG_OFF / 100.0
-    if share < LEAST_DRAG_OFF - 200.0 * sqrt(p * (1.0 - p) / drag_off.attacks):
-        texts.append(f"drag-off at 0.3 m/s2: {share:.0f} % within 30 s with the gyroscope, limit {LEAST_DRAG_OFF:g} %")
+    share, p = drag_off.share(SOON_S), MIN_DRAG_OFF / 100.0
+    if share < MIN_DRAG_OFF - 200.0 * sqrt(p * (1.0 - p) / drag_off.attacks):
+        texts.append(f"drag-off at 0.3 m/s2: {share:.0f} % within 30 s with the gyroscope, limit {MIN_DRAG_OFF:g} %")
     return texts
 
 

@@ -11,21 +11,21 @@ from services.core.spoofing.inertial.compass import barometric_height, device_fr
 from services.core.spoofing.profile import FORCE_EDGES_M_S2
 from shared.maths.earth import STANDARD_GRAVITY
 
-from .campaign import Measured, Mode
+from .campaign import DriveRates, Mode
 from .method import CUT_OFF_HZ, attitude_rates, mounting_of, paper_rates, sensor_rates
 
 FloatArray = npt.NDArray[np.float64]
 
 RECORDING = "phone_drives_1hz"
-LEAST_S = 600  # of uninterrupted GNSS
+MIN_DURATION_S = 600  # of uninterrupted GNSS
 
 
-def phone_drives(folder: Path) -> dict[str, Measured]:
+def phone_drives(folder: Path) -> dict[str, DriveRates]:
     """Read every drive of the folder, by the day it was recorded."""
     return {path.stem[:10]: read(path) for path in sorted(folder.glob("*.csv"))}
 
 
-def read(path: Path) -> Measured:
+def read(path: Path) -> DriveRates:
     """Read the longest part of a drive that has GNSS in every second.
 
     The specific force, the platform's gravity and the magnetic field have device axes with the same signs: gravity
@@ -46,9 +46,9 @@ def read(path: Path) -> Measured:
     complete = np.isfinite(np.column_stack([speed, bearing, pressure, force, gravity, rate, field])).all(axis=1)
     good = complete & (speed >= 0.0) & (bearing >= 0.0)
     chosen = longest_run(good, stamps)
-    if chosen.stop - chosen.start < LEAST_S:
+    if chosen.stop - chosen.start < MIN_DURATION_S:
         raise ValueError(
-            f"{path.name} has {chosen.stop - chosen.start} s of uninterrupted GNSS; {LEAST_S} s are needed"
+            f"{path.name} has {chosen.stop - chosen.start} s of uninterrupted GNSS; {MIN_DURATION_S} s are needed"
         )
     climb = np.gradient(column("altitude")[chosen])
     velocity = np.column_stack([speed * np.sin(bearing), speed * np.cos(bearing)])[chosen]
@@ -62,7 +62,7 @@ def read(path: Path) -> Measured:
         (Mode.GYROSCOPE, CUT_OFF_HZ): attitude_rates(force, rate, height, d_from_enu, 1),
     }
     excess = np.abs(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY)
-    return Measured(
+    return DriveRates(
         np.column_stack([velocity, climb]), None, sensors, np.searchsorted(FORCE_EDGES_M_S2, excess)[:-1]
     )  # fmt: skip
 
@@ -75,13 +75,13 @@ def longest_run(good: npt.NDArray[np.bool_], stamps: FloatArray) -> slice:
     return slice(int(edges[begin]), int(edges[begin + 1]))
 
 
-def halves(drive: Measured) -> tuple[Measured, Measured]:
+def halves(drive: DriveRates) -> tuple[DriveRates, DriveRates]:
     """Split a drive in the middle: to learn of, and to validate with."""
     middle = len(drive.velocity) // 2
     return _part(drive, slice(0, middle)), _part(drive, slice(middle, len(drive.velocity)))
 
 
-def _part(drive: Measured, rows: slice) -> Measured:
+def _part(drive: DriveRates, rows: slice) -> DriveRates:
     seconds = slice(rows.start, rows.stop - 1)
     sensors = {key: rates.part(seconds) for key, rates in drive.sensors.items()}
-    return Measured(drive.velocity[rows], None, sensors, drive.force_class[seconds])
+    return DriveRates(drive.velocity[rows], None, sensors, drive.force_class[seconds])

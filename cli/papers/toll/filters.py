@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.core.toll.trackers.filters import Estimates, Tracker, imm
-from services.core.toll.trackers.models import Ctra, Ctrv, FourState, Linear
+from services.core.toll.trackers.models import Ctra, Ctrv, FourState, LinearMotion
 from services.core.toll.trackers.observation import Observation
 
 from .lane_decisions import gauss_markov
@@ -17,10 +17,10 @@ from .trajectory import STEP_S, Trajectory, cam_of, mixed
 FloatArray = npt.NDArray[np.float64]
 
 TRACKERS = {
-    "KF CV, x y only": Tracker((Linear(2, 1.5, position_only=True),)),
-    "KF CV": Tracker((Linear(2, 1.5),)),
-    "KF CA, x y only": Tracker((Linear(3, 1.0, position_only=True),)),
-    "KF CA": Tracker((Linear(3, 1.0),)),
+    "KF CV, x y only": Tracker((LinearMotion(2, 1.5, position_only=True),)),
+    "KF CV": Tracker((LinearMotion(2, 1.5),)),
+    "KF CA, x y only": Tracker((LinearMotion(3, 1.0, position_only=True),)),
+    "KF CA": Tracker((LinearMotion(3, 1.0),)),
     "EKF CTRV": Tracker((Ctrv(),)),
     "EKF CTRA": Tracker((Ctra(),)),
     "four states": Tracker((FourState(),)),

@@ -15,7 +15,7 @@ from ..reference_track import Reference
 from ..track import NAMES, Track
 from .errors import angles_at, errors_against
 
-WORSE = 1.02  # ratio of root mean squares above which the solution is called worse: less is chance
+WORSE_RATIO = 1.02  # ratio of root mean squares above which the solution is called worse: less is chance
 
 
 @dataclass(frozen=True)

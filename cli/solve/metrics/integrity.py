@@ -50,7 +50,7 @@ class Region(StrEnum):
 
 
 @dataclass(frozen=True)
-class Protected:
+class AxisProtection:
     """Error and protection level [m] of one axis at equal times."""
 
     axis: str
@@ -93,7 +93,7 @@ class Protected:
         return {region: int(mask.sum()) for region, mask in masks.items()}
 
 
-def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected]:
+def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[AxisProtection]:
     """Pair errors and protection levels, horizontal and vertical; empty if either is unknown."""
     if errors.position_n is None or errors.protection_m is None:
         return []
@@ -105,7 +105,7 @@ def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected
     sd = np.zeros_like(error) if errors.reference_sd_n is None else errors.reference_sd_n[known]
     reference_errors = (REFERENCE_SDS[0] * sd[:, :2].max(axis=1), REFERENCE_SDS[1] * sd[:, 2])
     return [
-        Protected(axis, size, level[:, k], alert_limits_m[k], reference_errors[k])
+        AxisProtection(axis, size, level[:, k], alert_limits_m[k], reference_errors[k])
         for k, (axis, size) in enumerate(zip(AXES, sizes, strict=True))
     ]
 

@@ -20,7 +20,7 @@ from .mounting import without_mounting
 from .trust import TRUST, Trust, trust_metrics
 
 Value = float | int | None
-LONGEST_STEP_NS = 2_000_000_000  # between two solutions, above which there is none
+MAX_STEP_NS = 2_000_000_000  # between two solutions, above which there is none
 
 GNSS_ALONE: dict[str, str] = {
     "gnss_alone_count": "fixes given to the filter that are compared with an independent truth, at the antenna",
@@ -175,14 +175,14 @@ def _without_solution(run: Run) -> float | None:
     if not len(run.track):
         return None
     steps = np.diff(np.r_[run.track.stamps_ns, max(run.last_ns, int(run.track.stamps_ns[-1]))])
-    return float(steps[steps > LONGEST_STEP_NS].sum() * 1e-9)
+    return float(steps[steps > MAX_STEP_NS].sum() * 1e-9)
 
 
 def _gnss_only(track: Track) -> float:
     """Time from each solution of fixes alone to the next solution; longer steps are without a solution."""
     steps = np.diff(track.stamps_ns)
     alone = np.array([phase is NavigationPhase.GNSS_ONLY for phase in track.phases[:-1]], dtype=bool)
-    return float(steps[alone & (steps <= LONGEST_STEP_NS)].sum() * 1e-9)
+    return float(steps[alone & (steps <= MAX_STEP_NS)].sum() * 1e-9)
 
 
 def _above_level(integrity: Mapping[str, Value]) -> tuple[Value, Value]:

@@ -15,7 +15,7 @@ from ..track import Track
 from ..verdicts import Verdicts
 from .errors import Stamps, errors_against
 
-SETTLED_NS = 60_000_000_000  # from the first input on
+SETTLING_TIME_NS = 60_000_000_000  # from the first input on
 WORDS = {level: words().name("state", level) for level in TrustLevel}
 # A name with a dot is a key of an object in metrics.json.
 TRUST: dict[str, str] = {
@@ -53,7 +53,7 @@ def trust_metrics(trust: Trust, first_ns: int, above_level: tuple[float | None, 
     above_level : tuple of float or None
         [-] Fraction of errors above the protection level, horizontal and vertical.
     """
-    whole, settled = trust.verdicts.seconds(first_ns), trust.verdicts.seconds(first_ns + SETTLED_NS)
+    whole, settled = trust.verdicts.seconds(first_ns), trust.verdicts.seconds(first_ns + SETTLING_TIME_NS)
     found: dict[str, float | None] = {
         **{f"trust_seconds.{level}": seconds for level, seconds in whole.items()},
         **{f"trust_seconds_after_60s.{level}": seconds for level, seconds in settled.items()},

@@ -10,7 +10,7 @@ from shared.messages.explanation import Explanation, explain
 from shared.words.words import reason, words
 
 from ..codes import Code
-from ..metrics.gnss_alone import WORSE
+from ..metrics.gnss_alone import WORSE_RATIO
 from ..metrics.metrics import METRICS, Value, as_objects
 from ..metrics.trust import WORDS
 from ..smoothing import SMOOTHED_METRICS
@@ -48,7 +48,9 @@ code { font-size: .85em; overflow-wrap: anywhere; }
 figure { margin: 0; } svg { width: 100%; height: auto; display: block; } svg text { fill: var(--ink); }
 """
 
-LEAST_USED = 0.5  # fraction of the fixes below which a solution is not sound; a receiver that is told twice counts once
+MIN_USED_SHARE = (
+    0.5  # fraction of the fixes below which a solution is not sound; a receiver that is told twice counts once
+)
 FEW_RESETS, RESET_PERIOD_S = 2, 300.0  # resets that a sound drive may have: this many, or one in this time
 
 
@@ -160,7 +162,7 @@ def is_hardly_used(metrics: dict[str, Value]) -> bool:
     """Whether the filter used less than half of the fixes, or was reset again and again."""
     share, resets = metrics.get("fixes_used_fraction"), metrics.get("filter_resets") or 0
     often = resets > max(FEW_RESETS, (metrics.get("duration_s") or 0.0) / RESET_PERIOD_S)
-    return often or (share is not None and share < LEAST_USED)
+    return often or (share is not None and share < MIN_USED_SHARE)
 
 
 def _unsound(metrics: dict[str, Value]) -> list[Explanation]:
@@ -184,7 +186,7 @@ def _judged(metrics: dict[str, Value]) -> list[Explanation]:
     ours, gnss = metrics["at_fixes_horizontal_rmse_m"], metrics["gnss_alone_horizontal_rmse_m"]
     if ours is not None and gnss is not None and _same_input(metrics):
         axes = worse_axes(metrics)
-        code = Code.WORSE if axes else Code.BETTER if ours < gnss / WORSE else Code.AS_GOOD
+        code = Code.WORSE if axes else Code.BETTER if ours < gnss / WORSE_RATIO else Code.AS_GOOD
         up, gnss_up = metrics["at_fixes_vertical_rmse_m"], metrics["gnss_alone_vertical_rmse_m"]
         vertical = [explain(Code.VERTICAL, position_m=up, receiver_m=gnss_up)] if None not in (up, gnss_up) else []
         return [explain(code, axes=axes or None, position_m=ours, receiver_m=gnss), *vertical]
@@ -301,7 +303,7 @@ def worse_axes(metrics: dict[str, Value]) -> list[str]:
     return [
         axis
         for axis, a, b in zip(("horizontal", "vertical"), gnss, fused, strict=True)
-        if a is not None and b is not None and b > WORSE * a
+        if a is not None and b is not None and b > WORSE_RATIO * a
     ]
 
 

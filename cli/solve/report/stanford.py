@@ -6,7 +6,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 
-from ..metrics.integrity import Protected, Region
+from ..metrics.integrity import AxisProtection, Region
 from .drawing import GREY, VARIABLES, Figure, inline_svg, label_decades, stacked_axes
 
 if TYPE_CHECKING:
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 CELLS = 56  # per axis
 HEIGHT_IN = 7.6  # of the figure: a square diagram, and five lines of legend below it
 DECADES = 4.0  # range of the axes
-SMALLEST_M = 1e-3
+MIN_DISTANCE_M = 1e-3
 # Fill, hatch and hatch colour of each region; hatched: error above the protection level.
-LOOKS = {
+MARKER_STYLES = {
     Region.NOMINAL: ("#f4faf4", None, "#b9c7b9"),
     Region.UNAVAILABLE: ("#eceef1", None, "#b6bbc3"),
     Region.MISLEADING: ("#f3f0ea", "///", "#b9b3a6"),
@@ -27,7 +27,7 @@ LOOKS = {
 # CSS variables of the fills and hatches: --nominal and --nominal-line, and so on.
 SHADES = {
     colour: region.name.lower().replace("_", "-") + suffix
-    for region, (face, _, edge) in LOOKS.items()
+    for region, (face, _, edge) in MARKER_STYLES.items()
     for colour, suffix in ((face, ""), (edge, "-line"))
 }
 CAPTION = (
@@ -36,7 +36,7 @@ CAPTION = (
 )
 
 
-def stanford(one: Protected) -> Figure:
+def stanford(one: AxisProtection) -> Figure:
     """Draw the diagram of one axis, with the counts of its regions as legend."""
     drawn: list[str] = []
     title = f"Stanford diagram, {one.axis}"
@@ -45,7 +45,7 @@ def stanford(one: Protected) -> Figure:
     return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title, VARIABLES | SHADES))
 
 
-def draw(axes: "Axes", one: Protected) -> None:
+def draw(axes: "Axes", one: AxisProtection) -> None:
     """Draw cells and regions; the counts are in the legend, since a region may be too small for text."""
     low, high = _range(one)
     _regions(axes, one, low, high)
@@ -59,13 +59,13 @@ def draw(axes: "Axes", one: Protected) -> None:
                 labelspacing=0.7, handlelength=2.2, handleheight=1.4)  # fmt: skip
 
 
-def _range(one: Protected) -> tuple[float, float]:
+def _range(one: AxisProtection) -> tuple[float, float]:
     high = 2.0 * max(float(one.level_m.max()), float(one.error_m.max()), one.alert_limit_m)
     least = min(float(one.level_m.min()), float(np.quantile(one.error_m, 0.05)), one.alert_limit_m)
-    return max(SMALLEST_M, min(0.5 * least, high), high * 10.0**-DECADES), high
+    return max(MIN_DISTANCE_M, min(0.5 * least, high), high * 10.0**-DECADES), high
 
 
-def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
+def _regions(axes: "Axes", one: AxisProtection, low: float, high: float) -> None:
     """Fill each region, and hatch those with errors above the protection level."""
     limit, total = one.alert_limit_m, len(one.error_m)
     areas = {
@@ -76,13 +76,13 @@ def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
         Region.HAZARDOUS: ([limit, high], [low, low], [limit, limit]),
     }
     for region, count in one.regions().items():
-        face, hatch, edge = LOOKS[region]
+        face, hatch, edge = MARKER_STYLES[region]
         axes.fill_between(*areas[region], facecolor=face, hatch=hatch, edgecolor=edge, linewidth=0, zorder=0,
                           label=f"{region.value}: {count} ({100.0 * count / total:.3g} %)")  # fmt: skip
     axes.plot([low, high], [low, high], color="#000000", linewidth=1.2)
 
 
-def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:
+def _cells(axes: "Axes", one: AxisProtection, edges: FloatArray) -> None:
     """Draw one rectangle per non-empty cell, from light to dark blue by the logarithm of its count."""
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection

@@ -39,7 +39,7 @@ class NewAccount(Body):
     password: Annotated[str, Field(max_length=200)]
 
 
-class Changed(Body):
+class AccountChange(Body):
     """What is to change of an account."""
 
     action: Literal["change"]
@@ -51,7 +51,7 @@ class Changed(Body):
 class Command(Body):
     """One of the two."""
 
-    command: Annotated[NewAccount | Changed, Field(discriminator="action")]
+    command: Annotated[NewAccount | AccountChange, Field(discriminator="action")]
 
 
 class AccountsApi:
@@ -92,7 +92,7 @@ class AccountsApi:
             detail = {"account": given.name, "role": given.role}
             await note(cursor, visitor.tenant_id, visitor.name, "added an account", None, detail)
 
-    async def _change(self, visitor: Visitor, given: Changed) -> None:
+    async def _change(self, visitor: Visitor, given: AccountChange) -> None:
         if given.name == visitor.name:
             raise conflict("nobody can disable the own account or change its role; ask another administrator")
         values = given.model_dump(exclude={"action"}, mode="json")

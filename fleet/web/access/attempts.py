@@ -8,7 +8,7 @@ from enum import IntEnum
 from hashlib import sha256
 from typing import NamedTuple
 
-from fleet.database.retention import FORGOTTEN_S
+from fleet.database.retention import RETENTION_S
 from shared.page.access.peer import place_of
 
 from ..database import Database
@@ -16,20 +16,20 @@ from ..database import Database
 FIRST_WAIT_S, MOST_WAIT_S = 2.0, 900.0
 ENTER = "INSERT INTO attempt (origin) SELECT unnest(%s::bytea[]) ON CONFLICT DO NOTHING"
 LOCK = f"""
-SELECT origin, age_s, CASE WHEN age_s < {FORGOTTEN_S} THEN failures ELSE 0 END AS failures
+SELECT origin, age_s, CASE WHEN age_s < {RETENTION_S} THEN failures ELSE 0 END AS failures
 FROM (SELECT origin, failures, last FROM attempt WHERE origin = ANY(%s) ORDER BY origin FOR UPDATE) AS locked
 CROSS JOIN LATERAL (SELECT extract(epoch FROM clock_timestamp() - last)::double precision AS age_s) AS since
 """
 COUNT = f"""
 UPDATE attempt SET last = clock_timestamp(),
-    failures = CASE WHEN last > clock_timestamp() - interval '{FORGOTTEN_S} s' THEN failures ELSE 0 END + 1
+    failures = CASE WHEN last > clock_timestamp() - interval '{RETENTION_S} s' THEN failures ELSE 0 END + 1
 WHERE origin = ANY(%s)
 """
 TAKE_BACK = "UPDATE attempt SET failures = greatest(failures - 1, 0) WHERE origin = ANY(%s)"
 FORGET = "DELETE FROM attempt WHERE origin = ANY(%s)"
 
 
-class Free(IntEnum):
+class FreeAttempts(IntEnum):
     """Failures that cost nothing."""
 
     ONE = 5  # of one person: an account from an address, or a session
@@ -41,16 +41,16 @@ class Origin(NamedTuple):
     """Whose failures are counted together."""
 
     name: str
-    free: Free
+    free: FreeAttempts
 
 
 def origins(account: str, host: str) -> tuple[Origin, Origin, Origin]:
     """What a login is counted by: the person, the place, the account."""
     place = place_of(host)
     return (
-        Origin(f"login of {account} from {place}", Free.ONE),
-        Origin(f"address {place}", Free.ADDRESS),
-        Origin(f"account {account}", Free.ACCOUNT),
+        Origin(f"login of {account} from {place}", FreeAttempts.ONE),
+        Origin(f"address {place}", FreeAttempts.ADDRESS),
+        Origin(f"account {account}", FreeAttempts.ACCOUNT),
     )
 
 
@@ -82,7 +82,7 @@ class Attempts:
 
     async def succeeded(self, origins: Sequence[Origin]) -> None:
         """Forget the failures of a person, and take back the one that was counted at once of what others share."""
-        given = sorted((_digest(origin), origin.free is Free.ONE) for origin in origins)
+        given = sorted((_digest(origin), origin.free is FreeAttempts.ONE) for origin in origins)
         async with self._database.nobody() as cursor:
             await cursor.execute(LOCK, ([digest for digest, _ in given],))
             await cursor.execute(TAKE_BACK, ([digest for digest, is_one in given if not is_one],))

@@ -35,7 +35,7 @@ STYLE = "unit/style.css"
 NOT_HERE = "this centre does not answer to that name; add it to web_names in centre.toml"
 
 
-class LoggedOut(Exception):
+class SessionEnded(Exception):
     """The session has ended while an answer was sent."""
 
 
@@ -100,12 +100,12 @@ class Guard:
             goes_on = message["type"] == "http.response.body" and message.get("more_body", False)
             if goes_on and visitor is not None and not await self._is_valid(visitor, cookie):
                 await send({"type": "http.response.body", "body": b"", "more_body": False})
-                raise LoggedOut
+                raise SessionEnded
             await send(message)
 
         try:
             await self._app(scope, receive, send_while_valid)
-        except* LoggedOut:  # of a group: an answer that goes on is sent by a task
+        except* SessionEnded:  # of a group: an answer that goes on is sent by a task
             log.info("an answer to %s was ended with the session", visitor.name)
 
     async def _is_valid(self, visitor: Visitor, cookie: str) -> bool:

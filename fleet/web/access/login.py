@@ -15,7 +15,7 @@ from shared.page.body import json_response
 from ..audit import note
 from ..database import Database
 from ..requests import Body, read
-from .attempts import Attempts, Free, Origin, origins
+from .attempts import Attempts, FreeAttempts, Origin, origins
 from .guard import VISITOR, visitor_of
 from .passwords import agrees, hashed, weakness
 from .rights import GRANTED, Visitor
@@ -24,9 +24,9 @@ from .sessions import COOKIE, Account, Sessions
 log = logging.getLogger(__name__)
 
 # Of an account that there is not: so that an answer takes as long as for one that there is.
-NOBODY = hashed("no account has this password")
-WRONG = "name or password is wrong"
-AT_ONCE = 2  # passwords that are derived at once, 32 MB each
+UNKNOWN_ACCOUNT_HASH = hashed("no account has this password")
+WRONG_CREDENTIALS = "name or password is wrong"
+MAX_CONCURRENT = 2  # passwords that are derived at once, 32 MB each
 Name = Annotated[str, Field(max_length=80)]
 Password = Annotated[str, Field(max_length=200)]
 
@@ -51,7 +51,7 @@ class LoginApi:
 
     def __init__(self, database: Database, sessions: Sessions, attempts: Attempts) -> None:
         self._database, self._sessions, self._attempts = database, sessions, attempts
-        self._deriving = asyncio.Semaphore(AT_ONCE)
+        self._deriving = asyncio.Semaphore(MAX_CONCURRENT)
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -89,7 +89,7 @@ class LoginApi:
     async def password(self, request: Request) -> Response:
         """Change the own password; every other session of the account ends."""
         visitor, given = visitor_of(request), await read(request, PasswordRequest)
-        own = Origin(f"session of {visitor.name}", Free.ONE)  # counted apart: a stolen one locks no login
+        own = Origin(f"session of {visitor.name}", FreeAttempts.ONE)  # counted apart: a stolen one locks no login
         await self._checked(visitor.name, given.old, [own])
         if (why := weakness(given.new, visitor.name)) is not None:
             raise HTTPException(422, why)
@@ -113,11 +113,11 @@ class LoginApi:
             raise HTTPException(429, text, {"Retry-After": str(ceil(wait_s))})
         account = await self._sessions.account(name)
         async with self._deriving:
-            right = await asyncio.to_thread(agrees, password, account.password if account else NOBODY)
+            right = await asyncio.to_thread(agrees, password, account.password if account else UNKNOWN_ACCOUNT_HASH)
         if account is None or not right:
             # A name that there is not may be a password in the wrong field.
             log.warning("refused a password of %s", account.name if account else "an account that there is not")
-            raise HTTPException(401, WRONG)
+            raise HTTPException(401, WRONG_CREDENTIALS)
         await self._attempts.succeeded(counted)
         return account
 

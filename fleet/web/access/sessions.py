@@ -11,7 +11,7 @@ from .rights import Role, Visitor
 
 COOKIE = "obu-centre"
 STILL_VALID_S = 1.0  # between two looks at one session: a page asks for a dozen tiles at once
-KNOWN = 2000
+MAX_SESSIONS = 2000
 SESSIONS_OF_ACCOUNT = 20
 # Accounts and sessions are of all tenants until somebody has logged in: functions that give one row, and no table.
 FIND_ACCOUNT = "SELECT * FROM login_account(%s)"
@@ -75,7 +75,7 @@ class Sessions:
                 token_hash,
             )  # fmt: skip
         self._known[token_hash] = now_s, visitor
-        while len(self._known) > KNOWN:
+        while len(self._known) > MAX_SESSIONS:
             self._known.popitem(last=False)
         return visitor
 

@@ -24,7 +24,7 @@ from ..access.guard import STYLE, VISITOR
 from ..access.rights import Visitor
 from ..audit import note
 from ..database import Database, Row
-from .watched import Watched, watch_request
+from .watched import WatchedVehicle, watch_request
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ REPEAT_S, FOR_S = 10.0, 30  # the unit ends a session that is not repeated
 LINGER_S = 15.0  # after the last browser has gone
 TICK_S = 0.1
 MOST, MOST_OF_TENANT = 16, 8  # vehicles that are watched at once
-MOST_PENDING = 2000  # messages of one vehicle that wait
+MAX_PENDING = 2000  # messages of one vehicle that wait
 KNOWN = """
 SELECT vehicle.vehicle, utc_ms, verdict FROM vehicle LEFT JOIN vehicle_now USING (vehicle) WHERE vehicle.vehicle = %s
 """
@@ -46,7 +46,7 @@ class Session:
     """One vehicle that is watched, and who watches it."""
 
     tenant_id: int
-    watched: Watched
+    watched: WatchedVehicle
     subscription: Subscription | None = None
     tasks: list[asyncio.Task[None]] = field(default_factory=list)
     who: set[str] = field(default_factory=set)
@@ -134,7 +134,7 @@ class WatchGate:
         of_tenant = sum(session.tenant_id == visitor.tenant_id for session in self._sessions.values())
         if of_tenant >= MOST_OF_TENANT or len(self._sessions) >= MOST:
             raise HTTPException(503, SHARE if of_tenant >= MOST_OF_TENANT else FULL, {"Retry-After": "30"})
-        watched = Watched(vehicle, last, self._pages, self._map_file)
+        watched = WatchedVehicle(vehicle, last, self._pages, self._map_file)
         session = Session(visitor.tenant_id, watched)
 
         async def take(message: Msg) -> None:
@@ -145,7 +145,7 @@ class WatchGate:
                 session.seen_s = -1e9  # ended at the next look
 
         name = f"{subject(vehicle, LIVE)}.>"
-        session.subscription = await self._nats.subscribe(name, cb=take, pending_msgs_limit=MOST_PENDING)
+        session.subscription = await self._nats.subscribe(name, cb=take, pending_msgs_limit=MAX_PENDING)
         works = watched.page.stream.run(), watched.page.events.run(), _tick(watched)
         session.tasks = [asyncio.create_task(work) for work in works]
         self._sessions[vehicle] = session
@@ -189,7 +189,7 @@ class WatchGate:
             log.warning("%s is not told that it is watched: %s", session.vehicle, error)
 
 
-async def _tick(watched: Watched) -> None:
+async def _tick(watched: WatchedVehicle) -> None:
     while True:
         await asyncio.sleep(TICK_S)
         watched.tick()

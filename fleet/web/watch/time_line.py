@@ -8,7 +8,7 @@ from collections import deque
 
 NS = 1_000_000_000
 WINDOW_NS = 30 * NS
-CLOSE_NS = 2 * NS  # clocks that differ by less are taken for equal: what is left is the delay of the network
+CLOCK_TOLERANCE_NS = 2 * NS  # clocks that differ by less are taken for equal: what is left is the delay of the network
 
 
 class TimeLine:
@@ -23,7 +23,7 @@ class TimeLine:
     def take(self, topic: str, stamp_ns: int, now_ns: int) -> bool:
         """Take the stamp of a message that arrives; whether the time line is another one than before."""
         lag_ns, second = now_ns - stamp_ns, now_ns // NS
-        if stamp_ns < self._stamps_ns.get(topic, stamp_ns) - CLOSE_NS:
+        if stamp_ns < self._stamps_ns.get(topic, stamp_ns) - CLOCK_TOLERANCE_NS:
             self._least.clear()
             self._stamps_ns.clear()
         self._stamps_ns[topic] = max(stamp_ns, self._stamps_ns.get(topic, stamp_ns))
@@ -34,12 +34,12 @@ class TimeLine:
         while self._least[0][0] < second - WINDOW_NS // NS:
             self._least.popleft()
         least_ns = min(lag for _, lag in self._least)
-        offset_ns = 0 if 0 <= least_ns <= CLOSE_NS else -least_ns
-        jumped = not self.known or abs(offset_ns - self.offset_ns) > CLOSE_NS
+        offset_ns = 0 if 0 <= least_ns <= CLOCK_TOLERANCE_NS else -least_ns
+        jumped = not self.known or abs(offset_ns - self.offset_ns) > CLOCK_TOLERANCE_NS
         if jumped:
             self._least.clear()
             self._least.append((second, lag_ns))
-            offset_ns = 0 if 0 <= lag_ns <= CLOSE_NS else -lag_ns
+            offset_ns = 0 if 0 <= lag_ns <= CLOCK_TOLERANCE_NS else -lag_ns
             jumped = self.known or offset_ns != 0
         self.offset_ns, self.known = offset_ns, True
         return jumped

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from nats.aio.msg import Msg
 
-from services.monitoring.status.page import SILENT_NS, PassedOnPage
+from services.monitoring.status.page import SILENCE_TIMEOUT_NS, RemotePage
 from shared.bus import codec
 from shared.bus.envelope import Envelope
 from shared.errors import BadPayload
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 Json = dict[str, object]
 
 PAGES_OF_ONE = 20  # browsers that watch the same vehicle
-MOST_A_SECOND = 400  # messages; 17 topics at 5 Hz, and every monitor by itself, are some 200
+MAX_PER_SECOND = 400  # messages; 17 topics at 5 Hz, and every monitor by itself, are some 200
 ALLOWED = frozenset(WATCHABLE)
 NO_ANSWER = (
     "The vehicle sends nothing: it is offline, or its tracking mode does not allow to be watched. The page Vehicle "
@@ -35,7 +35,7 @@ NO_ANSWER = (
 )
 
 
-class Watched:
+class WatchedVehicle:
     """The state of one vehicle, and the application that shows it."""
 
     def __init__(self, vehicle: str, last: Row | None, pages: Pages, map_file: str | None) -> None:
@@ -47,7 +47,7 @@ class Watched:
         self._heard_ns: int | None = None  # newest message, on the time line of the unit
         self._second, self._taken = 0, 0
         self._faults = Faults(self.rejects)
-        self.page = PassedOnPage(vehicle, self.now_ns, PAGES_OF_ONE, self._with_watch)
+        self.page = RemotePage(vehicle, self.now_ns, PAGES_OF_ONE, self._with_watch)
         self.app = self.page.app(pages, STYLE, map_file)
 
     def now_ns(self) -> int:
@@ -82,7 +82,7 @@ class Watched:
         last = None
         if self._last is not None:
             last = {"utc_ms": self._last["utc_ms"], "verdict": VERDICTS[self._last["verdict"]].value}
-        silent = self._heard_ns is None or self.now_ns() - self._heard_ns >= SILENT_NS
+        silent = self._heard_ns is None or self.now_ns() - self._heard_ns >= SILENCE_TIMEOUT_NS
         return {"heard_ns": self._heard_ns, "silent": silent, "last": last, "pages": self.page.watchers}
 
     def _has_room(self) -> bool:
@@ -90,7 +90,7 @@ class Watched:
         if second != self._second:
             self._second, self._taken = second, 0
         self._taken += 1
-        return self._taken <= MOST_A_SECOND
+        return self._taken <= MAX_PER_SECOND
 
     def _with_watch(self, shown: Mapping[str, object]) -> Json:
         """What the unit's page is sent, with what is to be said of the watch."""

@@ -39,8 +39,8 @@ ACCELERATION_WINDOW_NS = NS // 2
 TRUST_SILENT_NS = 5 * NS
 PATH_STEP_M = 10.0  # between two points of the path
 PATH_POINTS = 23  # 230 m at least
-LARGEST_STEP_DEG = 0.0131  # of latitude or longitude between two points: 131071 units of 1e-7 degrees
-LONGEST_PATH_NS = 600 * NS  # a point that is older is left out; its code ends at 655 s
+MAX_STEP_DEG = 0.0131  # of latitude or longitude between two points: 131071 units of 1e-7 degrees
+MAX_PATH_NS = 600 * NS  # a point that is older is left out; its code ends at 655 s
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -104,7 +104,7 @@ class PathHistory:
                 continue
             latitude = degrees(past.latitude - before.latitude)
             longitude = degrees(wrap_angle(past.longitude - before.longitude))
-            if time_ns - past_ns > LONGEST_PATH_NS or max(abs(latitude), abs(longitude)) > LARGEST_STEP_DEG:
+            if time_ns - past_ns > MAX_PATH_NS or max(abs(latitude), abs(longitude)) > MAX_STEP_DEG:
                 break
             elapsed_s = (before_ns - past_ns) / NS
             found.append(

@@ -15,11 +15,11 @@ from .sources import Sources
 from .unit import Unit, has_position
 
 NS = 1_000_000_000
-MOST_PENDING = 8  # commands that are in progress
+MAX_PENDING = 8  # commands that are in progress
 RESTART_S = 10.0  # within which a receiver loses its position after a reset
 FIRST_FIX_S = 300.0  # a cold start without assistance takes 30 s in the open, some minutes under trees
 SELECT_S = 5.0  # within which a device that the operator wants sends a valid message
-REST_S = 10.0  # of standstill: biases of the gyroscopes are averaged over it
+STANDSTILL_S = 10.0  # of standstill: biases of the gyroscopes are averaged over it
 STAND_WITHIN_S = 60.0
 # Output that a pending command gives at a message: an answer, and with it its end; None while it goes on.
 Step = Callable[[Message], tuple[CommandStage, str] | None]
@@ -27,7 +27,7 @@ Output = ModeAnswer | GnssConfigure | GnssReset
 
 
 @dataclass
-class Pending:
+class PendingCommand:
     """A command in progress."""
 
     command: ModeCommand
@@ -36,7 +36,7 @@ class Pending:
     late: str  # why it has failed at that time
 
 
-class Refused(Exception):
+class CommandRejected(Exception):
     """A command that cannot be accepted; its text says why."""
 
 
@@ -53,18 +53,18 @@ class Commands:
 
     def __init__(self, unit: Unit, exchange: Callable[[str, float], ConfigurationExchange]) -> None:
         self._unit, self._exchange = unit, exchange
-        self._pending: dict[str, Pending] = {}
+        self._pending: dict[str, PendingCommand] = {}
 
     def take(self, command: ModeCommand) -> Iterator[Output]:
         """Accept or refuse a command; one that was taken before is not taken again."""
         if command.request_id in self._pending:
             return
         try:
-            if len(self._pending) >= MOST_PENDING:
-                raise Refused(f"{MOST_PENDING} commands are in progress; wait for one of them")
+            if len(self._pending) >= MAX_PENDING:
+                raise CommandRejected(f"{MAX_PENDING} commands are in progress; wait for one of them")
             begin = BEGIN[command.command]
             pending, outputs = begin(self, command)
-        except Refused as why:
+        except CommandRejected as why:
             yield self._answer(command, CommandStage.FAILED, str(why))
             return
         yield self._answer(command, CommandStage.ACCEPTED, "")
@@ -99,14 +99,18 @@ class Commands:
         known = unit.receivers.names(unit.now_ns)
         if command.source is not None:
             if receiver_of(command.source) not in known:
-                raise Refused(f"no receiver {command.source} is received; received are: {', '.join(known) or 'none'}")
+                raise CommandRejected(
+                    f"no receiver {command.source} is received; received are: {', '.join(known) or 'none'}"
+                )
             return receiver_of(command.source)
         chosen = unit.gnss.chosen
         if chosen is None and len(known) != 1:
-            raise Refused("no receiver is in use; name one with its source" if known else "no receiver is received")
+            raise CommandRejected(
+                "no receiver is in use; name one with its source" if known else "no receiver is received"
+            )
         return receiver_of(chosen) if chosen is not None else known[0]
 
-    def _reset(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+    def _reset(self, command: ModeCommand) -> tuple[PendingCommand, list[Output]]:
         unit, receiver, start_ns = self._unit, self._receiver(command), self._unit.now_ns
         said = unit.said
         if (
@@ -114,7 +118,7 @@ class Commands:
             and said.source == receiver
             and not any(message.startswith("UBX") for message in said.messages)
         ):
-            raise Refused(f"{receiver} sends no UBX, and takes no such command: switch it off and on instead")
+            raise CommandRejected(f"{receiver} sends no UBX, and takes no such command: switch it off and on instead")
         unit.search_again()
         is_lost = False
 
@@ -133,11 +137,11 @@ class Commands:
 
         reset = GnssReset(request_id=command.request_id, source=receiver, start=STARTS[command.command])
         late = f"{receiver} has no position {FIRST_FIX_S:.0f} s after its start: give its antenna a view of the sky"
-        return Pending(command, step, self._until(FIRST_FIX_S), late), [reset]
+        return PendingCommand(command, step, self._until(FIRST_FIX_S), late), [reset]
 
-    def _rate(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+    def _rate(self, command: ModeCommand) -> tuple[PendingCommand, list[Output]]:
         if command.navigation_period_s is None:
-            raise Refused("name the period of fixes")
+            raise CommandRejected("name the period of fixes")
         exchange = self._exchange(self._receiver(command), command.navigation_period_s)
 
         def step(_: Message) -> tuple[CommandStage, str] | None:
@@ -146,9 +150,9 @@ class Commands:
             return (CommandStage.DONE, "") if exchange.configuring is None else None
 
         outputs = list(exchange.start(self._unit.now_ns))
-        return Pending(command, step, self._until(FIRST_FIX_S), "the receiver did not answer"), [*outputs]
+        return PendingCommand(command, step, self._until(FIRST_FIX_S), "the receiver did not answer"), [*outputs]
 
-    def _select(self, command: ModeCommand) -> tuple[Pending | None, list[Output]]:
+    def _select(self, command: ModeCommand) -> tuple[PendingCommand | None, list[Output]]:
         unit = self._unit
         kinds = unit.gnss, unit.imu, unit.speed
         if command.source is None:
@@ -158,16 +162,16 @@ class Commands:
         wanted: Sources | None = next((kind for kind in kinds if command.source in kind.names(unit.now_ns)), None)
         if wanted is None:
             known = ", ".join(name for kind in kinds for name in kind.names(unit.now_ns)) or "none"
-            raise Refused(f"no device {command.source} is received; received are: {known}")
+            raise CommandRejected(f"no device {command.source} is received; received are: {known}")
         wanted.wanted = command.source
 
         def step(_: Message) -> tuple[CommandStage, str] | None:
             return (CommandStage.DONE, "") if wanted.choose(unit.now_ns) == command.source else None
 
         late = f"{command.source} sends no valid message; it is used as soon as it does"
-        return Pending(command, step, self._until(SELECT_S), late), []
+        return PendingCommand(command, step, self._until(SELECT_S), late), []
 
-    def _calibrate(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+    def _calibrate(self, command: ModeCommand) -> tuple[PendingCommand, list[Output]]:
         """The filter measures the biases at each standstill; wait until one was long enough."""
         since_ns: int | None = None
 
@@ -179,15 +183,18 @@ class Commands:
                 since_ns = None
                 return None
             since_ns = message.sampled_ns if since_ns is None else since_ns
-            if message.sampled_ns - since_ns < REST_S * NS:
+            if message.sampled_ns - since_ns < STANDSTILL_S * NS:
                 return None
             sd = max(message.gyroscope_bias_sd_rad_s)
             return CommandStage.DONE, f"gyroscope biases known to {degrees(sd):.2g} degrees a second"
 
-        late = f"the vehicle did not stand for {REST_S:.0f} s within {STAND_WITHIN_S:.0f} s, or no inertial unit runs"
-        return Pending(command, step, self._until(STAND_WITHIN_S), late), []
+        late = (
+            f"the vehicle did not stand for {STANDSTILL_S:.0f} s within {STAND_WITHIN_S:.0f} s, "
+            "or no inertial unit runs"
+        )
+        return PendingCommand(command, step, self._until(STAND_WITHIN_S), late), []
 
-    def _confirm(self, command: ModeCommand) -> tuple[Pending, list[Output]]:
+    def _confirm(self, command: ModeCommand) -> tuple[PendingCommand, list[Output]]:
         """The filter takes the command itself; wait until its level holds nothing any more."""
 
         def step(message: Message) -> tuple[CommandStage, str] | None:
@@ -201,11 +208,11 @@ class Commands:
             return (CommandStage.DONE, "the level holds no offset") if message.held_code is None else None
 
         late = "no state of the filter, or it still holds an offset"
-        return Pending(command, step, self._until(SELECT_S), late), []
+        return PendingCommand(command, step, self._until(SELECT_S), late), []
 
 
 STARTS = {OperatorCommand.COLD_START: GnssStart.COLD, OperatorCommand.WARM_START: GnssStart.WARM}
-BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[Pending | None, list[Output]]]] = {
+BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[PendingCommand | None, list[Output]]]] = {
     OperatorCommand.COLD_START: Commands._reset,
     OperatorCommand.WARM_START: Commands._reset,
     OperatorCommand.NAVIGATION_RATE: Commands._rate,

@@ -9,8 +9,8 @@ from shared.messages.operation import SourceSwitch
 NS = 1_000_000_000
 MAX_SOURCES = 16
 VALID_S = 3.0  # since the newest valid message: two of a receiver at 1 Hz may be missed
-BETTER = 0.5  # share of the selected device's standard deviation below which another one is better
-BETTER_S = 10.0  # for which it must be better, so that a selection does not follow the noise of standard deviations
+BETTER_SD_RATIO = 0.5  # share of the selected device's standard deviation below which another one is better
+BETTER_FOR_S = 10.0  # for which it must be better, so that a selection does not follow the noise of standard deviations
 KEPT_SWITCHES = 4
 
 
@@ -31,7 +31,7 @@ class Sources:
     A device remains selected while its messages are valid. Another one is selected if
 
     - no message has been received for `silent_s`, or none that is valid for `VALID_S` while another device sends some,
-    - it states less than half of the standard deviation for `BETTER_S`,
+    - it states less than half of the standard deviation for `BETTER_FOR_S`,
     - it is a source of the same receiver with a lower rank (UBX before NMEA),
     - the operator wants it, while its messages are valid.
 
@@ -116,7 +116,7 @@ class Sources:
             if receiver_of(name) == receiver_of(selected) and self._sources[name].rank < self._sources[selected].rank:
                 return name, "preferred messages of the same receiver"
         better = [name for name in pool if self._is_better(name, selected, now_ns)]
-        return (better[0], f"less than half the standard deviation for {BETTER_S:g} s") if better else None
+        return (better[0], f"less than half the standard deviation for {BETTER_FOR_S:g} s") if better else None
 
     def _preference(self, name: str) -> tuple[int, str]:
         """Key by which a device is selected first: devices of equal rank in the order in which they were received."""
@@ -129,11 +129,11 @@ class Sources:
     def _is_better(self, name: str, selected: str, now_ns: int) -> bool:
         """Whether a device has stated much less than the selected one for long enough."""
         one, own = self._sources[name], self._sources[selected].sd
-        if name == selected or one.sd is None or own is None or one.sd >= BETTER * own:
+        if name == selected or one.sd is None or own is None or one.sd >= BETTER_SD_RATIO * own:
             one.better_since_ns = None
             return False
         one.better_since_ns = now_ns if one.better_since_ns is None else one.better_since_ns
-        return now_ns - one.better_since_ns >= BETTER_S * NS
+        return now_ns - one.better_since_ns >= BETTER_FOR_S * NS
 
     def age_s(self, now_ns: int) -> float | None:
         """Time since the last message of any device of this kind."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from shared.chosen import NMEA, SILENT_NS, receiver_of
+from shared.chosen import NMEA, SILENCE_TIMEOUT_NS, receiver_of
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix, GnssReceiver
 from shared.messages.imu import ImuSamples
@@ -18,7 +18,7 @@ from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT
 from .sources import Sources, age_s
 
 NS = 1_000_000_000
-SPEED_SILENT_S = SILENT_NS / NS
+SPEED_SILENT_S = SILENCE_TIMEOUT_NS / NS
 RECEIVER_SILENT_S = 6.0  # a statement comes every two seconds
 LISTED = 6
 POWER_SILENT_S = 5.0  # a state comes every second

@@ -11,7 +11,7 @@ from shared.words.words import reason
 
 from .codes import Code
 from .measurements import FloatArray
-from .satellites.leave_out import LeftOut, solutions_without
+from .satellites.leave_out import SubsetSolution, solutions_without
 from .satellites.monitor import no_redundancy
 from .satellites.solution import PositionFit
 
@@ -72,7 +72,7 @@ def _ratio(solution: HypothesisSolution) -> float:
 
 
 def _solution(
-    position: PositionFit, left: LeftOut, time_ns: int, rate: float, risk: float
+    position: PositionFit, left: SubsetSolution, time_ns: int, rate: float, risk: float
 ) -> HypothesisSolution | None:
     """One position; None where it is none of a vehicle on Earth, or has no level."""
     horizontal, vertical = _levels(left.cov_n, risk)

@@ -48,12 +48,12 @@ class SatelliteId(NamedTuple):
         return Reference(kind=ReferenceKind.SATELLITE, name=str(self))
 
 
-MOST_NAMED = 16  # satellites or neighbours in an explanation; more at once are a fault of all
+MAX_NAMED = 16  # satellites or neighbours in an explanation; more at once are a fault of all
 
 
 def references(found: "Iterable[SatelliteId | NeighbourFinding]") -> tuple[Reference, ...]:
     """References of satellites or neighbours, the first ones of many."""
-    return tuple(item.reference for item in islice(found, MOST_NAMED))
+    return tuple(item.reference for item in islice(found, MAX_NAMED))
 
 
 @dataclass(frozen=True)

@@ -35,12 +35,18 @@ from .v2x.neighbours import NeighbourReport
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | ModeState | Tick
 Out = TrustMonitor | FaultFreeFix | TrustHypotheses
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
-MOST_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
-AHEAD_NS = 3_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
+MAX_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
+MAX_LEAD_NS = 3_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
 PERIOD_NS = 900_000_000  # epochs that follow faster are not evaluated: one a second is enough
 SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MHz, with broadcast ephemerides
 # Reasons for which a measurement is not used in the ordinary course of things; the others are rejects.
-ORDINARY = {"no_ephemeris", "below_elevation_mask", "weak_signal", "alone_in_constellation", "neighbour_too_near"}
+ORDINARY_REJECTS = {
+    "no_ephemeris",
+    "below_elevation_mask",
+    "weak_signal",
+    "alone_in_constellation",
+    "neighbour_too_near",
+}
 
 
 class Config(VehicleSettings):
@@ -145,7 +151,7 @@ class Process:
         reports = tuple(self._reports_until(message.sampled_ns))
         plain, cooperative = self._evaluate(epoch, reports)
         counted = {**(cooperative.rejected if cooperative else {}), **plain.rejected}
-        self._rejected.update({reason: n for reason, n in counted.items() if reason not in ORDINARY})
+        self._rejected.update({reason: n for reason, n in counted.items() if reason not in ORDINARY_REJECTS})
         yield self._statements.of_epoch(plain, cooperative, epoch, message.sampled_ns)
         if (fix := fault_free_fix(plain, message)) is not None:
             yield fix
@@ -176,7 +182,7 @@ class Process:
             plain = self._plain.evaluate(epoch, self._store)
         start = plain.solution if plain and plain.fault_free else None
         helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
-        restarts = len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store)
+        restarts = len(helped.excluded) > MAX_FAULTY and self._plain.all_agree(epoch, self._store)
         if restarts:
             cooperative.restart()
             helped = SatelliteVerdict(
@@ -193,7 +199,7 @@ class Process:
         return plain, helped
 
     def _use_neighbours(self, message: NeighbourStates) -> None:
-        if self._now_ns is not None and message.sampled_ns > self._now_ns + AHEAD_NS:
+        if self._now_ns is not None and message.sampled_ns > self._now_ns + MAX_LEAD_NS:
             self._rejected["neighbour_from_the_future"] += len(message.neighbours)
             return
         if self._radio is None or abs(message.sampled_ns - self._radio_ns) > self._silent_ns:
@@ -213,10 +219,10 @@ class Process:
     def _now(self, time_ns: int) -> None:
         """Note the time, and drop lists of a later one: they came before the time was known."""
         self._now_ns = time_ns
-        for states in [neighbour for neighbour in self._neighbours if neighbour.sampled_ns > time_ns + AHEAD_NS]:
+        for states in [neighbour for neighbour in self._neighbours if neighbour.sampled_ns > time_ns + MAX_LEAD_NS]:
             self._rejected["neighbour_from_the_future"] += len(states.neighbours)
             self._neighbours.remove(states)
-        self._radio_ns = min(self._radio_ns, time_ns + AHEAD_NS)
+        self._radio_ns = min(self._radio_ns, time_ns + MAX_LEAD_NS)
 
     def _reports_until(self, time_ns: int) -> Iterator[NeighbourReport]:
         """Neighbours of lists up to a time; those of later lists wait for the next epoch."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Outcome, TrustMonitor
 from shared.trust.accused import GNSS, NEIGHBOUR
-from shared.trust.result import NOTHING, Test, judged, lasting, statement
+from shared.trust.result import NO_TESTS, Test, judged, lasting, statement
 
 from .codes import Code
 from .detection import local_threshold
@@ -87,7 +87,7 @@ class SatelliteStatements:
         why = explain(Code.SILENT_AFTER_EXCLUSION, age_s=_age_s(time_ns, epoch_ns))
         return self._stated(Test(Outcome.ACCUSES, why, accused=(GNSS,), suspect_since_ns=epoch_ns), time_ns)
 
-    def _stated(self, found: Test, time_ns: int, tests: Mapping[str, Test] = NOTHING) -> TrustMonitor:
+    def _stated(self, found: Test, time_ns: int, tests: Mapping[str, Test] = NO_TESTS) -> TrustMonitor:
         self._known = lasting(found, self._known, time_ns)
         return statement(MONITOR, self._known, time_ns, tests)
 

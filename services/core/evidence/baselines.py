@@ -7,10 +7,10 @@ from math import exp
 
 NS = 1_000_000_000
 JUMP_S = 1e-3  # a receiver keeps its clock near GPS time by jumps of whole milliseconds
-LONGEST_STEP_S = 2.5  # between two clock messages, over which the drift predicts the bias
+MAX_STEP_S = 2.5  # between two clock messages, over which the drift predicts the bias
 RECENT_S, EARLIER_S = 10, 60  # windows of the offset of GNSS time
-LEAST_OFFSETS = 5
-GROWN = 0.3  # share of a growth that shows before the last seconds
+MIN_OFFSETS = 5
+GROWTH_SHARE = 0.3  # share of a growth that shows before the last seconds
 
 
 class SlowMean:
@@ -28,7 +28,7 @@ class SlowMean:
 
     def update(self, time_ns: int, value: float) -> None:
         """Use a value: mean += (1 - exp(-dt / T)) (value - mean), with the plain mean until T has passed."""
-        step_s = 0.0 if self._last_ns is None else min(max((time_ns - self._last_ns) / NS, 0.0), LONGEST_STEP_S)
+        step_s = 0.0 if self._last_ns is None else min(max((time_ns - self._last_ns) / NS, 0.0), MAX_STEP_S)
         self._last_ns = time_ns
         if self._learned_s == 0.0:
             self._mean = value
@@ -63,7 +63,7 @@ class ClockPrediction:
             change = wrap(b_k - b_{k-1} - (d_k + d_{k-1}) / 2 · dt)
         """
         last, self._last = self._last, (time_ns, bias_s, drift_ratio, sd_s)
-        if last is None or not 0.0 < (step_s := (time_ns - last[0]) / NS) <= LONGEST_STEP_S:
+        if last is None or not 0.0 < (step_s := (time_ns - last[0]) / NS) <= MAX_STEP_S:
             return None
         change = bias_s - last[1] - 0.5 * (drift_ratio + last[2]) * step_s
         wrapped = (change + 0.5 * JUMP_S) % JUMP_S - 0.5 * JUMP_S
@@ -102,7 +102,7 @@ class TimeOffset:
         """Whether offsets had grown before the last seconds as well, by a share of what they have in the end."""
         begin_ns, end_ns = now_ns - 2 * RECENT_S * NS, now_ns - RECENT_S * NS
         before, between = self._least(lambda ns: ns <= begin_ns), self._least(lambda ns: begin_ns < ns <= end_ns)
-        return before is not None and between is not None and between - before > GROWN * by_ns
+        return before is not None and between is not None and between - before > GROWTH_SHARE * by_ns
 
     def recent_ns(self) -> int | None:
         """Least offset of the last seconds [ns], arrival minus UTC; None while there are too few."""
@@ -111,4 +111,4 @@ class TimeOffset:
 
     def _least(self, within: Callable[[int], bool]) -> int | None:
         offsets = [offset_ns for time_ns, offset_ns in self._offsets if within(time_ns)]
-        return min(offsets) if len(offsets) >= LEAST_OFFSETS else None
+        return min(offsets) if len(offsets) >= MIN_OFFSETS else None

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
 
-from .baselines import LONGEST_STEP_S, NS
+from .baselines import MAX_STEP_S, NS
 
 STEP_M_S = 1.0  # [m/s] of drift that two statements of a receiver differ by
 RATE_M_S2 = 0.3  # [m/s²] of a crystal whose temperature changes
-LEAST_SATELLITES = 4  # of a clock that is measured and not extrapolated
+MIN_SATELLITES = 4  # of a clock that is measured and not extrapolated
 RETURN_S = 5.0  # [s] after a return, in which a receiver may state its old drift once more
 WARM_UP_S = 120.0  # [s] after a restart of the receiver
-FRESH_S = 1.5  # [s] age of a statement of the clock that belongs to an epoch
+FRESH_FOR_S = 1.5  # [s] age of a statement of the clock that belongs to an epoch
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class DriftOverLoss:
 
     def heard(self, time_ns: int) -> None:
         """Note any message of the receiver; one after silence is that of a restart."""
-        if self._heard_ns is not None and (time_ns - self._heard_ns) / NS > LONGEST_STEP_S:
+        if self._heard_ns is not None and (time_ns - self._heard_ns) / NS > MAX_STEP_S:
             self._warm_ns = time_ns + round(WARM_UP_S * NS)
         self._heard_ns = time_ns
 
@@ -53,7 +53,7 @@ class DriftOverLoss:
 
     def epoch(self, time_ns: int, satellites: int) -> DriftChange | None:
         """Use an epoch with a number of used satellites; returns the change while it is one after a loss."""
-        if self._clock is None or satellites < LEAST_SATELLITES or abs(time_ns - self._clock[0]) / NS > FRESH_S:
+        if self._clock is None or satellites < MIN_SATELLITES or abs(time_ns - self._clock[0]) / NS > FRESH_FOR_S:
             return None
         before, after = self._before, self._clock
         if before is None:
@@ -61,7 +61,7 @@ class DriftOverLoss:
             return None
         gap_s = (time_ns - before[0]) / NS
         if self._returned_ns is None:
-            if gap_s <= LONGEST_STEP_S or gap_s < 0.0:
+            if gap_s <= MAX_STEP_S or gap_s < 0.0:
                 self._before = after
                 return None
             if time_ns < self._warm_ns:

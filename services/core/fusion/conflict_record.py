@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 from shared.messages.navigation import ConflictRecord, FilterState
 
-from .integrity.disagreement import NONE, NOTHING, STILL, Disagreement
-from .integrity.over_a_cut import LARGEST_M, GrowthRate, RememberedConflict
+from .integrity.disagreement import NO_DISAGREEMENT, NONE, ZERO_VECTOR, Disagreement
+from .integrity.over_a_cut import MAX_DISTANCE_M, GrowthRate, RememberedConflict
 from .navigator import Navigator
 from .timeline.conflict import Verdicts
 
 PERIOD_NS = 5_000_000_000  # of records while something is held
-CHANGED = 1.5  # [-] ratio of two bounds that is a change
-LEAST_M = 1.0  # [m] and their least difference
+CHANGE_RATIO = 1.5  # [-] ratio of two bounds that is a change
+MIN_DISTANCE_M = 1.0  # [m] and their least difference
 REJECTING_S = 3.0  # [s] since the last used position, from which rejected ones are a contradiction
 HELD_NUMBERS = 7  # of a disagreement in a message
 
@@ -20,13 +20,15 @@ def held_numbers(held: Disagreement) -> tuple[float, ...]:
     """Numbers of a disagreement in a message; none of one that is closed."""
     if not held.is_open:
         return ()
-    return tuple(max(-LARGEST_M, min(LARGEST_M, value)) for value in (*held.vector_n, *held.spread, *held.slack))
+    return tuple(
+        max(-MAX_DISTANCE_M, min(MAX_DISTANCE_M, value)) for value in (*held.vector_n, *held.spread, *held.slack)
+    )
 
 
 def held_of(message: FilterState | ConflictRecord) -> Disagreement:
     """Disagreement in a message."""
     if len(message.held_m) != HELD_NUMBERS:
-        return NOTHING
+        return NO_DISAGREEMENT
     north, east, down, spread_h, spread_v, slack_h, slack_v = message.held_m
     return Disagreement(
         (north, east, down), (abs(spread_h), abs(spread_v)), message.held_grew, (abs(slack_h), abs(slack_v)),
@@ -42,7 +44,7 @@ def remembered(record: ConflictRecord) -> RememberedConflict:
 def _held_at_a_start(verdicts: Verdicts, time_ns: int) -> Disagreement:
     """What a filter would have to hold that starts at the newest position, which this one may reject."""
     held, monitor = verdicts.held, verdicts.main.engine.aids.error_monitor
-    if monitor.rejected_n == STILL or (time_ns - monitor.used_ns) * 1e-9 < REJECTING_S:
+    if monitor.rejected_n == ZERO_VECTOR or (time_ns - monitor.used_ns) * 1e-9 < REJECTING_S:
         return held
     return held.after(monitor.rejected_n, monitor.rejected_sd, time_ns, grew=monitor.rejected_grew)
 
@@ -75,7 +77,7 @@ class ConflictRecorder:
             return
         since_ns = None if conflict is None else conflict.since_ns
         if last is not None and was_open and is_open:
-            grown = held.bound[0] > CHANGED * self._bound_m + LEAST_M
+            grown = held.bound[0] > CHANGE_RATIO * self._bound_m + MIN_DISTANCE_M
             same = held.is_open == (last.held_m != ()) and since_ns == last.conflict_since_ns and not grown
             if same and 0 <= time_ns - last.sampled_ns < PERIOD_NS:
                 return

@@ -39,7 +39,7 @@ from .solution import Solution
 from .start.heading import Prior
 from .start.warm_start import SavedState, fingerprint
 from .timeline.conflict import EARLIER_NS
-from .without_imu import Missing
+from .without_imu import ImuOutage
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -269,7 +269,7 @@ def waiting_for_imu(state: NavigationState, since_ns: int) -> NavigationState:
     return _in_phase(state, phase, since_ns, explain(Code.NO_SAMPLES))
 
 
-def without_imu(state: NavigationState, missing: Missing, *, excluded: bool) -> NavigationState:
+def without_imu(state: NavigationState, missing: ImuOutage, *, excluded: bool) -> NavigationState:
     """State while fixes alone are published, and what the alignment of the filter waits for."""
     if excluded:
         phase = NavigationPhase.WAITING_FOR_IMU

@@ -36,9 +36,9 @@ from .smoothing.history import HistoryRecorder
 from .solution import Solution, UncertaintyCache, solution_of, upper
 from .start.heading import Prior
 from .start.warm_start import SavedState, fault, saved_state
-from .timeline.conflict import MOST_LIMITS, Verdicts
+from .timeline.conflict import MAX_LIMITS, Verdicts
 from .timeline.engine import Engine
-from .timeline.events import Disturbed, FoundDelay, LostTime
+from .timeline.events import GnssDelay, LostTime, ReturnAfterInterference
 from .timeline.timeline import Timeline
 
 FloatArray = npt.NDArray[np.float64]
@@ -233,7 +233,7 @@ class Navigator:
         """Follow core.trust: GNSS was lost with interference after this time, and its return is not confirmed yet."""
         loss = self.verdicts.main.engine.aids.error_monitor.loss
         if since_ns is not None and loss.returned_ns is not None and loss.returned_ns > since_ns:
-            self._timeline.happen(Disturbed(self._timeline.next_ns))
+            self._timeline.happen(ReturnAfterInterference(self._timeline.next_ns))
 
     @property
     def what_ends_the_held(self) -> tuple[Explanation, ...]:
@@ -259,7 +259,7 @@ class Navigator:
             return
         self._found = position_s, velocity_s
         grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
-        self._timeline.correct_delay(FoundDelay(self._timeline.next_ns, position_s, velocity_s, grown_s))
+        self._timeline.correct_delay(GnssDelay(self._timeline.next_ns, position_s, velocity_s, grown_s))
 
     def leave_out_heights(self, *, wrong: bool) -> None:
         """Use positions of GNSS without their heights from now on, because these have the wrong sign, or with them."""
@@ -352,7 +352,7 @@ class Navigator:
         """State of the model of motion at the newest sample, if its levels are of use."""
         state = self.bank.motion.state(self._timeline.newest_ns)
         limits_m = self.settings.vehicle.alert_limits_m
-        if state is None or self.bank.levels(state.position_cov)[0] > MOST_LIMITS * limits_m[0]:
+        if state is None or self.bank.levels(state.position_cov)[0] > MAX_LIMITS * limits_m[0]:
             return None
         return state
 

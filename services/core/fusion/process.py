@@ -29,7 +29,7 @@ from .navigator import Navigator
 from .set_up.height_sign import HeightSign
 from .set_up.monitor import SetUpMonitor
 from .settings import Settings
-from .without_imu import SILENT_NS, WithoutImu
+from .without_imu import SILENCE_TIMEOUT_NS, WithoutImu
 
 STATE_PERIOD_NS = 1_000_000_000
 PAUSED_PERIOD_NS = 250_000_000  # shortest period of solutions while Work.SOLUTIONS is paused
@@ -72,7 +72,7 @@ class Process:
         self._recorder = ConflictRecorder()
         self._speed = ChosenSource(speed_choice)
         self._receiver, self._fixes = ChosenSource(receiver_choice), ChosenSource(gnss_choice)
-        self._imus = ChosenSource(imu_choice, SILENT_NS)
+        self._imus = ChosenSource(imu_choice, SILENCE_TIMEOUT_NS)
         self._imu: str | None = None  # source in use
         self._without_imu = WithoutImu(config)
         self._begun_ns: int | None = None  # arrival of the first measurement

@@ -14,7 +14,7 @@ from shared.messages.navigation import NavigationPhase
 from .inertial import error_model as em
 from .inertial.filter import ErrorStateFilter
 from .integrity.error_monitor import ErrorMonitor
-from .integrity.protection_levels import LARGEST_M, Levels, protection_levels
+from .integrity.protection_levels import MAX_DISTANCE_M, Levels, protection_levels
 from .integrity.set_up_spread import SetUpSpread
 from .settings import Settings
 from .timeline.engine import Engine
@@ -67,8 +67,8 @@ class Solution(NamedTuple):
         vertical = max(self.protection_level_vertical, abs(apart_n[2]) + levels_m[1])
         position_cov = self.position_cov + np.outer(apart_n, apart_n)
         return self._replace(
-            protection_level_horizontal=min(horizontal, LARGEST_M),
-            protection_level_vertical=min(vertical, LARGEST_M),
+            protection_level_horizontal=min(horizontal, MAX_DISTANCE_M),
+            protection_level_vertical=min(vertical, MAX_DISTANCE_M),
             position_cov=position_cov,
             triangles=(upper(position_cov.tolist()), *self.triangles[1:]),
         )

@@ -14,15 +14,15 @@ from .solution import Solution
 
 NS = 1_000_000_000
 # Silence of the IMU in use after which another one, or none, is used; a gap of that length ends the solution.
-SILENT_NS = 1_000_000_000
-NEVER_HEARD_NS = 5 * NS  # from the first fix: inertial units start within a second or two of their driver
-ABANDONED_NS = 30 * NS  # silence after which measurements are no longer kept for the filter, which cannot go on then
+SILENCE_TIMEOUT_NS = 1_000_000_000
+FIRST_SAMPLE_TIMEOUT_NS = 5 * NS  # from the first fix: inertial units start within a second or two of their driver
+OUTAGE_LIMIT_NS = 30 * NS  # silence after which measurements are no longer kept for the filter, which cannot go on then
 FAR_NS = 60 * NS
-BELIEVED = 3  # arrivals far ahead
+MIN_ARRIVALS = 3  # arrivals far ahead
 FAULT_FREE_NS = 3 * NS  # time after a fault-free fix in which the receiver's own fixes are not published
 
 
-class Missing(NamedTuple):
+class ImuOutage(NamedTuple):
     """Since when fixes alone are published, and why."""
 
     since_ns: int
@@ -35,7 +35,7 @@ class WithoutImu:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.heard_ns: int | None = None  # arrival of the newest inertial samples
-        self.missing: Missing | None = None  # while fixes alone are published
+        self.missing: ImuOutage | None = None  # while fixes alone are published
         self._first_fix_ns: int | None = None
         self._newest_fix_ns: int | None = None
         self._ahead: list[int] = []  # arrivals far ahead of all others, one after the other
@@ -44,7 +44,7 @@ class WithoutImu:
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether no inertial samples have come for a second, or none at all."""
-        return self.heard_ns is None or now_ns - self.heard_ns > SILENT_NS
+        return self.heard_ns is None or now_ns - self.heard_ns > SILENCE_TIMEOUT_NS
 
     def is_far_ahead(self, received_ns: int) -> bool:
         """Whether an arrival is a minute ahead of everything before, and alone: a stamp that is wrong.
@@ -57,7 +57,7 @@ class WithoutImu:
             return False
         if not self._ahead or 0 < received_ns - self._ahead[-1] <= FAR_NS:
             self._ahead.append(received_ns)
-        if len(self._ahead) < BELIEVED:
+        if len(self._ahead) < MIN_ARRIVALS:
             return True
         self._newest_fix_ns, self._ahead = received_ns, []
         return False
@@ -66,7 +66,7 @@ class WithoutImu:
         """Whether the filter cannot go on with what is received now."""
         if self.heard_ns is None:
             return self.missing is not None
-        return now_ns - self.heard_ns > ABANDONED_NS
+        return now_ns - self.heard_ns > OUTAGE_LIMIT_NS
 
     @property
     def rejected(self) -> int:
@@ -113,9 +113,9 @@ class WithoutImu:
         if self._model is None:
             self._model = GnssOnly(self._settings, running)
         if self.heard_ns is not None:
-            self.missing = Missing(self.heard_ns, explain(Code.NO_SAMPLES))
-        elif self._first_fix_ns is not None and received_ns - self._first_fix_ns >= NEVER_HEARD_NS:
-            self.missing = Missing(received_ns, explain(Code.NO_INERTIAL_UNIT))
+            self.missing = ImuOutage(self.heard_ns, explain(Code.NO_SAMPLES))
+        elif self._first_fix_ns is not None and received_ns - self._first_fix_ns >= FIRST_SAMPLE_TIMEOUT_NS:
+            self.missing = ImuOutage(received_ns, explain(Code.NO_INERTIAL_UNIT))
 
     def end(self) -> None:
         """End it, because the filter has a solution."""

@@ -11,7 +11,7 @@ FloatArray = npt.NDArray[np.float64]
 
 SECOND_NS = 1_000_000_000
 SLOPE_NS = SECOND_NS  # half the span over which the odometer's acceleration is taken
-MOST_SAMPLES = 2048  # of the odometer
+MAX_SAMPLES = 2048  # of the odometer
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class OdometerTrack:
 
     def __init__(self, *, gap_s: float) -> None:
         self._gap_ns = int(gap_s * SECOND_NS)
-        self._times: deque[int] = deque(maxlen=MOST_SAMPLES)
-        self._speeds: deque[float] = deque(maxlen=MOST_SAMPLES)
+        self._times: deque[int] = deque(maxlen=MAX_SAMPLES)
+        self._speeds: deque[float] = deque(maxlen=MAX_SAMPLES)
         self.resolution = 0.0  # [m/s] of the newest sample
 
     def add(self, time_ns: int, speed: float, resolution: float) -> None:

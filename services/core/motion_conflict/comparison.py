@@ -188,7 +188,7 @@ class SpeedComparison:
             self._window.popleft()
         aligned = [self.track.pair(t, calibration.delay_s, (speed, sd)) for t, speed, sd in self._window]
         pairs = [pair for pair in aligned if pair is not None]
-        if len(pairs) < fast.LEAST_SAMPLES:
+        if len(pairs) < fast.MIN_SAMPLES:
             return
         odometer = sum(pair.odometer for pair in pairs) / len(pairs)
         slope = sum(pair.slope for pair in pairs) / len(pairs)

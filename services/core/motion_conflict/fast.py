@@ -14,8 +14,8 @@ from .aligned import SECOND_NS, AlignedPair
 FloatArray = npt.NDArray[np.float64]
 
 WINDOW_S = 5.0
-LEAST_SAMPLES = 4
-LEAST_PROBABILITY = 1e-300
+MIN_SAMPLES = 4
+MIN_PROBABILITY = 1e-300
 
 
 def tail_probability(difference: float, *, sd: float, half_width: float) -> float:
@@ -96,4 +96,4 @@ def fast_statistic(
     elif max(speeds) - min(speeds) > 2.0 * step:
         variance, half_width = variance + half_width**2 / (3.0 * len(pairs)), 0.0
     probability = tail_probability(difference, sd=sqrt(variance), half_width=half_width)
-    return float(chdtri(1, max(probability, LEAST_PROBABILITY)))
+    return float(chdtri(1, max(probability, MIN_PROBABILITY)))

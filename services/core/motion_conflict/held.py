@@ -2,8 +2,8 @@
 
 from .aligned import SECOND_NS
 
-HELD_EPOCHS = 3  # equal speeds in a row
-HELD_S = 2.0
+MIN_EQUAL_EPOCHS = 3  # equal speeds in a row
+HOLD_TIME_S = 2.0
 USUAL_HOLD_S = 15.0  # receivers repeat a speed for about 10 s after a loss; longer is a fault
 
 
@@ -36,10 +36,10 @@ class HeldSpeed:
     @property
     def since_ns(self) -> int | None:
         """First stamp of the speed that is being repeated; None if the receiver measures."""
-        if not self._speed or self._epochs < HELD_EPOCHS or self._slowest is None or self._fastest is None:
+        if not self._speed or self._epochs < MIN_EQUAL_EPOCHS or self._slowest is None or self._fastest is None:
             return None
         changed = self._fastest - self._slowest > max(1.5 * self._resolution, 0.1)
-        return self._since_ns if changed and self.held_s >= HELD_S else None
+        return self._since_ns if changed and self.held_s >= HOLD_TIME_S else None
 
     @property
     def held_s(self) -> float:

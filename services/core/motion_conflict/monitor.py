@@ -29,7 +29,7 @@ from .tachograph import (
     SpeedWindow,
     WindowMode,
 )
-from .verdicts import EITHER, MotionVerdicts
+from .verdicts import EITHER_SOURCE, MotionVerdicts
 
 WINDOW_S = PERIOD_S * SAMPLES
 
@@ -153,13 +153,13 @@ class MotionMonitor(SpeedComparison):
         if known.delay_sd_s > LEARNED_DELAY_SD_S:
             return explain(Code.DELAY_UNKNOWN, sd_s=known.delay_sd_s)
         if self.fast_statistic is None or time_ns - self.fast_statistic[0] > limit_s * SECOND_NS:
-            return explain(Code.FEW_PAIRS, least_count=fast.LEAST_SAMPLES)
+            return explain(Code.FEW_PAIRS, least_count=fast.MIN_SAMPLES)
         return self.fast_statistic[1]
 
 
 def _test(
     why: Explanation, unit: str, window_s: float, false_alarm_rate: float | None = None, *,
-    accused: tuple[str, ...] = EITHER, suspect_since_ns: int | None = None,
+    accused: tuple[str, ...] = EITHER_SOURCE, suspect_since_ns: int | None = None,
 ) -> Test:  # fmt: skip
     """A test that has no result yet."""
     return Test(

@@ -18,7 +18,7 @@ from shared.trust.result import statement
 
 from .calibration import LEARNED_DELAY_SD_S
 from .inertial_speed.monitor import InertialSpeed, geometry_of
-from .inertial_speed.scale_change import LEAST_BENDS, Learned
+from .inertial_speed.scale_change import MIN_BENDS, BendScale
 from .monitor import MotionMonitor
 from .settings import Settings
 from .statements import statements
@@ -107,7 +107,7 @@ class Process:
     def _lesson(self, time_ns: int) -> Iterator[LearnedScale]:
         """What the bends of this vehicle have taught, once for every five of them."""
         learned = self.inertial.change.lesson()
-        if learned is None or learned.bends < self._taught + LEAST_BENDS:
+        if learned is None or learned.bends < self._taught + MIN_BENDS:
             return
         self._taught = learned.bends
         yield LearnedScale(
@@ -125,7 +125,7 @@ class Process:
             return
         self._taught = earlier.bends
         self.inertial.change.adopt(
-            Learned(earlier.gnss, earlier.gnss_sd, earlier.odometer, earlier.bends, earlier.spread)
+            BendScale(earlier.gnss, earlier.gnss_sd, earlier.odometer, earlier.bends, earlier.spread)
         )  # fmt: skip
 
     def _use_samples(self, batch: ImuSamples) -> None:

@@ -19,7 +19,7 @@ SECOND_NS = 1_000_000_000
 KM_H = 1.0 / 3.6  # [m/s]
 PERIOD_S = 10.0  # between two samples
 SAMPLES = 30  # five minutes
-KEPT_SHARE = 0.8  # 24 of 30: the six largest are dropped
+TRIMMED_SHARE = 0.8  # 24 of 30: the six largest are dropped
 THRESHOLD_M_S = 10.0 * KM_H
 EVENT_S = 300.0  # of movement; the condition has held for it without interruption at the 31st sample
 DISTANCE_PERIOD_S = 900.0
@@ -28,7 +28,7 @@ MOTION_SENSOR_WINDOW_S = 10800.0  # three hours, in which the contradiction has 
 MOVING_AFTER_S = 5.0  # [s] of uninterrupted movement before a vehicle counts as moving
 
 
-def trimmed_mean(differences: Sequence[float], kept_share: float = KEPT_SHARE) -> float:
+def trimmed_mean(differences: Sequence[float], kept_share: float = TRIMMED_SHARE) -> float:
     """Mean of the smallest values: trimmed on one side.
 
     Parameters

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from shared.trust.accused import GNSS, ODOMETER
 from shared.trust.result import Test
 
-EITHER = (GNSS, ODOMETER)  # a test that cannot tell which
+EITHER_SOURCE = (GNSS, ODOMETER)  # a test that cannot tell which
 
 
 @dataclass(frozen=True)

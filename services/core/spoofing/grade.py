@@ -15,7 +15,7 @@ class Grade(StrEnum):
     TACTICAL = "tactical"
 
 
-UNKNOWN = Grade.CONSUMER
+DEFAULT_GRADE = Grade.CONSUMER
 # Factor on the standard deviations of the 5 s metrics of `UNIT_IMU`, which are those of an industrial sensor.
 PROFILE_FACTORS: Mapping[Grade, float] = {
     Grade.CONSUMER: 6.0, Grade.AUTOMOTIVE: 3.0, Grade.INDUSTRIAL: 1.0, Grade.TACTICAL: 1.0,

@@ -18,19 +18,19 @@ from .windows.metrics import Metric
 from .windows.short_window import Window
 
 NEEDED_S = 600  # of windows, one a second
-KEPT = 3600  # windows
-SILENT_NS = 5 * SECOND_NS  # after which the last verdict says nothing any more
+MAX_WINDOWS = 3600  # windows
+SILENCE_TIMEOUT_NS = 5 * SECOND_NS  # after which the last verdict says nothing any more
 PERIOD_NS = 60 * SECOND_NS
 VOUCHING = ("satellites", "motion", "motion_fast")
 
 
-class Lesson:
+class WindowCollection:
     """Collects the windows of a drive that is free of conflicts."""
 
     def __init__(self, stated: Profile) -> None:
         self._stated = stated
-        self._windows: deque[Window] = deque(maxlen=KEPT)
-        self._long: deque[float] = deque(maxlen=2 * KEPT)
+        self._windows: deque[Window] = deque(maxlen=MAX_WINDOWS)
+        self._long: deque[float] = deque(maxlen=2 * MAX_WINDOWS)
         self._published_ns: int | None = None
         self._quiet = self._vouched = False
         self._heard_ns: int | None = None  # newest verdict
@@ -51,7 +51,7 @@ class Lesson:
         if self._published_ns is None:
             self._published_ns = time_ns
         known = bool(self._windows) and window is self._windows[-1]
-        fresh = self._heard_ns is not None and time_ns - self._heard_ns <= SILENT_NS
+        fresh = self._heard_ns is not None and time_ns - self._heard_ns <= SILENCE_TIMEOUT_NS
         if window is not None and not known and fresh and self._quiet and self._vouched:
             self._windows.append(window)
             self._long += long_statistics

@@ -23,7 +23,7 @@ from .codes import Code
 from .inertial.anchors import anchor_of, filter_anchor_of
 from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
-from .windows.long_window import LENGTHS_S, WAYS_S, LongResult, LongWindow, WayResult
+from .windows.long_window import LENGTHS_S, WINDOW_LENGTHS_S, DistanceTest, LongResult, LongWindow
 from .windows.metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .windows.position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
 from .windows.short_window import Window, compare, window_of_fixes
@@ -47,10 +47,10 @@ ODOMETER_GAP_S = 2.5
 RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
 # After the alignment, before the first window of 5 s: its limits hold the uncertainty of attitude and gyroscope biases.
 SHORT_WARM_UP_S = 20.0
-LONGEST_BRIDGED_NS = 1_000_000_000  # gap in the inertial samples over which free propagations go on
+MAX_BRIDGED_NS = 1_000_000_000  # gap in the inertial samples over which free propagations go on
 BREAK_NS = 2_000_000_000  # without a solution, after which the filter has started again
-KEPT_S = 10  # of increments, fixes and solutions
-MOST_WAITING = 2000  # batches of samples, where nothing asks for verdicts
+RETENTION_S = 10  # of increments, fixes and solutions
+MAX_WAITING = 2000  # batches of samples, where nothing asks for verdicts
 
 
 class InertialMonitor:
@@ -60,19 +60,19 @@ class InertialMonitor:
         self.settings = s = settings or Settings()
         self.rejected: Counter[str] = Counter() if rejected is None else rejected
         self._decimator = Decimator(
-            s.largest_force_m_s2, s.largest_rate_rad_s, self.rejected, bridged_ns=LONGEST_BRIDGED_NS
+            s.largest_force_m_s2, s.largest_rate_rad_s, self.rejected, bridged_ns=MAX_BRIDGED_NS
         )
         self._heights = Heights()
         self._heights.rejected = self.rejected
         self._lever_arm = np.array(s.vehicle.gnss.lever_arm_body_m)
-        self._increments: deque[Increment] = deque(maxlen=KEPT_S * 12)
-        self._new: deque[Increment] = deque(maxlen=KEPT_S * 12)  # not propagated yet
-        self.taken: deque[Increment] = deque(maxlen=KEPT_S * 12)  # for the other monitors, which clear it
-        self._solutions: deque[NavigationSolution] = deque(maxlen=KEPT_S * 12)
-        self._states: deque[FilterState] = deque(maxlen=KEPT_S)
-        self._fixes: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)
-        self._pending: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)  # not reached by the increments yet
-        self._odometer = Series(KEPT_S * 25, ODOMETER_GAP_S)
+        self._increments: deque[Increment] = deque(maxlen=RETENTION_S * 12)
+        self._new: deque[Increment] = deque(maxlen=RETENTION_S * 12)  # not propagated yet
+        self.taken: deque[Increment] = deque(maxlen=RETENTION_S * 12)  # for the other monitors, which clear it
+        self._solutions: deque[NavigationSolution] = deque(maxlen=RETENTION_S * 12)
+        self._states: deque[FilterState] = deque(maxlen=RETENTION_S)
+        self._fixes: deque[VelocityFix] = deque(maxlen=RETENTION_S * 25)
+        self._pending: deque[VelocityFix] = deque(maxlen=RETENTION_S * 25)  # not reached by the increments yet
+        self._odometer = Series(RETENTION_S * 25, ODOMETER_GAP_S)
         self._resolution = 0.0
         self.long = LongWindow(s)
         self.window: Window | None = None  # newest one of 5 s
@@ -83,7 +83,7 @@ class InertialMonitor:
         self._evaluated_ns = -SECOND_NS  # fix with which everything was compared last
         self._exceeded: Counter[str] = Counter()  # successive evaluations above the threshold
         self._accusing: dict[str, bool] = {}  # by test of a long window
-        self._ways: dict[int, WayResult | None] = {}
+        self._ways: dict[int, DistanceTest | None] = {}
         self._doubts: Counter[int] = Counter()  # successive evaluations of each way above the threshold of doubt
         self._inconspicuous_ns: dict[str, int] = {}  # newest evaluation of each long window below the median
         self._known: dict[str, Test] = {}
@@ -95,7 +95,7 @@ class InertialMonitor:
 
     def inertial(self, times_ns: Sequence[int], forces_b: Sequence[Vector], rates_b: Sequence[Vector]) -> None:
         """Use inertial samples [m/s², rad/s; body]."""
-        if self._decimator.add(times_ns, forces_b, rates_b) > MOST_WAITING:
+        if self._decimator.add(times_ns, forces_b, rates_b) > MAX_WAITING:
             self._integrate()
 
     def _integrate(self) -> None:
@@ -203,7 +203,7 @@ class InertialMonitor:
         self._propagate()
         found: dict[str, Test] = {**self._short(time_ns)}
         found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
-        found |= {f"way_{length}": self._way(time_ns, length) for length in WAYS_S}
+        found |= {f"way_{length}": self._way(time_ns, length) for length in WINDOW_LENGTHS_S}
         if self.learning and self._missing(time_ns) is None:
             found = {name: _withheld(test, self.learning) for name, test in found.items()}
         self._known = {name: dated(test, self._known.get(name), time_ns) for name, test in found.items()}
@@ -322,7 +322,7 @@ class InertialMonitor:
             self._decide(f"long_{length}", None if result is None else result.statistic, velocities)
             if result is not None:
                 self.long_statistics[f"long_{length}"] = result.statistic / velocities.accuse
-        for length in WAYS_S:
+        for length in WINDOW_LENGTHS_S:
             way = self.long.way(length)
             self._ways[length] = way
             statistic = None if way is None else way.statistic

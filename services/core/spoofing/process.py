@@ -9,7 +9,7 @@ from typing import cast
 
 from pydantic import ValidationError, ValidationInfo, model_validator
 
-from shared.bounded import TooMuch, read_bytes
+from shared.bounded import SizeExceeded, read_bytes
 from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.errors import ConfigError
 from shared.maths.earth import Geodetic
@@ -26,18 +26,18 @@ from shared.trust.result import deciding, statement
 
 from .codes import Code
 from .drift.monitor import DriftMonitor
-from .grade import LONG, OBSERVER, UNKNOWN, Grade, profile_of
+from .grade import DEFAULT_GRADE, LONG, OBSERVER, Grade, profile_of
 from .gyroscope.monitor import GyroscopeMonitor, agreed
 from .gyroscope.sources import fastest
 from .inertial.anchors import is_readable
 from .inertial.tracks import UNKNOWN_VERTICAL_SD
-from .lesson import Lesson, profile_of_learned
+from .lesson import WindowCollection, profile_of_learned
 from .monitor import InertialMonitor
 from .observer.monitor import ObserverMonitor
 from .profile import Origin, Profile
 from .settings import LongSettings, ObserverSettings, Settings
 from .statements import paused_statements, statements
-from .windows.position_step import UNKNOWN_SD_M
+from .windows.position_step import DEFAULT_SD_M
 
 Measured = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds
 In = (
@@ -56,7 +56,7 @@ PROFILE_BYTES = 5_000_000
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
-SILENT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
+SILENCE_TIMEOUT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
 RATED_S = 10.0  # of a source, after which its rate is known
 
 log = logging.getLogger(__name__)
@@ -129,7 +129,7 @@ def read_profile(path: Path) -> Profile:
     """Read a profile that `obu calibrate spoofing` wrote."""
     try:
         return Profile.model_validate_json(read_bytes(path, PROFILE_BYTES))
-    except TooMuch as error:
+    except SizeExceeded as error:
         raise ConfigError(f"{path} is no profile: {error}; make it with `obu calibrate spoofing DRIVE`") from error
     except OSError as error:
         raise ConfigError(
@@ -169,16 +169,19 @@ class Process:
     def __init__(self, config: Config) -> None:
         self._settings: Settings = config
         if config.grade is None:  # also what was learned is learned over what a sensor of unknown grade may do
-            self._settings = Settings.model_validate(with_grade(config.model_dump(exclude_unset=True), UNKNOWN))
+            self._settings = Settings.model_validate(with_grade(config.model_dump(exclude_unset=True), DEFAULT_GRADE))
         self.monitor = InertialMonitor(self._settings)
         self.gyroscope = GyroscopeMonitor(self._settings, self.rejects)
         self.drift = DriftMonitor(self._settings, self.rejects)
         self.observer = ObserverMonitor(self._settings)
-        self._lesson = Lesson(self._settings.profile)
+        self._lesson = WindowCollection(self._settings.profile)
         self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
         self._speed, self._wheels = ChosenSource(speed_choice), ChosenSource()
-        self._imus, self._fixes = ChosenSource(imu_choice, SILENT_NS), ChosenSource(gnss_choice, SILENT_NS)
+        self._imus, self._fixes = (
+            ChosenSource(imu_choice, SILENCE_TIMEOUT_NS),
+            ChosenSource(gnss_choice, SILENCE_TIMEOUT_NS),
+        )
         self._solution: NavigationSolution | None = None  # newest with a heading
         self._imu, self._gnss = Rate(), Rate()
         self._paused = False
@@ -323,7 +326,9 @@ class Process:
         if self._adopted is not None:  # what another device has taught is worth nothing
             what, code = "what was learned", Code.LEARNED_OF_ANOTHER_UNIT
             self._adopted = None
-            self._settings = self._settings.model_copy(update={"profile": profile_of(self._settings.grade or UNKNOWN)})
+            self._settings = self._settings.model_copy(
+                update={"profile": profile_of(self._settings.grade or DEFAULT_GRADE)}
+            )
             self._restart_monitor()
         self._warning = explain(code, differences=tuple(different))
         log.warning(
@@ -397,5 +402,5 @@ def position_of(fix: GnssFix) -> tuple[Geodetic | None, float]:
     """Position on the ellipsoid, and its horizontal standard deviation [m]."""
     if fix.latitude_deg is None or fix.longitude_deg is None:
         return None, 0.0
-    sd_m = UNKNOWN_SD_M if fix.position_sd_ned_m is None else max(fix.position_sd_ned_m[:2])
+    sd_m = DEFAULT_SD_M if fix.position_sd_ned_m is None else max(fix.position_sd_ned_m[:2])
     return Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), 0.0), sd_m

@@ -17,16 +17,16 @@ from .windows.short_window import Window
 FORCE_EDGES_M_S2 = (0.3, 1.0, 2.0)  # of | |f| - g |, between the dynamics classes of accelerations
 SPEED_EDGES_M_S = (5.0, 10.0, 20.0)  # between those of heading and altitude rate
 CLASSES = len(FORCE_EDGES_M_S2) + 1
-LEAST_WINDOWS = 100  # of a class; with fewer it takes the largest standard deviation of all classes
-LEAST_THRESHOLD = 5.0  # [standard deviations] as of the built-in profile
+MIN_WINDOWS = 100  # of a class; with fewer it takes the largest standard deviation of all classes
+MIN_THRESHOLD = 5.0  # [standard deviations] as of the built-in profile
 SHORT_S, LONG_S = 5.0, 60.0  # of independent windows; they are evaluated once a second
-MOST_GRADES = 3.0  # by which what is learned may exceed the stated grade
-MOST_THRESHOLD = 50.0  # [standard deviations] beyond it a metric tells nothing
+MAX_GRADES = 3.0  # by which what is learned may exceed the stated grade
+MAX_THRESHOLD = 50.0  # [standard deviations] beyond it a metric tells nothing
 MAD = 1.4826  # standard deviation over median magnitude of a normal variable
 SPEED_METRICS = (Metric.HEADING_RATE, Metric.ALTITUDE_RATE)
 
 
-class Trait(StrEnum):
+class ProfileCondition(StrEnum):
     """What a profile depends on."""
 
     IMU = "imu"
@@ -36,8 +36,9 @@ class Trait(StrEnum):
     CONFIGURATION = "configuration"
 
 
-TRAITS = {Trait.IMU: "IMU", Trait.GNSS: "GNSS receiver", Trait.IMU_RATE: "IMU rate", Trait.GNSS_RATE: "GNSS rate",
-          Trait.CONFIGURATION: "configuration"}  # fmt: skip
+TRAITS = {ProfileCondition.IMU: "IMU", ProfileCondition.GNSS: "GNSS receiver",
+          ProfileCondition.IMU_RATE: "IMU rate", ProfileCondition.GNSS_RATE: "GNSS rate",
+          ProfileCondition.CONFIGURATION: "configuration"}  # fmt: skip
 
 
 class LearnedDrive(Section):
@@ -61,16 +62,16 @@ class Origin(Section):
     code: str = Field(max_length=64, description="version of the unit that learned it")
     drives: tuple[LearnedDrive, ...] = Field(description="recordings, in order")
 
-    def differences(self, present: "Origin") -> dict[Trait, str]:
+    def differences(self, present: "Origin") -> dict[ProfileCondition, str]:
         """In what a unit differs from the one that the profile was learned for, and how; rates may by a fifth."""
         pairs = (
-            (Trait.IMU, self.imu, present.imu, self.imu != present.imu),
-            (Trait.GNSS, self.gnss, present.gnss, self.gnss != present.gnss),
-            (Trait.IMU_RATE, f"{self.imu_rate_hz:.3g} Hz", f"{present.imu_rate_hz:.3g} Hz",
+            (ProfileCondition.IMU, self.imu, present.imu, self.imu != present.imu),
+            (ProfileCondition.GNSS, self.gnss, present.gnss, self.gnss != present.gnss),
+            (ProfileCondition.IMU_RATE, f"{self.imu_rate_hz:.3g} Hz", f"{present.imu_rate_hz:.3g} Hz",
              not 0.8 < present.imu_rate_hz / self.imu_rate_hz < 1.25),
-            (Trait.GNSS_RATE, f"{self.gnss_rate_hz:.3g} Hz", f"{present.gnss_rate_hz:.3g} Hz",
+            (ProfileCondition.GNSS_RATE, f"{self.gnss_rate_hz:.3g} Hz", f"{present.gnss_rate_hz:.3g} Hz",
              not 0.8 < present.gnss_rate_hz / self.gnss_rate_hz < 1.25),
-            (Trait.CONFIGURATION, self.configuration, present.configuration,
+            (ProfileCondition.CONFIGURATION, self.configuration, present.configuration,
              self.configuration != present.configuration),
         )  # fmt: skip
         return {trait: f"{TRAITS[trait]} {learned}, now {now}" for trait, learned, now, differs in pairs if differs}
@@ -139,7 +140,7 @@ def learn(
     long_statistics : iterable of float
         [-] Chi-squares of the free propagations over their thresholds, evaluated once a second.
     stated : Profile, optional
-        Profile of the stated grade: at most `MOST_GRADES` times its limits are learned, so that a slow drag during the
+        Profile of the stated grade: at most `MAX_GRADES` times its limits are learned, so that a slow drag during the
         drives cannot teach the monitor to pass it.
 
     Returns
@@ -164,7 +165,7 @@ def learn(
     minutes are 120 of 5 s and 10 of 60 s, and no tail of 1e-5.
     """
     known, long = list(windows), np.array(list(long_statistics))
-    if len(known) < LEAST_WINDOWS:
+    if len(known) < MIN_WINDOWS:
         raise ValueError(f"{len(known)} windows of 5 s are too few to learn from; drive for ten minutes or more")
     sigma = {}
     for metric in Metric:
@@ -173,17 +174,17 @@ def learn(
             if metric in window.difference:
                 pair = (window.difference[metric], window.noise.get(metric, 0.0))
                 found[classes_of(metric, window)[1 if metric not in SPEED_METRICS else 0]].append(pair)
-        enough = [_sigma(pairs) for pairs in found if len(pairs) >= LEAST_WINDOWS]
+        enough = [_sigma(pairs) for pairs in found if len(pairs) >= MIN_WINDOWS]
         if not enough:
-            enough = [_sigma(every) for every in [list(chain(*found))] if len(every) >= LEAST_WINDOWS]
+            enough = [_sigma(every) for every in [list(chain(*found))] if len(every) >= MIN_WINDOWS]
         if enough:
-            scales = (_sigma(pairs) if len(pairs) >= LEAST_WINDOWS else max(enough) for pairs in found)
+            scales = (_sigma(pairs) if len(pairs) >= MIN_WINDOWS else max(enough) for pairs in found)
             sigma[metric] = tuple(map(max, scales, UNIT_IMU.sigma[metric]))
     draft = Profile(sigma=sigma, threshold=1.0, false_alarm_rate=0.0, provenance=provenance)
     k = threshold
     if k is None:
-        k = max(LEAST_THRESHOLD, _tolerance(len(known), SHORT_S) * _quiet(known, draft))
-    k, factor = min(k, MOST_THRESHOLD), 1.0
+        k = max(MIN_THRESHOLD, _tolerance(len(known), SHORT_S) * _quiet(known, draft))
+    k, factor = min(k, MAX_THRESHOLD), 1.0
     if len(long):
         factor = max(1.0, _tolerance(len(known), LONG_S) * float(np.sqrt(long.max())))
     profile = draft.model_copy(update={"threshold": k, "long_factor": factor})
@@ -208,15 +209,15 @@ def _quiet(windows: Sequence[Window], draft: Profile) -> float:
 
 
 def _bounded(profile: Profile, stated: Profile) -> Profile:
-    """Limit what was learned to `MOST_GRADES` times the limits of a stated grade."""
+    """Limit what was learned to `MAX_GRADES` times the limits of a stated grade."""
     sigma = {
         metric: tuple(
-            min(value, MOST_GRADES * stated.threshold * most / profile.threshold)
+            min(value, MAX_GRADES * stated.threshold * most / profile.threshold)
             for value, most in zip(values, stated.sigma.get(metric, values), strict=True)
         )
         for metric, values in profile.sigma.items()
     }
-    factor = min(profile.long_factor, MOST_GRADES * stated.long_factor)
+    factor = min(profile.long_factor, MAX_GRADES * stated.long_factor)
     return profile.model_copy(update={"sigma": sigma, "long_factor": factor})
 
 

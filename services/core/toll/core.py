@@ -8,7 +8,7 @@ from math import pi, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.dates import BEYOND_NS
+from shared.maths.dates import END_DATE_NS
 from shared.maths.earth import FloatArray
 from shared.messages.explanation import Explanation
 from shared.messages.fitting import fitting, size
@@ -35,7 +35,7 @@ from shared.messages.toll import (
 )
 from shared.messages.v2x import Cam, StationType
 from shared.toll.plaza import Plaza, along
-from shared.words.words import Told, reason
+from shared.words.words import CodedText, reason
 
 from .delta import DeltaEstimator
 from .gates import Arrival, is_near, refusal
@@ -54,7 +54,7 @@ MAX_REGISTRATIONS = 20_000
 MAX_UNSETTLED = 2000  # final statements that wait for the ledger
 REPEATED = 50  # of them a second
 GATE_VALID_S = 5  # after the predicted crossing
-LEAST_PROBABILITY = 1e-9  # that is published
+MIN_PROBABILITY = 1e-9  # that is published
 # Bytes in one message (`Topic.most_bytes`); UsedCams holds so many deltas of at most 700 bytes as well.
 EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 160, 150
 DELTA_ROUNDING = 4  # decimals of metres
@@ -603,7 +603,7 @@ class Core:
             station_ids=list(statement.station_ids),
             here=here,
             state=statement.state,
-            doubt=Told(statement.reason, statement.reason_code) if statement.reason else None,
+            doubt=CodedText(statement.reason, statement.reason_code) if statement.reason else None,
             crossing=crossing,
             stated_ns=statement.sampled_ns,
             overlaps=list(statement.overlaps),
@@ -723,7 +723,7 @@ class Core:
         return tuple(
             LaneProbability(lane=lane.name, probability=probability)
             for lane, probability in zip(self._plaza.lanes, lanes, strict=True)
-            if probability > LEAST_PROBABILITY
+            if probability > MIN_PROBABILITY
         )
 
     def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
@@ -793,7 +793,11 @@ def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequen
     for station_id in {cam.station_id for cam in cams}:
         core.register(
             TollRegistration(
-                sampled_ns=0, contract="evidence", tariff_class="", station_id=station_id, valid_until_ns=BEYOND_NS - 1
+                sampled_ns=0,
+                contract="evidence",
+                tariff_class="",
+                station_id=station_id,
+                valid_until_ns=END_DATE_NS - 1,
             )
         )
     for delta in deltas:

@@ -5,13 +5,13 @@ from math import hypot
 
 from shared.messages.explanation import explain
 from shared.messages.explanation import passage as reference_of
-from shared.words.words import Told, stated
+from shared.words.words import CodedText, stated
 
 from .codes import Code
 from .passages import Here, Passage
 from .settings import PassageSettings
 
-SLOWEST = 1.0  # [m/s] below which no crossing time is predicted
+MIN_SPEED_M_S = 1.0  # [m/s] below which no crossing time is predicted
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Arrival:
     @classmethod
     def of(cls, here: Here) -> "Arrival":
         """Predict the crossing at constant speed: t = -s/v, σ_t = hypot(σ_s, t σ_v) / v."""
-        if here.speed < SLOWEST:
+        if here.speed < MIN_SPEED_M_S:
             return cls(None, None)
         seconds = -here.along / here.speed
         sd_s = hypot(here.along_sd, seconds * here.speed_sd) / here.speed
@@ -38,7 +38,7 @@ def is_near(here: Here, settings: PassageSettings) -> bool:
     return -here.along <= max(settings.gate_lead_m, settings.gate_lead_s * here.speed)
 
 
-def refusal(passage: Passage, ahead: Passage | None) -> Told | None:
+def refusal(passage: Passage, ahead: Passage | None) -> CodedText | None:
     """Why the gate stays closed for a vehicle; None: it opens.
 
     `ahead` is another passage in the same lane of a stop-and-go gate that is nearer to its gate line.

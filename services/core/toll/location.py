@@ -13,7 +13,7 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 COMMON, CORRECTED, INDEPENDENT = range(3)  # hypotheses on the error of a vehicle's receiver
-BESIDE_M = 30.0  # width over which a vehicle that is in no lane is sought
+MAX_OFFSET_M = 30.0  # width over which a vehicle that is in no lane is sought
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def locate(
     is no delta, `shift_sd` is the common error's, and nothing is added.
     """
     prior = (1.0 - agreement.beside_prior) * allowed / allowed.sum(axis=1, keepdims=True)
-    beside = agreement.beside_prior / BESIDE_M
+    beside = agreement.beside_prior / MAX_OFFSET_M
     d = projection.direction
     left_of = np.stack([-d[..., 1], d[..., 0]], axis=-1)
     filter_cov = fixes.cov[:, None]

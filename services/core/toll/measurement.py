@@ -13,13 +13,13 @@ from .trackers.observation import SIZE, Observation
 SCALAR_95 = 1.96  # standard deviations of a scalar in its confidence of 95 %
 ELLIPSE_95 = 2.45  # standard deviations of an axis in an ellipse of 95 %
 # Standard deviations where a CAM states none, and the least that is used: heading, speed, acceleration, yaw rate.
-USUAL_SD = (radians(1.0), 0.15, 0.2, radians(0.4))
-LEAST_SD = (radians(0.2), 0.03, 0.05, radians(0.1))
-LEAST_POSITION_SD = 0.02  # [m]
+DEFAULT_SDS = (radians(1.0), 0.15, 0.2, radians(0.4))
+MIN_SD = (radians(0.2), 0.03, 0.05, radians(0.1))
+MIN_POSITION_SD = 0.02  # [m]
 
 
 @dataclass(frozen=True)
-class Measured:
+class CamMeasurement:
     """One CAM with its place in the plane, its time corrected to the unit's clock."""
 
     cam: Cam
@@ -39,7 +39,7 @@ class Measured:
         return None if major is None else major / ELLIPSE_95
 
 
-def observation(measured: Sequence[Measured], white_sd: float) -> Observation:
+def observation(measured: Sequence[CamMeasurement], white_sd: float) -> Observation:
     """Observation of n vehicles; R holds the white noise only, the larger part of GNSS errors is not white.
 
     Parameters
@@ -70,13 +70,13 @@ def observation(measured: Sequence[Measured], white_sd: float) -> Observation:
             cam.yaw_rate_confidence_rad_s,
         )
         z[k] = (item.east, item.north, *(value or 0.0 for value in values))
-        position_sd = max(min(white_sd, item.stated_sd or white_sd), LEAST_POSITION_SD)
+        position_sd = max(min(white_sd, item.stated_sd or white_sd), MIN_POSITION_SD)
         sd[k] = (
             position_sd,
             position_sd,
             *(
                 usual if stated is None else max(stated / SCALAR_95, least)
-                for stated, usual, least in zip(confidences, USUAL_SD, LEAST_SD, strict=True)
+                for stated, usual, least in zip(confidences, DEFAULT_SDS, MIN_SD, strict=True)
             ),
         )
         available.append((True, True, *(value is not None for value in values)))

@@ -8,7 +8,7 @@ from math import hypot, sqrt
 from shared.messages.explanation import Explanation, explain
 from shared.messages.explanation import passage as reference_of
 from shared.messages.toll import OVERLAPS, POSTERIORS, PassageState
-from shared.words.words import Told, stated
+from shared.words.words import CodedText, stated
 
 from .codes import Code
 from .settings import PassageSettings
@@ -106,8 +106,8 @@ class Passage:
     station_ids: list[int]
     here: Here
     state: PassageState = PassageState.OPEN
-    why: Told | None = None
-    doubt: Told | None = None  # why it will be suspect once it has crossed
+    why: CodedText | None = None
+    doubt: CodedText | None = None  # why it will be suspect once it has crossed
     crossing: Crossing | None = None
     exit_ns: int | None = None
     registered: bool = False

@@ -33,7 +33,7 @@ from .settings import Settings
 In = CamList | GnssFix | TollRegistration | OpenPassages | RestoredCams | TollDelta | Tick
 Out = PlazaDescription | TollDelta | TollTracks | TollPassage | GateCommand | UsedCams
 TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
-USED_NS = 500_000_000  # period of `toll/used_cam`
+USED_CAM_PERIOD_NS = 500_000_000  # period of `toll/used_cam`
 DELTA_NS = 900_000_000  # least distance of two deltas; receivers send one fix a second, or more
 NO_FIX_NS = 2_000_000_000  # without a fix for so long, a tick publishes why there is no delta
 
@@ -173,7 +173,7 @@ class Process:
 
     def _used(self, now_ns: int) -> Iterator[UsedCams]:
         """Publish what was used, for the process after this one."""
-        if now_ns - self._used_ns >= USED_NS:
+        if now_ns - self._used_ns >= USED_CAM_PERIOD_NS:
             self._used_ns = now_ns
             yield from self._publish_used(now_ns)
 

@@ -7,7 +7,7 @@ from shared.runtime.config import Section
 from .delta import ErrorModel
 from .location import Agreement
 
-SLOW_M_S = 4.0  # below it a vehicle sends one CAM a second, and one that is lost is no sign of a new station ID
+LOW_SPEED_M_S = 4.0  # below it a vehicle sends one CAM a second, and one that is lost is no sign of a new station ID
 
 
 class ErrorSettings(Section):
@@ -77,7 +77,7 @@ class TrackSettings(Section):
 
     def silence_ns(self, speed_m_s: float) -> int:
         """Silence of a station ID that confirms its change; at low speed two CAM must be missing, not five."""
-        return round(self.link_after_s * (2.0 if abs(speed_m_s) < SLOW_M_S else 1.0) * 1e9)
+        return round(self.link_after_s * (2.0 if abs(speed_m_s) < LOW_SPEED_M_S else 1.0) * 1e9)
 
 
 class PassageSettings(Section):

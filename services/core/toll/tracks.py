@@ -13,7 +13,7 @@ from shared.messages.toll import FRAMES, STATION_IDS
 from shared.messages.v2x import Cam
 from shared.toll.plaza import Plaza
 
-from .measurement import Measured, observation
+from .measurement import CamMeasurement, observation
 from .settings import Settings
 from .trackers.filters import Estimates, imm
 
@@ -59,7 +59,7 @@ class Update:
     """A track with the CAM that it has just used."""
 
     track: Track
-    measured: Measured
+    measured: CamMeasurement
     born: bool
     continues: Track | None = None  # track whose station ID is confirmed to have changed to this one's; it is deleted
 
@@ -162,7 +162,7 @@ class TrackTable:
         """
         waiting = [measured for cam in cams if (measured := self._measured(cam))]
         while waiting:
-            first: dict[int, Measured] = {}
+            first: dict[int, CamMeasurement] = {}
             later = []
             for item in waiting:
                 if first.setdefault(item.cam.station_id, item) is not item:
@@ -191,7 +191,7 @@ class TrackTable:
             self._delete(track)
         return silent
 
-    def _measured(self, cam: Cam) -> Measured | None:
+    def _measured(self, cam: Cam) -> CamMeasurement | None:
         """Place of a CAM in the plane; None if it cannot be used."""
         if reason := self.repetitions.add(cam):
             self.rejected[reason] += 1
@@ -206,9 +206,9 @@ class TrackTable:
         if hypot(north, east) > self._settings.range_m:
             self.rejected["out_of_range"] += 1
             return None
-        return Measured(cam, 0, east, north)
+        return CamMeasurement(cam, 0, east, north)
 
-    def _on_unit_time(self, one: Measured) -> Measured:
+    def _on_unit_time(self, one: CamMeasurement) -> CamMeasurement:
         """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM."""
         track, cam = self.by_station.get(one.cam.station_id), one.cam
         age_ns = cam.received_ns - cam.sampled_ns
@@ -222,7 +222,7 @@ class TrackTable:
         corrected = cam.model_copy(update={"sampled_ns": cam.sampled_ns + offset_ns})
         return replace(one, cam=corrected, clock_offset_ns=offset_ns)
 
-    def _round(self, measured: Sequence[Measured]) -> list[Update]:
+    def _round(self, measured: Sequence[CamMeasurement]) -> list[Update]:
         """Use one CAM of each of several stations."""
         known, new_tracks = [], []
         self._busy.clear()
@@ -240,7 +240,9 @@ class TrackTable:
         updates = self._continue(known, new_tracks) if known else []
         return updates + [update for new_track in new_tracks if (update := self._start_track(new_track))]
 
-    def _continue(self, known: Sequence[tuple[Track, Measured]], new_tracks: list[Measured]) -> list[Update]:
+    def _continue(
+        self, known: Sequence[tuple[Track, CamMeasurement]], new_tracks: list[CamMeasurement]
+    ) -> list[Update]:
         """Use the CAM of existing tracks inside their gates.
 
         A station ID whose CAM are outside the gate several times is used by another vehicle now: its track is deleted,
@@ -265,7 +267,7 @@ class TrackTable:
         self._busy.update(track.number for track, _ in used)
         return [self._noted(track, measured, born=False) for track, measured in used]
 
-    def _start_track(self, one: Measured) -> Update | None:
+    def _start_track(self, one: CamMeasurement) -> Update | None:
         """Begin a track with a CAM of an unknown station."""
         if not self._free:
             self.rejected["too_many_tracks"] += 1
@@ -285,7 +287,7 @@ class TrackTable:
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
-    def _silent_here(self, one: Measured) -> tuple[Track | None, int]:
+    def _silent_here(self, one: CamMeasurement) -> tuple[Track | None, int]:
         """Find the nearest track whose prediction is where an unknown station appears.
 
         Returns
@@ -309,7 +311,7 @@ class TrackTable:
             return None, 0
         return tracks[nearest], self._settings.silence_ns(state[nearest, 3])
 
-    def _noted(self, track: Track, one: Measured, *, born: bool) -> Update:
+    def _noted(self, track: Track, one: CamMeasurement, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
         track.frames.append(_received(one.cam))

@@ -12,13 +12,13 @@ from shared.messages.trust import Outcome
 from .facts import SECOND_NS, Facts, Monitor
 from .readmission import Judgement
 
-LOST_S = 3.0  # [s] without a used position
+LOSS_TIMEOUT_S = 3.0  # [s] without a used position
 RETURN_S = 10.0  # [s] after the return, in which evidence is still of the loss
 AGREEMENT_S = (60.0, 120.0)  # bounds of the time of agreement
 TIME_TESTS = frozenset({"gnss_time", "host_time"})  # say nothing of interference
 
 
-class AfterLoss:
+class InterferenceLoss:
     """Whether GNSS was lost with interference, since when, and whether its return has been confirmed."""
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class AfterLoss:
         solution = facts.solution
         if solution is None or solution.gnss_age_s is None or facts.gnss_excluded or solution.gnss_only:
             return
-        if solution.gnss_age_s > LOST_S:
+        if solution.gnss_age_s > LOSS_TIMEOUT_S:
             self._used_ns = self._used_ns or facts.time_ns - round(solution.gnss_age_s * SECOND_NS)
             self._returned_ns = None
         elif self._used_ns is not None:

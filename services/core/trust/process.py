@@ -26,15 +26,15 @@ from shared.messages.trust import (
 from shared.runtime.config import VehicleSettings
 from shared.words.words import REASON_LENGTH, reason
 
-from .after_loss import AfterLoss
+from .after_loss import InterferenceLoss
 from .codes import Code
 from .facts import DEFAULT_RISK, REQUIRED, Alternative, Facts, Limits, Monitor, Solution, Statement
 from .hypotheses.beliefs import Beliefs
 from .hypotheses.comparison import compared
 from .readmission import AGREES, REACHING_BACK, Admission, Readmission, judge_gnss, judge_imu
-from .record import Open, Recorder, is_suspect
+from .record import OpenConflict, Recorder, is_suspect
 from .start import Start
-from .steady import Steady
+from .steady import VerdictHysteresis
 
 In = (
     TrustMonitor
@@ -92,10 +92,10 @@ class Process:
         self._odometer_excluded = False
         self._alike_since_ns: int | None = None  # since when solutions without both have shown that they are falsified
         self._beliefs = Beliefs()
-        self._steady = Steady()
+        self._steady = VerdictHysteresis()
         self._alternatives: TrustHypotheses | None = None  # newest, of core.fusion
         self._load: ProcessLoad | None = None  # of core.fusion
-        self._start, self._recorder, self._after_loss = Start(), Recorder(), AfterLoss()
+        self._start, self._recorder, self._after_loss = Start(), Recorder(), InterferenceLoss()
         self._published: TrustState | None = None
         self._record: TrustRecord | None = None  # of an earlier process, until the first verdict
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
@@ -178,8 +178,8 @@ class Process:
         """Note that the process was stopped in order."""
         yield from self._recorder.end(self._published, self._open_sources(), self._start.confirmed_ns)
 
-    def _open_sources(self) -> Open:
-        return Open(
+    def _open_sources(self) -> OpenConflict:
+        return OpenConflict(
             self._gnss.suspect_since_ns,
             self._imu.suspect_since_ns,
             self._alike_since_ns,

@@ -20,9 +20,12 @@ from .verdict import solution_lost
 HEALTHY_S = 2.0
 SHORT_FAULT_S = 10.0
 REPEATED_WITHIN_S = 600.0
-LONGEST_HEALTHY_S = 60.0
-USUAL_S = (0.0, LONGEST_HEALTHY_S)  # bounds of the healthy time
-LOST_S = (LONGEST_HEALTHY_S, LONGEST_HEALTHY_S)  # the same where there is nothing that the source can be compared with
+MAX_HEALTHY_S = 60.0
+HEALTHY_BOUNDS_S = (0.0, MAX_HEALTHY_S)  # bounds of the healthy time
+UNCHECKED_BOUNDS_S = (
+    MAX_HEALTHY_S,
+    MAX_HEALTHY_S,
+)  # the same where there is nothing that the source can be compared with
 RETURN_S = (0.0, 5.0)  # after a closure: positions that were apart have come back
 # Normalised innovation squared over its gate up to which a position agrees with the solution without GNSS, and with one
 # whose protection level is above the alert limit: three times the distance.
@@ -40,7 +43,7 @@ def healthy_time(fault_s: float, earlier_faults: int) -> float:
     min(60 s, 2 s · max(1, fault / 10 s) · 2^n) with n faults before within 10 minutes.
     """
     doublings = min(earlier_faults, 10)  # far beyond the maximum
-    return float(min(LONGEST_HEALTHY_S, HEALTHY_S * max(1.0, fault_s / SHORT_FAULT_S) * 2**doublings))
+    return float(min(MAX_HEALTHY_S, HEALTHY_S * max(1.0, fault_s / SHORT_FAULT_S) * 2**doublings))
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Readmission:
 
     def update(
         self, time_ns: int, *, accused: bool, agrees: bool, decided: bool = False, contradicted: bool = False,
-        declined: bool = False, suspect_since_ns: int | None = None, within_s: tuple[float, float] = USUAL_S,
+        declined: bool = False, suspect_since_ns: int | None = None, within_s: tuple[float, float] = HEALTHY_BOUNDS_S,
     ) -> Admission:  # fmt: skip
         """Use the monitors' judgement of one time.
 
@@ -142,7 +145,7 @@ class Judgement:
     contradicted: bool  # its own does not
     agrees: bool
     suspect_since_ns: int | None
-    within_s: tuple[float, float] = USUAL_S  # bounds of the time of agreement that is needed
+    within_s: tuple[float, float] = HEALTHY_BOUNDS_S  # bounds of the time of agreement that is needed
 
 
 def judge_gnss(facts: Facts) -> Judgement:
@@ -174,8 +177,8 @@ def judge_gnss(facts: Facts) -> Judgement:
 
 def _bounds(facts: Facts, *, came_back: bool) -> tuple[float, float]:
     if is_lost(facts):
-        return LOST_S
-    return RETURN_S if came_back else USUAL_S
+        return UNCHECKED_BOUNDS_S
+    return RETURN_S if came_back else HEALTHY_BOUNDS_S
 
 
 def _may_be_alike(facts: Facts) -> bool:

@@ -11,7 +11,7 @@ CRANKING_NS = 20_000_000_000  # in which power may fail once more before there i
 
 
 @dataclass(frozen=True)
-class Open:
+class OpenConflict:
     """Since when each source is suspect, and whether the odometer is left out; None and False without a conflict."""
 
     gnss_ns: int | None = None
@@ -39,7 +39,7 @@ class Recorder:
         """Keep the last trusted position of the process before."""
         self._trusted, self._known = record.trusted, record
 
-    def update(self, state: TrustState, found: Open, confirmed_ns: int | None) -> Iterator[TrustRecord]:
+    def update(self, state: TrustState, found: OpenConflict, confirmed_ns: int | None) -> Iterator[TrustRecord]:
         """Use a verdict; yield a record if it is due."""
         solution, last = self._solution, self._last
         levels = state.protection_level_horizontal_m, state.protection_level_vertical_m
@@ -65,12 +65,12 @@ class Recorder:
             beliefs=tuple(filter(is_suspect, state.beliefs)),
             trusted=self._trusted,
         )
-        period_ns = OPEN_PERIOD_NS if found != Open() else PERIOD_NS
+        period_ns = OPEN_PERIOD_NS if found != OpenConflict() else PERIOD_NS
         if last is None or _kept(last) != _kept(record) or record.sampled_ns - last.sampled_ns >= period_ns:
             self._last = record
             yield record
 
-    def end(self, state: TrustState | None, found: Open, confirmed_ns: int | None) -> Iterator[TrustRecord]:
+    def end(self, state: TrustState | None, found: OpenConflict, confirmed_ns: int | None) -> Iterator[TrustRecord]:
         """Yield the last record of a process that is stopped."""
         if state is not None:
             self._last = None

@@ -13,7 +13,7 @@ from .codes import Code
 from .facts import SECOND_NS, Facts
 from .verdict import REASONS_MAXIMUM, Verdict, axes, verdict
 
-LASTS_S = 3.0  # of a better verdict, before it is given
+DURATION_S = 3.0  # of a better verdict, before it is given
 LEAVES_UNSAFE = 0.95  # share of the alert limit
 NARROWER = 0.75 / 0.8  # of the share above which a level is near its limit
 ROW_LEVEL, ROW_NEAR = 3, 8
@@ -21,7 +21,7 @@ ROW_LEVEL, ROW_NEAR = 3, 8
 ORDER = (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.CAUTION, TrustLevel.SAFE)
 
 
-class Steady:
+class VerdictHysteresis:
     """The verdict that is given, of those that the facts make."""
 
     def __init__(self) -> None:
@@ -41,10 +41,10 @@ class Steady:
             self._better_since_ns = facts.time_ns
         if self._worst is None or not _is_better(found, self._worst):
             self._worst = found
-        if (facts.time_ns - self._better_since_ns) / SECOND_NS >= LASTS_S:
+        if (facts.time_ns - self._better_since_ns) / SECOND_NS >= DURATION_S:
             self._given, self._better_since_ns, self._worst = self._worst, None, None
             return self._given
-        why = explain(Code.HAS_TO_LAST, state=self._worst.state.value, lasts_s=LASTS_S)
+        why = explain(Code.HAS_TO_LAST, state=self._worst.state.value, lasts_s=DURATION_S)
         return replace(given, reasons=(*given.reasons[: REASONS_MAXIMUM - 1], why), findings=found.findings)
 
 

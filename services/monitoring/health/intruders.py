@@ -3,13 +3,13 @@
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, explain, process
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, explain, process
 from shared.messages.operation import Problem
 from shared.words.words import reason
 
 from .codes import Code
 
-SHOWN_NS = 60_000_000_000  # after the last sign of it
+DISPLAY_TIME_NS = 60_000_000_000  # after the last sign of it
 WINDOW = 8  # names that a sentence holds
 BROKER = "broker"
 
@@ -46,17 +46,17 @@ class Intruders:
     def problems(self, now_ns: int) -> Iterator[Problem]:
         """What was seen in the last minute."""
         for events in (self._recent, self._crowded):
-            while events and now_ns - events[0][0] > SHOWN_NS:
+            while events and now_ns - events[0][0] > DISPLAY_TIME_NS:
                 events.popleft()
         if self._recent:
             number = sum(count for _, count in self._recent)
-            clients = Quoted(quoted=", ".join(self._names)[:QUOTED_LENGTH])
+            clients = QuotedText(quoted=", ".join(self._names)[:QUOTED_LENGTH])
             yield _problem(BROKER, explain(Code.REFUSED, refused_count=number, clients=clients), self._recent[0][0])
         if self._crowded:
             number = sum(count for _, count in self._crowded)
             yield _problem(BROKER, explain(Code.CROWDED, refused_count=number), self._crowded[0][0])
         for name, (since_ns, last_ns) in list(self._twice.items()):
-            if now_ns - last_ns > SHOWN_NS:
+            if now_ns - last_ns > DISPLAY_TIME_NS:
                 del self._twice[name]
                 continue
             yield _problem(name, explain(Code.RUNS_TWICE, process(name)), since_ns)

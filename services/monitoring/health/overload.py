@@ -11,9 +11,9 @@ from shared.words.words import reason
 from .codes import Code
 
 COMPUTER = "computer"
-LATE_S = 0.5  # delay of messages, from which a unit of milliseconds does not keep up
+MAX_DELAY_S = 0.5  # delay of messages, from which a unit of milliseconds does not keep up
 BEHIND_S = 1.0  # of the solution, beyond the delay of the samples it is made of
-LASTS_NS = 5_000_000_000  # after which a delay is no moment's
+DURATION_NS = 5_000_000_000  # after which a delay is no moment's
 SHARE_OF_LIMIT = 0.5  # of both limits, below which it is over
 
 
@@ -41,14 +41,14 @@ class Overload:
             [s] By how much the newest solutions are later than their samples; None while it is not known.
         """
         late_s = percentile(heartbeats_s, 0.5) or 0.0
-        share = max(late_s / LATE_S, (behind_s or 0.0) / BEHIND_S)
+        share = max(late_s / MAX_DELAY_S, (behind_s or 0.0) / BEHIND_S)
         if share >= 1.0:
             self._since_ns, self._over_since_ns = self._since_ns or now_ns, None
         elif share < SHARE_OF_LIMIT or self.problem is None:
             self._over_since_ns = self._over_since_ns or now_ns
-            if self.problem is None or now_ns - self._over_since_ns >= LASTS_NS:
+            if self.problem is None or now_ns - self._over_since_ns >= DURATION_NS:
                 self._since_ns = self.problem = None
-        if self._since_ns is not None and now_ns - self._since_ns >= LASTS_NS:
+        if self._since_ns is not None and now_ns - self._since_ns >= DURATION_NS:
             why = self._why(load, late_s, behind_s)
             self.problem = Problem(what=COMPUTER, text=reason(why), text_code=why, since_ns=self._since_ns)
 

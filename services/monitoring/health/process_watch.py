@@ -8,7 +8,7 @@ from shared.topics import BY_NAME
 
 LIMITS = limits_of(BY_NAME["health/+"])
 EARLIER_LIVES = 8
-STEADY_NS = 1_000_000_000  # of heartbeats in time, after which a pause between them is over
+RECOVERY_TIME_NS = 1_000_000_000  # of heartbeats in time, after which a pause between them is over
 OVER = {ProcessState.LOST: ProcessStatus.LOST, ProcessState.DISCONNECTED: ProcessStatus.ENDED}
 
 
@@ -48,7 +48,7 @@ class ProcessWatch:
 
     def spoke_after(self, due_ns: int) -> bool:
         """Whether a heartbeat came after a time, and not right after a pause between heartbeats."""
-        return (self.heartbeat_ns or 0) >= max(due_ns, self._steady_ns + STEADY_NS if self._steady_ns else 0)
+        return (self.heartbeat_ns or 0) >= max(due_ns, self._steady_ns + RECOVERY_TIME_NS if self._steady_ns else 0)
 
     def age_s(self, now_ns: int) -> float | None:
         """Give the age of the last heartbeat."""

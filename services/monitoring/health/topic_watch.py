@@ -3,9 +3,9 @@
 from collections import deque
 
 from shared.bus import codec
-from shared.messages.operation import Carried, Freshness, ProcessHealth
+from shared.messages.operation import Freshness, ProcessHealth, TopicTraffic
 from shared.runtime.freshness import freshness_of, limits_of, percentile
-from shared.runtime.tally import Tally
+from shared.runtime.tally import TopicCounters
 from shared.topics import Topic
 
 RATE_WINDOW_NS = 10_000_000_000
@@ -18,7 +18,7 @@ class TopicWatch:
 
     def __init__(self, topic: Topic) -> None:
         self.topic = topic
-        self.tally = Tally(topic)
+        self.tally = TopicCounters(topic)
         self.newest_ns: int | None = None
         self.producer: str | None = None
         self.kept = False  # only retained messages were received, which may be from before the start of the unit
@@ -40,7 +40,7 @@ class TopicWatch:
         self.producer = producer
         self.newest_ns = max(self.newest_ns or 0, received_ns)
 
-    def take_told(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> None:
+    def take_told(self, health: ProcessHealth, carried: TopicTraffic, *, published: bool, now_ns: int) -> None:
         """Note what a heartbeat tells."""
         self.tally.take(health, carried, published=published, now_ns=now_ns)
         if self.tally.latency_s is not None:

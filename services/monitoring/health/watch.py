@@ -27,7 +27,7 @@ from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, percentile
 from shared.runtime.tally import told
 from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
-from shared.words.words import Told, reason, stated
+from shared.words.words import CodedText, reason, stated
 
 from .causes import expected_topics, producers_of, upstream_of
 from .codes import Code, back, down
@@ -41,7 +41,7 @@ START_NS = 10_000_000_000  # retained messages, which may be older than this run
 RETURN_NS = 3_000_000_000  # time for processes to reconnect after the broker is back
 RECOVERY_NS = 60_000_000_000  # after it, topics that are still silent are no longer attributed to the broker
 SETTLE_NS = 10_000_000_000  # a relapse within this time continues the same outage
-MUTE_NS = 1_200_000_000  # a broker that does not even return our own heartbeat does not work
+BROKER_TIMEOUT_NS = 1_200_000_000  # a broker that does not even return our own heartbeat does not work
 STALL_NS = 1_000_000_000  # an observer that was suspended for longer cannot judge the others
 SLOW_NS = (
     8_000_000_000  # silence of a process that a slow step explains, while another's loss or start takes the computer
@@ -53,7 +53,7 @@ SOLUTION, SAMPLES, HEARTBEATS = "navigation/solution", "imu/sample", "health/+"
 
 
 @dataclass
-class _Open:
+class _OpenOutage:
     """An outage, and the topics that were not published since: each with the stamp of its last message before."""
 
     outage: Outage
@@ -80,8 +80,8 @@ class Watch:
         self._expected = expected_topics(self._configured)
         self._recording: RecordingState | None = None
         self._doubtful: dict[str, tuple[ProcessHealth, int, bool]] = {}  # last wills that nothing has followed
-        self._open: dict[str, _Open] = {}
-        self._settling: dict[str, _Open] = {}  # ended less than SETTLE_NS ago
+        self._open: dict[str, _OpenOutage] = {}
+        self._settling: dict[str, _OpenOutage] = {}  # ended less than SETTLE_NS ago
         self._events: list[Outage] = []
         self._overload = Overload(processors)
         self.intruders = Intruders()
@@ -151,7 +151,7 @@ class Watch:
         for problem in report.problems:
             if (outage := problem.outage) is not None and outage.what not in self._open:
                 silent_ns = {name: report.now_ns for name in problem.affected if name in self._topics}
-                self._open[outage.what] = _Open(outage, silent_ns=silent_ns)
+                self._open[outage.what] = _OpenOutage(outage, silent_ns=silent_ns)
         cause = explain(Code.NOT_MONITORED, process(SELF))
         self._events.append(_outage(SELF, report.now_ns, cause, self._started_ns))
 
@@ -163,7 +163,7 @@ class Watch:
         slept = now_ns - self._now_ns > STALL_NS
         if slept:
             self._received_ns = now_ns
-        answering = connected and now_ns - self._received_ns < MUTE_NS
+        answering = connected and now_ns - self._received_ns < BROKER_TIMEOUT_NS
         if slept or (answering and not self.answering):
             self._judged_from_ns, self._back_ns = now_ns + RETURN_NS, now_ns
         self._now_ns, self.answering = now_ns, answering
@@ -238,7 +238,7 @@ class Watch:
         others = (*self._open.items(), *self._settling.items())
         return self._overload.problem is not None or any(self._was_lost(*other) for other in others)
 
-    def _was_lost(self, what: str, entry: _Open) -> bool:
+    def _was_lost(self, what: str, entry: _OpenOutage) -> bool:
         """Whether an outage is that of a process that ended or was started again, and not only of one that hangs."""
         watch = self._processes.get(what)
         return watch is not None and (watch.state in OVER or watch.incarnation > entry.incarnation)
@@ -397,7 +397,7 @@ class Watch:
 
     def _begin(self, what: str, since_ns: int, cause: Explanation, topics: list[str]) -> None:
         self._settling.pop(what, None)
-        self._open[what] = entry = _Open(_outage(what, since_ns, cause))
+        self._open[what] = entry = _OpenOutage(_outage(what, since_ns, cause))
         self._affect(entry, topics)
         self._events.append(entry.outage)
 
@@ -407,7 +407,7 @@ class Watch:
         entry.outage = entry.outage.model_copy(update={"until_ns": None})
         self._events.append(entry.outage)
 
-    def _affect(self, entry: _Open, topics: list[str]) -> None:
+    def _affect(self, entry: _OpenOutage, topics: list[str]) -> None:
         entry.silent_ns |= {name: self._topics[name].newest_ns or 0 for name in topics}
         affected = _in_order({*entry.outage.affected, *topics})
         entry.outage = entry.outage.model_copy(update={"affected": affected})
@@ -431,7 +431,7 @@ class Watch:
                 if not entry.silent_ns:
                     self._settling[what] = entry
 
-    def _is_over(self, what: str, entry: _Open) -> bool:
+    def _is_over(self, what: str, entry: _OpenOutage) -> bool:
         if what == BROKER:
             silent = bool(entry.silent_ns) and self._now_ns < self._back_ns + RECOVERY_NS
             return self._now_ns >= self._judged_from_ns and not silent
@@ -446,14 +446,14 @@ class Watch:
             return self._back_ns
         return (self._processes[what].heartbeat_ns or 0) if what in self._processes else 0
 
-    def _problem(self, entry: _Open) -> Problem:
+    def _problem(self, entry: _OpenOutage) -> Problem:
         outage, told = entry.outage, self._effect(entry)
         return Problem(
             what=outage.what, text=told.text, text_code=told.code, since_ns=outage.since_ns,
             affected=_in_order(entry.silent_ns), outage=outage,
         )  # fmt: skip
 
-    def _effect(self, entry: _Open) -> Told:
+    def _effect(self, entry: _OpenOutage) -> CodedText:
         """Describe the present effect of an outage; one of an earlier release has no code."""
         what, waiting = entry.outage.what, _in_order(entry.silent_ns)
         if what == BROKER and self.answering:
@@ -467,7 +467,7 @@ class Watch:
             return stated(back(Code.RUNNING_AGAIN, Code.RUNNING_AGAIN_WAITING, process(what), waiting))
         if what in self._topics and what not in entry.silent_ns and waiting:
             return stated(back(Code.TOPIC_BACK_WAITING, Code.TOPIC_BACK_WAITING, topic(what), waiting))
-        return Told(entry.outage.cause, entry.outage.cause_code)
+        return CodedText(entry.outage.cause, entry.outage.cause_code)
 
     def _other_problems(self) -> list[Problem]:
         """List what is wrong although nothing is silent because of it."""

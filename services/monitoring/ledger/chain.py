@@ -24,14 +24,14 @@ from .store import Row, Store
 log = logging.getLogger(__name__)
 
 CURRENT, DAY, ENTRY, PACK = "ledger current", "ledger day", "ledger entry", "evidence pack"
-NEWEST = "current"  # name of its row; those of the days are dates
+CURRENT_ROW = "current"  # name of its row; those of the days are dates
 REFRESH_NS = 3600 * 1_000_000_000
-BOOKED = ("transaction_id", "passage_id", "kind", "booked_ns", "amount_cents", "content")
+BOOKING_COLUMNS = ("transaction_id", "passage_id", "kind", "booked_ns", "amount_cents", "content")
 
 
 def link_of(previous: str, number: int, booking: Mapping[str, object]) -> str:
     """Give the hash of an entry: of the one before, its number and every column of its booking."""
-    content = json.dumps([number, *(booking[name] for name in BOOKED)], separators=(",", ":"))
+    content = json.dumps([number, *(booking[name] for name in BOOKING_COLUMNS)], separators=(",", ":"))
     return hashlib.sha256(bytes.fromhex(previous) + content.encode()).hexdigest()
 
 
@@ -121,7 +121,7 @@ class Chain:
 
     def _newest(self) -> dict[str, str] | None:
         """The current signed statement; empty if it is not genuine or of another key, None if there is none."""
-        row = self._store.row("SELECT statement FROM head WHERE name = ?", NEWEST)
+        row = self._store.row("SELECT statement FROM head WHERE name = ?", CURRENT_ROW)
         if row is None or self._key is None:
             return None
         fields = genuine(CURRENT, row["statement"])
@@ -174,7 +174,7 @@ class Chain:
         fields = {**fields, "signed_ns": str(now_ns)}
         if (made := self._statement(CURRENT, fields)) is None:
             return
-        self._store.execute("INSERT OR REPLACE INTO head VALUES (?, ?)", NEWEST, json.dumps(made))
+        self._store.execute("INSERT OR REPLACE INTO head VALUES (?, ?)", CURRENT_ROW, json.dumps(made))
         if day:
             name = f"{datetime.fromtimestamp(now_ns // 1_000_000_000, UTC):%Y-%m-%d}"
             if (of_day := self._statement(DAY, {**fields, "day": name})) is not None:

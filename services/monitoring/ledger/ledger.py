@@ -17,13 +17,13 @@ from pydantic import Field, ValidationError
 
 from shared.evidence import KeyFile
 from shared.messages.base import Message
-from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, explain
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, explain
 from shared.messages.explanation import passage as passage_of
 from shared.messages.fitting import fitting
 from shared.messages.toll import (
+    MAX_SETTLED,
     OVERLAPS,
     PASSAGES,
-    SETTLED,
     STATION_IDS,
     STATIONS,
     EvidencePack,
@@ -45,8 +45,8 @@ from shared.messages.toll import (
 )
 from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
-from shared.unpacked import ALWAYS_BYTES, BadPack, unpacked
-from shared.words.words import Told, reason, stated
+from shared.unpacked import MIN_LIMIT_BYTES, BadPack, unpacked
+from shared.words.words import CodedText, reason, stated
 
 from .chain import Chain
 from .codes import Code
@@ -59,8 +59,8 @@ HOUR_NS = 3600 * NS
 DAY_NS = 24 * HOUR_NS
 DOUBTFUL_NS = 30 * DAY_NS  # since the newest evidence, after which a date at the start is not believed at once
 PASSAGES_BYTES = 120_000  # in one message, beside 50 kB of settled ones and 70 kB of stations
-RECENT = 50
-USED_KEPT_NS = 70 * NS
+RECENT_PASSAGES = 50
+USED_RETENTION_NS = 70 * NS
 OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
 UNCONFIRMED = "unconfirmed"  # count
@@ -109,7 +109,7 @@ class Settings(Section):
 
 
 @dataclass(frozen=True)
-class Matched:
+class PulseMatches:
     """Pulses and crossings that wait for their final account, and which belong to each other."""
 
     pulses: Mapping[int, Row] = field(default_factory=dict)  # by row
@@ -237,7 +237,7 @@ class Ledger:
         self._forget_used(used.sampled_ns)
 
     def _forget_used(self, now_ns: int) -> None:
-        while self._used and now_ns - self._used[0][0] > USED_KEPT_NS:
+        while self._used and now_ns - self._used[0][0] > USED_RETENTION_NS:
             self._used.popleft()
 
     # Periodic work
@@ -312,7 +312,7 @@ class Ledger:
                     self._count(row["lane"], row["crossing_ns"], self._without_detection(row["lane"]))
                 self._store.execute("DELETE FROM crossing WHERE number = ?", number)
 
-    def _matched(self) -> Matched:
+    def _matched(self) -> PulseMatches:
         """Assign the pulses and crossings that are not accounted for yet."""
         pulses = {
             row["rowid"]: row for row in self._store.rows("SELECT rowid, lane, sampled_ns FROM pulse WHERE NOT done")
@@ -324,13 +324,13 @@ class Ledger:
             detector_sd_s=self._settings.detector_sd_s,
             gate_s=self._settings.match_gate_s,
         )
-        return Matched(pulses, crossings, found)
+        return PulseMatches(pulses, crossings, found)
 
     def _without_detection(self, lane: str) -> str:
         """Name the count of a charge without a pulse: a fault only where there is a detector."""
         return "charged_without_detection" if lane in self._detectors else "unconfirmed"
 
-    def _confirm(self, matched: Matched, now_ns: int) -> None:
+    def _confirm(self, matched: PulseMatches, now_ns: int) -> None:
         """Charge the held passages whose pulse is there; send to review what detectors contradict."""
         claims = {
             row["passage_id"]: self._claim(row, matched.pulse_of.get(row["number"]), now_ns)
@@ -434,7 +434,9 @@ class Ledger:
             self.rejects["passages left out"] += len(open_) - len(passages)
         recently_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         settled = self._store.rows(
-            "SELECT passage_id FROM settled WHERE final_ns >= ? ORDER BY final_ns DESC LIMIT ?", recently_ns, SETTLED
+            "SELECT passage_id FROM settled WHERE final_ns >= ? ORDER BY final_ns DESC LIMIT ?",
+            recently_ns,
+            MAX_SETTLED,
         )
         registered = self._store.rows(
             "SELECT station_id, valid_until_ns FROM registration WHERE valid_until_ns >= ? "
@@ -517,7 +519,7 @@ class Ledger:
         if row is None:
             return None
         try:
-            pack = unpacked(row["pack"], "zlib", ALWAYS_BYTES)
+            pack = unpacked(row["pack"], "zlib", MIN_LIMIT_BYTES)
         except BadPack as error:
             raise self._store.damaged(f"the evidence of passage {passage_id[:8]}", error) from error
         if hashlib.sha256(pack).hexdigest() != row["digest"]:
@@ -693,14 +695,14 @@ class Ledger:
             review.passage_id, review.sampled_ns, review.model_dump_json(exclude_none=True),
         )  # fmt: skip
 
-    def _withdraw(self, passage_id: str, state: PassageState, why: Told, now_ns: int) -> None:
+    def _withdraw(self, passage_id: str, state: PassageState, why: CodedText, now_ns: int) -> None:
         """Take back what was held or charged, because the passage was none."""
         if self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id):
             self._change(passage_id, state=state, reason=why.text, reason_code=why.code)
         else:
             self._reverse(passage_id, why, now_ns)
 
-    def _reverse(self, passage_id: str, why: Told, now_ns: int) -> TollTransaction | None:
+    def _reverse(self, passage_id: str, why: CodedText, now_ns: int) -> TollTransaction | None:
         """Book the opposite of a charge, once; return the charge, or None if there is none or it is reversed."""
         rows = self._store.rows("SELECT kind, content FROM booking WHERE passage_id = ?", passage_id)
         content = {row["kind"]: row["content"] for row in rows}
@@ -765,7 +767,7 @@ class Ledger:
         self,
         message: TollPassage,
         state: PassageState,
-        why: Told,
+        why: CodedText,
         now_ns: int,
         contracts: Collection[tuple[str, str]] = (),
     ) -> None:
@@ -819,7 +821,7 @@ class Ledger:
         rows = self._store.rows(
             "SELECT passage_id, final_ns, summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
             "WHERE booking.passage_id = settled.passage_id) AS receipts FROM settled ORDER BY final_ns DESC LIMIT ?",
-            RECENT,
+            RECENT_PASSAGES,
         )
         ended = [
             (row["final_ns"],
@@ -829,13 +831,15 @@ class Ledger:
         ]  # fmt: skip
         missed = self._store.rows(
             "SELECT lane, since_ns, number, sampled_ns FROM pulse WHERE done = 2 ORDER BY sampled_ns DESC LIMIT ?",
-            RECENT,
+            RECENT_PASSAGES,
         )
         ended += [(row["sampled_ns"], _missed(row)) for row in missed]
         ended.sort(key=lambda pair: pair[0], reverse=True)
-        stored = self._store.rows("SELECT passage_id, statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT)
+        stored = self._store.rows(
+            "SELECT passage_id, statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT_PASSAGES
+        )
         open_ = [self._read(TollPassage, row["statement"], row["passage_id"]) for row in stored]
-        open_ += list(self._unregistered.values())[-RECENT:]
+        open_ += list(self._unregistered.values())[-RECENT_PASSAGES:]
         return (*(_summary(passage) for passage in open_), *(summary for _, summary in ended))
 
 
@@ -885,13 +889,13 @@ def _missed(row: Row) -> PassageSummary:
     )  # fmt: skip
 
 
-def _why(message: TollPassage) -> Told:
+def _why(message: TollPassage) -> CodedText:
     """What `core.toll` says of a passage; the name of its state where it says nothing."""
-    return Told(message.reason or message.state.value, message.reason_code)
+    return CodedText(message.reason or message.state.value, message.reason_code)
 
 
-def _quoted(text: str) -> Quoted:
-    return Quoted(quoted=text[:QUOTED_LENGTH])
+def _quoted(text: str) -> QuotedText:
+    return QuotedText(quoted=text[:QUOTED_LENGTH])
 
 
 def _probability(passage: TollPassage) -> float | None:

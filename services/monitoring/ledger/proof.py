@@ -12,9 +12,9 @@ from pathlib import Path
 from shared.evidence import KeyRing, Outcome, PublicKey
 from shared.evidence.statement import printable
 
-from .chain import BOOKED, CURRENT, DAY, NEWEST, PACK, genuine, link_of
+from .chain import BOOKING_COLUMNS, CURRENT, CURRENT_ROW, DAY, PACK, genuine, link_of
 
-NAMED = 8  # faults that are named one by one
+MAX_NAMED_FAULTS = 8  # faults that are named one by one
 
 
 @dataclass
@@ -30,8 +30,8 @@ class LedgerProof:
     @property
     def text(self) -> str:
         """All sentences in one line."""
-        more = len(self.sentences) - NAMED
-        return "; ".join([*self.sentences[:NAMED], *([f"and {more} more"] if more > 0 else [])])
+        more = len(self.sentences) - MAX_NAMED_FAULTS
+        return "; ".join([*self.sentences[:MAX_NAMED_FAULTS], *([f"and {more} more"] if more > 0 else [])])
 
     def fault(self, text: str) -> None:
         """Note something that concerns the whole ledger."""
@@ -62,10 +62,10 @@ def prove_ledger(path: Path, ring: KeyRing) -> LedgerProof:
             return proof
         proof.has_entries = True
         statements = {str(row["name"]): row["statement"] for row in database.execute("SELECT * FROM head")}
-        current = genuine(CURRENT, statements.get(NEWEST))
+        current = genuine(CURRENT, statements.get(CURRENT_ROW))
         if current is not None and not _has_numbers(current):
             current = None
-        days = {name: genuine(DAY, text) for name, text in statements.items() if name != NEWEST}
+        days = {name: genuine(DAY, text) for name, text in statements.items() if name != CURRENT_ROW}
         numbers = [
             int(record["number"]) for record in (current, *days.values()) if record is not None and _has_numbers(record)
         ]
@@ -91,7 +91,7 @@ def _check_rows(database: sqlite3.Connection, entries: _Entries, proof: LedgerPr
     """Compute each link by the one that is stated before it."""
     expected, previous = 1, ""
     for row in database.execute(
-        f"SELECT number, entry.transaction_id AS entered, link, {', '.join(f'booking.{n}' for n in BOOKED)} "
+        f"SELECT number, entry.transaction_id AS entered, link, {', '.join(f'booking.{n}' for n in BOOKING_COLUMNS)} "
         "FROM entry LEFT JOIN booking USING (transaction_id) ORDER BY number"
     ):
         number, passage_id = row["number"], str(row["passage_id"])
@@ -148,7 +148,7 @@ def _check_heads(
 ) -> None:
     """Compare the newest signed statement with the chain."""
     if current is None:
-        if NEWEST in statements:
+        if CURRENT_ROW in statements:
             proof.fault("the signature of its newest entry does not fit it")
         elif statements:
             proof.fault("the signature of its newest entry was removed")

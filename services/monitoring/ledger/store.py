@@ -12,7 +12,7 @@ SCHEMA = Path(__file__).with_name("schema.sql")
 VERSION = 3
 # Columns that tables of earlier versions lack: 1 held no names beside a crossing, and charged without detectors; 2 had
 # no signatures.
-ADDED = {
+ADDED_COLUMNS = {
     "evidence": ("seal TEXT",),
     "crossing": ("passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0"),
 }
@@ -56,7 +56,7 @@ class Store:
 
         Everything else of it is valid as it is; new tables are created by the schema.
         """
-        for table, columns in ADDED.items():
+        for table, columns in ADDED_COLUMNS.items():
             present = {row["name"] for row in self._db.execute(f"PRAGMA table_info({table})")}
             for column in columns if present else ():
                 if column.split()[0] not in present:
@@ -122,8 +122,8 @@ class Store:
             raise LedgerFault(f"the ledger {self.path} cannot be used: {error}; {_remedy(error)}") from error
 
 
-ROOM = "make room on its disk; charging continues by itself"
-DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last: content of a row
+DISK_FULL_REMEDY = "make room on its disk; charging continues by itself"
+DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last: content of a row
 RESTORE = "move it away for examination and restore its backup; without one a new ledger is begun"
 
 
@@ -132,8 +132,8 @@ def _remedy(error: Exception) -> str:
     code = getattr(error, "sqlite_errorcode", None)
     primary = None if code is None else code & 0xFF
     if primary == sqlite3.SQLITE_FULL or (isinstance(error, OSError) and error.errno == ENOSPC):
-        return ROOM
+        return DISK_FULL_REMEDY
     is_ours = code is None and type(error) is sqlite3.DatabaseError
-    if primary in DAMAGED or is_ours:
+    if primary in DAMAGE_CODES or is_ours:
         return RESTORE
     return "check its folder's owner and its disk"

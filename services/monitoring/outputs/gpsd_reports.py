@@ -13,8 +13,8 @@ from .report import ELLIPSE_95, SCALAR_95, Place, Quality, Report
 
 RELEASE = "3.22"  # of gpsd, whose protocol this is: clients compare the numbers of the protocol alone
 PROTOCOL = (3, 14)  # major and minor, of that release
-LONGEST = 10_240  # characters of one object: GPS_JSON_RESPONSE_MAX of gpsd
-MOST_SATELLITES = 72  # of one SKY: the client library of gpsd before 3.20 has room for as many
+MAX_LENGTH = 10_240  # characters of one object: GPS_JSON_RESPONSE_MAX of gpsd
+MAX_SATELLITES = 72  # of one SKY: the client library of gpsd before 3.20 has room for as many
 DEVICE = "obu"  # path of the one device
 
 NO_FIX, THREE_D = 1, 3  # `mode`
@@ -180,7 +180,7 @@ def _satellites(seen: GnssSatellites) -> list[Object]:
     """Used ones first, so that a cut does not cost them."""
     ordered = sorted(seen.satellites, key=lambda satellite: not satellite.used)
     rows = []
-    for satellite in ordered[:MOST_SATELLITES]:
+    for satellite in ordered[:MAX_SATELLITES]:
         if satellite.constellation not in SYSTEMS or satellite.number > 255:
             continue
         system, offset = SYSTEMS[satellite.constellation]

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from . import gpsd_reports as reports
 from .gpsd_reports import Object, encoded
 
-LONGEST_REQUEST = 1024  # bytes; gpsd itself accepts 80 in a request
-MOST_ERRORS = 10  # a port scanner, or a browser; a program asks for a few things that this server does not know
+MAX_REQUEST = 1024  # bytes; gpsd itself accepts 80 in a request
+MAX_ERRORS = 10  # a port scanner, or a browser; a program asks for a few things that this server does not know
 REQUEST = re.compile(r"\?([A-Z]{1,16})(?:=(\{.*\}))?")
 NAMES = frozenset((b"?VERSION", b"?DEVICES", b"?DEVICE", b"?WATCH", b"?POLL"))
 ENDS, QUERY, OPEN, CLOSE, QUOTE, BACKSLASH = b";\r\n", *b'?{}"\\'
@@ -29,7 +29,7 @@ class BadClient(Exception):
 
 
 @dataclass
-class Shared:
+class SharedReports:
     """What all clients see: the newest objects, for POLL, and since when the unit runs [ns, UTC]."""
 
     started_ns: int = 0
@@ -40,7 +40,7 @@ class Shared:
 class Session:
     """State of one client."""
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: SharedReports) -> None:
         self._shared = shared
         self._watch = dict(WATCH_DEFAULTS)
         self._pending = b""
@@ -67,7 +67,7 @@ class Session:
         *requests, self._pending = _split(self._pending)
         if requests and self._answered:
             requests, self._answered = requests[requests[0] == self._answered :], b""
-        if len(self._pending) > LONGEST_REQUEST or any(len(request) > LONGEST_REQUEST for request in requests):
+        if len(self._pending) > MAX_REQUEST or any(len(request) > MAX_REQUEST for request in requests):
             raise BadClient("request_length")
         return b"".join(encoded(content) for request in requests for content in self._answer(request))
 
@@ -144,7 +144,7 @@ class Session:
 
     def _error(self, message: str) -> Object:
         self._errors += 1
-        if self._errors > MOST_ERRORS:
+        if self._errors > MAX_ERRORS:
             raise BadClient("bad_requests")
         return reports.error(message)
 

@@ -19,8 +19,8 @@ from .report import Place, Quality, Report
 
 KNOT_M_S = 1852.0 / 3600.0
 TALKER = "GN"  # more than one system; readers know it better than IN, integrated navigation
-LARGEST_DOP = 99.9  # sentences stay within their length
-MOST_OF_CONSTELLATION = 12  # numbers in one GSA sentence
+MAX_DOP = 99.9  # sentences stay within their length
+MAX_OF_CONSTELLATION = 12  # numbers in one GSA sentence
 INDICATORS = {
     Quality.INVALID: "N",
     Quality.AUTONOMOUS: "A",
@@ -65,7 +65,7 @@ def gga(report: Report) -> Iterator[str]:
     used = fix.satellites_used if fix is not None and not report.coasting and place is not None else None
     hdop = fix.hdop if fix is not None and used is not None else None
     msl, separation = (None, None) if place is None else (place.height_msl_m, place.separation_m)
-    count = f"{min(used or 0, MOST_OF_CONSTELLATION):02d}"  # as of a sentence of one GSA
+    count = f"{min(used or 0, MAX_OF_CONSTELLATION):02d}"  # as of a sentence of one GSA
     yield sentence("GGA", _clock(_moment(report)), *_position(place), str(int(report.quality)), count, _dop(hdop),
                    _number(msl, 2), "M", _number(separation, 1), "M", "", "")  # fmt: skip
 
@@ -78,8 +78,8 @@ def gsa(report: Report) -> Iterator[str]:
         _dop(fix.pdop), _dop(fix.hdop), _dop(fix.vdop))  # fmt: skip
     used = {} if place is None or report.coasting else _used(report.satellites)
     for system, numbers in used.items() or (("1", []),):
-        shown = [f"{number:02d}" for number in numbers[:MOST_OF_CONSTELLATION]]
-        yield sentence("GSA", "A", mode, *shown, *[""] * (MOST_OF_CONSTELLATION - len(shown)), *dops, system)
+        shown = [f"{number:02d}" for number in numbers[:MAX_OF_CONSTELLATION]]
+        yield sentence("GSA", "A", mode, *shown, *[""] * (MAX_OF_CONSTELLATION - len(shown)), *dops, system)
 
 
 def gst(report: Report) -> Iterator[str]:
@@ -159,4 +159,4 @@ def _number(value: float | None, decimals: int) -> str:
 
 
 def _dop(value: float | None) -> str:
-    return "" if value is None else f"{min(max(value, 0.0), LARGEST_DOP):.1f}"
+    return "" if value is None else f"{min(max(value, 0.0), MAX_DOP):.1f}"

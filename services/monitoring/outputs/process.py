@@ -17,9 +17,9 @@ from shared.runtime.config import Section
 from shared.topics import BY_NAME
 
 from . import gpsd_reports
-from .gpsd_session import Session, Shared
+from .gpsd_session import Session, SharedReports
 from .nmea import ENCODERS, SentenceName, burst
-from .report import STALE_NS, Newest
+from .report import STALE_AFTER_NS, LatestMessages
 from .server import Listener, Peer, Servers, TcpServer, UdpSender
 
 log = logging.getLogger(__name__)
@@ -28,8 +28,8 @@ NS = 1_000_000_000
 SOLUTION = BY_NAME["navigation/solution"]
 SILENT_PERIOD_NS = NS  # between two reports while there is no solution
 SKY_PERIOD_NS = NS
-TURN_S = 0.1  # longest time between two looks at the clients
-MOST_DESTINATIONS = 8  # of datagrams
+POLL_PERIOD_S = 0.1  # longest time between two looks at the clients
+MAX_DESTINATIONS = 8  # of datagrams
 GPSD_REMEDY = "if it is gpsd: sudo systemctl disable --now gpsd.socket gpsd; or set gpsd_port. It is tried every 5 s"
 NMEA_REMEDY = "set nmea_port. It is tried every 5 s"
 
@@ -48,7 +48,7 @@ class Config(Section):
     nmea_port: int = Field(default=10110, ge=0, le=65535, description="TCP port of NMEA 0183; 0: none")
     nmea_udp: tuple[Annotated[str, Field(max_length=260)], ...] = Field(
         default=(),
-        max_length=MOST_DESTINATIONS,
+        max_length=MAX_DESTINATIONS,
         description='where NMEA 0183 is sent as datagrams: "host:port"; a broadcast address reaches its whole network',
     )
     rate_hz: int = Field(default=1, ge=1, le=10, description="reports in a second, at most as many as solutions")
@@ -78,7 +78,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._newest, self._shared = Newest(), Shared()
+        self._newest, self._shared = LatestMessages(), SharedReports()
         self._slot = -1  # number of the period of the newest report
         self._silent_ns = self._sky_ns = 0  # when the next report without a solution and the next SKY are due
         host = config.host or os.environ.get("OBU_OUTPUTS_HOST", "127.0.0.1")
@@ -97,7 +97,7 @@ class Process:
         fault: str | None = None
         try:
             while not bus.stopping:
-                for envelope in bus.receive(TURN_S):
+                for envelope in bus.receive(POLL_PERIOD_S):
                     with faults.handling(bus.now_ns()):
                         self._take(bus, envelope, servers, datagrams)
                 if bus.now_ns() >= self._silent_ns:
@@ -117,7 +117,7 @@ class Process:
             case NavigationSolution():
                 self._newest.add_solution(message, envelope.received_ns, recorded_ns=envelope.recorded_ns)
                 self._give(now_ns, servers, datagrams)
-                self._silent_ns = now_ns + STALE_NS
+                self._silent_ns = now_ns + STALE_AFTER_NS
             case TrustState():
                 self._newest.add_trust(message)
             case GnssFix():

@@ -16,11 +16,11 @@ from shared.messages.operation import Origin, OriginKind
 from shared.messages.trust import TrustLevel, TrustState
 
 NS = 1_000_000_000
-STALE_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
+STALE_AFTER_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
 VERDICT_SILENT_NS = 5 * NS  # deadline of trust/state there
 ORIGIN_SILENT_NS = 10 * NS  # deadline of origin/state there
 FIX_SILENT_NS = 5 * NS  # of gnss/fix and gnss/satellites: their DOP and satellites are not of the solution any more
-MOST_PRODUCERS = 16  # of origin/state that are remembered; a unit has four
+MAX_PRODUCERS = 16  # of origin/state that are remembered; a unit has four
 SCALAR_95 = 1.959964  # standard normal distribution, two-sided
 ELLIPSE_95 = 2.447747  # sqrt of the 0.95 quantile of chi-square with 2 degrees of freedom: sqrt(-2 ln 0.05)
 SLOWEST_COURSE_M_S = 1.0  # below it the course is noise; the CAM has the same limit
@@ -82,7 +82,7 @@ class Report:
 
 
 @dataclass
-class Newest:
+class LatestMessages:
     """The newest messages, and what follows from them for other programs. Times in ns on the OBU time line."""
 
     _solution: NavigationSolution | None = None
@@ -112,7 +112,7 @@ class Newest:
             return
         self._origins[producer] = origin.kind, now_ns
         self._origins.move_to_end(producer)
-        if len(self._origins) > MOST_PRODUCERS:
+        if len(self._origins) > MAX_PRODUCERS:
             self._origins.popitem(last=False)
 
     def add_fix(self, fix: GnssFix) -> None:
@@ -138,7 +138,7 @@ class Newest:
         if solution is None:
             return self._without_fix(now_ns)
         age_ns = self._solution_age_ns + now_ns - self._solution_at_ns
-        if age_ns > STALE_NS:
+        if age_ns > STALE_AFTER_NS:
             return self._without_fix(solution.sampled_ns + age_ns)
         time_ns = solution.sampled_ns
         simulated = self._simulated(now_ns)

@@ -21,7 +21,7 @@ QUEUE_BYTES = 64 * 1024  # for a slow client: more than ten seconds of the faste
 SEND_BUFFER_BYTES = 32 * 1024  # of the kernel, so that a stopped client is not served old positions for long
 READ_BYTES = 4096
 PAUSE_S = 0.5  # after which a request without an end is taken as ended
-DEAD_S = 30  # a client that acknowledges nothing for so long is gone
+ACKNOWLEDGE_TIMEOUT_S = 30  # a client that acknowledges nothing for so long is gone
 BACKLOG = 8
 Address = tuple[str, int]
 
@@ -132,7 +132,7 @@ class Servers:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_S * 1000)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, ACKNOWLEDGE_TIMEOUT_S * 1000)
         self.clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, client)
         self._queue(client, client.peer.greeting())

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
 from shared.evidence import KeyFile, keys_folder
-from shared.messages.explanation import QUOTED_LENGTH, Explanation, Quoted, explain
+from shared.messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, explain
 from shared.messages.operation import ModeState, RecordingState
 from shared.processes import Role
 from shared.recording.folder import RecordingFolder
@@ -165,8 +165,8 @@ class Process:
         )  # fmt: skip
 
 
-def _quoted(text: object) -> Quoted:
-    return Quoted(quoted=str(text)[-QUOTED_LENGTH:])
+def _quoted(text: object) -> QuotedText:
+    return QuotedText(quoted=str(text)[-QUOTED_LENGTH:])
 
 
 def _connect(bus: Bus) -> list[Envelope]:

@@ -12,13 +12,13 @@ from shared.messages.explanation import Explanation, explain, process, topic
 
 from .codes import Code
 
-SHARE = 8  # of the room for all recordings, one part of which a topic may fill at once
+TOPIC_SHARE = 8  # of the room for all recordings, one part of which a topic may fill at once
 SOURCES_TOPICS = 2  # a source may fill as much as so many topics
 SENDERS_MAXIMUM = 3  # named by the code of a flood
-MOST_BUDGETS = 512  # of names that come from the bus; further ones share one budget
+MAX_BUDGETS = 512  # of names that come from the bus; further ones share one budget
 OTHERS = "others"
 TOPIC, SOURCE = "topic", "source"  # kinds of budgets
-TOLD_NS = 10_000_000_000  # for which a flood is said after its last message
+REPORT_PERIOD_NS = 10_000_000_000  # for which a flood is said after its last message
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Quota:
     """Budgets by topic and by source; `left_out` counts the messages that none of them held."""
 
     def __init__(self, bytes_per_s: float, total_bytes: int) -> None:
-        self._rate_per_s, self._size = bytes_per_s, max(total_bytes / SHARE, bytes_per_s)
+        self._rate_per_s, self._size = bytes_per_s, max(total_bytes / TOPIC_SHARE, bytes_per_s)
         self._budgets: dict[tuple[str, str], _Budget] = {}
         self.left_out = 0
 
@@ -54,7 +54,7 @@ class Quota:
         flooded = [
             ((topic if kind == TOPIC else process)(name), budget.left_out)
             for (kind, name), budget in self._budgets.items()
-            if budget.left_out and now_ns - budget.last_ns < TOLD_NS
+            if budget.left_out and now_ns - budget.last_ns < REPORT_PERIOD_NS
         ]
         if not flooded:
             return None
@@ -83,7 +83,7 @@ class Quota:
 
     def _budget(self, kind: str, name: str, times: int, now_ns: int) -> _Budget:
         key = (kind, name)
-        if key not in self._budgets and len(self._budgets) >= MOST_BUDGETS:
+        if key not in self._budgets and len(self._budgets) >= MAX_BUDGETS:
             key = (kind, OTHERS)
         if key not in self._budgets:
             size = self._size * times

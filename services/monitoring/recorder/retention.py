@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from shared.library.order import natural
 from shared.messages.explanation import Explanation, explain
-from shared.recording.folder import Stored
+from shared.recording.folder import StoredRecording
 
 from .codes import Code
 
@@ -28,7 +28,9 @@ class Verdict:
     refusal: Explanation | None = None
 
 
-def decide(stored: Iterable[Stored], free_bytes: int, limits: Limits, *, open_name: str | None = None) -> Verdict:
+def decide(
+    stored: Iterable[StoredRecording], free_bytes: int, limits: Limits, *, open_name: str | None = None
+) -> Verdict:
     """Choose the recordings that must go, so that both limits hold.
 
     Parameters

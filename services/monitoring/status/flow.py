@@ -6,16 +6,16 @@ from itertools import pairwise
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
-from shared.messages.operation import Carried, Consumed, Freshness, MessageKind, ProcessHealth
+from shared.messages.operation import ConsumptionOrder, Freshness, MessageKind, ProcessHealth, TopicTraffic
 from shared.runtime.freshness import freshness_of, limits_of, percentile
-from shared.runtime.tally import Tally
+from shared.runtime.tally import TopicCounters
 from shared.topics import Topic
 
 RATE_WINDOW_S = 10
 SAMPLES = 256
 HEARTBEATS = 11  # five seconds: the host counts CPU time in steps of 10 ms
 EAGER_UP_TO_HZ = 20.0
-SPARSE = 16  # of a faster topic one message in so many is decoded, unless somebody looks
+DECIMATION = 16  # of a faster topic one message in so many is decoded, unless somebody looks
 # Of these the track, the histories and the counters take every message; other fast topics only for those who look.
 DRAWN = ("navigation/solution", "navigation/aiding", "vehicle/wheel_speed", "truth/state")
 LATENCY_MAXIMUM_S = 60.0  # beyond, the stamp is of another time line
@@ -41,7 +41,7 @@ class TopicFlow:
     def __init__(self, name: str, topic: Topic) -> None:
         self.name, self.topic = name, topic
         self.limits = limits_of(topic)
-        self.tally = Tally(topic)
+        self.tally = TopicCounters(topic)
         self.followed = True
         self.producer, self.incarnation = "", 0  # of the newest; not before `incarnation`
         self.newest: Envelope | None = None
@@ -57,7 +57,7 @@ class TopicFlow:
         self._taken = self._counted = 0  # messages, now and at the end of the last second
         self._lag_ns = 0  # from the stamp of the newest message that was decoded to its arrival
         fast = (topic.rate_hz or 0.0) > EAGER_UP_TO_HZ and not topic.is_raw
-        self._decode_every = 0 if topic.message is Consumed else SPARSE if fast else 1
+        self._decode_every = 0 if topic.message is ConsumptionOrder else DECIMATION if fast else 1
 
     def note(self, envelope: Envelope) -> Message | None:
         """Take one message; returns it if it was decoded, None if it can wait, or raises `BadPayload`."""
@@ -82,7 +82,7 @@ class TopicFlow:
             self._note_latency(said_ns, envelope.received_ns)
         return message
 
-    def note_told(self, health: ProcessHealth, carried: Carried, *, published: bool, now_ns: int) -> float | None:
+    def note_told(self, health: ProcessHealth, carried: TopicTraffic, *, published: bool, now_ns: int) -> float | None:
         """Note what a heartbeat tells; gives the latency that it tells of, None while the topic is followed."""
         self.tally.take(health, carried, published=published, now_ns=now_ns)
         if self.followed or self.tally.newest_ns is None:

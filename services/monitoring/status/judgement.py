@@ -8,7 +8,7 @@ from shared.messages.explanation import Explanation, explain, process
 from shared.messages.operation import DeadlineReport, Outage, Problem, ProcessStatus, TopicAge
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.topics import BY_NAME
-from shared.words.words import Told, reason, stated
+from shared.words.words import CodedText, reason, stated
 
 from .views.codes import Code
 
@@ -33,14 +33,14 @@ class Judgement:
         """Processes that do no work, in the order of the data flow."""
         return tuple(name for name, status in self.statuses.items() if status.down)
 
-    def cause(self, topic: str) -> Told | None:
+    def cause(self, topic: str) -> CodedText | None:
         """Give the root cause of the silence of a topic; None if it is not known, or not silent."""
         if not self.complete:
             if not self.problems:
                 return stated(explain(Code.NOT_REPORTED_YET, process(WATCHDOG)))
-            return Told(self.problems[0].text, self.problems[0].text_code)
+            return CodedText(self.problems[0].text, self.problems[0].text_code)
         row = self.topics.get(topic)
-        return None if row is None or row.cause is None else Told(row.cause, row.cause_code)
+        return None if row is None or row.cause is None else CodedText(row.cause, row.cause_code)
 
 
 def from_report(report: DeadlineReport) -> Judgement:

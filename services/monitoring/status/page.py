@@ -17,18 +17,20 @@ from .web.access.login import LoginState
 from .web.access.rights import Right
 from .web.map import MapApi
 from .web.replay import ReplayApi
-from .web.routes import Api, Watching
+from .web.routes import Api, ClientStreams
 from .web.series import SeriesApi
 from .web.stream.events import Events
 from .web.stream.patch import Json
 from .web.stream.websocket import Stream
 
 DASHBOARD = Path(__file__).parent / "dashboard"
-SILENT_NS = BROKER_SILENT_NS  # what is silence of the broker on the unit's own page is that of the vehicle here
+SILENCE_TIMEOUT_NS = (
+    BROKER_SILENT_NS  # what is silence of the broker on the unit's own page is that of the vehicle here
+)
 HISTORY_S = 900.0
 
 
-class PassedOnPage:
+class RemotePage:
     """State, streams and application of one unit; `lock` is held by who writes the state."""
 
     def __init__(
@@ -52,7 +54,7 @@ class PassedOnPage:
         Api(self.state, self.lock, self._now_ns, CollectorRegistry(), HISTORY_S).add_to(app)
         SeriesApi(self.state, self.lock, self._now_ns, self._clients).add_to(app)
         MapApi(self.state, self.lock, self._now_ns, map_file).add_to(app)
-        Watching(self.stream, self.events).add_to(app)
+        ClientStreams(self.stream, self.events).add_to(app)
         app.add_api_route("/api/session", _no_session)
         app.include_router(pages.router())
         tell_browsers(app, style)

@@ -38,7 +38,7 @@ from .web.map import MapApi
 from .web.page_errors import PageErrorsApi, count
 from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
-from .web.routes import LIMITED_LOGS, Api, Watching, make_app
+from .web.routes import LIMITED_LOGS, Api, ClientStreams, make_app
 from .web.series import SeriesApi
 from .web.simulation import SimulationApi
 from .web.stream.events import Events
@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 PAST_PERIOD_S = 1.0
 HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"
-LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
+POLL_PERIOD_NS = 2_000_000_000  # between two looks at the folder of recordings
 
 
 class Config(Section):
@@ -148,7 +148,7 @@ class Process:
         while not bus.stopping:
             bus.follow(state.followed)
             if bus.now_ns() >= look_ns:
-                look_ns = bus.now_ns() + LOOK_NS
+                look_ns = bus.now_ns() + POLL_PERIOD_NS
                 library.look(open_name(state))
             if feed is None:
                 take_in(bus, state, lock, faults)
@@ -184,7 +184,7 @@ class Process:
         series = SeriesApi(state, lock, now_ns, clients)
         collector = StateCollector(state, now_ns, lock, VERSION)
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
-        watching = Watching(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
+        watching = ClientStreams(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
         access = self._make_access(bus)
         app = make_app(api, (series, *apis, maps), read_pages(folder), watching, access)

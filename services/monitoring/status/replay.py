@@ -10,7 +10,7 @@ from shared.messages.replay import ReplayEvents, ReplayState
 from .state import State
 
 RUNS_ON_NS = 1_000_000_000  # of the host: so long recorded time goes on without news of the replay
-LONGEST_JUMP = 5_000  # messages that rebuild a position
+MAX_JUMP = 5_000  # messages that rebuild a position
 
 
 class ReplayFeed:
@@ -54,7 +54,7 @@ class ReplayFeed:
         elif envelope.recorded_ns is not None or envelope.topic == "origin/state":
             if self._jump is None:
                 self._play(envelope)
-            elif len(self._jump) < LONGEST_JUMP:
+            elif len(self._jump) < MAX_JUMP:
                 self._jump.append(envelope)
 
     def _follow(self, envelope: Envelope, host_ns: int) -> None:

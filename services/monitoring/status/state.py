@@ -40,12 +40,12 @@ from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.runtime.tally import told
 from shared.topics import TOPICS, topic_of
-from shared.words.words import Told, stated
+from shared.words.words import CodedText, stated
 
 from .flow import ProcessFlow, TopicFlow, on_demand
 from .history.alternatives import Alternatives
 from .history.columns import History, TrustHistory
-from .history.gnss_history import GnssHistory, KeptFix, KeptSky
+from .history.gnss_history import FixClass, GnssHistory, SkyTrackPoints
 from .history.track import Track
 from .history.track_row import track_row
 from .judgement import (
@@ -72,12 +72,12 @@ UNSAVED = 1000  # records
 SAMPLE_NS = 200_000_000
 SECOND_NS = STALL_NS = 1_000_000_000
 WITH_POSITION = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
-LOOK_NS = 5_000_000_000  # after a question about a topic, for which its messages are followed
+POLL_PERIOD_NS = 5_000_000_000  # after a question about a topic, for which its messages are followed
 TRUST_EVENTS = 50  # newest, kept
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
 
-class KeptVerdict(BaseModel):
+class VerdictSecond(BaseModel):
     """State of one second, the monitors' statistics over thresholds, and the probabilities of the hypotheses."""
 
     model_config = ConfigDict(defer_build=True)
@@ -88,7 +88,7 @@ class KeptVerdict(BaseModel):
     probabilities: dict[str, float] = {}
 
 
-class KeptOutage(BaseModel):
+class OutageChange(BaseModel):
     """Begin or end of an outage."""
 
     model_config = ConfigDict(defer_build=True)
@@ -97,7 +97,7 @@ class KeptOutage(BaseModel):
     message: Outage
 
 
-class KeptEvent(BaseModel):
+class VerdictChange(BaseModel):
     """Change of the verdict."""
 
     model_config = ConfigDict(defer_build=True)
@@ -106,7 +106,7 @@ class KeptEvent(BaseModel):
     message: TrustEvent
 
 
-KeptRecord = KeptVerdict | KeptOutage | KeptEvent | KeptFix | KeptSky
+KeptRecord = VerdictSecond | OutageChange | VerdictChange | FixClass | SkyTrackPoints
 Kept = Annotated[KeptRecord, Field(discriminator="kind")]
 
 
@@ -239,13 +239,13 @@ class State:
             if not 0 <= self.started_ns - kept.ns <= RESTORED_NS:
                 continue
             match kept:
-                case KeptVerdict():
+                case VerdictSecond():
                     self.trust_history.add(kept.ns, kept.state, kept.ratios, kept.probabilities)
-                case KeptOutage():
+                case OutageChange():
                     self.outages.note(kept.message)
-                case KeptEvent():
+                case VerdictChange():
                     self.trust_events.append(kept.message)
-                case KeptFix() | KeptSky():
+                case FixClass() | SkyTrackPoints():
                     self.gnss.restore(kept)
         return bad
 
@@ -283,7 +283,7 @@ class State:
     def _follow(self, now_ns: int) -> None:
         """Decide which fast topics are followed: looked at, drawn, or of which no heartbeat tells; in a replay all."""
         looked = self.series.looked_at(now_ns)
-        looked |= {name for name, asked_ns in self._looked_ns.items() if now_ns - asked_ns < LOOK_NS}
+        looked |= {name for name, asked_ns in self._looked_ns.items() if now_ns - asked_ns < POLL_PERIOD_NS}
         for name, flow in self.topics.items():
             if on_demand(flow.topic) and not self.replay:
                 flow.follow(followed=name in looked or not flow.tally.count)
@@ -476,7 +476,7 @@ class State:
             load=None if self._has_ended("core.fusion") else self.newest(ProcessLoad, "health/load", now_ns),
         )
 
-    def _awaited(self, trust: TrustState | None, now_ns: int) -> Told | None:
+    def _awaited(self, trust: TrustState | None, now_ns: int) -> CodedText | None:
         """Name what must come before a verdict holds: the verdict itself, and the solution if it says there is one."""
         if trust is None:
             verdict = explain(Code.FIRST_VERDICT, process("core.trust"))

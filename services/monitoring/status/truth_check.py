@@ -10,7 +10,7 @@ from shared.messages.trust import TrustLevel, TrustState
 from .views.geometry import offset_m
 
 NS = 1_000_000_000
-LONGEST_STEP_NS = NS  # between two comparisons; a longer pause is not counted
+MAX_STEP_NS = NS  # between two comparisons; a longer pause is not counted
 
 
 @dataclass(frozen=True)
@@ -42,5 +42,5 @@ class TruthCheck:
         horizontal, vertical = hypot(*offset), abs(solution.height_ellipsoid_m - truth.height_ellipsoid_m + fall)
         above = horizontal > trust.alert_limit_horizontal_m or vertical > trust.alert_limit_vertical_m
         self.newest, self._compared_ns = Comparison(horizontal, vertical, above), now_ns
-        if before_ns is not None and now_ns - before_ns <= LONGEST_STEP_NS:
+        if before_ns is not None and now_ns - before_ns <= MAX_STEP_NS:
             self.seconds[trust.state][above] += (now_ns - before_ns) / NS

@@ -12,7 +12,7 @@ from shared.fleet.identity import CENTRE, UplinkIdentity
 log = logging.getLogger(__name__)
 
 NS = 1_000_000_000
-LOOK_NS = 5 * NS
+POLL_PERIOD_NS = 5 * NS
 RETRY_NS = 3600 * NS
 
 
@@ -39,7 +39,7 @@ class Enrolment:
         """Give the present enrolment; None, with `fault`, without one."""
         if now_ns < self._look_ns:
             return self.identity
-        self._look_ns = now_ns + LOOK_NS
+        self._look_ns = now_ns + POLL_PERIOD_NS
         try:
             status = (self._folder / CENTRE).stat()
             version = status.st_ino, status.st_mtime_ns

@@ -29,12 +29,12 @@ log = logging.getLogger(__name__)
 KEEP_ALIVE_S = 60
 CONNECT_S = 10.0  # of TCP, of TLS, and of the centre's answer, each
 RECONNECT_S, LONGEST_RECONNECT_S = 1.0, 60.0
-STEADY_S = 30.0  # a shorter connection counts as failed
+STABLE_AFTER_S = 30.0  # a shorter connection counts as failed
 UNACKNOWLEDGED_MS = 30_000  # after which a connection over which nothing comes back is given up
-MOST_WAITING = 64  # messages that are not taken yet
-MOST_BYTES = 65_536  # of a message from the centre
-MOST_PACKET_BYTES = 2 * MOST_BYTES  # that are read at all: a packet of MQTT may state 256 MB
-MOST_READS = 16  # in one turn
+MAX_WAITING = 64  # messages that are not taken yet
+MAX_BYTES = 65_536  # of a message from the centre
+MAX_PACKET_BYTES = 2 * MAX_BYTES  # that are read at all: a packet of MQTT may state 256 MB
+MAX_READS = 16  # in one turn
 # What a centre sends: CONNACK, PUBLISH of QoS 0 (retained too), SUBACK, PINGRESP. Of others the client keeps messages,
 # and answers that it owes, without bound.
 PACKETS = frozenset((0x20, 0x30, 0x31, 0x90, 0xD0))
@@ -63,7 +63,7 @@ class TlsClient(mqtt.Client):
         return sock
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        if bufsize > MOST_PACKET_BYTES:  # the rest of a packet
+        if bufsize > MAX_PACKET_BYTES:  # the rest of a packet
             raise OSError(f"a message of {bufsize} bytes")
         return super()._sock_recv(bufsize)
 
@@ -86,7 +86,7 @@ class Link:
         self._client: mqtt.Client | None = None
         self._connecting: threading.Thread | None = None
         self._failure: str | None = None  # of the thread
-        self._inbox: deque[tuple[str, bytes]] = deque(maxlen=MOST_WAITING)
+        self._inbox: deque[tuple[str, bytes]] = deque(maxlen=MAX_WAITING)
         self._attempts = 0
         self._next_s = self._begun_s = 0.0
         self._accepted = False  # this connection, by the centre
@@ -119,7 +119,7 @@ class Link:
         self._exchange(client)
         if self._client is client and not self.connected and now_s - self._begun_s > 3 * CONNECT_S:
             self._retry(now_s, "it accepts connections and does not answer")
-        taken, self._inbox = list(self._inbox), deque(maxlen=MOST_WAITING)
+        taken, self._inbox = list(self._inbox), deque(maxlen=MAX_WAITING)
         return taken
 
     def wait(self, timeout_s: float) -> None:
@@ -189,7 +189,7 @@ class Link:
     def _exchange(self, client: mqtt.Client) -> None:
         sock = cast(socket.socket, client.socket())
         with contextlib.suppress(OSError, ValueError):
-            for _ in range(MOST_READS):
+            for _ in range(MAX_READS):
                 if not _undelivered(sock) and not select.select([sock], [], [], 0.0)[0]:
                     break
                 client.loop_read()
@@ -201,7 +201,7 @@ class Link:
 
     def _retry(self, now_s: float, reason: str) -> None:
         """Give this connection up, and plan the next one."""
-        steady = self._accepted and now_s - self._begun_s > STEADY_S
+        steady = self._accepted and now_s - self._begun_s > STABLE_AFTER_S
         self._drop()
         self._attempts = 0 if steady else self._attempts + 1
         longest = min(RECONNECT_S * 2.0 ** min(self._attempts, 10), LONGEST_RECONNECT_S)
@@ -253,10 +253,10 @@ class Link:
             name = ""
         vehicle = self._identity.centre.vehicle if self._identity is not None else ""
         nouns = {topic(vehicle, noun): noun for noun in (RECEIPT, WATCH)}
-        if client is not self._client or name not in nouns or len(message.payload) > MOST_BYTES:
+        if client is not self._client or name not in nouns or len(message.payload) > MAX_BYTES:
             self._rejects["message of the centre"] += 1
             return
-        self._rejects["flood of the centre"] += len(self._inbox) == MOST_WAITING
+        self._rejects["flood of the centre"] += len(self._inbox) == MAX_WAITING
         self._inbox.append((nouns[name], bytes(message.payload)))
 
 

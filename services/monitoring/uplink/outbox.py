@@ -31,7 +31,7 @@ from shared.fleet.batch import (
     Kind,
     Report,
 )
-from shared.fleet.receipts import Stored
+from shared.fleet.receipts import StoredBatch
 from shared.fleet.sealed import RECEIPT_DIGEST_BYTES, chain_digest, seal, unsealed
 
 log = logging.getLogger(__name__)
@@ -42,8 +42,8 @@ CACHE_KIB = 512
 LOG_PAGES, LOG_BYTES = 250, 1 << 20  # of the write-ahead log, when it is moved into the database, and afterwards
 DROPPED_AT_ONCE = 50  # batches
 FLUSHED_AT_ONCE = 20
-WITHOUT_ROOM = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN)
-DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+DISK_FULL_CODES = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN)
+DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 class OutboxFault(ObuError):
@@ -65,16 +65,16 @@ class Row(NamedTuple):
     digest: bytes  # SHA-256
 
 
-class Lost(NamedTuple):
+class LostReports(NamedTuple):
     """Reports that could not be stored."""
 
     number: int
     from_ms: int
     to_ms: int
 
-    def more(self, utc_ms: int) -> "Lost":
+    def more(self, utc_ms: int) -> "LostReports":
         """Add one."""
-        return Lost(self.number + 1, min(self.from_ms, utc_ms), max(self.to_ms, utc_ms))
+        return LostReports(self.number + 1, min(self.from_ms, utc_ms), max(self.to_ms, utc_ms))
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Outbox:
         """Creation time of the chain [ms, UTC]."""
         return self._chain.epoch_ms
 
-    def add(self, *items: Report | Event | Lost) -> None:
+    def add(self, *items: Report | Event | LostReports) -> None:
         """Keep reports or events for the next batch: all of them, or none."""
         with self._transaction(durable=False):
             self._db.executemany("INSERT INTO pending (kind, content) VALUES (?, ?)", map(_encoded, items))
@@ -229,7 +229,7 @@ class Outbox:
             raise OutboxDamaged(f"{self.path} is damaged: batch {row_id} is not as it was made")
         return None if row is None else bytes(row[1])
 
-    def settle(self, stored: Iterable[Stored]) -> list[int]:
+    def settle(self, stored: Iterable[StoredBatch]) -> list[int]:
         """Delete the batches that a receipt names exactly; return their IDs."""
         gone: list[int] = []
         refused = 0
@@ -388,9 +388,9 @@ class Outbox:
             yield
         except sqlite3.DatabaseError as error:
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
-            if code in DAMAGED:
+            if code in DAMAGE_CODES:
                 raise OutboxDamaged(f"{self.path} is damaged: {error}") from error
-            remedy = "make room on its disk" if code in WITHOUT_ROOM else "check its folder's owner and its disk"
+            remedy = "make room on its disk" if code in DISK_FULL_CODES else "check its folder's owner and its disk"
             raise OutboxFault(f"the outbox {self.path} cannot be used: {error}; {remedy}") from error
         except (BadBatch, ValueError) as error:  # content that SQLite reads and that is not what was written
             raise OutboxDamaged(f"{self.path} is damaged: {error}") from error
@@ -453,21 +453,21 @@ def _runs(rows: list[Row]) -> Iterator[list[Row]]:
         yield run
 
 
-def _encoded(item: Report | Event | Lost) -> tuple[int, str]:
-    kind = {Report: Kind.POSITIONS, Event: Kind.EVENTS, Lost: Kind.GAP}[type(item)]
+def _encoded(item: Report | Event | LostReports) -> tuple[int, str]:
+    kind = {Report: Kind.POSITIONS, Event: Kind.EVENTS, LostReports: Kind.GAP}[type(item)]
     return int(kind), json.dumps(list(item), separators=(",", ":"))
 
 
-def _decoded(kind: Kind, text: str) -> Report | Event | Lost:
+def _decoded(kind: Kind, text: str) -> Report | Event | LostReports:
     fields = json.loads(text)
     if kind is Kind.EVENTS:
         return Event(*fields)
-    return Lost(*fields) if kind is Kind.GAP else Report(*fields)
+    return LostReports(*fields) if kind is Kind.GAP else Report(*fields)
 
 
-def _batch(kind: Kind, chain: _Chain, items: Sequence[Report | Event | Lost]) -> Batch:
+def _batch(kind: Kind, chain: _Chain, items: Sequence[Report | Event | LostReports]) -> Batch:
     head = chain.epoch_ms, chain.next
-    if isinstance(lost := items[0], Lost):  # no batch of these was made: the chain goes on as it was before them
+    if isinstance(lost := items[0], LostReports):  # no batch of these was made: the chain goes on as it was before them
         gap = Gap(lost.from_ms, lost.to_ms, chain.previous)
         return Batch(kind, *head, lost.number, chain.previous, gap=gap)
     reports = tuple(report for report in items if isinstance(report, Report))

@@ -29,9 +29,9 @@ from shared.topics import on_request, subscriptions
 from .enrolment import Enrolment
 from .link import Link
 from .outbox import Backlog, OutboxFault, alone
-from .reporting import CLOCK, Reporting
+from .reporting import CLOCK, ReportWriter
 from .sampling import Sampler, Tracking, event_of
-from .sending import KEY, WINDOW, Sending
+from .sending import KEY, WINDOW, BatchSelection
 from .utc import Utc
 from .watching import BadWatch, Watch
 
@@ -42,7 +42,7 @@ FOLDER = "uplink"  # of the state folder
 NS = 1_000_000_000
 PAUSE_S, WATCHED_PAUSE_S = 0.15, 0.05  # between two looks at the bus: most of a message's cost is to wake up for it
 FLUSH_NS, SLOW_FLUSH_NS, FAST_FLUSH_NS = 10 * NS, RESTING_S * NS, NS
-MOST_PRODUCERS = 16  # of origin/state that are remembered
+MAX_PRODUCERS = 16  # of origin/state that are remembered
 STATE_NS, QUIET_STATE_NS = NS, 10 * NS  # between two states: while something changes, and in any case
 SOLUTION = "navigation/solution"
 CLOCK_NOT_SET = (
@@ -50,7 +50,7 @@ CLOCK_NOT_SET = (
 )
 OWN = frozenset(topic.name for topic in subscriptions(NAME))
 MB = 1_000_000
-NOTHING = Backlog(0, 0, 0, None)
+NO_BACKLOG = Backlog(0, 0, 0, None)
 
 
 class Config(Section):
@@ -106,7 +106,7 @@ class Process:
         self._enrolment = Enrolment(identity_folder(bus.state_dir))
         self._key = KeyFile(keys_folder(bus.state_dir))
         path = bus.state_dir / FOLDER / "outbox.sqlite"
-        self._reporting = Reporting(path, self._config.outbox_mb * MB, bus.rejects)
+        self._reporting = ReportWriter(path, self._config.outbox_mb * MB, bus.rejects)
 
     def turn(self, bus: Bus) -> None:
         """Do what is to be done now."""
@@ -165,7 +165,7 @@ class Process:
         now = origin.kind, origin.name
         if self._origins.get(producer) == now:
             return False
-        if len(self._origins) >= MOST_PRODUCERS:
+        if len(self._origins) >= MAX_PRODUCERS:
             self._origins.clear()
         self._origins[producer] = now
         return True
@@ -254,7 +254,7 @@ class Process:
         if self._reporting.sending is not None and self._config.tracking is not Tracking.OFF:
             self._send(self._reporting.sending, now_ns)
 
-    def _settle(self, bus: Bus, sending: Sending | None, payload: bytes, signer: Signer, now_ns: int) -> None:
+    def _settle(self, bus: Bus, sending: BatchSelection | None, payload: bytes, signer: Signer, now_ns: int) -> None:
         utc_ns = self._utc.ns(now_ns)
         if sending is None or sending is not self._reporting.sending or utc_ns is None:
             return
@@ -275,7 +275,7 @@ class Process:
             bus.rejects["watch"] += 1
             log.warning("a request to watch this vehicle cannot be used: %s", error)
 
-    def _send(self, sending: Sending, now_ns: int) -> None:
+    def _send(self, sending: BatchSelection, now_ns: int) -> None:
         try:
             if self._enrolment.renewals != self._renewals:  # another evidence key may be known now
                 sending.outbox.reopen(KEY)
@@ -319,7 +319,7 @@ class Process:
     def _state(self, now_ns: int, fault: str | None) -> UplinkState:
         identity, sending = self._enrolment.identity, self._reporting.sending
         centre = identity.centre if identity is not None else None
-        tally, waits = self._reporting.tally, NOTHING
+        tally, waits = self._reporting.tally, NO_BACKLOG
         if sending is not None:
             try:
                 waits = sending.outbox.backlog()

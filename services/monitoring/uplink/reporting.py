@@ -7,28 +7,28 @@ from pathlib import Path
 from shared.evidence.signer import Signer
 from shared.fleet.batch import DIGEST_BYTES, BadBatch, Batch, Event, Kind, Report, encode
 
-from .outbox import Lost, Outbox, OutboxDamaged, OutboxFault, in_range, set_aside
-from .sending import Sending, Tally
+from .outbox import LostReports, Outbox, OutboxDamaged, OutboxFault, in_range, set_aside
+from .sending import BatchCounters, BatchSelection
 
 log = logging.getLogger(__name__)
 
 NS = 1_000_000_000
 RETRY_NS = 5 * NS  # after the outbox could not be used
-MOST_HELD = 600  # reports and events in memory, while the disk takes none
+MAX_HELD = 600  # reports and events in memory, while the disk takes none
 GAP, CLOCK = "uplink/gap", "uplink/clock"  # events of the uplink itself
 
 
-class Reporting:
+class ReportWriter:
     """Never raises for a disk that is full, nor for a file that is damaged: it counts, tells, and goes on."""
 
     def __init__(self, path: Path, most_bytes: int, rejects: Counter[str]) -> None:
-        self.sending: Sending | None = None
+        self.sending: BatchSelection | None = None
         self.fault: str | None = None  # why nothing is stored now
-        self.tally = Tally()
+        self.tally = BatchCounters()
         self.lost = 0  # reports that were not stored since the start of this process
         self._path, self._most_bytes, self._rejects = path, most_bytes, rejects
         self._held: deque[Report | Event] = deque()
-        self._missing: Lost | None = None
+        self._missing: LostReports | None = None
         self._retry_ns = self._utc_ms = 0
         self._said_full = False
 
@@ -45,7 +45,7 @@ class Reporting:
             except OutboxFault as error:
                 self.failed(error, now_ns)
                 return False
-            self.sending = Sending(outbox, self.tally, self._rejects)
+            self.sending = BatchSelection(outbox, self.tally, self._rejects)
         return True
 
     def add(self, item: Report | Event) -> None:
@@ -56,7 +56,7 @@ class Reporting:
         if isinstance(item, Event):
             item = self._fitting(item)
         self._held.append(item)
-        if len(self._held) > MOST_HELD:
+        if len(self._held) > MAX_HELD:
             self._lose_oldest()
 
     def store(self, now_ns: int) -> None:
@@ -127,7 +127,7 @@ class Reporting:
         """Leave out the oldest report, for which a gap will stand; of events the oldest if there are no reports."""
         for place, item in enumerate(self._held):
             if isinstance(item, Report):
-                missing = self._missing or Lost(0, item.utc_ms, item.utc_ms)
+                missing = self._missing or LostReports(0, item.utc_ms, item.utc_ms)
                 self._missing = missing.more(item.utc_ms)
                 self.lost += 1
                 del self._held[place]

@@ -15,7 +15,7 @@ from shared.messages.trust import Outcome, TrustEvent, TrustLevel, TrustState
 
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
-STALE_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
+STALE_AFTER_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
 VERDICT_SILENT_NS = 5 * NS  # deadline of trust/state there
 PARKED_NS = 300 * NS
 TRIP_NS = 30 * NS  # standing for as long is a part of a trip
@@ -110,7 +110,7 @@ class Sampler:
             return TrustLevel.NO_FIX
         if trust.state is TrustLevel.INITIALISING:
             return trust.state
-        if solution is None or abs(now_ns - solution.sampled_ns) > STALE_NS:
+        if solution is None or abs(now_ns - solution.sampled_ns) > STALE_AFTER_NS:
             return TrustLevel.NO_FIX
         return trust.state
 

@@ -14,7 +14,7 @@ from .outbox import Outbox, Row
 NS = 1_000_000_000
 WINDOW = 4
 RETRY_NS, LONGEST_RETRY_NS = RETRY_S * NS, 300 * NS
-MOST_RESTING = 256  # batches without a receipt that wait for their next attempt
+MAX_RESTING = 256  # batches without a receipt that wait for their next attempt
 REFUSED_RETRY_NS = 3600 * NS
 # Between two batches that were refused before, while the centre takes none of them: some 1.5 MB an hour at most of a
 # network that may be paid by the byte, and not the whole outbox.
@@ -23,7 +23,7 @@ CONFLICT, KEY = "conflict", "key"
 
 
 @dataclass
-class Tally:
+class BatchCounters:
     """Batches since the start of the process, repeated ones as well."""
 
     sent: int = 0
@@ -46,10 +46,10 @@ def _retry_ns(attempts: int) -> int:
     return min(RETRY_NS << min(attempts, 10), LONGEST_RETRY_NS)
 
 
-class Sending:
+class BatchSelection:
     """Chooses batches of an outbox, and settles them by receipts. Times in ns on the OBU time line."""
 
-    def __init__(self, outbox: Outbox, tally: Tally, rejects: Counter[str]) -> None:
+    def __init__(self, outbox: Outbox, tally: BatchCounters, rejects: Counter[str]) -> None:
         self.outbox = outbox
         self._tally = tally
         self._conflict_ns: int | None = None  # when the last epoch was begun for a conflict
@@ -127,7 +127,7 @@ class Sending:
     def _rest(self, row_id: int) -> None:
         flight = self._flights.pop(row_id)
         self._resting[row_id] = flight.sent_ns + _retry_ns(flight.attempts), flight.attempts + 1
-        if len(self._resting) > MOST_RESTING:
+        if len(self._resting) > MAX_RESTING:
             self._resting.popitem(last=False)
 
     def _choose(self, now_ns: int) -> Row | None:

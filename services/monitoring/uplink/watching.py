@@ -2,16 +2,18 @@
 
 import json
 
-from shared.fleet.topics import MOST_WATCH_S, WATCHABLE
+from shared.fleet.topics import MAX_WATCH_S, WATCHABLE
 from shared.topics import BY_NAME
 
 NS = 1_000_000_000
 PERIOD_NS = NS // 5  # of one topic
-BURST = 10  # messages of a topic that is not fast, at once: each monitor publishes on trust/monitor in the same second
-EARLY_NS = NS // 50  # a message this much before its time is passed on: topics of 10 Hz give 5, and not 3.3
-MOST_BYTES = 4096  # of a request
-MOST_LIVE_BYTES = 120_000  # of a message; the centre takes 131,072
-MOST_WATCHERS = 1000
+MAX_BURST = (
+    10  # messages of a topic that is not fast, at once: each monitor publishes on trust/monitor in the same second
+)
+PERIOD_TOLERANCE_NS = NS // 50  # a message this much before its time is passed on: topics of 10 Hz give 5, and not 3.3
+MAX_BYTES = 4096  # of a request
+MAX_LIVE_BYTES = 120_000  # of a message; the centre takes 131,072
+MAX_WATCHERS = 1000
 LIVE_WORDS = frozenset(WATCHABLE)
 
 
@@ -50,26 +52,26 @@ class Watch:
 
     def wants(self, topic: str, payload: bytes, now_ns: int) -> bool:
         """Whether a message is to be passed on now."""
-        if topic not in self.topics or len(payload) > MOST_LIVE_BYTES:
+        if topic not in self.topics or len(payload) > MAX_LIVE_BYTES:
             return False
         due_ns = self._due_ns.get(topic, 0)
-        if now_ns < due_ns - EARLY_NS:
+        if now_ns < due_ns - PERIOD_TOLERANCE_NS:
             return False
-        saved_ns = 0 if BY_NAME[topic].fast else BURST * PERIOD_NS
+        saved_ns = 0 if BY_NAME[topic].fast else MAX_BURST * PERIOD_NS
         self._due_ns[topic] = max(due_ns + PERIOD_NS, now_ns - saved_ns)
         return True
 
 
 def _read(payload: bytes) -> tuple[frozenset[str], float, int]:
-    if len(payload) > MOST_BYTES:
-        raise BadWatch(f"it has more than {MOST_BYTES} bytes")
+    if len(payload) > MAX_BYTES:
+        raise BadWatch(f"it has more than {MAX_BYTES} bytes")
     try:
         content = json.loads(payload)
     except (ValueError, RecursionError) as error:
         raise BadWatch("it is no JSON") from error
     match content:
         case {"topics": list() as topics, "for_s": int() | float() as for_s, "watchers": int() as watchers} if (
-            0 <= for_s <= MOST_WATCH_S and 0 <= watchers <= MOST_WATCHERS
+            0 <= for_s <= MAX_WATCH_S and 0 <= watchers <= MAX_WATCHERS
         ):
             return frozenset(topic for topic in topics if isinstance(topic, str)) & LIVE_WORDS, for_s, watchers
     raise BadWatch("it has not topics, a time of at most 60 s and a number of watchers")

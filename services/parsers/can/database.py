@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-FASTEST_M_S = 150.0
-LEAST_RANGE_M_S = 40.0  # a range of a road vehicle's speed reaches at least this far, if its bits do
-LARGEST = 1e9  # [unit of the signal], and of the published value
+MAX_SPEED_M_S = 150.0
+MIN_RANGE_M_S = 40.0  # a range of a road vehicle's speed reaches at least this far, if its bits do
+MAX_VALUE = 1e9  # [unit of the signal], and of the published value
 UNIT_LENGTH = 16
 DBC_BYTES, MOST_MESSAGES, MOST_SIGNALS = 4_000_000, 5000, 50_000
-LONGEST_MESSAGE = 1785  # bytes: of the transport protocol of SAE J1939-21; CAN FD has 64
+MAX_MESSAGE = 1785  # bytes: of the transport protocol of SAE J1939-21; CAN FD has 64
 MESSAGE = re.compile(r"\bBO_\s+-?\d+\s+(\S+?)\s*:\s*(\d+)")
 SIGNAL = re.compile(r"\bSG_\s+\S+?(?:\s+[mM]\d*M?)?\s*:\s*(\d+)\s*\|\s*(\d+)")
-MOST_STAMPS = 4096  # of messages by bus and sender: more than a vehicle has
+MAX_STAMPS = 4096  # of messages by bus and sender: more than a vehicle has
 J1939_NULL, J1939_GLOBAL = 0xFE, 0xFF  # addresses that nobody sends values with: a file means any sender
 PLACEHOLDERS = ((0.0, 0.0), (0.0, 1.0))  # ranges that editors write where nobody has stated one
 
 
 @dataclass(frozen=True)
-class Wanted:
+class QuantitySignal:
     """A quantity, the signal that it is read from, and what the file states wrong or not at all."""
 
     name: str  # a wheel, or a quantity
@@ -64,7 +64,7 @@ class Value:
 class _Entry:
     """How one signal becomes a quantity."""
 
-    wanted: Wanted
+    wanted: QuantitySignal
     signal: "Signal"
     factor: float
     unit: str
@@ -91,7 +91,7 @@ class SignalDecoder:
         The text is not a DBC file, a signal is missing in it or in more than one message, or its unit is not known.
     """
 
-    def __init__(self, text: str, wanted: Sequence[Wanted], period_ns: int, rejects: Counter[str]) -> None:
+    def __init__(self, text: str, wanted: Sequence[QuantitySignal], period_ns: int, rejects: Counter[str]) -> None:
         self._rejects = rejects
         # 10 % tolerance: with jitter, a sender at exactly this period would otherwise lose every second frame.
         self._period_ns = period_ns * 9 // 10
@@ -140,7 +140,7 @@ class SignalDecoder:
             entry for entry in entries if entry.signal.name in values
         ]  # the others are of other multiplexer values
         if present:
-            if len(self._last_ns) >= MOST_STAMPS:
+            if len(self._last_ns) >= MAX_STAMPS:
                 del self._last_ns[next(iter(self._last_ns))]
             self._last_ns[key] = received_ns
         decoded = (self._checked(entry, values[entry.signal.name]) for entry in present)
@@ -168,7 +168,7 @@ class SignalDecoder:
         if value is None:
             self._rejects["wheel_speed" if wanted.name in WHEELS else "signal_value"] += 1
             return None
-        return Value(wanted.name, value, entry.unit, min(abs(float(entry.signal.scale) * entry.factor), LARGEST))
+        return Value(wanted.name, value, entry.unit, min(abs(float(entry.signal.scale) * entry.factor), MAX_VALUE))
 
 
 class _Messages:
@@ -232,7 +232,7 @@ def _found(database: "Database", name: str) -> "tuple[Message, Signal]":
     raise ValueError(f"there is no signal {name!r}; the file has {_names(database)}")
 
 
-def _factor(wanted: Wanted, signal: "Signal") -> tuple[float, str]:
+def _factor(wanted: QuantitySignal, signal: "Signal") -> tuple[float, str]:
     """Factor to the unit of the bus, and that unit; raises ValueError for a unit that is not known."""
     stated = signal.unit if wanted.unit is None else wanted.unit
     si_unit = QUANTITIES.get(wanted.quantity)
@@ -252,19 +252,19 @@ def _factor(wanted: Wanted, signal: "Signal") -> tuple[float, str]:
 
 
 def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | None:
-    """Convert a decoded value to m/s; None if it is outside the signal's range or above `FASTEST_M_S`."""
-    least = LEAST_RANGE_M_S / abs(unit_m_s) if unit_m_s else 0.0
+    """Convert a decoded value to m/s; None if it is outside the signal's range or above `MAX_SPEED_M_S`."""
+    least = MIN_RANGE_M_S / abs(unit_m_s) if unit_m_s else 0.0
     speed_m_s = checked_value(signal, value, unit_m_s, least)
-    return speed_m_s if speed_m_s is not None and abs(speed_m_s) <= FASTEST_M_S else None
+    return speed_m_s if speed_m_s is not None and abs(speed_m_s) <= MAX_SPEED_M_S else None
 
 
 def checked_value(signal: "Signal", value: object, factor: float, least: float | None = None) -> float | None:
     """Convert a decoded value to the unit of the bus; None if it is outside the signal's range, or no finite number."""
-    if not isinstance(value, int | float) or not abs(value) <= LARGEST:  # an integer may be too large for a float
+    if not isinstance(value, int | float) or not abs(value) <= MAX_VALUE:  # an integer may be too large for a float
         return None
     low, high = range_of(signal, least)
     converted = value * factor
-    return converted if low <= value <= high and abs(converted) <= LARGEST else None
+    return converted if low <= value <= high and abs(converted) <= MAX_VALUE else None
 
 
 def range_of(signal: "Signal", least: float | None = None) -> tuple[float, float]:
@@ -312,11 +312,11 @@ def _insist_on_bounds(text: str) -> None:
     if len(messages) > MOST_MESSAGES or text.count("SG_") > MOST_SIGNALS:
         raise ValueError(f"it has more than {MOST_MESSAGES} messages or {MOST_SIGNALS} signals")
     for message in messages:
-        if len(message[2]) > 5 or int(message[2]) > LONGEST_MESSAGE:
-            raise ValueError(f"its message {message[1][:40]} has more than {LONGEST_MESSAGE} bytes, the most of a bus")
+        if len(message[2]) > 5 or int(message[2]) > MAX_MESSAGE:
+            raise ValueError(f"its message {message[1][:40]} has more than {MAX_MESSAGE} bytes, the most of a bus")
     for match in SIGNAL.finditer(text):
-        if any(len(number) > 5 or int(number) > 8 * LONGEST_MESSAGE for number in match.groups()):
-            raise ValueError(f"a signal of it is outside the {LONGEST_MESSAGE} bytes of a message")
+        if any(len(number) > 5 or int(number) > 8 * MAX_MESSAGE for number in match.groups()):
+            raise ValueError(f"a signal of it is outside the {MAX_MESSAGE} bytes of a message")
 
 
 def _names(database: "Database") -> str:

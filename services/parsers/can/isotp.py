@@ -8,7 +8,7 @@ from collections import Counter
 
 from .candump import CanFrame
 
-MOST_MESSAGES = 32  # at a time, of all senders
+MAX_MESSAGES = 32  # at a time, of all senders
 FRAME_TIMEOUT_NS = 1_000_000_000  # N_Cr: between two consecutive frames
 
 
@@ -50,9 +50,9 @@ class MessageJoiner:
         if len(data) < 8 or length <= len(data) - 2:
             self._rejects["isotp_length"] += 1
             return
-        if len(self._messages) >= MOST_MESSAGES:
+        if len(self._messages) >= MAX_MESSAGES:
             self._drop_old(frame.time_ns)
-        if len(self._messages) >= MOST_MESSAGES:
+        if len(self._messages) >= MAX_MESSAGES:
             self._rejects["isotp_full"] += 1
             return
         self._messages[key] = length, data[2:], 1, frame.time_ns

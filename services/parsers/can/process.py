@@ -18,7 +18,7 @@ from shared.messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSp
 from shared.runtime.config import Section
 
 from .candump import ERROR_FRAME, REMOTE_FRAME, UNUSABLE, CanFrame, LineReader
-from .database import DBC_BYTES, WHEELS, SignalDecoder, Value, Wanted
+from .database import DBC_BYTES, WHEELS, QuantitySignal, SignalDecoder, Value
 from .standards import StandardSpeeds, standard_use
 
 NS = 1_000_000_000
@@ -188,7 +188,7 @@ class Process:
         self.rejects["line_stamp"] += 1
         return message.received_ns
 
-    def _load(self, config: Config, wanted: list[Wanted], period_s: float) -> SignalDecoder | None:
+    def _load(self, config: Config, wanted: list[QuantitySignal], period_s: float) -> SignalDecoder | None:
         if config.dbc_file is None or not wanted:
             return None
         try:
@@ -206,9 +206,11 @@ def _named(bus: str, decoder: SignalDecoder, frame: CanFrame) -> str:
     return bus if address is None else f"{bus}/{address:02X}"
 
 
-def _wheels(config: Config) -> list[Wanted]:
+def _wheels(config: Config) -> list[QuantitySignal]:
     """The wheels of the DBC file; raises `UserError` for a file that nothing is read from, and the reverse."""
-    wheels = [Wanted(wheel, name, config.wheel_speed_unit) for wheel, name in config.wheel_speed_signals if name]
+    wheels = [
+        QuantitySignal(wheel, name, config.wheel_speed_unit) for wheel, name in config.wheel_speed_signals if name
+    ]
     if config.dbc_file is not None and not wheels and not config.signals:
         raise UserError(
             "[parsers.can] has a dbc_file and neither wheel_speed_signals nor signals: name the signal of each wheel"
@@ -218,8 +220,8 @@ def _wheels(config: Config) -> list[Wanted]:
     return wheels
 
 
-def _signals(config: Config) -> list[Wanted]:
+def _signals(config: Config) -> list[QuantitySignal]:
     """The named quantities of the DBC file; raises `UserError` for the name of a wheel."""
     if wheel := next((name for name in config.signals if name in WHEELS), None):
         raise UserError(f"[parsers.can.signals] {wheel}: write the signals of wheels into wheel_speed_signals")
-    return [Wanted(name, signal.signal, signal.unit, signal.scale) for name, signal in config.signals.items()]
+    return [QuantitySignal(name, signal.signal, signal.unit, signal.scale) for name, signal in config.signals.items()]

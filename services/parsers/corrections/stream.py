@@ -8,7 +8,7 @@ from .frames import CorrectionFrame, CorrectionFramer
 
 NS = 1_000_000_000
 RATE_S = 10.0  # over which the rate is taken: base stations send their position and ephemerides that often
-MOST_ENTRIES = 1024  # of arrivals within it
+MAX_ENTRIES = 1024  # of arrivals within it
 
 
 class Stream:
@@ -31,7 +31,7 @@ class Stream:
         self._silent_ns = silent_ns
         self._received_bytes = self._frames = 0
         self._since_ns = self._last_ns = 0  # of the frames without a gap
-        self._arrivals: deque[tuple[int, int]] = deque(maxlen=MOST_ENTRIES)
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=MAX_ENTRIES)
 
     def take(self, data: bytes, now_ns: int) -> list[CorrectionFrame]:
         """Process received bytes; return the frames that they complete."""

@@ -9,7 +9,7 @@ from shared.protocols.framing.framer import Frame, Framer
 
 from .dialect import ContentError, Dialogue, Output, Stream
 from .protocols import FRAMINGS, PROTOCOLS
-from .seen import Seen
+from .seen import MessageKinds
 
 
 class Receiver:
@@ -26,7 +26,7 @@ class Receiver:
             for dialect in self._dialects.values()
             for kinds in dialect.positions
         )
-        self.seen = Seen(stream.source, tuple(positions))
+        self.seen = MessageKinds(stream.source, tuple(positions))
 
     def take(self, raw: GnssRaw) -> Iterator[Output | GnssWrite]:
         """Process the next bytes; yield the completed messages."""

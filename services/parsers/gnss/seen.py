@@ -5,11 +5,11 @@ from shared.protocols.recognition import recognise
 
 MAX_KINDS = 40
 PERIOD_NS = 2_000_000_000
-FORGOTTEN_NS = 10_000_000_000  # after which a kind that does not come any more is not listed
+RETENTION_NS = 10_000_000_000  # after which a kind that does not come any more is not listed
 SAMPLE_BYTES = 2048  # that are looked at where little of what comes is a message
 
 
-class Seen:
+class MessageKinds:
     """The kinds of messages of the last ten seconds, and what has come since the last statement."""
 
     def __init__(self, source: str, positions: tuple[frozenset[str], ...]) -> None:
@@ -37,7 +37,7 @@ class Seen:
         protocols = frozenset(kind.split(" ")[0] for kind in self._kinds)
         if not self._received or (now_ns < self._due_ns and protocols <= self._said):
             return None
-        self._kinds = {kind: ns for kind, ns in self._kinds.items() if now_ns - ns <= FORGOTTEN_NS}
+        self._kinds = {kind: ns for kind, ns in self._kinds.items() if now_ns - ns <= RETENTION_NS}
         other = max(self._received - self._in_frames, 0)
         found = recognise(self._sample).names if 2 * other > self._received else ()
         said = GnssReceiver(

@@ -6,11 +6,11 @@ from itertools import pairwise
 from shared.maths.clock_mapping import NS, lower_hull
 
 WINDOW_NS = 10 * NS  # over which the period is measured
-APART_NS = NS // 10  # at least, between arrivals that are kept
+MIN_SPACING_NS = NS // 10  # at least, between arrivals that are kept
 FIRST_PERIOD_NS = NS // 100  # of samples in the very first read, before anything is known of the period
 GAP_NS = NS // 10
 GAP_PERIODS = 3.0  # an arrival so many times later than its samples explain follows a gap
-BACK_NS = NS // 2  # by which arrivals go back with another recording
+MAX_STEP_BACK_NS = NS // 2  # by which arrivals go back with another recording
 
 
 class SampleClock:
@@ -30,7 +30,9 @@ class SampleClock:
 
     def __init__(self, minimum_delay_s: float) -> None:
         self._delay_ns = round(minimum_delay_s * NS)
-        self._reads: deque[tuple[int, int]] = deque()  # samples so far and arrival [ns], at least `APART_NS` apart
+        self._reads: deque[tuple[int, int]] = (
+            deque()
+        )  # samples so far and arrival [ns], at least `MIN_SPACING_NS` apart
         self._count = 0
         self._last_received_ns: int | None = None
         self._last_stamp_ns = 0
@@ -40,10 +42,10 @@ class SampleClock:
         """Times of validity [ns, OBU time line] of samples that arrived together; they increase strictly."""
         before_ns = self._last_received_ns
         waited_ns = 0 if before_ns is None else received_ns - before_ns
-        if before_ns is not None and waited_ns < -BACK_NS:
+        if before_ns is not None and waited_ns < -MAX_STEP_BACK_NS:
             self._last_stamp_ns = 0
         gap = waited_ns > max(GAP_NS, GAP_PERIODS * number * self._period_ns)
-        if gap or waited_ns < -BACK_NS:
+        if gap or waited_ns < -MAX_STEP_BACK_NS:
             self._reads.clear()
         first, self._count = self._count + 1, self._count + number
         self._note(received_ns)
@@ -66,7 +68,7 @@ class SampleClock:
         points = [*reads, (self._count, received_ns)]
         if len(points) > 1:
             self._period_ns = _slope([(float(count), float(at_ns - points[0][1])) for count, at_ns in points])
-        if not reads or received_ns - reads[-1][1] >= APART_NS:
+        if not reads or received_ns - reads[-1][1] >= MIN_SPACING_NS:
             reads.append((self._count, received_ns))
 
 

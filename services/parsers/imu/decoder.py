@@ -14,8 +14,8 @@ from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.operation import MessageUse
 from shared.runtime.config import Matrix3
 
-STRONGEST_M_S2 = 1000.0  # plausibility limit; accelerometer ranges are at most 16 to 50 g
-FASTEST_RAD_S = 100.0  # plausibility limit; gyroscope ranges are at most 2000 to 4000 deg/s
+MAX_ACCELERATION_M_S2 = 1000.0  # plausibility limit; accelerometer ranges are at most 16 to 50 g
+MAX_RATE_RAD_S = 100.0  # plausibility limit; gyroscope ranges are at most 2000 to 4000 deg/s
 
 
 class SampleError(ValueError):
@@ -64,8 +64,8 @@ class Decoder(ABC):
 
     def add(self, batch: Batch, device_ns: int, force: Sequence[float], rate: Sequence[float]) -> None:
         """Add a sample in sensor axes [m/s², rad/s]; raises SampleError for one that cannot be."""
-        check(force, STRONGEST_M_S2)
-        check(rate, FASTEST_RAD_S)
+        check(force, MAX_ACCELERATION_M_S2)
+        check(rate, MAX_RATE_RAD_S)
         batch.device_ns.append(device_ns)
         batch.forces.append(rotate(self.stream.body_from_sensor, force))
         batch.rates.append(rotate(self.stream.body_from_sensor, rate))

@@ -17,7 +17,7 @@ from .arrivals import SampleClock
 from .decoder import Batch, Decoder, SampleError, Stream
 
 KIND = "line"
-MOST_BYTES = 1024  # of a line
+MAX_BYTES = 1024  # of a line
 LINE_END = re.compile(rb"[\r\n]")
 LINE_ENDS = re.compile(rb"\r?\n|\r")
 Column = Annotated[str, Field(min_length=1, max_length=64)]
@@ -70,7 +70,7 @@ class LineImu(Decoder):
     def take(self, raw: ImuRaw) -> ImuSamples | None:
         """Process the next bytes; the rest of a line is kept."""
         *lines, self._rest = LINE_END.split(self._rest + raw.data)
-        if len(self._rest) > MOST_BYTES:
+        if len(self._rest) > MAX_BYTES:
             self.stream.rejects["line_length"] += 1
             self._rest = b""
         used = [one for line in lines if (one := self._used(line.strip())) is not None]
@@ -113,7 +113,7 @@ class LineImu(Decoder):
             self.count(KIND, MessageUse.USED)
 
     def _add(self, batch: Batch, line: bytes, at_ns: int | None) -> None:
-        if len(line) > MOST_BYTES:
+        if len(line) > MAX_BYTES:
             raise SampleError("line_length")
         form = self._form
         column = self._read(line)

@@ -15,11 +15,11 @@ from shared.runtime.old_keys import MOUNTING, in_section
 
 from .decoder import Decoder, Stream
 from .lines import LineForm, LineImu, UndescribedLines
-from .protocols import PROTOCOLS, USUAL
+from .protocols import DEFAULT_PROTOCOL, PROTOCOLS
 
 MAX_SOURCES = 8
 TEXT = "text lines"
-ENOUGH_BYTES = 4096  # without a protocol that is known
+MAX_UNKNOWN_BYTES = 4096  # without a protocol that is known
 
 
 class Config(VehicleSettings):
@@ -84,4 +84,4 @@ class Process:
             return LineImu(stream, self._config.line)
         if TEXT in found:
             return UndescribedLines(stream)
-        return PROTOCOLS[USUAL](stream) if len(data) >= ENOUGH_BYTES else None
+        return PROTOCOLS[DEFAULT_PROTOCOL](stream) if len(data) >= MAX_UNKNOWN_BYTES else None

@@ -10,4 +10,4 @@ PROTOCOLS: dict[str, Callable[[Stream], Decoder]] = {
     "Xbus": Tracker,
     "UBX": ReceiverImu,
 }
-USUAL = "Xbus"  # of bytes that are not recognised: its rejects say what they are not
+DEFAULT_PROTOCOL = "Xbus"  # of bytes that are not recognised: its rejects say what they are not

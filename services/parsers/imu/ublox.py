@@ -24,7 +24,7 @@ DEG_S, M_S2 = 2.0**-12, 2.0**-10  # [deg/s, m/s²] of a digit
 TAG_WRAP = 1 << 32
 LEARNING_NS = 3_000_000_000  # over which the unit of the time tag is found out
 TICKS_S = (1e-3, 25.6e-6, 1 / 65536, 1e-6, 1e-4)  # units in use, of which one within 3 % is taken
-NEAR = 0.03
+RATE_TOLERANCE = 0.03
 _DATA = struct.Struct("<II")
 
 
@@ -92,7 +92,7 @@ class ReceiverImu(Decoder):
             if received_ns - first_ns >= LEARNING_NS and self._tag > first_tag:
                 found = (received_ns - first_ns) * 1e-9 / (self._tag - first_tag)
                 near = min(TICKS_S, key=lambda tick_s: abs(tick_s / found - 1.0))
-                self._tick_s = near if abs(near / found - 1.0) < NEAR else found
+                self._tick_s = near if abs(near / found - 1.0) < RATE_TOLERANCE else found
         return self._tick_s
 
 

@@ -16,10 +16,10 @@ MEASUREMENT = "Xbus MTData2"
 TICK_NS = 100_000  # resolution of the field SampleTimeFine
 TICK_WRAP = 1 << 32
 COUNTER_WRAP = 1 << 16
-LOST_AT_MOST = 1000  # a larger gap of the packet counter is a restart of the tracker
-STRONGEST_FIELD = 1000.0  # plausibility limit, in units of the Earth's field
+MAX_LOST_PACKETS = 1000  # a larger gap of the packet counter is a restart of the tracker
+MAX_FIELD = 1000.0  # plausibility limit, in units of the Earth's field
 CELSIUS_K = 273.15
-SLOW = ((xbus.TEMPERATURE, CELSIUS_K), (xbus.BARO_PRESSURE, 1e6))  # greatest value [°C, Pa]
+SLOW_QUANTITIES = ((xbus.TEMPERATURE, CELSIUS_K), (xbus.BARO_PRESSURE, 1e6))  # greatest value [°C, Pa]
 INERTIAL = frozenset((xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V, xbus.DELTA_Q))
 
 
@@ -47,8 +47,8 @@ class Tracker(Decoder):
                 with self.faults.decoding(raw.received_ns):
                     self._take_measurement(batch, message.payload)
             else:
-                use = MessageUse.UNUSED if message.mid in xbus.KNOWN else MessageUse.UNKNOWN
-                self.count(f"Xbus {xbus.KNOWN.get(message.mid, f'0x{message.mid:02X}')}", use)
+                use = MessageUse.UNUSED if message.mid in xbus.KNOWN_MESSAGES else MessageUse.UNKNOWN
+                self.count(f"Xbus {xbus.KNOWN_MESSAGES.get(message.mid, f'0x{message.mid:02X}')}", use)
         return self._message(batch, raw.received_ns) if batch.device_ns else None
 
     def _take_measurement(self, batch: Batch, payload: bytes) -> None:
@@ -90,17 +90,17 @@ class Tracker(Decoder):
             return
         counter = int(values[xbus.PACKET_COUNTER][0])
         if self._counter is not None and (lost := (counter - self._counter - 1) % COUNTER_WRAP):
-            restarted = lost > LOST_AT_MOST
+            restarted = lost > MAX_LOST_PACKETS
             self._rejects["counter_restart" if restarted else "packet_gap"] += 1 if restarted else lost
         self._counter = counter
 
     def _message(self, batch: Batch, received_ns: int) -> ImuSamples:
         newest, self._newest = self._newest, {}
-        celsius, pressure_pa = (self._slow(newest.get(kind), most) for kind, most in SLOW)
+        celsius, pressure_pa = (self._slow(newest.get(kind), most) for kind, most in SLOW_QUANTITIES)
         field_sensor = newest.get(xbus.MAGNETIC_FIELD)
         if field_sensor is not None:
             try:
-                check(field_sensor, STRONGEST_FIELD)
+                check(field_sensor, MAX_FIELD)
             except SampleError as fault:
                 self._rejects[str(fault)] += 1
                 field_sensor = None

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from shared.messages.power import PowerProtocol, PowerRaw
 
 NS = 1_000_000_000
-LARGEST_CURRENT_A = 20.0  # more than any supply of such a computer; a wrong shunt shows itself by it
+MAX_CURRENT_A = 20.0  # more than any supply of such a computer; a wrong shunt shows itself by it
 # A battery does not change by more in a second under the load of such a computer: between idle and full load the
 # voltage of two cells steps by about 0.3 V.
-LARGEST_STEP_V = 1.0
+MAX_STEP_V = 1.0
 SILENT_BUS = b"\xff\xff\xff\xff"  # no device answers: the lines stay high
 STEPS = 5  # readings in a row that confirm a voltage after a step
 
@@ -77,16 +77,16 @@ class Decoder:
         span_v = limits.full_v - limits.empty_v
         if data == SILENT_BUS:
             return "power_silent"
-        if not limits.empty_v - span_v <= voltage_v <= limits.full_v + span_v or abs(current_a) > LARGEST_CURRENT_A:
+        if not limits.empty_v - span_v <= voltage_v <= limits.full_v + span_v or abs(current_a) > MAX_CURRENT_A:
             return "power_range"
         return None if self._follows(voltage_v) else "power_step"
 
     def _follows(self, voltage_v: float) -> bool:
         """Whether a voltage follows from the last one, or several in a row agree on it."""
-        if self._voltage_v is None or abs(voltage_v - self._voltage_v) <= LARGEST_STEP_V:
+        if self._voltage_v is None or abs(voltage_v - self._voltage_v) <= MAX_STEP_V:
             self._voltage_v, self._step_v = voltage_v, []
             return True
-        agreeing = [value for value in self._step_v if abs(value - voltage_v) <= LARGEST_STEP_V]
+        agreeing = [value for value in self._step_v if abs(value - voltage_v) <= MAX_STEP_V]
         self._step_v = [*agreeing[-STEPS:], voltage_v]
         if len(self._step_v) <= STEPS:
             return False

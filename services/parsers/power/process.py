@@ -13,7 +13,7 @@ from shared.runtime.config import Section
 
 from .battery import NS, Decoder, Limits, LowBattery, Reading, SteadySupply
 
-SILENT_NS = 5 * NS  # readings come every second
+SILENCE_TIMEOUT_NS = 5 * NS  # readings come every second
 
 
 class Config(Section):
@@ -115,7 +115,7 @@ class Process:
 
     def _state(self, now_ns: int) -> PowerState:
         reading = self._reading
-        if reading is None or now_ns - self._read_ns > SILENT_NS:
+        if reading is None or now_ns - self._read_ns > SILENCE_TIMEOUT_NS:
             return PowerState(sampled_ns=now_ns, source=self._source or "", reason="no plausible reading of the supply")
         return PowerState(
             sampled_ns=now_ns, source=self._source or "", on_battery=reading.on_battery, since_ns=self._supply.since_ns,

@@ -28,9 +28,9 @@ _OPTIONS = {
     "tcp": set[str](),
     "serial": {"baud"},
 }
-LONGEST_URL = 1024
-MOST_TOPICS = 8
-LONGEST_PASSWORD = 256
+MAX_URL = 1024
+MAX_TOPICS = 8
+MAX_PASSWORD = 256
 EXAMPLE = "ntrip://user@caster.example.org:2101/MOUNT"
 
 
@@ -72,8 +72,8 @@ def parse(url: str, defaults: Mapping[str, str | float | None]) -> Address:
     ConfigError
         The URL cannot be used. The text repeats neither user nor password.
     """
-    if len(url) > LONGEST_URL or not url.isprintable() or " " in url:
-        raise _wrong("a source", f"has spaces, control characters or more than {LONGEST_URL} characters: try {EXAMPLE}")
+    if len(url) > MAX_URL or not url.isprintable() or " " in url:
+        raise _wrong("a source", f"has spaces, control characters or more than {MAX_URL} characters: try {EXAMPLE}")
     try:
         parts = urlsplit(url)
         port = parts.port
@@ -121,13 +121,13 @@ def password_of(address: Address) -> str:
         if path.stat().st_mode & (stat.S_IROTH | stat.S_IWOTH):
             raise SourceFault(f"others may read {path}: run chmod 600 on it", wait_s=RETRY_S)
         with path.open(encoding="utf-8") as file:
-            password = file.readline(LONGEST_PASSWORD + 2).rstrip("\r\n")
+            password = file.readline(MAX_PASSWORD + 2).rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise SourceFault(f"cannot read password_file {path}: {reason}", wait_s=RETRY_S) from error
-    if not password or len(password) > LONGEST_PASSWORD or not password.isprintable():
+    if not password or len(password) > MAX_PASSWORD or not password.isprintable():
         raise SourceFault(
-            f"password_file {path} holds no password in its first line, or more than {LONGEST_PASSWORD} characters",
+            f"password_file {path} holds no password in its first line, or more than {MAX_PASSWORD} characters",
             wait_s=RETRY_S,
         )
     return password
@@ -147,8 +147,8 @@ def _options(parts: SplitResult, shown: str) -> tuple[tuple[str, ...], dict[str,
     if unknown := [name for name, _ in pairs if name not in known]:
         raise _wrong(shown, f"has no option {unknown[0][:32]!r}; options: {', '.join(sorted(known)) or 'none'}")
     topics = tuple(value for name, value in pairs if name == "topic")
-    if len(topics) > MOST_TOPICS:
-        raise _wrong(shown, f"names more than {MOST_TOPICS} topics")
+    if len(topics) > MAX_TOPICS:
+        raise _wrong(shown, f"names more than {MAX_TOPICS} topics")
     return topics, {name: value for name, value in pairs if name != "topic"}
 
 

@@ -4,8 +4,8 @@ import re
 
 from .fault import SourceFault, shown
 
-LONGEST_LINE = 256  # [bytes] of a size with its extensions
-MOST_BYTES = 1 << 20  # of one chunk: casters send one a second, of a few kilobytes
+MAX_LINE = 256  # [bytes] of a size with its extensions
+MAX_BYTES = 1 << 20  # of one chunk: casters send one a second, of a few kilobytes
 _SIZE = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;[^\r\n]*)?\Z")
 
 
@@ -29,7 +29,7 @@ class ChunkedDecoder:
                 continue
             line, end, rest = buffer.partition(b"\n")
             if not end:
-                if len(buffer) > LONGEST_LINE:
+                if len(buffer) > MAX_LINE:
                     raise SourceFault(f"the caster sends no valid chunk: {shown(buffer, 20)!r}")
                 break
             buffer = rest
@@ -44,7 +44,7 @@ class ChunkedDecoder:
             self._ends = False
             return
         match = _SIZE.match(line)
-        if match is None or int(match[1], 16) > MOST_BYTES:
+        if match is None or int(match[1], 16) > MAX_BYTES:
             raise SourceFault(f"the caster sends no valid size of a chunk: {shown(line, 20)!r}")
         self._left = int(match[1], 16)
         self.finished = not self._left

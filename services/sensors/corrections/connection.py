@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     import ssl
 
 READ_BYTES = 4096
-MOST_AT_ONCE = 16384  # [bytes] read in one turn
-MOST_WAITING = 8192  # [bytes] not sent yet: the longest request is a tenth of it
-MOST_ADDRESSES = 3  # of one host that are tried
+MAX_CONCURRENT = 16384  # [bytes] read in one turn
+MAX_WAITING = 8192  # [bytes] not sent yet: the longest request is a tenth of it
+MAX_ADDRESSES = 3  # of one host that are tried
 ADDRESS_S = 4.0  # for each of them, so that all have their turn: IPv6 may lead nowhere where IPv4 works
 
 
@@ -60,7 +60,7 @@ class _Resolver(threading.Thread):
         """Look up; either `found` or `fault` is set at the end."""
         try:
             rows = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
-            self.found = [(row[0], row[4]) for row in rows[:MOST_ADDRESSES]]
+            self.found = [(row[0], row[4]) for row in rows[:MAX_ADDRESSES]]
         except (OSError, UnicodeError) as error:
             self.fault = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
 
@@ -96,7 +96,7 @@ class TcpConnection:
         self._send()
         connection = self._tls or self.sock
         data = b""
-        while connection is not None and len(data) < MOST_AT_ONCE:
+        while connection is not None and len(data) < MAX_CONCURRENT:
             try:
                 part = connection.recv(READ_BYTES)
             except BlockingIOError:
@@ -115,7 +115,7 @@ class TcpConnection:
     def write(self, data: bytes) -> None:
         """Send bytes; raises `SourceFault` if the peer takes none for long."""
         self._waiting += data
-        if len(self._waiting) > MOST_WAITING:
+        if len(self._waiting) > MAX_WAITING:
             raise SourceFault(f"{self._name} does not read what is sent to it")
         self._send()
 
@@ -246,7 +246,7 @@ class SerialConnection:
         """Return the bytes that the port has received."""
         data = b""
         try:
-            while self._device and len(data) < MOST_AT_ONCE and (part := self._device.read(0.0)):
+            while self._device and len(data) < MAX_CONCURRENT and (part := self._device.read(0.0)):
                 data += part
         except DeviceLost as error:
             raise SourceFault(str(error)) from error

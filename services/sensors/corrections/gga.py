@@ -12,7 +12,7 @@ from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.trust import TrustLevel, TrustState
 
 NS = 1_000_000_000
-OLDEST_S = 10.0  # of a fix: at 30 m/s 300 m, which changes nothing in the corrections of a network
+MAX_AGE_S = 10.0  # of a fix: at 30 m/s 300 m, which changes nothing in the corrections of a network
 TRUST_S = 5.0  # after which a verdict has no meaning, as for the topic's own deadline
 _LOCATED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 _QUALITY = {CarrierSolution.FIXED: 4, CarrierSolution.FLOAT: 5}
@@ -44,7 +44,7 @@ class Position:
 
     def _usable(self, now_ns: int) -> GnssFix | None:
         fix, trust = self._fix, self._trust
-        if fix is None or not 0 <= now_ns - fix.received_ns <= OLDEST_S * NS:
+        if fix is None or not 0 <= now_ns - fix.received_ns <= MAX_AGE_S * NS:
             return None
         fresh = trust is not None and 0 <= now_ns - trust.sampled_ns <= TRUST_S * NS
         return None if fresh and trust is not None and trust.state is TrustLevel.UNSAFE else fix

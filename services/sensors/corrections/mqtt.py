@@ -16,7 +16,7 @@ from .fault import SourceFault, refused
 
 KEEP_ALIVE_S = 60
 PING_S = 30.0
-LONGEST_MESSAGE = 65_536  # [bytes]; SPARTN of a continent is at most a few kilobytes at once
+MAX_MESSAGE = 65_536  # [bytes]; SPARTN of a continent is at most a few kilobytes at once
 CONNACK, PUBLISH, SUBACK, PINGRESP = 2, 3, 9, 13
 _REFUSALS = {
     1: "it does not know MQTT 3.1.1", 2: "it refuses the client identifier", 3: "it is not available",
@@ -85,7 +85,7 @@ class MqttDialogue:
                     break
                 if shift > 21:
                     raise self._no_broker()
-            if size > LONGEST_MESSAGE:
+            if size > MAX_MESSAGE:
                 raise (
                     self._no_broker() if not self.streaming else SourceFault("the broker sends a message of over 64 kB")
                 )

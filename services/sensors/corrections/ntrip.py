@@ -17,12 +17,12 @@ from .address import Address
 from .chunked import ChunkedDecoder
 from .fault import ConnectionEnded, SourceFault, refused, shown
 
-LONGEST_LINE = 1024  # [bytes] of a header
-LONGEST_HEADER = 16384  # [bytes] of all headers
-LONGEST_TABLE = 1 << 20  # [bytes]; that of the largest public caster, with some 700 streams, has about 150 kB
-BUSY_S = 60.0  # until the next attempt at a caster that is overloaded
-LONGEST_RETRY_AFTER_S = 3600
-NEAREST = 4  # names in a sentence
+MAX_LINE = 1024  # [bytes] of a header
+MAX_HEADER = 16384  # [bytes] of all headers
+MAX_TABLE = 1 << 20  # [bytes]; that of the largest public caster, with some 700 streams, has about 150 kB
+OVERLOAD_PAUSE_S = 60.0  # until the next attempt at a caster that is overloaded
+MAX_RETRY_AFTER_S = 3600
+MAX_NAMES = 4  # names in a sentence
 # Some casters of version 1 write the codes of HTTP behind ICY, or alone.
 _STATUS = re.compile(rb"(?:(?:HTTP/\d(?:\.\d)?|ICY|NTRIP(?:/\d\.\d)?) +|(?=[45]))(\d{3})(?: +(.*))?\Z", re.I)
 _HEADER = re.compile(rb"[A-Za-z0-9-]{1,64}:[ \t]*[ -~\x80-\xff]*\r?\n")
@@ -167,11 +167,11 @@ class NtripDialogue:
             return True
         line, end, rest = self._buffer.partition(b"\n")
         if not end:
-            if len(self._buffer) > LONGEST_LINE:
+            if len(self._buffer) > MAX_LINE:
                 raise self._too_long()
             return False
         self._header_bytes += len(line) + 1
-        if len(line) > LONGEST_LINE or self._header_bytes > LONGEST_HEADER:
+        if len(line) > MAX_LINE or self._header_bytes > MAX_HEADER:
             raise self._too_long()
         self._buffer = rest
         line = line.rstrip(b"\r")
@@ -192,10 +192,10 @@ class NtripDialogue:
         if buffer.startswith((b"\r\n", b"\n")):
             self._buffer = buffer[1 + (buffer[0] == 13) :]
             return True
-        text = buffer[:LONGEST_LINE]
+        text = buffer[:MAX_LINE]
         if buffer == b"\r" or _HEADER.match(text):
             return False
-        whole = b"\n" in text or len(buffer) > LONGEST_LINE
+        whole = b"\n" in text or len(buffer) > MAX_LINE
         return whole or not re.fullmatch(rb"[A-Za-z0-9-]{1,64}(?::[ -~\x80-\xff]*)?\r?", text)
 
     def _status(self, line: bytes) -> None:
@@ -227,7 +227,9 @@ class NtripDialogue:
             return refused(f"the caster does not know the mount point {self._address.mount!r}: {reason}")
         older = self._version == 2 and bool(_OTHER_VERSION.search(lower))
         return SourceFault(
-            f"the caster refuses: {reason or 'it states no reason'}", wait_s=None if older else BUSY_S, older=older
+            f"the caster refuses: {reason or 'it states no reason'}",
+            wait_s=None if older else OVERLOAD_PAUSE_S,
+            older=older,
         )
 
     def _answered(self) -> None:
@@ -252,7 +254,7 @@ class NtripDialogue:
         if code != 200:
             older = self._version == 2 and code in _OLDER
             raise SourceFault(
-                f"the caster refuses: {code} {self._reason}", wait_s=None if older else BUSY_S, older=older
+                f"the caster refuses: {code} {self._reason}", wait_s=None if older else OVERLOAD_PAUSE_S, older=older
             )
         self._begin()
 
@@ -285,9 +287,9 @@ class NtripDialogue:
         if not undecided and self._kind().startswith("text/html") and (start or whole):
             raise refused(
                 f"{self._address.host}:{self._address.port} answers with a web page: it is no caster, or this network "
-                "wants you to log in", BUSY_S,
+                "wants you to log in", OVERLOAD_PAUSE_S,
             )  # fmt: skip
-        if refusal and not undecided and (end or len(line) > LONGEST_LINE):
+        if refusal and not undecided and (end or len(line) > MAX_LINE):
             raise self._error(shown(line.removeprefix(_ERROR)))
         if undecided or (refusal and not end):
             self._body = content
@@ -304,7 +306,11 @@ class NtripDialogue:
 
     def _retry_after_s(self) -> float:
         text = self._headers.get("retry-after", "")
-        return float(min(max(int(text), 10), LONGEST_RETRY_AFTER_S)) if text.isdecimal() and len(text) < 8 else BUSY_S
+        return (
+            float(min(max(int(text), 10), MAX_RETRY_AFTER_S))
+            if text.isdecimal() and len(text) < 8
+            else OVERLOAD_PAUSE_S
+        )
 
     def _too_long(self) -> SourceFault:
         return SourceFault(f"{self._address.host}:{self._address.port} is no NTRIP caster: its headers do not end")
@@ -314,7 +320,7 @@ class NtripDialogue:
         assert self._table is not None
         searched = max(len(self._table) - len(b"ENDSOURCETABLE"), 0)
         self._table += content
-        if self._table.find(b"ENDSOURCETABLE", searched) >= 0 or len(self._table) > LONGEST_TABLE:
+        if self._table.find(b"ENDSOURCETABLE", searched) >= 0 or len(self._table) > MAX_TABLE:
             raise self._unknown_mount()
 
     def _unknown_mount(self) -> SourceFault:
@@ -348,11 +354,11 @@ def nearest_mounts(table: bytes, mount: str, location: tuple[float, float] | Non
         if fields[0] == "STR" and len(fields) > 1 and (name := shown(fields[1], 32)):
             places[name] = _place(*fields[9:11]) if len(fields) > 10 else None  # some casters give names only
     by_name = {name.lower(): name for name in places}
-    found = [by_name[name] for name in get_close_matches(mount.lower(), by_name, n=NEAREST)]
+    found = [by_name[name] for name in get_close_matches(mount.lower(), by_name, n=MAX_NAMES)]
     if location is not None:
         distances = {name: _distance(place, location) for name, place in places.items() if place is not None}
         found += [name for name in sorted(distances, key=lambda name: distances[name]) if name not in found]
-    return (found or list(places))[:NEAREST]
+    return (found or list(places))[:MAX_NAMES]
 
 
 def _place(latitude: str, longitude: str) -> tuple[float, float] | None:

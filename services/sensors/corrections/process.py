@@ -26,9 +26,9 @@ from .source import Source
 
 log = logging.getLogger(__name__)
 
-WAIT_S = 0.2  # for bytes of a source: corrections are seconds old anyhow
+WAIT_TIMEOUT_S = 0.2  # for bytes of a source: corrections are seconds old anyhow
 STATEMENT_S = 1.0
-STALE_S = 5.0  # of the parser's state
+STALE_AFTER_S = 5.0  # of the parser's state
 
 
 class Config(Section):
@@ -114,7 +114,7 @@ class Process:
         writers = [
             connection.sock for connection in connections if connection.sock is not None and connection.wants_write
         ]
-        select.select(readers, writers, [], WAIT_S)
+        select.select(readers, writers, [], WAIT_TIMEOUT_S)
 
     def _handle(self, bus: Bus, envelopes: Sequence[Envelope]) -> None:
         for envelope in envelopes:
@@ -126,7 +126,7 @@ class Process:
 
     def _select(self, now_s: float) -> None:
         """Connect to the next source while none delivers; leave those behind the one in use."""
-        if self._stated_s is None or now_s - self._stated_s > STALE_S:
+        if self._stated_s is None or now_s - self._stated_s > STALE_AFTER_S:
             return  # without the parser nobody knows what is delivered
         names = [source.address.name for source in self._sources]
         if self._active in names:

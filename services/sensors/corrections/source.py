@@ -18,7 +18,7 @@ HANG_S = 20.0  # without a byte: base stations send every second, SPARTN service
 UNLOCATED_HANG_S = 120.0  # of a caster that may wait for a position, and was told none yet
 BACK_OFF_S = (2.0, 5.0, 10.0, 30.0, 60.0)
 SPREAD = 0.2  # of the back-off, so that vehicles do not return to a caster all at once
-STEADY_S = 60.0  # of data, after which the back-off begins anew
+STABLE_AFTER_S = 60.0  # of data, after which the back-off begins anew
 # Corrections of all constellations at 1 Hz are 2 to 4 kB/s; a source that sends ten times that sends something else.
 MOST_BYTES_S, BURST_BYTES = 32_768.0, 262_144.0
 
@@ -192,7 +192,7 @@ class Source:
         self._received_bytes += len(stream)
         self.phase, self._reason, self.fault = SourcePhase.RECEIVING, "receiving", None
         self._streaming_s = self._streaming_s or now_s
-        if now_s - self._streaming_s >= STEADY_S:
+        if now_s - self._streaming_s >= STABLE_AFTER_S:
             self._attempts = 0
 
     def _tell(self, now_s: float, now_ns: int) -> None:

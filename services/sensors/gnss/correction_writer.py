@@ -7,7 +7,7 @@ from shared.bus.bus import Bus
 from shared.devices.driver import Link
 from shared.messages.corrections import GnssCorrection
 
-MOST_BYTES = 16_384  # waiting: at 115,200 baud 1.4 s of the port, and several seconds of corrections
+MAX_BYTES = 16_384  # waiting: at 115,200 baud 1.4 s of the port, and several seconds of corrections
 PORTION_BYTES = 1024  # in one turn: at 115,200 baud 0.09 s, less than the buffer of a serial port
 PAUSE_S = 1.0  # after the port did not accept bytes, which takes 0.1 s of reading each time
 
@@ -28,7 +28,7 @@ class CorrectionWriter:
         """Append whole frames; the oldest messages make room for them."""
         self._waiting.append(message.data)
         self._bytes += len(message.data)
-        while self._bytes > MOST_BYTES:
+        while self._bytes > MAX_BYTES:
             self._bytes -= len(self._waiting.popleft())
             bus.rejects["correction_lost"] += 1
 

@@ -23,7 +23,7 @@ from shared.messages.power import PowerProtocol
 
 I2C_SLAVE = 0x0703  # ioctl of the kernel's i2c-dev: address of the peer
 SHUNT, BUS = 0x01, 0x02  # registers
-LONGEST_SIGNAL = 64  # [bytes]
+MAX_SIGNAL = 64  # [bytes]
 _OPTIONS = {"ina219": {"address"}, "signal": set[str](), "simulated": {"mains_s", "battery_s"}}
 EXAMPLES = "ina219:///dev/i2c-1?address=0x42 or signal:///sys/class/power_supply/AC/online"
 
@@ -116,7 +116,7 @@ class Signal:
         """Read it from its beginning."""
         try:
             with self._path.open("rb") as file:
-                return file.read(LONGEST_SIGNAL)
+                return file.read(MAX_SIGNAL)
         except OSError as error:
             raise DeviceLost(f"cannot read {self._path}: {error.strerror}; check device in [sensors.power]") from error
 

@@ -24,10 +24,10 @@ log = logging.getLogger(__name__)
 
 STATE_S, ORIGIN_S = 0.1, 2.0
 STEP_S = 0.02  # of the host's clock, between two looks for messages that are due
-SETTLED_S = 0.3  # after the last jump: then the past minute follows
+SETTLING_TIME_S = 0.3  # after the last jump: then the past minute follows
 PAST_NS, RECENT_NS = 60_000_000_000, 3_000_000_000
 OUTAGES_BYTES = 190_000  # in one message, beside 500 changes of the verdict
-BURST = 100  # messages between two turns of the network
+MAX_BURST = 100  # messages between two turns of the network
 WATCHED_NICE = 5  # of the computation of events that somebody waits for
 
 
@@ -80,7 +80,7 @@ class Process:
             until_ns = self._position.at(now_s)
             if jumped or (settle_s and now_s >= settle_s):
                 self._jump(bus, until_ns, past=not jumped)
-                played_ns, settle_s, origin_s = until_ns, now_s + SETTLED_S if jumped else 0.0, 0.0
+                played_ns, settle_s, origin_s = until_ns, now_s + SETTLING_TIME_S if jumped else 0.0, 0.0
             elif until_ns > played_ns and not settle_s:
                 self._send(bus, self._due(played_ns, until_ns))
                 played_ns = until_ns
@@ -142,7 +142,7 @@ class Process:
     def _send(self, bus: Bus, envelopes: Iterable[Envelope]) -> None:
         for count, envelope in enumerate(envelopes, 1):
             bus.forward(envelope)
-            if count % BURST == 0:
+            if count % MAX_BURST == 0:
                 self._received += bus.receive(0.0)
 
     def _say_origin(self, bus: Bus, at_ns: int) -> None:

@@ -5,17 +5,17 @@ from collections.abc import Iterable
 from shared.topics import BY_NAME, topic_of
 
 FULL_SPEED = 2.0  # up to here every message is published
-MOST_HZ = 20.0  # of a topic with a rate, beyond that speed
+MAX_RATE_HZ = 20.0  # of a topic with a rate, beyond that speed
 PLOTTED = {  # what the last minute of the dashboard is drawn of, and its least spacing [s]
     "navigation/solution": 0.2, "gnss/fix": 0.9, "vehicle/speed": 0.9, "vehicle/wheel_speed": 0.9,
     "trust/state": 0.9, "truth/state": 0.2, "trust/event": 0.0, "outage/event": 0.0,
 }  # fmt: skip
-NEVER = ("origin/state", "replay/state", "replay/control", "replay/events")  # the replay publishes its own
+EXCLUDED_TOPICS = ("origin/state", "replay/state", "replay/control", "replay/events")  # the replay publishes its own
 
 
 def playable(topics: Iterable[str]) -> frozenset[str]:
     """Choose the topics that are published at ordinary speed."""
-    return frozenset(name for name in topics if name not in NEVER and topic_of(name) is not None)
+    return frozenset(name for name in topics if name not in EXCLUDED_TOPICS and topic_of(name) is not None)
 
 
 def shown(topics: Iterable[str]) -> frozenset[str]:
@@ -38,7 +38,7 @@ class Thinning:
         row = topic_of(topic)
         if speed <= FULL_SPEED or row is None or row.qos:
             return True
-        return self._spaced(topic, arrival_ns, speed / MOST_HZ)
+        return self._spaced(topic, arrival_ns, speed / MAX_RATE_HZ)
 
     def keeps_plotted(self, topic: str, arrival_ns: int) -> bool:
         """Whether a message of the last minute is published after a jump."""

@@ -20,7 +20,7 @@ from .world import Equipment, World
 
 log = logging.getLogger(__name__)
 
-LATEST_NS = 1_000_000_000  # messages overdue by more than this are dropped (the host was suspended)
+MAX_DELAY_NS = 1_000_000_000  # messages overdue by more than this are dropped (the host was suspended)
 
 
 class Config(Section):
@@ -100,7 +100,7 @@ class Process:
             self._wait(bus, due_ns, world)
             if bus.stopping:
                 return
-            if bus.now_ns() - due_ns > LATEST_NS:
+            if bus.now_ns() - due_ns > MAX_DELAY_NS:
                 bus.rejects["late"] += 1
             else:
                 bus.publish(message)

@@ -44,7 +44,7 @@ class Equipment:
     neighbours: int = 4  # vehicles with V2X radios around it
 
 
-class Due(Enum):
+class Schedule(Enum):
     """What is computed when its time has come."""
 
     EPOCH = "a navigation epoch of the receiver"
@@ -75,7 +75,7 @@ class World:
         self._attacks = Attacks(scenario, seed, start_ns, attacks)
         self._can = CanBus(seed, start_ns, clocks, self._attacks.odometer)
         self.radio = Radio(scenario, seed, equipment.neighbours)
-        self._heap: list[tuple[int, int, Message | Due]] = []
+        self._heap: list[tuple[int, int, Message | Schedule]] = []
         self._order = count()
         self._motion: Motion | None = None
         self._driven_ns = self._origin_ns = self._clock_ns = start_ns
@@ -83,13 +83,13 @@ class World:
     def __iter__(self) -> Iterator[tuple[int, Message]]:
         """Yield (arrival time, message) without end."""
         for change_ns in self._attacks.changes_ns():
-            self._push(change_ns, Due.ATTACKS)
-        self._push(self._receiver.next_epoch_ns, Due.EPOCH)
+            self._push(change_ns, Schedule.ATTACKS)
+        self._push(self._receiver.next_epoch_ns, Schedule.EPOCH)
         while True:
             while not self._heap or self._heap[0][0] > self._driven_ns:
                 self._drive()
             due_ns, _, message = heapq.heappop(self._heap)
-            if message is Due.ATTACKS:
+            if message is Schedule.ATTACKS:
                 yield due_ns, self._attacks.state(due_ns)
                 continue
             if isinstance(message, Message):
@@ -99,7 +99,7 @@ class World:
             if motion is not None:
                 antenna = antenna_at(motion, (due_ns - self._start_ns) / self.step_ns)
                 self._push_all(self._receiver.navigate(self._attacks.signals(antenna, due_ns)))
-            self._push(self._receiver.next_epoch_ns, Due.EPOCH)
+            self._push(self._receiver.next_epoch_ns, Schedule.EPOCH)
 
     def write(self, data: bytes, now_ns: int) -> None:
         """Write bytes to the GNSS receiver."""
@@ -110,7 +110,7 @@ class World:
         known = set(self._attacks.changes_ns())
         self._attacks.command(message, self._driven_ns)
         for change_ns in {self._driven_ns, *self._attacks.changes_ns()} - known:
-            self._push(change_ns, Due.ATTACKS)
+            self._push(change_ns, Schedule.ATTACKS)
 
     def attack_state(self, now_ns: int) -> SimulationState:
         """The attacks of the drive as they are at a time."""
@@ -171,7 +171,7 @@ class World:
         for due_ns, message in arrivals:
             self._push(due_ns, message)
 
-    def _push(self, due_ns: int, message: Message | Due) -> None:
+    def _push(self, due_ns: int, message: Message | Schedule) -> None:
         heapq.heappush(self._heap, (due_ns, next(self._order), message))
 
 

@@ -10,7 +10,7 @@ from shared.toll.plaza import Lane, along
 
 FloatArray = npt.NDArray[np.float64]
 
-GREATEST_ACCELERATION = 1.5  # [m/s²]
+MAX_ACCELERATION = 1.5  # [m/s²]
 COMFORTABLE_BRAKING = 2.0  # [m/s²]
 STANDSTILL_GAP = 2.5  # [m]
 HEADWAY_S = 1.3
@@ -109,7 +109,7 @@ def acceleration(speed: float, wanted: float, gap: float | None, closing: float)
     """
     free = 1.0 - (speed / wanted) ** 4
     if gap is None:
-        return GREATEST_ACCELERATION * free
-    braking = speed * closing / (2.0 * sqrt(GREATEST_ACCELERATION * COMFORTABLE_BRAKING))
+        return MAX_ACCELERATION * free
+    braking = speed * closing / (2.0 * sqrt(MAX_ACCELERATION * COMFORTABLE_BRAKING))
     desired = STANDSTILL_GAP + max(0.0, speed * HEADWAY_S + braking)
-    return max(GREATEST_ACCELERATION * (free - (desired / max(gap, 0.1)) ** 2), -8.0)
+    return max(MAX_ACCELERATION * (free - (desired / max(gap, 0.1)) ** 2), -8.0)

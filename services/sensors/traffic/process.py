@@ -21,7 +21,7 @@ from .world import Frame, Traffic, World
 log = logging.getLogger(__name__)
 
 NS = 1_000_000_000
-LATEST_NS = NS  # a frame overdue by more than this is dropped (the host was suspended)
+MAX_DELAY_NS = NS  # a frame overdue by more than this is dropped (the host was suspended)
 
 
 class Config(Traffic):
@@ -75,7 +75,7 @@ class Process:
 
     def _emit(self, bus: Bus, radio: socket.socket, due_ns: int, item: Frame | Message) -> None:
         if isinstance(item, Frame):
-            if bus.now_ns() - due_ns > LATEST_NS:
+            if bus.now_ns() - due_ns > MAX_DELAY_NS:
                 bus.rejects["late"] += 1
                 return
             try:

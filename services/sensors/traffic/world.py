@@ -45,7 +45,7 @@ class Channel(Section):
     reorder_s: float = Field(default=1.0, ge=0.0, le=10.0, description="largest additional delay of such a frame")
 
 
-class Mix(Section):
+class TrafficMix(Section):
     """Share of vehicles that are not as they should be."""
 
     unequipped: float = Field(default=0.1, ge=0.0, le=1.0, description="share of vehicles that send no CAM")
@@ -76,7 +76,7 @@ class Traffic(Section):
     )
     errors: ErrorModel = ErrorModel()
     channel: Channel = Channel()
-    mix: Mix = Mix()
+    mix: TrafficMix = TrafficMix()
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from shared.v2x import frames
 BATCH_S = 0.02
 MAX_BATCH_FRAMES = 72  # of the longest frames: 167 kB, and 223 kB in base 64
 MAX_READ = 4096  # frames in one go
-BURST_S = 0.5  # of frames at the greatest rate, after a pause
+MAX_BURST_S = 0.5  # of frames at the greatest rate, after a pause
 
 
 class Config(Section):
@@ -44,7 +44,7 @@ class Process:
             host_and_port(config.send_to)
         self._config = config
         self._next_batch = 0.0
-        self._allowance = BURST_S * config.max_frames_s  # frames that may be published now
+        self._allowance = MAX_BURST_S * config.max_frames_s  # frames that may be published now
         self._refilled = time.monotonic()
 
     def run(self, bus: Bus) -> None:
@@ -90,7 +90,7 @@ class Process:
 
     def _accept(self, arrived: int) -> int:
         """How many of so many frames the limit of the rate admits: a token bucket."""
-        now, greatest = time.monotonic(), BURST_S * self._config.max_frames_s
+        now, greatest = time.monotonic(), MAX_BURST_S * self._config.max_frames_s
         self._allowance = min(greatest, self._allowance + (now - self._refilled) * self._config.max_frames_s)
         self._refilled = now
         accepted = min(arrived, int(self._allowance))

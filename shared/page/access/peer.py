@@ -6,7 +6,7 @@ from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_add
 
 Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
-FORWARDED = ("forwarded", "via", "x-real-ip", "x-client-ip", "true-client-ip", "cf-connecting-ip")
+FORWARDING_HEADERS = ("forwarded", "via", "x-real-ip", "x-client-ip", "true-client-ip", "cf-connecting-ip")
 FORWARDED_PREFIX = "x-forwarded-"
 UNKNOWN = "unknown"
 
@@ -36,7 +36,7 @@ def peer_of(client: str | None, scheme: str, headers: Mapping[str, str], trusted
     trusted : sequence of networks
         Proxies whose statements are believed.
     """
-    forwarded = any(name in FORWARDED or name.startswith(FORWARDED_PREFIX) for name in headers)
+    forwarded = any(name in FORWARDING_HEADERS or name.startswith(FORWARDED_PREFIX) for name in headers)
     address = as_address(client)
     encrypted = scheme in ("https", "wss")
     if address is None:

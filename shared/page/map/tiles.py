@@ -14,7 +14,7 @@ from shared.unpacked import compression_of, unpacked
 if TYPE_CHECKING:
     import sqlite3
 
-HOW = "see docs/how-to/install-a-map.md"
+REMEDY = "see docs/how-to/install-a-map.md"
 REPACK = "write it anew with tiles that are packed with gzip"
 METADATA_BYTES, METADATA_UNPACKED_BYTES = 2_000_000, 20_000_000
 MBTILES_KEYS = ("format", "bounds", "minzoom", "maxzoom", "attribution", "json")
@@ -61,10 +61,10 @@ def describe(path: Path) -> MapDescription:
         if path.suffix == ".mbtiles":
             return _describe_mbtiles(path)
     except FileNotFoundError as error:
-        raise BadMap(f"the map {path.name} named by map_file is not there; {HOW}") from error
+        raise BadMap(f"the map {path.name} named by map_file is not there; {REMEDY}") from error
     except (OSError, ValueError, EOFError) as error:
-        raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
-    raise BadMap(f"the map {path.name} is neither a .pmtiles nor a .mbtiles file; {HOW}")
+        raise BadMap(f"the map {path.name} cannot be read ({error}); {REMEDY}") from error
+    raise BadMap(f"the map {path.name} is neither a .pmtiles nor a .mbtiles file; {REMEDY}")
 
 
 def _describe_pmtiles(path: Path) -> MapDescription:
@@ -167,7 +167,7 @@ def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
                 (zoom, x, (1 << zoom) - 1 - y),
             ).fetchone()
     except (sqlite3.Error, OSError, MemoryError) as error:
-        raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
+        raise BadMap(f"the map {path.name} cannot be read ({error}); {REMEDY}") from error
     return bytes(row[0]) if row else None
 
 

@@ -20,7 +20,7 @@ from shared.bus.bus import KEEP_ALIVE_S, Bus, Envelope
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfigure, GnssRaw
 from shared.messages.navigation import LastPosition
-from shared.messages.operation import Consumed, Mode, ModeState, ProcessHealth, ProcessState
+from shared.messages.operation import ConsumptionOrder, Mode, ModeState, ProcessHealth, ProcessState
 from shared.runtime.config import BrokerAddress
 from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions
@@ -149,7 +149,7 @@ def test_the_bus_reconnects_after_the_broker_and_counts_lost_messages(
     assert [m.request_id for m in received if isinstance(m, GnssConfigure)] == [7]
 
 
-class Answering:
+class StateController:
     """A process of the controller that publishes a state and stores what it received."""
 
     def __init__(self) -> None:
@@ -192,7 +192,7 @@ def test_invalid_payloads_on_a_topic_are_counted_and_the_process_continues(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
 ) -> None:
     parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
-    process = Answering()
+    process = StateController()
     good = {
         "sampled_ns": 1_790_000_000 * 10**9,
         "received_ns": 1_790_000_000 * 10**9,
@@ -214,24 +214,24 @@ def test_invalid_payloads_on_a_topic_are_counted_and_the_process_continues(
     assert controller.rejects["payload"] + controller.rejects["envelope"] == 6 + len(HOSTILE)
     assert controller.rejects["payload"] >= len(HOSTILE)
     received = [e for e in pump(0.3, controller, observer) if e.topic == "consumed/controller.mode"]
-    journals = [m for e in received if isinstance(m := e.decode(), Consumed)]
+    journals = [m for e in received if isinstance(m := e.decode(), ConsumptionOrder)]
     runs = [run for journal in journals for run in journal.runs if run[0] == "gnss/fix"]
     assert [(run[1], run[2], run[4]) for run in runs] == [("parsers.gnss", parser.incarnation, 1)]
 
 
 def test_a_restarted_process_receives_its_retained_state(make_bus: Callable[[str], Bus], tmp_path: Path) -> None:
     first = make_bus("controller.mode")
-    run_until(LiveReactor(Answering(), first), first, lambda: True, lambda: None)
+    run_until(LiveReactor(StateController(), first), first, lambda: True, lambda: None)
     assert (tmp_path / "saved-navigation-last_position.json").exists()
     first.close()
-    second, process = make_bus("controller.mode"), Answering()
+    second, process = make_bus("controller.mode"), StateController()
     run_until(LiveReactor(process, second), second, lambda: bool(process.given), lambda: None)
     assert process.given[0] == LAST
 
 
 def test_an_undecodable_saved_state_is_ignored_and_counted(make_bus: Callable[[str], Bus], tmp_path: Path) -> None:
     (tmp_path / "saved-navigation-last_position.json").write_bytes(b'{"sampled_ns": 1, "latit')
-    bus, process = make_bus("controller.mode"), Answering()
+    bus, process = make_bus("controller.mode"), StateController()
     bus.receive(0.05)
     run_until(LiveReactor(process, bus), bus, lambda: True, lambda: None)
     assert bus.rejects["saved state"] == 1

@@ -113,7 +113,7 @@ def test_in_a_container_a_hung_broker_is_killed_and_its_script_ends(tmp_path: Pa
             (tools / name).symlink_to(busybox)
     port = free_port()
     rules = tmp_path / "rules"
-    keys.make(tmp_path / "credentials", parse_vehicle(""), keys.Made("", str(rules)))
+    keys.make(tmp_path / "credentials", parse_vehicle(""), keys.KeyFileOwners("", str(rules)))
     config = local_config.write(tmp_path, port, rules)
     with (tmp_path / "log").open("wb") as log:
         script = subprocess.Popen(

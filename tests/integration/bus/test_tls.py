@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from broker import keys, local_config, tls
-from broker.keys import Made
+from broker.keys import KeyFileOwners
 from cli.demo.local import free_port
 from shared.bus.bus import Bus
 from shared.errors import UserError
@@ -32,7 +32,7 @@ POSITION = LastPosition(
 @pytest.fixture
 def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     rules = tmp_path / "rules"
-    _, rights = keys.make(tmp_path / "credentials", CAR, Made("", str(rules)))
+    _, rights = keys.make(tmp_path / "credentials", CAR, KeyFileOwners("", str(rules)))
     tls.make(rules / "tls", tmp_path / "credentials", ["127.0.0.1", "localhost"], NOW)
     monkeypatch.setattr(local_config, "TLS_PORT", free_port())
     plain = local_config.configuration

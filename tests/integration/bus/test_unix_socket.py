@@ -15,7 +15,7 @@ from cli.commands.unit import _await_broker
 from cli.demo.local import LocalBroker, free_port, local_broker, reaches_broker
 from cli.doctor import _broker
 from shared.bus.bus import Bus
-from shared.runtime.config import LONGEST_SOCKET, SOCKET, BrokerAddress, broker_address, parse_vehicle
+from shared.runtime.config import MAX_SOCKET, SOCKET, BrokerAddress, broker_address, parse_vehicle
 from shared.topics import BY_NAME
 from tests.support.bus import brokers
 from tests.support.patience import HANGS_S
@@ -144,7 +144,7 @@ def test_a_broker_that_accepts_no_connection_does_not_hold_a_process(tmp_path: P
 
 
 def test_where_the_path_is_too_long_for_a_socket_the_port_is_taken_and_that_is_said(tmp_path: Path) -> None:
-    state = tmp_path / ("s" * LONGEST_SOCKET)
+    state = tmp_path / ("s" * MAX_SOCKET)
     state.mkdir()
     started = local_broker(state, 1883, brokers.SIMULATED, parse_vehicle(CAR))
     assert started.address == BrokerAddress() and "OBU_STATE" in str(started.remark)

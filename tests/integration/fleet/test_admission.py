@@ -22,10 +22,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from fleet.admission import authority as authorities
 from fleet.admission import process as admission
 from fleet.admission.authority import Authority
-from fleet.admission.enrolment import MOST_RENEWALS, Enrolment, Refusal, make_token
+from fleet.admission.enrolment import MAX_RENEWALS, Enrolment, Refusal, make_token
 from fleet.admission.limits import FREE
 from fleet.admission.process import make_app
-from fleet.admission.revocation import LOOK_S, Revocation
+from fleet.admission.revocation import POLL_PERIOD_S, Revocation
 from fleet.centre import Centre
 from fleet.database.revoking import LOCK_VEHICLE, REVOKE
 from shared.errors import UserError
@@ -135,7 +135,7 @@ def test_a_revocation_of_which_admission_was_not_told_is_found_in_the_database(
     assert connected.ready and other.ready
     with psycopg.connect(Centre(folder).owner_dsn) as db:
         db.execute("UPDATE certificate SET revoked = now() WHERE vehicle = 'lost-1'")
-    eventually(lambda: connected.ended, within_s=LOOK_S + 10.0)
+    eventually(lambda: connected.ended, within_s=POLL_PERIOD_S + 10.0)
     assert not other.ended
 
 
@@ -178,10 +178,10 @@ def test_a_connection_that_was_being_admitted_while_its_key_was_revoked_is_ended
         look = Ending(Mock(), Mock(), revoked)
         for _ in range(5):
             await look.look()
-            now_s += LOOK_S
+            now_s += POLL_PERIOD_S
 
     asyncio.run(work())
-    assert ended == [100.0, 100.0 + LOOK_S]
+    assert ended == [100.0, 100.0 + POLL_PERIOD_S]
 
 
 def test_what_a_stolen_evidence_key_signs_is_refused_at_once(folder: Path, tmp_path: Path, link: Connect) -> None:
@@ -412,18 +412,18 @@ def test_the_certificate_of_the_servers_is_made_anew_near_its_end_and_for_other_
 def test_a_certificate_of_a_clock_that_was_ahead_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     authority = Authority(tmp_path)
     with monkeypatch.context() as ahead:
-        ahead.setattr(authorities, "datetime", Ahead)
+        ahead.setattr(authorities, "datetime", SkewedClock)
         certificate, _ = authority.server(["127.0.0.1"])
     assert x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_before_utc > datetime.now(UTC)
     authority.server(["127.0.0.1"])
     assert x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_before_utc < datetime.now(UTC)
 
 
-class Ahead(datetime):
+class SkewedClock(datetime):
     """A clock that is wrong by four hundred days."""
 
     @classmethod
-    def now(cls, tz: tzinfo | None = None) -> "Ahead":
+    def now(cls, tz: tzinfo | None = None) -> "SkewedClock":
         return cls.fromtimestamp(time.time() + 400 * 86_400, tz)
 
 
@@ -491,7 +491,7 @@ def test_a_revocation_waits_for_a_renewal_and_revokes_its_keys_too(folder: Path,
 
 def test_a_vehicle_renews_only_so_often_in_a_day(folder: Path, tmp_path: Path) -> None:
     identity = enrolled(folder, tmp_path, "car-often", b"often")
-    for _ in range(MOST_RENEWALS - 1):
+    for _ in range(MAX_RENEWALS - 1):
         identity = renew(identity, FileSigner(b"often".ljust(32, b".")))
     with pytest.raises(UserError, match="try again tomorrow"):
         renew(identity, FileSigner(b"often".ljust(32, b".")))

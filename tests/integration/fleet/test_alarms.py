@@ -14,10 +14,18 @@ from nats.aio.msg import Msg
 
 from fleet.alarms import judge as rules
 from fleet.alarms import process
-from fleet.alarms.judge import CALM_MS, HEARD_MS, LIMITS, MISSING_MS, SILENT_MOVING_MS, SILENT_STANDING_MS, judge
+from fleet.alarms.judge import (
+    CALM_PERIOD_MS,
+    LIMITS,
+    MISSING_AFTER_MS,
+    RECONNECT_TIME_MS,
+    SILENT_MOVING_MS,
+    SILENT_STANDING_MS,
+    judge,
+)
 from fleet.alarms.late import Period, judge_late, periods
 from fleet.alarms.process import Alarms
-from fleet.alarms.web_hook import Reach
+from fleet.alarms.web_hook import AddressPolicy
 from fleet.database.erasure import erase
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from fleet.ingest import process as ingest
@@ -109,12 +117,12 @@ def test_a_start_of_the_process_neither_repeats_nor_ends_what_is_open(
     unit.positions([SAFE])
     on_time(unit, put, [UNSAFE] * 61)
     judge(db, now_ms, 0)
-    judge(db, now_ms + MISSING_MS, 0)
+    judge(db, now_ms + MISSING_AFTER_MS, 0)
     before = told(db)
     assert {kind for kind, _, until_ms in before if until_ms is None} == {"unsafe", "silent", "gap"}
     with psycopg.connect(alarms_dsn, autocommit=True) as another:
-        assert judge(another, now_ms + MISSING_MS + 1000, now_ms + MISSING_MS) == []
-        assert judge_late(another, now_ms + MISSING_MS, 86_400.0) == []
+        assert judge(another, now_ms + MISSING_AFTER_MS + 1000, now_ms + MISSING_AFTER_MS) == []
+        assert judge_late(another, now_ms + MISSING_AFTER_MS, 86_400.0) == []
     assert told(db) == before
 
 
@@ -144,8 +152,10 @@ def test_a_centre_that_was_away_gives_vehicles_the_time_to_come_back(
     assert judge(db, now_ms, now_ms) == []
     unit.now_ms = now_ms + 60_000
     on_time(unit, put, [SAFE])
-    assert judge(db, now_ms + HEARD_MS - 1, now_ms) == []
-    assert [(row["kind"], row["vehicle"]) for row in judge(db, now_ms + HEARD_MS, now_ms)] == [("silent", "car-2")]
+    assert judge(db, now_ms + RECONNECT_TIME_MS - 1, now_ms) == []
+    assert [(row["kind"], row["vehicle"]) for row in judge(db, now_ms + RECONNECT_TIME_MS, now_ms)] == [
+        ("silent", "car-2")
+    ]
 
 
 def test_the_process_counts_from_its_start_and_from_when_the_database_is_back(
@@ -157,14 +167,14 @@ def test_the_process_counts_from_its_start_and_from_when_the_database_is_back(
     alarms = Alarms(alarms_dsn)
     try:
         assert alarms.turn() == []
-        clock_ms[0] += HEARD_MS
+        clock_ms[0] += RECONNECT_TIME_MS
         with monkeypatch.context() as away:
             away.setattr(alarms, "_dsn", "host=127.0.0.1 port=1")
             alarms.close()
             with pytest.raises(psycopg.OperationalError):
                 alarms.turn()
         assert alarms.turn() == []
-        clock_ms[0] += HEARD_MS
+        clock_ms[0] += RECONNECT_TIME_MS
         assert [row["kind"] for row in alarms.turn()] == ["silent"]
     finally:
         alarms.close()
@@ -184,7 +194,7 @@ def test_the_process_publishes_what_it_raises_and_outlives_its_connection_to_the
 
         client = await nats.connect(url)
         await client.subscribe(ALARM, cb=take)
-        task = asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn, Reach()))
+        task = asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn, AddressPolicy()))
         try:
             async with asyncio.timeout(20.0):
                 await asyncio.to_thread(on_time, unit, put, [UNSAFE] * 61)
@@ -215,7 +225,7 @@ def test_a_fleet_is_not_silent_while_no_ingest_works(
 ) -> None:
     monkeypatch.setattr(ingest, "BEAT_S", 0.1)
     monkeypatch.setattr(process, "PERIOD_S", 0.1)
-    monkeypatch.setattr(process, "DEAF_S", 1.0)
+    monkeypatch.setattr(process, "INGEST_TIMEOUT_S", 1.0)
     monkeypatch.setitem(LIMITS, "heard_ms", 500)
     on_time(unit, put, [SAFE])
 
@@ -224,7 +234,7 @@ def test_a_fleet_is_not_silent_while_no_ingest_works(
             return owner.execute("SELECT kind FROM alarm").fetchall()
 
     async def work(url: str) -> None:
-        tasks = [asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn, Reach()))]
+        tasks = [asyncio.create_task(process.serve(NatsAccess(url), alarms_dsn, AddressPolicy()))]
         try:
             await asyncio.sleep(2.0)
             assert raised() == []
@@ -247,11 +257,11 @@ def test_missing_numbers_are_a_gap_after_ten_minutes_until_they_come(
     lost = unit.positions([SAFE] * 3)
     at_ms = on_time(unit, put, [SAFE])
     assert judge(db, at_ms, at_ms) == []
-    raised = judge(db, at_ms + MISSING_MS, at_ms + MISSING_MS)
+    raised = judge(db, at_ms + MISSING_AFTER_MS, at_ms + MISSING_AFTER_MS)
     assert [(row["kind"], row["detail"]) for row in raised] == [("gap", {"missing": 3})]
     put(unit, lost)
-    ended = judge(db, at_ms + MISSING_MS + 5000, at_ms + MISSING_MS)
-    assert [row["until_ms"] for row in ended] == [at_ms + MISSING_MS + 5000]
+    ended = judge(db, at_ms + MISSING_AFTER_MS + 5000, at_ms + MISSING_AFTER_MS)
+    assert [row["until_ms"] for row in ended] == [at_ms + MISSING_AFTER_MS + 5000]
 
 
 def test_a_gap_that_a_vehicle_states_is_told_once(db: psycopg.Connection, unit: Unit, put: Put) -> None:
@@ -322,12 +332,12 @@ def test_foreign_signatures_are_over_an_hour_after_the_last_of_them(
     store = Store(dsn)
     forged = {("car-1", "signature"): 2}
     store.tell_forgeries(forged, now_ms)
-    store.tell_forgeries(forged, now_ms + CALM_MS - 1)
+    store.tell_forgeries(forged, now_ms + CALM_PERIOD_MS - 1)
     store.close()
-    assert judge(db, now_ms + CALM_MS + 1, now_ms + CALM_MS) == []
-    ended = judge(db, now_ms + 2 * CALM_MS, now_ms + CALM_MS)
+    assert judge(db, now_ms + CALM_PERIOD_MS + 1, now_ms + CALM_PERIOD_MS) == []
+    ended = judge(db, now_ms + 2 * CALM_PERIOD_MS, now_ms + CALM_PERIOD_MS)
     assert [(row["kind"], row["until_ms"], row["detail"]["count"]) for row in ended] == [
-        ("signature", now_ms + CALM_MS - 1, 4)
+        ("signature", now_ms + CALM_PERIOD_MS - 1, 4)
     ]
 
 

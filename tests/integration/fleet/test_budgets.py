@@ -8,14 +8,14 @@ import psycopg
 import pytest
 from nats.aio.msg import Msg
 
-from fleet.alarms.judge import CALM_MS, judge
+from fleet.alarms.judge import CALM_PERIOD_MS, judge
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from fleet.ingest.budgets import DAY_S, MB, ROW_BYTES, TENANT, VEHICLE, Budgets
 from fleet.ingest.keys import Limits
 from fleet.ingest.process import Ingest
 from fleet.ingest.store import Store
-from fleet.ingest.verification import Arrived
-from fleet.ingest.waiting import MOST, SHARE, Waiting
+from fleet.ingest.verification import ReceivedBytes
+from fleet.ingest.waiting import MAX_BATCHES, VEHICLE_SHARE, TenantQueue
 from shared.fleet.batch import Batch, Event, Kind
 from shared.fleet.receipts import Receipt
 from tests.support.fleet.reports import START_MS, Unit
@@ -132,8 +132,8 @@ def test_the_alarm_ends_an_hour_after_the_last_batch_that_was_withheld(dsn: str,
         query = "SELECT detail, until_ms FROM alarm"
         detail = {"budget": TENANT, "withheld": 7, "last_ms": NOW_MS + 1000}
         assert db.execute(query).fetchall() == [(detail, None)]
-        assert judge(db, NOW_MS + CALM_MS, NOW_MS) == []
-        assert [row["kind"] for row in judge(db, NOW_MS + CALM_MS + 2000, NOW_MS)] == ["flood"]
+        assert judge(db, NOW_MS + CALM_PERIOD_MS, NOW_MS) == []
+        assert [row["kind"] for row in judge(db, NOW_MS + CALM_PERIOD_MS + 2000, NOW_MS)] == ["flood"]
 
 
 def test_a_week_of_honest_reports_is_taken_within_an_hour() -> None:
@@ -182,13 +182,13 @@ def test_a_budget_that_is_changed_holds_at_once() -> None:
 
 
 def test_a_tenant_leaves_room_and_turns_to_others_whatever_it_sends() -> None:
-    waiting = Waiting()
-    for number in range(MOST):
-        for _ in range(SHARE):
-            waiting.add(1, Arrived(f"flood-{number}", b"", None))
-    assert len(waiting) == MOST / 2
-    assert all(waiting.add(2, Arrived("honest", bytes([n]), None)) for n in range(4))
+    waiting = TenantQueue()
+    for number in range(MAX_BATCHES):
+        for _ in range(VEHICLE_SHARE):
+            waiting.add(1, ReceivedBytes(f"flood-{number}", b"", None))
+    assert len(waiting) == MAX_BATCHES / 2
+    assert all(waiting.add(2, ReceivedBytes("honest", bytes([n]), None)) for n in range(4))
     group = [arrived for arrived in waiting.take(20) if arrived.vehicle == "honest"]
     assert [arrived.data for arrived in group] == [b"\0", b"\1", b"\2", b"\3"]
-    assert len(waiting.take(MOST)) == MOST / 2 - 16 and len(waiting) == 0
-    assert waiting.add(1, Arrived("flood-1", b"", None))
+    assert len(waiting.take(MAX_BATCHES)) == MAX_BATCHES / 2 - 16 and len(waiting) == 0
+    assert waiting.add(1, ReceivedBytes("flood-1", b"", None))

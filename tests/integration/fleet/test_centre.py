@@ -14,7 +14,7 @@ from shared.errors import UserError
 from shared.evidence.signer import FileSigner
 from shared.fleet.enrolling import enrol, renew
 from shared.fleet.identity import UplinkIdentity
-from shared.fleet.receipts import Receipt, Stored
+from shared.fleet.receipts import Receipt, StoredBatch
 from shared.fleet.sealed import receipt_digest
 from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit
@@ -30,7 +30,7 @@ def test_an_enrolled_vehicle_reports_and_has_a_receipt_after_the_commit(
     batch = unit.positions([0, 0, 5])
     vehicle.send("car-1", batch)
     eventually(lambda: vehicle.receipts)
-    assert vehicle.receipts == [Receipt((Stored(unit.epoch_ms, 0, receipt_digest(batch)),))]
+    assert vehicle.receipts == [Receipt((StoredBatch(unit.epoch_ms, 0, receipt_digest(batch)),))]
     vehicle.send("car-1", batch)
     eventually(lambda: len(vehicle.receipts) == 2)
     assert vehicle.receipts[0] == vehicle.receipts[1]

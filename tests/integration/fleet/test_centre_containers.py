@@ -28,7 +28,7 @@ FILES = 4096  # open ones of NATS: an engine in a container may allow fewer than
 SERVICES = ["postgres", "nats", *NAMES]
 
 
-class Composed:
+class ComposeProject:
     """A running Compose project, with ports of its own."""
 
     def __init__(self, folder: Path) -> None:
@@ -74,9 +74,9 @@ class Composed:
 
 
 @pytest.fixture(scope="module")
-def centre(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Composed]:
+def centre(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ComposeProject]:
     engine_with(IMAGES)
-    composed = Composed(tmp_path_factory.mktemp("composed"))
+    composed = ComposeProject(tmp_path_factory.mktemp("composed"))
     try:
         composed.compose("build", timeout_s=400)
         composed.compose("up", "--detach", timeout_s=120)
@@ -91,18 +91,20 @@ def unit() -> Unit:
 
 
 @pytest.fixture(scope="module")
-def identity(centre: Composed, unit: Unit, tmp_path_factory: pytest.TempPathFactory) -> UplinkIdentity:
+def identity(centre: ComposeProject, unit: Unit, tmp_path_factory: pytest.TempPathFactory) -> UplinkIdentity:
     eventually(centre.is_ready, within_s=60)
     _, _, url, token, *_ = centre.centre("token", "--vehicle", "car-1").split()  # obu enrol URL TOKEN --vehicle NAME
     return enrol(url, token, "car-1", tmp_path_factory.mktemp("car"), unit.signer)
 
 
-def test_a_vehicle_enrols_and_its_reports_are_stored(centre: Composed, unit: Unit, identity: UplinkIdentity) -> None:
+def test_a_vehicle_enrols_and_its_reports_are_stored(
+    centre: ComposeProject, unit: Unit, identity: UplinkIdentity
+) -> None:
     _send(identity, unit.positions())
     assert "car-1" in centre.centre("vehicles")
 
 
-def test_no_process_is_root_or_has_a_capability(centre: Composed, identity: UplinkIdentity) -> None:
+def test_no_process_is_root_or_has_a_capability(centre: ComposeProject, identity: UplinkIdentity) -> None:
     for service in NAMES:
         status = dict(
             line.split(":\t", 1) for line in centre.compose("exec", "-T", service, "cat", "/proc/1/status").splitlines()
@@ -114,7 +116,7 @@ def test_no_process_is_root_or_has_a_capability(centre: Composed, identity: Upli
 
 
 def test_what_is_killed_is_back_and_the_next_report_is_stored(
-    centre: Composed, unit: Unit, identity: UplinkIdentity
+    centre: ComposeProject, unit: Unit, identity: UplinkIdentity
 ) -> None:
     for service in SERVICES:
         kill(f"{centre.project}-{service}-1", "obu-centre:local", signal.SIGKILL)
@@ -123,7 +125,7 @@ def test_what_is_killed_is_back_and_the_next_report_is_stored(
     _send(identity, unit.positions())
 
 
-def test_all_end_in_time_when_they_are_told(centre: Composed, identity: UplinkIdentity) -> None:
+def test_all_end_in_time_when_they_are_told(centre: ComposeProject, identity: UplinkIdentity) -> None:
     centre.compose("stop")
     assert {name: centre.inspect(name, "{{.State.ExitCode}}") for name in SERVICES} == dict.fromkeys(SERVICES, "0")
 

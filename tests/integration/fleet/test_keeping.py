@@ -8,14 +8,14 @@ from datetime import UTC, date, datetime, timedelta
 import psycopg
 import pytest
 
-from fleet.database.erasure import Erased, erase
+from fleet.database.erasure import ErasureReport, erase
 from fleet.database.maintenance import prepare
 from fleet.database.migrate import migrate
-from fleet.database.retention import Removed, make_days, retain
+from fleet.database.retention import RetentionReport, make_days, retain
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from fleet.ingest.keys import Keys
 from fleet.ingest.store import Store
-from fleet.ingest.verification import Arrived, Genuine, verified
+from fleet.ingest.verification import ReceivedBytes, VerifiedBatch, verified
 from fleet.servers.postgres import Postgres
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.web import tenant
@@ -69,7 +69,7 @@ def test_days_are_those_of_utc_whatever_the_time_zone_of_the_server(dsn: str, ow
         put(owner, TODAY - timedelta(days=age), short, age)
     owner.execute("ALTER DATABASE fleet SET timezone = 'America/New_York'")
     try:
-        assert retain(dsn, TODAY) == Removed(0, 1)
+        assert retain(dsn, TODAY) == RetentionReport(0, 1)
     finally:
         owner.execute("ALTER DATABASE fleet RESET timezone")
     assert owner.execute("SELECT first_sequence FROM segment").fetchall() == [(10,)]
@@ -138,9 +138,9 @@ def test_ingest_stores_as_its_own_user(as_process: dict[str, str], dsn: str) -> 
     keys = Keys(store.keys)
     keys.load({unit.signer.key_id})
     made = unit.positions((0, 5)), unit.events("trust/event"), unit.gap(20, 5), unit.gap(10, 30)
-    arrived = [Arrived.of("car-1", data) for data in made]
+    arrived = [ReceivedBytes.of("car-1", data) for data in made]
     found = [verified(item, keys.find(unit.signer.key_id), unit.now_ms) for item in arrived]
-    changed, refused = store.store([genuine for genuine in found if isinstance(genuine, Genuine)])
+    changed, refused = store.store([genuine for genuine in found if isinstance(genuine, VerifiedBatch)])
     store.tell_forgeries({("car-1", "signature"): 1}, unit.now_ms)
     store.close()
     assert (changed[0]["vehicle"], refused) == ("car-1", {})
@@ -197,7 +197,7 @@ def test_each_tenant_keeps_its_own_number_of_days_and_charges_apart(dsn: str, ow
         (long, "toll/transaction", 3), (long, "trust/event", 2), (short, "toll/transaction", 2),
         (short, "trust/event", 1),
     ]  # fmt: skip
-    assert retain(dsn, TODAY) == Removed(0, 0)
+    assert retain(dsn, TODAY) == RetentionReport(0, 0)
 
 
 def test_the_last_position_of_a_silent_vehicle_goes_with_the_retention_of_its_tenant(
@@ -216,7 +216,7 @@ def test_the_last_position_of_a_silent_vehicle_goes_with_the_retention_of_its_te
             "longitude_deg, height_m, verdict, verdict_since_ms) VALUES (%s, %s, 1, 1, %s, %s, 48, 11, 500, 0, 1)",
             (name, tenant_id, at_ms - age * DAY_MS, at_ms - place_age * DAY_MS),
         )
-    assert retain(dsn, TODAY) == Removed(0, 1)
+    assert retain(dsn, TODAY) == RetentionReport(0, 1)
     query = "SELECT vehicle, latitude_deg, longitude_deg, height_m, x_m IS NULL FROM vehicle_now ORDER BY 1"
     assert owner.execute(query).fetchall() == [
         ("kept", 48, 11, 500, False), ("of-long", 48, 11, 500, False), ("placeless", None, None, None, True),
@@ -279,7 +279,7 @@ def test_an_erased_vehicle_leaves_its_chain_its_keys_and_charges_and_nothing_tha
         "VALUES ('car-1', %s, 1, 1, 1, 0, 1)",
         (tenant_id,),
     )
-    assert erase(owner, "car-1", "anna") == Erased(1, 1, 1)
+    assert erase(owner, "car-1", "anna") == ErasureReport(1, 1, 1)
     assert owner.execute("SELECT vehicle FROM segment").fetchall() == [("car-2",)]
     assert owner.execute("SELECT count(*) FROM vehicle_now").fetchone() == (0,)
     assert owner.execute("SELECT name FROM event").fetchall() == [("toll/transaction",)]

@@ -12,7 +12,7 @@ from cli.fleet.simulate import lines
 from fleet.centre import Centre
 from fleet.simulate import truth
 from fleet.simulate.campaign import UNIT, Campaign, Plan
-from fleet.simulate.outboxes import Made
+from fleet.simulate.outboxes import BatchTruth
 from fleet.simulate.processes import INGEST, NATS, PARTS, POSTGRES, pids_of
 from fleet.simulate.traffic import Disturbance
 from shared.errors import UserError
@@ -78,4 +78,4 @@ def test_a_centre_that_does_not_run_is_named(tmp_path: Path) -> None:
 
 def test_the_truth_list_is_not_written_into_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="--out"):
-        truth.write(tmp_path / "none" / "truth.csv", [Made("a", 1, 0, 10, bytes(32))])
+        truth.write(tmp_path / "none" / "truth.csv", [BatchTruth("a", 1, 0, 10, bytes(32))])

@@ -16,15 +16,15 @@ from nats.aio.msg import Msg
 
 from benchmarks import fuzz_fleet
 from fleet.alarms.judge import judge
-from fleet.database.erasure import Erased, erase
+from fleet.database.erasure import ErasureReport, erase
 from fleet.database.retention import make_days, retain
 from fleet.ingest.keys import Keys
 from fleet.ingest.process import GROUP, Ingest
-from fleet.ingest.store import MOST_EPOCHS, Changed, Store, Unusable
-from fleet.ingest.verification import Arrived, Genuine, verified
-from fleet.ingest.waiting import SHARE
+from fleet.ingest.store import MAX_EPOCHS, Changed, DatabaseUnavailable, Store
+from fleet.ingest.verification import ReceivedBytes, VerifiedBatch, verified
+from fleet.ingest.waiting import VEHICLE_SHARE
 from shared.fleet.batch import BadBatch
-from shared.fleet.receipts import Refused, Stored
+from shared.fleet.receipts import RejectedBatch, StoredBatch
 from shared.fleet.sealed import chain_digest
 from tests.support.fleet.reports import START_MS, Unit, genuine
 from tests.support.patience import HANGS_S
@@ -134,7 +134,7 @@ def test_nothing_of_the_time_before_an_erasure_comes_back(dsn: str, store: Store
     before.append(unit.positions([0]))
     assert store.store(genuine(store, unit, before, now_ms))[1] == {}
     with psycopg.connect(dsn) as db:
-        assert erase(db, "car-2", "anna") == Erased(3, 1, 1)
+        assert erase(db, "car-2", "anna") == ErasureReport(3, 1, 1)
     unit.now_ms = now_ms
     for group in ([*before, *late], before[::-1], late, [unit.gap(12, 6)]):
         assert store.store(genuine(store, unit, group, now_ms)) == ([], {})
@@ -163,7 +163,7 @@ def test_a_batch_that_is_stored_while_its_vehicle_is_erased_does_not_stay(dsn: s
     found = genuine(store, unit, [unit.positions([0])], now_ms)
     make_days(dsn)  # a partition that is not there would be waited for instead
     with psycopg.connect(dsn, autocommit=True) as watching, psycopg.connect(dsn) as db, db.transaction():
-        assert erase(db, "car-1", "anna") == Erased(0, 0, 0)  # not committed
+        assert erase(db, "car-1", "anna") == ErasureReport(0, 0, 0)  # not committed
         storing = threading.Thread(target=store.store, args=(found,))
         storing.start()
         waiting = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
@@ -223,9 +223,9 @@ def test_who_signs_as_another_vehicle_or_without_a_known_key_is_refused(dsn: str
     keys.load({unit.signer.key_id, stranger.signer.key_id, neighbour.signer.key_id})
 
     def reason(vehicle: str, data: bytes) -> str:
-        arrived = Arrived.of(vehicle, data)
+        arrived = ReceivedBytes.of(vehicle, data)
         one = verified(arrived, None if arrived.sealed is None else keys.find(arrived.sealed.key), START_MS)
-        assert isinstance(one, Refused)
+        assert isinstance(one, RejectedBatch)
         return one.reason
 
     assert reason("car-1", stranger.positions()) == "key"
@@ -237,14 +237,14 @@ def test_who_signs_as_another_vehicle_or_without_a_known_key_is_refused(dsn: str
 
 def test_a_revoked_key_is_refused_once_its_message_has_come(dsn: str, store: Store, unit: Unit) -> None:
     keys = Keys(store.keys)
-    arrived = Arrived.of("car-1", unit.positions())
+    arrived = ReceivedBytes.of("car-1", unit.positions())
     keys.load({unit.signer.key_id})
-    assert isinstance(verified(arrived, keys.find(unit.signer.key_id), START_MS), Genuine)
+    assert isinstance(verified(arrived, keys.find(unit.signer.key_id), START_MS), VerifiedBatch)
     with psycopg.connect(dsn) as db:
         db.execute("UPDATE certificate SET revoked = now()")
     keys.forget(unit.signer.key_id)
     keys.load({unit.signer.key_id})
-    assert isinstance(verified(arrived, keys.find(unit.signer.key_id), START_MS), Refused)
+    assert isinstance(verified(arrived, keys.find(unit.signer.key_id), START_MS), RejectedBatch)
 
 
 def test_two_that_store_the_same_at_once_store_it_once(dsn: str, store: Store, unit: Unit) -> None:
@@ -271,20 +271,20 @@ def test_two_that_store_the_same_at_once_store_it_once(dsn: str, store: Store, u
     assert rows(dsn, "SELECT received, highest FROM epoch") == [(500, 500)]
 
 
-class Late(Store):
+class DelayedCommit(Store):
     """Waits before its transaction ends, until another store that has begun later ends or waits for this one."""
 
     between: Callable[[], None] = staticmethod(lambda: None)
 
-    def _update_now(self, cursor: psycopg.Cursor, segments: Iterable[Genuine]) -> list[Changed]:  # type: ignore[override]
+    def _update_now(self, cursor: psycopg.Cursor, segments: Iterable[VerifiedBatch]) -> list[Changed]:  # type: ignore[override]
         self.between()
         return super()._update_now(cursor, segments)
 
 
-class Other:
+class OtherIngest:
     """Another ingest, which stores a group in a thread while the first one is at work."""
 
-    def __init__(self, dsn: str, batches: list[Genuine]) -> None:
+    def __init__(self, dsn: str, batches: list[VerifiedBatch]) -> None:
         self._dsn, self._batches = dsn, batches
         self._store = Store(dsn)
         self._failures = list[BaseException]()
@@ -310,13 +310,15 @@ class Other:
     def _work(self) -> None:
         try:
             self.refused = self._store.store(self._batches)[1]
-        except Unusable as error:
+        except DatabaseUnavailable as error:
             self._failures.append(error)
 
 
-def stored_beside(dsn: str, mine: list[Genuine], others: list[Genuine]) -> tuple[dict[bytes, str], dict[bytes, str]]:
+def stored_beside(
+    dsn: str, mine: list[VerifiedBatch], others: list[VerifiedBatch]
+) -> tuple[dict[bytes, str], dict[bytes, str]]:
     """Store two groups at once; what each has refused."""
-    late, other = Late(dsn), Other(dsn, others)
+    late, other = DelayedCommit(dsn), OtherIngest(dsn, others)
     late.between = other.begin
     refused = late.store(mine)[1]
     other.end()
@@ -350,7 +352,7 @@ def test_what_two_ingests_hold_in_another_order_makes_neither_fail(dsn: str, sto
         ahead = Unit("car-1", epoch_ms=START_MS + 100 * turn + 50)
         ahead.now_ms += 30 * DAY_MS
         aside = genuine(store, unit, [ahead.positions() for _ in range(20)])
-        mine, other = Store(dsn), Other(dsn, [*gaps[::-1], *aside[::-1]])
+        mine, other = Store(dsn), OtherIngest(dsn, [*gaps[::-1], *aside[::-1]])
         other.start()
         assert mine.store([*gaps, *aside])[1] == {}
         mine.close()
@@ -374,7 +376,7 @@ def test_batches_that_the_database_does_not_take_cost_others_few_transactions(ds
     tried = list[int]()
 
     class Counting(Store):
-        def _store(self, batches: Sequence[Genuine]) -> tuple[list[Changed], dict[bytes, str]]:
+        def _store(self, batches: Sequence[VerifiedBatch]) -> tuple[list[Changed], dict[bytes, str]]:
             tried.append(len(batches))
             return super()._store(batches)
 
@@ -432,13 +434,13 @@ def test_a_lost_database_stores_nothing_and_is_used_again(dsn: str, store: Store
         db.execute(
             "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid() AND datname = 'fleet'"
         )  # one statement
-    with pytest.raises(Unusable):
+    with pytest.raises(DatabaseUnavailable):
         store.store(found)
     store.store(found)
     assert rows(dsn, "SELECT count(*) FROM segment") == [(1,)]
 
 
-class Heard:
+class PublishedMessages:
     """Takes what ingest publishes, as NATS does: no message of more than its limit."""
 
     def __init__(self) -> None:
@@ -450,14 +452,18 @@ class Heard:
 
 
 def test_a_vehicle_that_floods_has_a_share_of_what_waits_and_no_more(store: Store) -> None:
-    ingest = Ingest(Heard(), store)  # type: ignore[arg-type]
+    ingest = Ingest(PublishedMessages(), store)  # type: ignore[arg-type]
 
     async def work() -> None:
         for number in range(1000):
             await ingest._take(Msg(None, "obu.car-1.uplink.batch", data=b"%d" % number))  # type: ignore[arg-type]
         await ingest._take(Msg(None, "obu.car-2.uplink.batch", data=b"other"))  # type: ignore[arg-type]
-        assert len(ingest._waiting) == SHARE + 1
-        assert [arrived.vehicle for arrived in ingest._waiting.take(SHARE + 1)][:3] == ["car-1", "car-2", "car-1"]
+        assert len(ingest._waiting) == VEHICLE_SHARE + 1
+        assert [arrived.vehicle for arrived in ingest._waiting.take(VEHICLE_SHARE + 1)][:3] == [
+            "car-1",
+            "car-2",
+            "car-1",
+        ]
         await ingest._take(Msg(None, "obu.car-1.uplink.batch", data=b"again"))  # type: ignore[arg-type]
         assert len(ingest._waiting) == 1
 
@@ -468,13 +474,13 @@ def test_a_vehicle_may_not_begin_epochs_without_end(dsn: str, store: Store, unit
     store.store(genuine(store, unit, [unit.positions()]))
     with psycopg.connect(dsn) as db:
         many = "INSERT INTO epoch (vehicle, epoch, tenant_id) SELECT 'car-1', n, 1 FROM generate_series(2, %s) AS n"
-        db.execute(many, (MOST_EPOCHS,))
+        db.execute(many, (MAX_EPOCHS,))
     other = Unit("car-1", epoch_ms=START_MS + 5)
     new = [*genuine(store, other, [other.positions(), other.gap(7, 2)]), *genuine(store, unit, [unit.positions()])]
     _, refused = store.store(new)
     assert refused == {new[0].digest: "epochs", new[1].digest: "epochs"}
     assert rows(dsn, "SELECT count(*) FROM segment") == [(2,)]
-    assert rows(dsn, "SELECT count(*) FROM epoch") == [(MOST_EPOCHS,)]
+    assert rows(dsn, "SELECT count(*) FROM epoch") == [(MAX_EPOCHS,)]
 
 
 def test_what_a_whole_group_changes_fits_into_messages(dsn: str, store: Store) -> None:
@@ -485,8 +491,8 @@ def test_what_a_whole_group_changes_fits_into_messages(dsn: str, store: Store) -
         unit.enter(dsn)
     changed, refused = store.store([item for unit in units for item in genuine(store, unit, [unit.positions()])])
     assert len(changed) == GROUP and refused == {}
-    heard = Heard()
-    answers = {unit.vehicle: [Stored(START_MS, 0, bytes(8))] for unit in units}
+    heard = PublishedMessages()
+    answers = {unit.vehicle: [StoredBatch(START_MS, 0, bytes(8))] for unit in units}
     asyncio.run(Ingest(heard, store)._tell(changed, answers))  # type: ignore[arg-type]
     assert len(heard.sizes) == GROUP + 1
     assert sum(heard.sizes["centre.now"]) > 131_072, "more than one message can hold"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from shared.fleet.batch import Batch, Kind
-from shared.fleet.receipts import Receipt, Stored
+from shared.fleet.receipts import Receipt, StoredBatch
 from shared.messages.trust import TrustEvent, TrustLevel
 from tests.support.fleet.bad_network import BadNetwork
 from tests.support.fleet.certificates import Authority
@@ -210,8 +210,8 @@ def test_receipts_of_others_and_what_is_no_receipt_delete_nothing(
     waiting = unit.state_message().backlog_batches
     epoch = unit.process._reporting.sending.outbox.epoch_ms  # type: ignore[union-attr]
 
-    for data in (b"", b"\xff" * 100, b"\xa0", Receipt(stored=(Stored(epoch, 0, b"12345678"),)).encode(),
-                 Receipt(stored=(Stored(epoch + 1, 10, b"12345678"),)).encode()):  # fmt: skip
+    for data in (b"", b"\xff" * 100, b"\xa0", Receipt(stored=(StoredBatch(epoch, 0, b"12345678"),)).encode(),
+                 Receipt(stored=(StoredBatch(epoch + 1, 10, b"12345678"),)).encode()):  # fmt: skip
         centre.answer(data)
     unit.work_until(lambda: unit.bus.rejects["receipt"] >= 3 and unit.bus.rejects["receipt of no batch"] >= 2)
 

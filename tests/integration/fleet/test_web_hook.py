@@ -18,7 +18,7 @@ import pytest
 
 from fleet.alarms import web_hook
 from fleet.alarms.signing import new_secret, signed_headers
-from fleet.alarms.web_hook import Reach, WebHooks
+from fleet.alarms.web_hook import AddressPolicy, WebHooks
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from tests.support.fleet.certificates import Authority
 
@@ -41,7 +41,7 @@ class Hooks:
         self.process = self.made()
 
     def made(self, **more: object) -> WebHooks:
-        settings = {"trust": self.trust, "reach": Reach([ip_network("127.0.0.0/8")]), **more}
+        settings = {"trust": self.trust, "reach": AddressPolicy([ip_network("127.0.0.0/8")]), **more}
         return WebHooks(dsn_of_process(self.dsn, "alarms", "a password"), **settings)  # type: ignore[arg-type]
 
     async def serve(self, serve: Serve, scheme: str = "https") -> list[bytes]:
@@ -169,7 +169,7 @@ def test_the_signature_is_that_of_the_specification() -> None:
 def test_what_was_not_taken_is_told_again_after_a_pause_and_in_order(
     hooks: Hooks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(web_hook, "AGAIN_S", 0.3)
+    monkeypatch.setattr(web_hook, "RETRY_PERIOD_S", 0.3)
     answers = [b"HTTP/1.1 503 Busy\r\n\r\n", OK, OK]
 
     async def serve(head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -247,7 +247,7 @@ def test_an_answer_without_end_is_not_read_and_a_slow_hook_keeps_nobody_else_wai
 def test_a_hook_without_encryption_of_an_unknown_authority_or_on_this_machine_is_not_asked(hooks: Hooks) -> None:
     async def work() -> None:
         seen = [await hooks.serve(answer_ok), await hooks.serve(answer_ok, "http")]
-        for process in (hooks.made(reach=Reach()), hooks.made(trust=ssl.create_default_context())):
+        for process in (hooks.made(reach=AddressPolicy()), hooks.made(trust=ssl.create_default_context())):
             for tenant in hooks.tenants:
                 hooks.raise_alarm(tenant, f"car-{tenant}-{len(hooks.told())}-{id(process)}")
             await process.turn()
@@ -271,17 +271,17 @@ def test_a_hook_without_encryption_of_an_unknown_authority_or_on_this_machine_is
 )  # fmt: skip
 def test_a_hook_is_in_the_public_network_or_in_one_that_the_operator_names(address: str) -> None:
     host = f"[{address}]" if ":" in address else address
-    assert not Reach().allows(address)
-    assert "web_hook_networks" in (Reach().why_not(f"https://{host.replace('%', '%25')}/hook") or "")
+    assert not AddressPolicy().allows(address)
+    assert "web_hook_networks" in (AddressPolicy().why_not(f"https://{host.replace('%', '%25')}/hook") or "")
 
 
 @pytest.mark.parametrize("address", ["93.184.216.34", "2606:2800:220:1::1", "::ffff:93.184.216.34", "64:ff9b::808:808"])
 def test_a_hook_in_the_public_network_may_be_told(address: str) -> None:
-    assert Reach().allows(address)
+    assert AddressPolicy().allows(address)
 
 
 def test_networks_that_the_operator_names_are_reached_and_no_others() -> None:
-    reach = Reach([ip_network("10.1.2.0/24"), ip_network("fd00:1::/32")])
+    reach = AddressPolicy([ip_network("10.1.2.0/24"), ip_network("fd00:1::/32")])
     assert reach.allows("10.1.2.3") and reach.allows("::ffff:10.1.2.3") and reach.allows("fd00:1::9")
     assert not reach.allows("10.1.3.3") and not reach.allows("fd00:2::9") and not reach.allows("127.0.0.1")
     assert reach.why_not("https://10.1.2.3/hook") is None
@@ -289,7 +289,7 @@ def test_networks_that_the_operator_names_are_reached_and_no_others() -> None:
 
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST.", "a.localhost", "127.0.0.1", "[::1]", "[::ffff:10.0.0.1]"])
 def test_a_hook_that_is_seen_to_be_private_is_refused_when_it_is_set(host: str) -> None:
-    assert Reach().why_not(f"https://{host}:8443/hook")
+    assert AddressPolicy().why_not(f"https://{host}:8443/hook")
 
 
 @pytest.mark.parametrize("answers", [["10.0.0.1"], ["::ffff:127.0.0.1", "fd00::1"], ["169.254.169.254"]])
@@ -298,7 +298,7 @@ def test_the_address_that_was_checked_is_the_one_that_is_used(hooks: Hooks, answ
     asked, connected = list[str](), list[str]()
 
     async def work() -> None:
-        process = hooks.made(reach=Reach())
+        process = hooks.made(reach=AddressPolicy())
         loop = asyncio.get_running_loop()
 
         async def getaddrinfo(host: str, port: int, **_: object) -> list[tuple[object, ...]]:

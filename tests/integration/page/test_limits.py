@@ -19,7 +19,7 @@ from services.monitoring.status.web.access import login
 from shared.page import body
 from shared.page.access import limits
 from shared.runtime.config import ADDRESS_FILE
-from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.dashboard.status_server import RunningServer, eventually, status_server
 from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).parents[3]
@@ -45,7 +45,7 @@ def short_times(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "HEADERS_S", 0.3)
 
 
-def port_of(server: Running) -> int:
+def port_of(server: RunningServer) -> int:
     port = urlsplit(server.address).port
     assert port
     return port

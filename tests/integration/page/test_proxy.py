@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 from cli.demo.local import free_port
 from services.monitoring.status.web.access.rights import Right
 from services.monitoring.status.web.access.tokens import Tokens
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 from tests.support.nginx import nginx
 from tests.support.patience import HANGS_S
 
@@ -23,11 +23,11 @@ PER_CLIENT = 6
 
 
 @dataclass
-class Proxied:
+class ProxiedUnit:
     """A simulated unit behind nginx."""
 
     address: str
-    unit: Running
+    unit: RunningServer
     tokens: Tokens
 
     def client(self) -> httpx.Client:
@@ -39,23 +39,23 @@ class Proxied:
 
 
 @pytest.fixture(scope="module")
-def proxied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxied]:
+def proxied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ProxiedUnit]:
     folder = tmp_path_factory.mktemp("proxied")
     with (
         status_server(folder, trusted_proxies=["127.0.0.1"], connections_per_client=PER_CLIENT) as unit,
         nginx(folder / "nginx", free_port(), unit.address) as address,
     ):
-        yield Proxied(address, unit, Tokens(folder))
+        yield ProxiedUnit(address, unit, Tokens(folder))
 
 
-def test_a_simulated_unit_asks_for_a_login_through_a_proxy_only(proxied: Proxied) -> None:
+def test_a_simulated_unit_asks_for_a_login_through_a_proxy_only(proxied: ProxiedUnit) -> None:
     with proxied.client() as client:
         assert client.get("/api/state").status_code == 401
         assert client.get("/api/alive").status_code == 200
     assert httpx.get(f"{proxied.unit.address}/api/state", timeout=HANGS_S).status_code == 200
 
 
-def test_the_login_is_a_cookie_of_https_and_ends_with_the_logout(proxied: Proxied) -> None:
+def test_the_login_is_a_cookie_of_https_and_ends_with_the_logout(proxied: ProxiedUnit) -> None:
     with proxied.client() as client:
         cookie = proxied.log_in(client).headers["set-cookie"]
         assert {"HttpOnly", "SameSite=strict", "Secure", "Path=/"} <= set(cookie.split("; "))
@@ -72,7 +72,7 @@ def test_the_login_is_a_cookie_of_https_and_ends_with_the_logout(proxied: Proxie
         assert client.get("/api/state").status_code == 401, "a copy of the cookie is of no use"
 
 
-def test_streams_pass_through_the_proxy(proxied: Proxied) -> None:
+def test_streams_pass_through_the_proxy(proxied: ProxiedUnit) -> None:
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     stream = proxied.address.replace("https", "wss") + "/ws"
@@ -88,7 +88,7 @@ def test_streams_pass_through_the_proxy(proxied: Proxied) -> None:
             assert next(events.iter_text()).startswith("retry:")
 
 
-def test_requests_are_counted_by_the_address_that_the_proxy_states(proxied: Proxied) -> None:
+def test_requests_are_counted_by_the_address_that_the_proxy_states(proxied: ProxiedUnit) -> None:
     with proxied.client() as client, ExitStack() as stack:
         proxied.log_in(client)
         for _ in range(PER_CLIENT):
@@ -98,13 +98,13 @@ def test_requests_are_counted_by_the_address_that_the_proxy_states(proxied: Prox
         assert httpx.get(f"{proxied.unit.address}/api/alive", timeout=HANGS_S).status_code == 200
 
 
-def test_what_a_client_states_of_itself_is_overwritten(proxied: Proxied) -> None:
+def test_what_a_client_states_of_itself_is_overwritten(proxied: ProxiedUnit) -> None:
     with proxied.client() as client:
         for name in ("X-Forwarded-For", "X-Real-IP", "Forwarded"):
             assert client.get("/api/state", headers={name: "127.0.0.1"}).status_code == 401
 
 
-def test_a_foreign_name_or_page_is_refused(proxied: Proxied) -> None:
+def test_a_foreign_name_or_page_is_refused(proxied: ProxiedUnit) -> None:
     with proxied.client() as client:
         assert client.get("/api/alive", headers={"Host": "evil.example"}).status_code == 421
         assert client.get("/api/alive", headers={"Origin": "https://evil.example"}).status_code == 403
@@ -112,7 +112,7 @@ def test_a_foreign_name_or_page_is_refused(proxied: Proxied) -> None:
 
 def test_a_proxy_that_is_not_named_is_not_believed(tmp_path: Path) -> None:
     with status_server(tmp_path, unit=False) as unit, nginx(tmp_path / "nginx", free_port(), unit.address) as address:
-        page = Proxied(address, unit, Tokens(tmp_path))
+        page = ProxiedUnit(address, unit, Tokens(tmp_path))
         with page.client() as client:
             assert client.get("/api/state").status_code == 401
             assert "Secure" not in page.log_in(client).headers["set-cookie"]

@@ -24,7 +24,7 @@ from services.monitoring.status.web.access.tokens import FILE, Tokens
 from services.monitoring.status.web.routes import app_without_unit
 from shared.page.access.requests import Receive, Scope, Send
 from shared.page.access.table import WEBSOCKET, Row
-from tests.support.dashboard.status_server import Running, status_server
+from tests.support.dashboard.status_server import RunningServer, status_server
 from tests.support.patience import HANGS_S
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
@@ -32,10 +32,10 @@ ALL = ["download", "keep", "delete", "replay", "solve"]
 
 
 @dataclass
-class Guarded:
+class GuardedPage:
     """A page that asks everybody to log in."""
 
-    server: Running
+    server: RunningServer
     tokens: Tokens
     secrets: dict[Right, str]
 
@@ -47,11 +47,11 @@ class Guarded:
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedPage]:
     folder = tmp_path_factory.mktemp("guarded")
     tokens = Tokens(folder)
     with status_server(folder, login_on_loopback=True, recordings=ALL) as server:
-        yield Guarded(server, tokens, {right: tokens.add(f"of-{right}", right) for right in GRANTED})
+        yield GuardedPage(server, tokens, {right: tokens.add(f"of-{right}", right) for right in GRANTED})
 
 
 def routes_of(found: list[BaseRoute]) -> set[tuple[str, str]]:
@@ -94,7 +94,7 @@ def test_what_no_row_describes_needs_the_highest_right_to_change() -> None:
 
 @pytest.mark.parametrize(("path", "right", "status"), [("/no/page", Right.VIEW, 404), ("/api/tokens", Right.VIEW, 403)])
 def test_a_browser_is_told_of_no_page_by_a_page_and_of_the_api_by_json(
-    page: Guarded, path: str, right: Right, status: int
+    page: GuardedPage, path: str, right: Right, status: int
 ) -> None:
     head = {"Authorization": f"Bearer {page.secrets[right]}", "Accept": "text/html"}
     answer = httpx.get(page.server.address + path, headers=head)
@@ -107,7 +107,7 @@ def test_a_browser_is_told_of_no_page_by_a_page_and_of_the_api_by_json(
 
 
 @dataclass
-class Alone:
+class BareGuard:
     """The guard alone, in front of an application that answers everything."""
 
     guard: Guard
@@ -130,17 +130,17 @@ class Alone:
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Alone:
+def alone(tmp_path_factory: pytest.TempPathFactory) -> BareGuard:
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         await Response("passed")(scope, receive, send)
 
     tokens = Tokens(tmp_path_factory.mktemp("guard"))
     secrets = {right: tokens.add(f"of-{right}", right) for right in GRANTED}
-    return Alone(Guard(answer, Access(Rules(), tokens)), secrets)
+    return BareGuard(Guard(answer, Access(Rules(), tokens)), secrets)
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method != WEBSOCKET], ids=lambda row: row.path)
-def test_each_role_may_what_the_table_says(alone: Alone, row: Row[Right]) -> None:
+def test_each_role_may_what_the_table_says(alone: BareGuard, row: Row[Right]) -> None:
     path = sample(row.path)
     for method in METHODS:
         right = needed(method, path)
@@ -157,7 +157,7 @@ ENDS = ("%0A", "%0D%0A", "%00", "%20", ";", "/", "//", "%2F", "?x", "%E2%80%A8",
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_no_end_of_a_path_gets_round_its_right(page: Guarded, end: str) -> None:
+def test_no_end_of_a_path_gets_round_its_right(page: GuardedPage, end: str) -> None:
     for row in ROWS:
         if row.method == "GET" and row.right in (Right.OPERATE, Right.ADMIN):
             status = page.ask("GET", sample(row.path) + end, Right.VIEW).status_code
@@ -165,20 +165,20 @@ def test_no_end_of_a_path_gets_round_its_right(page: Guarded, end: str) -> None:
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method != WEBSOCKET], ids=lambda row: row.path)
-def test_the_server_answers_nobody_but_who_needs_no_login(page: Guarded, row: Row[Right]) -> None:
+def test_the_server_answers_nobody_but_who_needs_no_login(page: GuardedPage, row: Row[Right]) -> None:
     status = page.ask(row.method, sample(row.path), None, **{"X-OBU-CSRF": "any"}).status_code
     assert status == 401 if row.right is not Right.PUBLIC else status in (200, 422)
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method == "GET"], ids=lambda row: row.path)
-def test_head_answers_as_get_without_a_body(page: Guarded, row: Row[Right]) -> None:
+def test_head_answers_as_get_without_a_body(page: GuardedPage, row: Row[Right]) -> None:
     path = sample(row.path)
     get, head = (page.ask(method, path, Right.ADMIN) for method in ("GET", "HEAD"))
     assert head.status_code == get.status_code
     assert head.headers["content-type"] == get.headers["content-type"]
 
 
-def test_admin_makes_and_revokes_tokens_over_the_page(page: Guarded) -> None:
+def test_admin_makes_and_revokes_tokens_over_the_page(page: GuardedPage) -> None:
     def change(**body: object) -> httpx.Response:
         head = {"Authorization": f"Bearer {page.secrets[Right.ADMIN]}"}
         return httpx.post(f"{page.server.address}/api/tokens", json=body, headers=head, timeout=HANGS_S)
@@ -197,7 +197,7 @@ def test_admin_makes_and_revokes_tokens_over_the_page(page: Guarded) -> None:
     assert change(action="add", name="x", role="root").status_code == 422
 
 
-def test_a_recording_is_deleted_by_admin_alone(page: Guarded) -> None:
+def test_a_recording_is_deleted_by_admin_alone(page: GuardedPage) -> None:
     def delete(right: Right) -> httpx.Response:
         head = {"Authorization": f"Bearer {page.secrets[right]}"}
         body = {"action": "delete", "name": "a.mcap"}
@@ -215,7 +215,7 @@ def test_a_recording_is_deleted_by_admin_alone(page: Guarded) -> None:
 
 
 @pytest.mark.parametrize("path", ["/ws", "/ws/series?fields=gnss/fix:hdop"])
-def test_streams_ask_for_a_login(page: Guarded, path: str) -> None:
+def test_streams_ask_for_a_login(page: GuardedPage, path: str) -> None:
     address = page.server.address.replace("http", "ws") + path
     with pytest.raises(InvalidStatus) as refused:
         connect(address)
@@ -226,7 +226,7 @@ def test_streams_ask_for_a_login(page: Guarded, path: str) -> None:
 
 
 @pytest.mark.parametrize("path", ["/ws", "/ws/series?fields=navigation/solution:roll_rad&seconds=60"])
-def test_a_stream_ends_when_its_token_is_revoked(page: Guarded, path: str) -> None:
+def test_a_stream_ends_when_its_token_is_revoked(page: GuardedPage, path: str) -> None:
     secret = page.tokens.add("short", Right.VIEW)
     head = {"Authorization": f"Bearer {secret}"}
     with connect(page.server.address.replace("http", "ws") + path, additional_headers=head, max_size=None) as socket:
@@ -238,7 +238,7 @@ def test_a_stream_ends_when_its_token_is_revoked(page: Guarded, path: str) -> No
     assert ended.value.rcvd and ended.value.rcvd.code == 4401
 
 
-def test_an_event_stream_ends_when_its_token_is_revoked(page: Guarded) -> None:
+def test_an_event_stream_ends_when_its_token_is_revoked(page: GuardedPage) -> None:
     secret = page.tokens.add("short", Right.VIEW)
     head = {"Authorization": f"Bearer {secret}"}
     with httpx.stream("GET", f"{page.server.address}/api/events", headers=head, timeout=HANGS_S) as answer:
@@ -248,7 +248,7 @@ def test_an_event_stream_ends_when_its_token_is_revoked(page: Guarded) -> None:
         assert sum(1 for _ in parts) < 100
 
 
-def test_tokens_that_change_while_the_page_runs_are_seen(page: Guarded) -> None:
+def test_tokens_that_change_while_the_page_runs_are_seen(page: GuardedPage) -> None:
     secret = page.tokens.add("guest", Right.VIEW)
     head = {"Authorization": f"Bearer {secret}"}
     assert httpx.get(f"{page.server.address}/api/state", headers=head, timeout=HANGS_S).status_code == 200

@@ -37,7 +37,7 @@ def start_closed(kind: str, folder: Path, vehicle: VehicleFile) -> RunningBroker
     """Start a broker as on a vehicle: with secrets, in `folder / "credentials"`, which `Bus` finds there."""
     from tests.support.bus import mosquitto, simulated
 
-    _, rights = keys.make(folder / "credentials", vehicle, keys.Made(vehicle.path, str(folder / "rules")))
+    _, rights = keys.make(folder / "credentials", vehicle, keys.KeyFileOwners(vehicle.path, str(folder / "rules")))
     return simulated.start_closed(folder, rights) if kind == SIMULATED else mosquitto.start_closed(folder, rights)
 
 

@@ -7,7 +7,7 @@ from broker.passwords import Passwords
 from tests.support.bus import brokers
 
 
-class Simulated:
+class SimulatedMosquitto:
     """The simulated broker; retained messages are lost when it stops."""
 
     kind = brokers.SIMULATED
@@ -27,11 +27,11 @@ class Simulated:
         self.handle = simulated.start(self.port, acl=simulated.parse(self._acl), passwords=self._passwords)
 
 
-def start(folder: Path, acl: str | None = None) -> Simulated:
+def start(folder: Path, acl: str | None = None) -> SimulatedMosquitto:
     """Start one with the unit's access list, or with the text of another."""
-    return Simulated(brokers.access_list(folder, acl).read_text())
+    return SimulatedMosquitto(brokers.access_list(folder, acl).read_text())
 
 
-def start_closed(folder: Path, acl: Path) -> Simulated:
+def start_closed(folder: Path, acl: Path) -> SimulatedMosquitto:
     """Start one with the access list and the password file beside it."""
-    return Simulated(acl.read_text(), Passwords((acl.parent / "passwords").read_text()))
+    return SimulatedMosquitto(acl.read_text(), Passwords((acl.parent / "passwords").read_text()))

@@ -54,7 +54,6 @@ from shared.messages.navigation import (
     TruthState,
 )
 from shared.messages.operation import (
-    Carried,
     DeviceFound,
     DeviceState,
     MessageKind,
@@ -66,6 +65,7 @@ from shared.messages.operation import (
     ProcessHealth,
     ProcessState,
     RecordingState,
+    TopicTraffic,
 )
 from shared.messages.simulation import AttackCommand, AttackRun, SimulationAttack, SimulationState
 from shared.messages.trust import (
@@ -137,7 +137,7 @@ class FakeBus:
         self.published: list[Message] = []
         self.lives: Counter[str] = Counter()  # restarts of each process
         self.followed = frozenset(topic.name for topic in TOPICS if topic.fast)
-        self._carried: dict[tuple[str, str], Carried] = {}  # of each producer and fast topic
+        self._carried: dict[tuple[str, str], TopicTraffic] = {}  # of each producer and fast topic
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
@@ -154,12 +154,12 @@ class FakeBus:
             self.unit.watchdog.take(envelope, message)
         if (topic := topic_of(envelope.topic)) is not None and topic.fast:
             before, now_ns = self._carried.get((producer, topic.name)), self.now_ns()
-            self._carried[producer, topic.name] = Carried(
+            self._carried[producer, topic.name] = TopicTraffic(
                 topic=topic.name, count=before.count + 1 if before else 1,
                 newest_ns=now_ns, stamp_ns=codec.stamp_ns(topic, envelope.payload),
             )  # fmt: skip
 
-    def carried(self, producer: str) -> tuple[Carried, ...]:
+    def carried(self, producer: str) -> tuple[TopicTraffic, ...]:
         """What a process has published of fast topics, as its heartbeat tells it."""
         return tuple(carried for (name, _), carried in self._carried.items() if name == producer)
 

@@ -19,7 +19,7 @@ from tests.support.v2x.fake_plaza import FakePlaza
 
 
 @dataclass
-class Running:
+class RunningServer:
     """A server that runs, and the strings that move its unit."""
 
     address: str
@@ -42,7 +42,7 @@ def status_server(
     plaza: FakePlaza | None = None,
     offset_ns: int | None = None,
     **settings: object,
-) -> Iterator[Running]:
+) -> Iterator[RunningServer]:
     """Run the status process of a vehicle or of a plaza; its address is known when the block begins.
 
     With `offset_ns` of an earlier bus the time line goes on.
@@ -57,7 +57,7 @@ def status_server(
     thread.start()
     file = state_dir / ADDRESS_FILE
     eventually(lambda: file.exists() and file.read_text().endswith("/"))
-    running = Running(file.read_text().rstrip("/"), bus, fake, thread)
+    running = RunningServer(file.read_text().rstrip("/"), bus, fake, thread)
     try:
         yield running
     finally:

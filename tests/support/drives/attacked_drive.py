@@ -39,7 +39,7 @@ def place(fix: GnssFix) -> Geodetic:
 
 
 @dataclass(frozen=True)
-class Solved:
+class EpochSolution:
     """Least squares of one epoch of raw measurements against the fix of the same epoch."""
 
     t_s: float  # since the start of the drive
@@ -69,7 +69,7 @@ class Drive:
         """Fixes of a part of the drive."""
         return [f for f in self.fixes if begin_s <= seconds(f.sampled_ns) < end_s]
 
-    def solved(self, begin_s: float, end_s: float, without: SatelliteId | None = None) -> Iterator[Solved]:
+    def solved(self, begin_s: float, end_s: float, without: SatelliteId | None = None) -> Iterator[EpochSolution]:
         """Least squares of each epoch that has raw measurements with ephemerides."""
         fixes = {f.sampled_ns: f for f in self.fixes if f.latitude_deg is not None}
         for epoch in self.epochs:
@@ -77,7 +77,7 @@ class Drive:
             if fix is not None and begin_s <= seconds(epoch.sampled_ns) < end_s:
                 yield self._solve(fix, epoch, without)
 
-    def _solve(self, fix: GnssFix, epoch: GnssRawEpoch, without: SatelliteId | None) -> Solved:
+    def _solve(self, fix: GnssFix, epoch: GnssRawEpoch, without: SatelliteId | None) -> EpochSolution:
         store = self._store(epoch.gps_time_ns)
         raw = RawEpoch(epoch.gps_time_ns, tuple(
             one for m in epoch.measurements if m.pseudorange_m is not None
@@ -93,7 +93,7 @@ class Drive:
         x, y, z = solution_of(found, velocity).position_e
         here = geodetic_from_ecef((x, y, z))
         velocity_n = ned_from_ecef(here.latitude, here.longitude) @ np.array(velocity.velocity_e)
-        return Solved(
+        return EpochSolution(
             seconds(epoch.sampled_ns),
             np.array(ned_from_geodetic_difference(here, place(fix))),
             velocity_n - fix.velocity_ned_m_s,

@@ -99,7 +99,7 @@ def wheel_stamps(begin_s: float = BEGIN_S, end_s: float = END_S) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Played:
+class TimelineRun:
     """A timeline after its input, and what it told."""
 
     timeline: Timeline
@@ -108,7 +108,7 @@ class Played:
     lags_ns: tuple[int, ...]
 
 
-def play(deliveries: Iterable[Delivery], among: Sequence[Sample] | None = None, *, every: int = 10) -> Played:
+def play(deliveries: Iterable[Delivery], among: Sequence[Sample] | None = None, *, every: int = 10) -> TimelineRun:
     """Give samples as they come, and each delivery before the first sample that arrives later; solve now and then."""
     timeline = Timeline(settings(), Counter())
     place = Geodetic(*drive().position[0].tolist())
@@ -127,7 +127,7 @@ def play(deliveries: Iterable[Delivery], among: Sequence[Sample] | None = None, 
             published.append(solution_message(solution).model_dump_json().encode())
         outcomes += timeline.advance(received_ns)
         lags.append(timeline.horizon.lag_ns)
-    return Played(timeline, tuple(published), tuple(outcomes), tuple(lag for lag, _ in groupby(lags)))
+    return TimelineRun(timeline, tuple(published), tuple(outcomes), tuple(lag for lag, _ in groupby(lags)))
 
 
 def contents(thing: object) -> object:

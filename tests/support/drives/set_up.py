@@ -33,7 +33,7 @@ class Fix(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedDrive:
     """Samples, fixes and speeds with their stamps."""
 
     stamps_ns: npt.NDArray[np.int64]
@@ -58,7 +58,7 @@ class Faults:
     accelerometer: float = 1.0
     arm: ArmError | None = None
 
-    def checks(self, drive: Recorded, settings: Settings | None = None) -> dict[str, Check]:
+    def checks(self, drive: RecordedDrive, settings: Settings | None = None) -> dict[str, Check]:
         """Evaluate all checks on the drive with the faults."""
         settings = settings or Settings()
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
@@ -102,7 +102,7 @@ def matrix_of(axes: Sequence[str]) -> FloatArray:
     return np.array([-unit[name[1]] if name[0] == "-" else unit[name] for name in axes])
 
 
-def simulated(drive: Drive, *, exact_heights: bool = False) -> Recorded:
+def simulated(drive: Drive, *, exact_heights: bool = False) -> RecordedDrive:
     """Take the measurements of a simulated drive, on request with heights of an RTK receiver."""
     rng = np.random.default_rng(7)
     heights = drive.fix_position[:, 2].copy()
@@ -114,10 +114,10 @@ def simulated(drive: Drive, *, exact_heights: bool = False) -> Recorded:
         if drive.fix_valid[k]
     ]
     speeds = [(int(t), float(v)) for t, v in zip(drive.odometer_ns, drive.odometer, strict=True)]
-    return Recorded(drive.t_ns, drive.force_b, drive.rate_b, fixes, speeds)
+    return RecordedDrive(drive.t_ns, drive.force_b, drive.rate_b, fixes, speeds)
 
 
-def recorded(messages: Sequence[Message], settings: Settings) -> Recorded:
+def recorded(messages: Sequence[Message], settings: Settings) -> RecordedDrive:
     """Take the measurements of a recording."""
     batches = [message for message in messages if isinstance(message, ImuSamples)]
     fixes, speeds = [], []
@@ -131,7 +131,7 @@ def recorded(messages: Sequence[Message], settings: Settings) -> Recorded:
                 measurement for measurement in measurements_of(message, settings) if isinstance(measurement, WheelSpeed)
             )
             speeds += [(wheel_speed.time_ns, wheel_speed.speed) for wheel_speed in found]
-    return Recorded(
+    return RecordedDrive(
         np.array([t for batch in batches for t in batch.sampled_ns], dtype=np.int64),
         np.array([f for batch in batches for f in batch.specific_force_body_m_s2]),
         np.array([w for batch in batches for w in batch.angular_rate_body_rad_s]),

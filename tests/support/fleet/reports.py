@@ -6,7 +6,7 @@ import psycopg
 
 from fleet.ingest.keys import Keys
 from fleet.ingest.store import Store
-from fleet.ingest.verification import Arrived, Genuine, verified
+from fleet.ingest.verification import ReceivedBytes, VerifiedBatch, verified
 from shared.evidence.signer import FileSigner
 from shared.fleet.batch import Batch, Event, Gap, Kind, Report
 from shared.fleet.sealed import chain_digest, seal
@@ -61,15 +61,15 @@ class Unit:
         return data
 
 
-def genuine(store: Store, unit: Unit, batches: Sequence[bytes], now_ms: int = START_MS + 60_000) -> list[Genuine]:
+def genuine(store: Store, unit: Unit, batches: Sequence[bytes], now_ms: int = START_MS + 60_000) -> list[VerifiedBatch]:
     """Verify batches as ingest does."""
     keys = Keys(store.keys)
     found = []
     for data in batches:
-        arrived = Arrived.of(unit.vehicle, data)
+        arrived = ReceivedBytes.of(unit.vehicle, data)
         assert arrived.sealed is not None
         keys.load({arrived.sealed.key})
         one = verified(arrived, keys.find(arrived.sealed.key), now_ms)
-        assert isinstance(one, Genuine)
+        assert isinstance(one, VerifiedBatch)
         found.append(one)
     return found

@@ -26,7 +26,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from cli.demo.local import free_port
 from shared.fleet.batch import Batch, Kind, Report
-from shared.fleet.receipts import Receipt, Refused, Stored
+from shared.fleet.receipts import Receipt, RejectedBatch, StoredBatch
 from shared.fleet.sealed import chain_digest, receipt_digest, unsealed
 from tests.support.fleet.certificates import Authority
 from tests.support.fleet.database import missing
@@ -51,16 +51,18 @@ class Memory:
         named = batch.epoch_ms, batch.first, receipt_digest(data)
         key = self.keys.get(sealed.key)
         if key is None:
-            return Receipt(refused=(Refused(0, 0, receipt_digest(data), "key"),))  # as ingest: nothing is verified
+            return Receipt(
+                refused=(RejectedBatch(0, 0, receipt_digest(data), "key"),)
+            )  # as ingest: nothing is verified
         if not sealed.is_genuine(key, self.vehicle):
-            return Receipt(refused=(Refused(0, 0, receipt_digest(data), "signature"),))
+            return Receipt(refused=(RejectedBatch(0, 0, receipt_digest(data), "signature"),))
         if (reason := self.refuse(batch)) is not None:
-            return Receipt(refused=(Refused(*named, reason),))
+            return Receipt(refused=(RejectedBatch(*named, reason),))
         known = self.batches.setdefault(named[:2], data)
         if known != data and batch.kind is not Kind.GAP:
-            return Receipt(refused=(Refused(*named, "conflict"),))
+            return Receipt(refused=(RejectedBatch(*named, "conflict"),))
         self.batches[named[:2]] = data
-        return Receipt(stored=(Stored(*named),))
+        return Receipt(stored=(StoredBatch(*named),))
 
     def chain(self) -> list[Batch]:
         """Batches in the order of their sequence; asserts that none is missing and that each names the one before."""

@@ -15,7 +15,7 @@ from services.core.cooperative.measurements import (
     RawEpoch,
     SatelliteId,
 )
-from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
+from services.core.cooperative.satellites.model import ErrorModel, SatelliteMeasurement, Sky
 from services.sensors.simulator.gnss.navigation_words import Elements, inav_page, lnav_subframe
 from shared.maths.gnss_signals import EARTH_RATE, L1_FREQUENCY, SPEED_OF_LIGHT, Klobuchar
 
@@ -58,7 +58,7 @@ def filled_store() -> EphemerisStore:
     return store
 
 
-def sight_of(one: Ephemeris, position_e: FloatArray, gps_time_ns: int) -> tuple[float, Sight]:
+def sight_of(one: Ephemeris, position_e: FloatArray, gps_time_ns: int) -> tuple[float, SatelliteMeasurement]:
     """Geometric range [m] with the rotation of the Earth during transmission, and the apparent satellite position."""
     flight = 0.07
     for _ in range(6):
@@ -67,7 +67,9 @@ def sight_of(one: Ephemeris, position_e: FloatArray, gps_time_ns: int) -> tuple[
         turn = EARTH_RATE * flight
         seen = np.array([x * cos(turn) + y * sin(turn), y * cos(turn) - x * sin(turn), z])
         flight = float(np.linalg.norm(seen - position_e)) / SPEED_OF_LIGHT
-    return flight * SPEED_OF_LIGHT, Sight(one.satellite, 0.0, None, None, state.position_e, state.velocity_e)
+    return flight * SPEED_OF_LIGHT, SatelliteMeasurement(
+        one.satellite, 0.0, None, None, state.position_e, state.velocity_e
+    )
 
 
 def raw_epoch(

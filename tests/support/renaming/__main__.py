@@ -45,7 +45,7 @@ def _symbols(files: list[Path]) -> None:
     unique = {old: new for names in renames.values() for old, new in names.items() if definitions[old] == 1}
     for path in [*files, *map(Path, _tracked("*.md"))]:
         text = path.read_text()
-        if (changed := in_prose(text, unique)) != text:
+        if (changed := in_prose(text, unique | renames.get(str(path), {}))) != text:
             path.write_text(changed)
     print(f"{sum(map(len, renames.values()))} names")
 

@@ -12,10 +12,10 @@ from benchmarks import tables
 from benchmarks.navigation import report, runs
 from benchmarks.navigation.cases import CASES, DRIVES, GNSS_ALONE, ROWS, Row
 from benchmarks.navigation.peers import PEERS
-from benchmarks.navigation.peers.common import Given, given, judged, protocol_gaps, thinned
+from benchmarks.navigation.peers.common import PeerInput, given, judged, protocol_gaps, thinned
 from benchmarks.navigation.peers.kf_gins import KfGins
 from benchmarks.navigation.peers.ob_gins import at_whole_seconds
-from benchmarks.navigation.runs import MAPPINGS, Metrics, Solved, jobs_of, metrics_of, pooled
+from benchmarks.navigation.runs import MAPPINGS, Metrics, SolveRun, jobs_of, metrics_of, pooled
 from cli.solve.metrics.metrics import METRICS
 from tests.support.data import REPOSITORY
 
@@ -56,7 +56,7 @@ def test_a_case_of_which_a_run_is_missing_is_not_measured() -> None:
     cases = {"truck": CASES["truck"], "rtkexp free 15 s": CASES["rtkexp free 15 s"]}
     jobs = [job for key, case in cases.items() for job in jobs_of(key, case)]
     outage = {"end_error_m": 3.0, "largest_error_m": 4.0, "distance_m": 300.0}
-    found = {number: Solved({"yaw_sd_rad": 0.01 * number}, [outage]) for number in range(len(jobs))}
+    found = {number: SolveRun({"yaw_sd_rad": 0.01 * number}, [outage]) for number in range(len(jobs))}
     assert metrics_of(cases, jobs, found)["truck"] == {"yaw_sd_rad": 0.0}
     assert metrics_of(cases, jobs, found)["rtkexp free 15 s"]["outage_count"] == 3
     del found[2]
@@ -73,7 +73,7 @@ def test_a_run_has_what_obu_solve_wrote(monkeypatch: pytest.MonkeyPatch, outages
             (folder / "outages.csv").write_text("end_error_m,distance_m\n3.0,300.0\n")
 
     monkeypatch.setattr(runs, "_obu", obu)
-    assert runs.solve("truck", ("--aiding", "free")) == Solved({"yaw_sd_rad": 0.1, "trust_seconds": None}, outages)
+    assert runs.solve("truck", ("--aiding", "free")) == SolveRun({"yaw_sd_rad": 0.1, "trust_seconds": None}, outages)
 
 
 def test_a_missed_goal_is_reported_in_the_units_of_its_row() -> None:
@@ -133,7 +133,7 @@ def test_the_how_to_holds_the_tables_of_the_last_run() -> None:
 
 
 @pytest.fixture
-def small_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Given:
+def small_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PeerInput:
     """Make a set in the form of rtk_drive_57min, of a car that drives north at 10 m/s for a while."""
     folder = tmp_path / DRIVES["rtk"].folder
     folder.mkdir(parents=True)
@@ -153,13 +153,13 @@ def small_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Given:
     return given("rtk")
 
 
-def test_a_set_is_read_with_the_true_state_at_the_start(small_set: Given) -> None:
+def test_a_set_is_read_with_the_true_state_at_the_start(small_set: PeerInput) -> None:
     assert small_set.rate_hz == 20 and small_set.imu.shape[1] == 7 and small_set.gnss.shape[1] == 13
     assert small_set.initial[:3] == pytest.approx([np.degrees(PLACE[0] + 500.0 / 6_352_000.0), 114.4, 20.0])
     assert small_set.initial[3:6] == pytest.approx([10.0, 0.0, 0.0])
 
 
-def test_outages_of_peers_are_those_of_obu_solve(small_set: Given) -> None:
+def test_outages_of_peers_are_those_of_obu_solve(small_set: PeerInput) -> None:
     gaps = protocol_gaps(650)
     assert len(gaps) == 15 and gaps[0] == (456_900_000_000_000, 456_960_000_000_000)
     assert gaps[-1][1] == 459_480_000_000_000
@@ -167,7 +167,7 @@ def test_outages_of_peers_are_those_of_obu_solve(small_set: Given) -> None:
     assert len(small_set.gnss) - len(hidden.gnss) == 60
 
 
-def test_fixes_are_carried_to_the_whole_second_that_ob_gins_wants(small_set: Given) -> None:
+def test_fixes_are_carried_to_the_whole_second_that_ob_gins_wants(small_set: PeerInput) -> None:
     rows = at_whole_seconds(small_set.gnss)
     assert rows[:, 0] == pytest.approx(np.round(small_set.gnss[:, 0]), abs=1e-9)
     back_m = np.radians(small_set.gnss[:, 1] - rows[:, 1]) * 6_352_000.0
@@ -177,7 +177,7 @@ def test_fixes_are_carried_to_the_whole_second_that_ob_gins_wants(small_set: Giv
     assert len(at_whole_seconds(fast)) == 0, "fixes between seconds are left out"
 
 
-def test_a_result_equal_to_the_truth_has_no_error(small_set: Given) -> None:
+def test_a_result_equal_to_the_truth_has_no_error(small_set: PeerInput) -> None:
     time_s = np.arange(456300.0, 456719.0, 0.005)
     lat = np.degrees(PLACE[0] + (time_s - 456250.0) * 10.0 / 6_352_000.0)
     rows = np.column_stack([time_s, lat, np.full_like(lat, 114.4), np.full_like(lat, 20.0), np.zeros((len(lat), 6))])
@@ -207,7 +207,7 @@ np.savetxt(Path(config["outputpath"]) / "KF_GINS_Navresult.nav", out, fmt="%.10f
 
 
 def test_a_peer_reads_its_documented_files_and_is_compared_by_its_output(
-    small_set: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_set: PeerInput, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = tmp_path / "KF-GINS"
     program.write_text(FAKE.format(python=sys.executable))
@@ -223,7 +223,7 @@ def test_a_peer_reads_its_documented_files_and_is_compared_by_its_output(
 
 
 def test_an_absent_or_failing_peer_is_reported_in_one_sentence(
-    small_set: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_set: PeerInput, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for peer in PEERS:
         monkeypatch.delenv(peer.variable, raising=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from broker import keys
-from broker.keys import Made, make
+from broker.keys import KeyFileOwners, make
 from broker.passwords import Passwords
 from broker.simulated import parse
 from shared.errors import UserError
@@ -21,7 +21,7 @@ CAR = parse_vehicle('[vehicle]\nname = "car"\n\n[sensors.gnss]\n')
 
 
 def made(folder: Path, vehicle: VehicleFile = CAR) -> tuple[dict[str, str], Passwords, str]:
-    passwords, rules = make(folder / "credentials", vehicle, Made(vehicle.path, str(folder / "rules")))
+    passwords, rules = make(folder / "credentials", vehicle, KeyFileOwners(vehicle.path, str(folder / "rules")))
     secrets = {p.name: p.read_text().strip() for p in (folder / "credentials").iterdir() if p.name != keys.MADE}
     return secrets, Passwords(passwords.read_text()), rules.read_text()
 
@@ -101,7 +101,7 @@ def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
 def test_in_containers_each_secret_is_given_to_the_user_of_its_container(tmp_path: Path) -> None:
     folder = tmp_path / "credentials"
-    make(folder, CAR, Made(CAR.path, str(tmp_path / "rules"), str(keys.CONTAINER_BROKER), containers=True))
+    make(folder, CAR, KeyFileOwners(CAR.path, str(tmp_path / "rules"), str(keys.CONTAINER_BROKER), containers=True))
     for name, user in keys.CONTAINER_USERS.items():
         if (folder / name).exists():
             found = (folder / name).stat()

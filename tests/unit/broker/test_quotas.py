@@ -9,7 +9,7 @@ from broker.simulated.packets import Answer, Connect, ProtocolError, Publish, Su
 from broker.simulated.session import Limits, Session
 
 
-class Written:
+class StoredMessages:
     """Stores what is written."""
 
     writable = True
@@ -26,7 +26,7 @@ class Written:
 
 
 def connect(broker: Broker, client_id: str, user: str | None = "a", password: str | None = None) -> Session:
-    return broker.connect(Connect(client_id, True, 60, user, None, password), Written())
+    return broker.connect(Connect(client_id, True, 60, user, None, password), StoredMessages())
 
 
 def test_one_user_has_so_many_sessions_and_others_are_served() -> None:
@@ -44,7 +44,7 @@ def test_with_passwords_the_user_is_the_session_and_its_secret_is_asked_for() ->
     first = connect(broker, "one", "a", "secret")
     assert first.client_id == "a"
     second = connect(broker, "two", "a", "secret")
-    assert isinstance(first.writer, Written) and first.writer.ended and broker.sessions == {"a": second}
+    assert isinstance(first.writer, StoredMessages) and first.writer.ended and broker.sessions == {"a": second}
     for user, password in (("a", "guess"), ("a", None), ("b", "secret"), (None, None)):
         with pytest.raises(ProtocolError) as refused:
             connect(broker, "three", user, password)
@@ -75,4 +75,4 @@ def test_a_topic_has_a_size_and_says_whether_it_is_kept() -> None:
     broker.receive(Publish("kept", bytes(100), retain=True), session)
     broker.receive(Publish("passing", bytes(100), retain=True), session)
     assert set(broker.retained) == {"kept"}
-    assert isinstance(listener.writer, Written) and len(listener.writer.frames) == 2, "both were delivered"
+    assert isinstance(listener.writer, StoredMessages) and len(listener.writer.frames) == 2, "both were delivered"

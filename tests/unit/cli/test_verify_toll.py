@@ -15,7 +15,7 @@ from shared.errors import UserError
 from shared.evidence import KeyFile, Outcome
 from shared.evidence.statement import signed
 from shared.messages.toll import PassageState
-from shared.unpacked import ALWAYS_BYTES
+from shared.unpacked import MIN_LIMIT_BYTES
 from tests.support.v2x.tolling import START_NS, Vehicle, ledger_at
 
 
@@ -91,7 +91,7 @@ def test_an_unknown_passage_is_a_user_error(ledger: Path) -> None:
 @pytest.mark.parametrize(
     ("column", "damage"),
     [("pack", b"no zlib"), ("pack", b""), ("pack", "a text"), ("pack", zlib.compress(b"{}")),
-     ("pack", zlib.compress(b"\xff")), ("pack", zlib.compress(bytes(ALWAYS_BYTES + 1))),
+     ("pack", zlib.compress(b"\xff")), ("pack", zlib.compress(bytes(MIN_LIMIT_BYTES + 1))),
      ("content", "{"), ("content", b"\x00")],
 )  # fmt: skip
 def test_a_damaged_row_is_a_sentence_and_the_other_charges_are_verified(

@@ -80,7 +80,9 @@ def test_a_weakness_counts_more_than_a_source_that_was_not_asked() -> None:
 
 def test_a_tool_that_cannot_be_installed_is_one_sentence(tmp_path: Path) -> None:
     answers = Answers(SOUND, npm(), "WARNING: retrying\nERROR: No matching distribution found\n", install=1)
-    with pytest.raises(audit.Unasked, match=r"pip-audit==.* could not be installed: ERROR: No matching distribution"):
+    with pytest.raises(
+        audit.SourceUnavailable, match=r"pip-audit==.* could not be installed: ERROR: No matching distribution"
+    ):
         audit.python_packages(answers, tmp_path / "audit")
 
 
@@ -92,5 +94,5 @@ def test_the_tool_is_installed_beside_and_asked_about_the_hashed_lock(tmp_path: 
 
 
 def test_a_program_that_is_missing_is_not_asked(tmp_path: Path) -> None:
-    with pytest.raises(audit.Unasked, match="cannot be started: No such file"):
+    with pytest.raises(audit.SourceUnavailable, match="cannot be started: No such file"):
         audit.run([str(tmp_path / "npm")], tmp_path)

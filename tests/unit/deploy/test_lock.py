@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from deploy.lock import MACHINES, PYTHONS, Ask, Files, NoFile, hashes, lock_text
+from deploy.lock import MACHINES, PYTHONS, Ask, Files, PackageFileMissing, hashes, lock_text
 
 VERSIONS = {"any": "1.0", "compiled": "2.0", "source": "3.0"}
 
@@ -17,7 +17,7 @@ def index(files: Mapping[tuple[str, str, str], str], sources: Mapping[str, str],
         if "--no-binary" in options:
             (name,) = versions
             if name not in sources:
-                raise NoFile(name)
+                raise PackageFileMissing(name)
             return {name: sources[name]}
         python = options[options.index("--python-version") + 1]
         (machine,) = {machine for machine in MACHINES if f"linux_{machine}" in options}
@@ -25,7 +25,7 @@ def index(files: Mapping[tuple[str, str, str], str], sources: Mapping[str, str],
         for name in versions:
             digest = files.get((name, "*", "*")) or files.get((name, machine, python))
             if digest is None:
-                raise NoFile(name)
+                raise PackageFileMissing(name)
             found[name] = digest
         return found
 

@@ -77,5 +77,5 @@ def test_a_package_without_a_text_names_its_author_and_where_the_conditions_stan
 
 
 def test_a_package_whose_licence_is_nowhere_is_refused() -> None:
-    with pytest.raises(wheel.NotSetUp, match=r"one 1\.0 holds no licence"):
+    with pytest.raises(wheel.WheelIncomplete, match=r"one 1\.0 holds no licence"):
         wheel.licences([package("one", "Other"), package("two", "MIT", "the conditions")])

@@ -4,7 +4,7 @@ import pytest
 
 from shared.chosen import (
     DECISION_NS,
-    SILENT_NS,
+    SILENCE_TIMEOUT_NS,
     ChosenSource,
     imu_choice,
     receiver_choice,
@@ -27,10 +27,10 @@ def test_the_choice_does_not_depend_on_who_was_heard_first(order: tuple[str, ...
 
 def test_another_device_takes_the_place_of_one_that_is_silent_and_gives_it_back() -> None:
     chosen = ChosenSource()
-    assert chosen.takes("a", 0) and not chosen.takes("b", SILENT_NS)
-    assert chosen.current(SILENT_NS + 1) is None
-    assert chosen.takes("b", SILENT_NS + 1) and chosen.current(SILENT_NS + 1) == "b"
-    assert chosen.takes("a", SILENT_NS + 2) and not chosen.takes("b", SILENT_NS + 3)
+    assert chosen.takes("a", 0) and not chosen.takes("b", SILENCE_TIMEOUT_NS)
+    assert chosen.current(SILENCE_TIMEOUT_NS + 1) is None
+    assert chosen.takes("b", SILENCE_TIMEOUT_NS + 1) and chosen.current(SILENCE_TIMEOUT_NS + 1) == "b"
+    assert chosen.takes("a", SILENCE_TIMEOUT_NS + 2) and not chosen.takes("b", SILENCE_TIMEOUT_NS + 3)
 
 
 def mode(at_ns: int, **chosen: str) -> ModeState:

@@ -176,7 +176,7 @@ def test_every_process_works_with_what_the_bounds_let_through(name: str) -> None
     assert not rejects[FAULT], faults.last
 
 
-class Mutating:
+class MutatedInput:
     """Gives a process beside each message, now and then, one in which one number is at its bound."""
 
     def __init__(self, seed: int, share: float) -> None:
@@ -210,7 +210,7 @@ class Mutating:
 
 
 def test_no_process_ends_by_a_number_at_its_bound_within_a_drive(monkeypatch: pytest.MonkeyPatch) -> None:
-    mutating = Mutating(seed=1, share=0.3)
+    mutating = MutatedInput(seed=1, share=0.3)
     monkeypatch.setattr(offline, "handled", mutating.handled)
     unit = offline.OfflineUnit(load_vehicle(VEHICLE))
     start_ns: int | None = None

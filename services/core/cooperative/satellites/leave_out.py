@@ -30,7 +30,7 @@ RANK = 1e-6  # [-] of the largest eigenvalue, below which a covariance of a diff
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class SubsetSolution:
     """A solution without some satellites; NED axes and zero are those of the fit of all in view."""
 
     satellites: tuple[SatelliteId, ...]
@@ -42,7 +42,7 @@ class LeftOut:
     innovations: float | None  # [-] residual chi-square over its degrees of freedom; None without redundancy
 
 
-def solutions_without(position: PositionFit, false_alarm_rate: float) -> tuple[LeftOut, ...]:
+def solutions_without(position: PositionFit, false_alarm_rate: float) -> tuple[SubsetSolution, ...]:
     """Solve without each satellite and without each constellation.
 
     Parameters
@@ -65,7 +65,7 @@ def solutions_without(position: PositionFit, false_alarm_rate: float) -> tuple[L
     return tuple(exact for left_out in linear if (exact := _exact(position, left_out)) is not None)
 
 
-def _exact(position: PositionFit, one: LeftOut) -> LeftOut | None:
+def _exact(position: PositionFit, one: SubsetSolution) -> SubsetSolution | None:
     """Solve by iteration where the linearisation of all in view is too far away; None where that does not converge."""
     if float(np.linalg.norm(one.apart_n)) <= LINEAR_M:
         return one
@@ -86,7 +86,7 @@ def _exact(position: PositionFit, one: LeftOut) -> LeftOut | None:
     )
 
 
-def _without_each(position: PositionFit, velocity: Fit, rows: tuple[int, ...]) -> Iterator[LeftOut]:
+def _without_each(position: PositionFit, velocity: Fit, rows: tuple[int, ...]) -> Iterator[SubsetSolution]:
     fit = position.fit
     for row, satellite in enumerate(position.satellites):
         redundancy = float(fit.redundancy[row])
@@ -95,7 +95,7 @@ def _without_each(position: PositionFit, velocity: Fit, rows: tuple[int, ...]) -
             continue
         gain, residual, sd = fit.gain[:3, row], float(fit.residuals[row]), float(fit.sd[row])
         w2 = residual**2 / (sd**2 * redundancy)
-        yield LeftOut(
+        yield SubsetSolution(
             (satellite,),
             gain * (residual / redundancy),
             fit.cov[:3, :3] + np.outer(gain, gain) * (sd**2 / redundancy),
@@ -118,7 +118,7 @@ def _velocity_without(velocity: Fit, rows: tuple[int, ...], row: int) -> FloatAr
     return without
 
 
-def _without_constellations(position: PositionFit, velocity: Fit, rows: tuple[int, ...]) -> Iterator[LeftOut]:
+def _without_constellations(position: PositionFit, velocity: Fit, rows: tuple[int, ...]) -> Iterator[SubsetSolution]:
     systems = [satellite.constellation for satellite in position.satellites]
     for system, column in position.clocks.items() if len(position.clocks) > 1 else ():
         kept = [row for row, name in enumerate(systems) if name != system]
@@ -127,7 +127,7 @@ def _without_constellations(position: PositionFit, velocity: Fit, rows: tuple[in
             continue
         apart_n = position.fit.parameters[:3] - fit.parameters[:3]
         separation, dof = _separation(apart_n[:2], fit.cov[:2, :2] - position.fit.cov[:2, :2])
-        yield LeftOut(
+        yield SubsetSolution(
             tuple(satellite for satellite in position.satellites if satellite.constellation == system),
             apart_n,
             fit.cov[:3, :3],

@@ -56,7 +56,7 @@ class ErrorModel:
 
 
 @dataclass(frozen=True)
-class Sight:
+class SatelliteMeasurement:
     """A usable measurement with its satellite at the time of transmission; the satellite's clock is removed."""
 
     satellite: SatelliteId
@@ -69,7 +69,7 @@ class Sight:
 
 def usable_sights(
     epoch: RawEpoch, store: EphemerisStore, model: ErrorModel
-) -> tuple[tuple[Sight, ...], dict[str, int]]:
+) -> tuple[tuple[SatelliteMeasurement, ...], dict[str, int]]:
     """Pair each measurement with its satellite's state.
 
     Parameters
@@ -86,20 +86,22 @@ def usable_sights(
     tuple of Sight, dict of str to int
         What can be used, and how many measurements cannot, by reason.
     """
-    sights: dict[SatelliteId, Sight] = {}
+    sights: dict[SatelliteId, SatelliteMeasurement] = {}
     rejected: dict[str, int] = {}
     for measurement in epoch.measurements:
         sight = _sight(measurement, epoch.gps_time_ns, store, model)
-        if isinstance(sight, Sight) and measurement.satellite in sights:
+        if isinstance(sight, SatelliteMeasurement) and measurement.satellite in sights:
             sight = "duplicate_satellite"
-        if isinstance(sight, Sight):
+        if isinstance(sight, SatelliteMeasurement):
             sights[measurement.satellite] = sight
         else:
             rejected[sight] = rejected.get(sight, 0) + 1
     return tuple(sights.values()), rejected
 
 
-def _sight(measurement: Measurement, gps_time_ns: int, store: EphemerisStore, model: ErrorModel) -> Sight | str:
+def _sight(
+    measurement: Measurement, gps_time_ns: int, store: EphemerisStore, model: ErrorModel
+) -> SatelliteMeasurement | str:
     pseudorange, doppler, cn0 = measurement.pseudorange_m, measurement.doppler_hz, measurement.cn0_db_hz
     if not MIN_PSEUDORANGE < pseudorange < MAX_PSEUDORANGE:
         return "implausible_pseudorange"
@@ -116,7 +118,7 @@ def _sight(measurement: Measurement, gps_time_ns: int, store: EphemerisStore, mo
     if doppler is not None and isfinite(doppler) and abs(doppler) < MAX_DOPPLER:
         range_rate = -WAVELENGTH * doppler + SPEED_OF_LIGHT * state.clock_drift
     corrected = pseudorange + SPEED_OF_LIGHT * state.clock_s
-    return Sight(measurement.satellite, corrected, range_rate, cn0, state.position_e, state.velocity_e)
+    return SatelliteMeasurement(measurement.satellite, corrected, range_rate, cn0, state.position_e, state.velocity_e)
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,7 @@ class Geometry:
 class Sky:
     """What the model of one epoch needs besides the position."""
 
-    sights: tuple[Sight, ...]
+    sights: tuple[SatelliteMeasurement, ...]
     gps_time_ns: int
     ionosphere: Klobuchar | None
     model: ErrorModel
@@ -203,14 +205,14 @@ def turned(vectors_e: FloatArray, angles: FloatArray) -> FloatArray:
     return np.column_stack([c * x + s * y, c * y - s * x, z])
 
 
-def rough_position(sights: tuple[Sight, ...]) -> FloatArray:
+def rough_position(sights: tuple[SatelliteMeasurement, ...]) -> FloatArray:
     """Point of the Earth's surface [m, ECEF] below the mean of the satellites: where a solution may start from."""
     mean = np.mean([sight.position_e for sight in sights], axis=0)
     start: FloatArray = mean / max(float(np.linalg.norm(mean)), 1.0) * SEMI_MAJOR_AXIS
     return start
 
 
-def clock_columns(sights: tuple[Sight, ...]) -> tuple[FloatArray, Mapping[str, int]]:
+def clock_columns(sights: tuple[SatelliteMeasurement, ...]) -> tuple[FloatArray, Mapping[str, int]]:
     """One column of ones and zeros for each constellation, shape (n, c), and the column of each."""
     column: dict[str, int] = {}
     for sight in sights:
@@ -221,7 +223,9 @@ def clock_columns(sights: tuple[Sight, ...]) -> tuple[FloatArray, Mapping[str, i
     return design, column
 
 
-def virtual_sights(store: EphemerisStore, gps_time_ns: int, received: frozenset[SatelliteId]) -> tuple[Sight, ...]:
+def virtual_sights(
+    store: EphemerisStore, gps_time_ns: int, received: frozenset[SatelliteId]
+) -> tuple[SatelliteMeasurement, ...]:
     """Satellites whose ephemeris is valid although they are not received; pseudorange 0."""
     found = []
     for satellite in store.satellites():
@@ -229,5 +233,5 @@ def virtual_sights(store: EphemerisStore, gps_time_ns: int, received: frozenset[
         if satellite in received or isinstance(ephemeris, str):
             continue
         state = satellite_state(ephemeris, gps_time_ns, TYPICAL_FLIGHT_S)
-        found.append(Sight(satellite, 0.0, None, None, state.position_e, state.velocity_e))
+        found.append(SatelliteMeasurement(satellite, 0.0, None, None, state.position_e, state.velocity_e))
     return tuple(found)

@@ -19,7 +19,7 @@ from ..detection import (
     noncentrality,
 )
 from ..measurements import FloatArray, RawEpoch, SatelliteFinding, SatelliteId, SatelliteVerdict, references
-from .model import ErrorModel, Sight, Sky, usable_sights
+from .model import ErrorModel, SatelliteMeasurement, Sky, usable_sights
 from .solution import PositionFit, fit_velocity, masked, solution_of
 
 
@@ -39,7 +39,7 @@ class _Tested:
     """A set of satellites after exclusion, with what the tests said."""
 
     position: PositionFit | None
-    excluded: tuple[Sight, ...]
+    excluded: tuple[SatelliteMeasurement, ...]
     suspects: tuple[SatelliteId, ...]  # without any of which the test would have passed as well
     passes: bool
     rejected: dict[str, int]
@@ -166,7 +166,9 @@ class SatelliteMonitor:
             if count >= self._settings.readmission_epochs:
                 del self._healthy_epochs[finding.satellite]
 
-    def _excluded_findings(self, position: PositionFit, excluded: tuple[Sight, ...]) -> tuple[SatelliteFinding, ...]:
+    def _excluded_findings(
+        self, position: PositionFit, excluded: tuple[SatelliteMeasurement, ...]
+    ) -> tuple[SatelliteFinding, ...]:
         """Innovations of excluded satellites against the solution without them, where its clock is known."""
         comparable = tuple(sight for sight in excluded if sight.satellite.constellation in position.clocks)
         if not comparable:

@@ -14,8 +14,8 @@ from .model import Geometry, Sky, clock_columns, noise_factor, rough_position
 
 ROUNDS = 12  # of the linearisation; from the far side of the Earth seven are needed
 CONVERGED = 1e-3  # [m]
-FARTHEST = 1e8  # [m] from the Earth's centre; a solution beyond is a breakdown
-NEAREST = 1e6
+MAX_RADIUS_M = 1e8  # [m] from the Earth's centre; a solution beyond is a breakdown
+MIN_RADIUS_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def fit_position(sky: Sky, start_e: FloatArray | None) -> PositionFit | None:
         if np.linalg.norm(step_e) < CONVERGED:
             return PositionFit(sky, geometry, fit, H, clocks)
         position = position + step_e
-        if not NEAREST < np.linalg.norm(position) < FARTHEST:
+        if not MIN_RADIUS_M < np.linalg.norm(position) < MAX_RADIUS_M:
             return None
     return None
 

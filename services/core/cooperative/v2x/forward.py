@@ -21,8 +21,8 @@ from .road import Road
 
 POSITION, VELOCITY = slice(0, 3), slice(3, 6)
 DRIFT, OSCILLATOR, CLOCK = 6, 7, 8  # [m/s] clock drift; [m/s] c y_r of the radio; [m] first clock bias
-NEAREST = 0.1  # [m] below it no direction is computed
-TINY = 1e-9  # [m², m²/s²] keeps the covariance of position and velocity regular
+MIN_RANGE_M = 0.1  # [m] below it no direction is computed
+MIN_VARIANCE = 1e-9  # [m², m²/s²] keeps the covariance of position and velocity regular
 BoolArray = npt.NDArray[np.bool_]
 
 
@@ -110,7 +110,7 @@ def range_rates(x: FloatArray, neighbours: Neighbours) -> FloatArray:
     dp = x[..., np.newaxis, POSITION] - neighbours.position_n
     dv = x[..., np.newaxis, VELOCITY] - neighbours.velocity_n
     distance = np.sqrt(np.einsum("...i,...i", dp, dp))
-    rates: FloatArray = np.einsum("...i,...i", dp, dv) / np.maximum(distance, NEAREST)
+    rates: FloatArray = np.einsum("...i,...i", dp, dv) / np.maximum(distance, MIN_RANGE_M)
     return rates
 
 
@@ -135,7 +135,7 @@ def linearised_range_rates(estimate: Estimate, neighbours: Neighbours) -> tuple[
     """
     n = 6
     x, P = estimate.x[..., :n], estimate.P[..., :n, :n]
-    L = np.linalg.cholesky(P + TINY * np.eye(n))
+    L = np.linalg.cholesky(P + MIN_VARIANCE * np.eye(n))
     spread = np.sqrt(n) * np.swapaxes(L, -1, -2)  # rows are the columns of L
     points = np.concatenate([x[..., np.newaxis, :] + spread, x[..., np.newaxis, :] - spread], axis=-2)
     # (..., 12, m): the filters' axes of the neighbours are in front of the points'

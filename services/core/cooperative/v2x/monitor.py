@@ -25,7 +25,7 @@ from ..measurements import (
     SatelliteVerdict,
     references,
 )
-from ..satellites.model import ErrorModel, Geometry, Sight, Sky, usable_sights, virtual_sights
+from ..satellites.model import ErrorModel, Geometry, SatelliteMeasurement, Sky, usable_sights, virtual_sights
 from .bank import BankSettings, BankTest, LeaveOneOutBank, Pseudoranges
 from .construction import construction_test
 from .forward import (
@@ -248,7 +248,7 @@ class CooperativeMonitor:
 
     def _above_mask(
         self, sky: Sky, estimate: Estimate, rejected: dict[str, int]
-    ) -> tuple[tuple[Sight, ...], Geometry | None]:
+    ) -> tuple[tuple[SatelliteMeasurement, ...], Geometry | None]:
         if not sky.sights:
             return (), None
         position_e = self._origin_e + self._ned_from_ecef.T @ estimate.x[-1, POSITION]
@@ -264,7 +264,7 @@ class CooperativeMonitor:
             return (), None
         return tuple(kept), replace(sky, sights=tuple(kept)).geometry(position_e)
 
-    def _arrange(self, sights: tuple[Sight, ...], now_ns: int) -> None:
+    def _arrange(self, sights: tuple[SatelliteMeasurement, ...], now_ns: int) -> None:
         """Give new satellites a filter, and take it from those that were not received for long."""
         assert self._bank is not None
         for sight in sights:
@@ -277,7 +277,7 @@ class CooperativeMonitor:
             self._bank.rearrange([former.get(satellite) for satellite in satellites])
             self._satellites = satellites
 
-    def _pseudoranges(self, sights: tuple[Sight, ...], geometry: Geometry) -> Pseudoranges:
+    def _pseudoranges(self, sights: tuple[SatelliteMeasurement, ...], geometry: Geometry) -> Pseudoranges:
         """Observations linear in the local position: y = rho - range(p0) - delay - u p0, at the estimate p0."""
         n = len(self._satellites)
         row_of = {satellite: row for row, satellite in enumerate(self._satellites)}
@@ -356,7 +356,7 @@ class CooperativeMonitor:
     def _verdict(
         self,
         test: BankTest,
-        sights: tuple[Sight, ...],
+        sights: tuple[SatelliteMeasurement, ...],
         geometry: Geometry,
         neighbours: tuple[NeighbourFinding, ...],
         rejected: dict[str, int],

@@ -8,7 +8,7 @@ import numpy as np
 from ..measurements import FloatArray
 
 
-class Foot(NamedTuple):
+class CentreLinePoint(NamedTuple):
     """Nearest points of the centre line: the leading axes are those of the positions."""
 
     position_n: FloatArray  # [m, NED] shape (..., 3)
@@ -37,7 +37,7 @@ class Road:
         lengths2: FloatArray = (np.diff(self.points_n[:, :2], axis=0) ** 2).sum(axis=1)
         return lengths2
 
-    def foot(self, position_n: FloatArray) -> Foot:
+    def foot(self, position_n: FloatArray) -> CentreLinePoint:
         """Project positions, shape (..., 3), onto the nearest segment; beyond the ends the end segments continue."""
         start, step = self.points_n[:-1], np.diff(self.points_n, axis=0)
         away = position_n[..., np.newaxis, :2] - start[:, :2]
@@ -54,4 +54,4 @@ class Road:
         unit[..., :2] = step[nearest][..., :2] / np.sqrt(self._lengths2())[nearest][..., np.newaxis]
         across = np.stack([-unit[..., 1], unit[..., 0], unit[..., 2]], axis=-1)
         distance = np.sqrt(np.take_along_axis(distance2, nearest[..., np.newaxis], axis=-1)[..., 0])
-        return Foot(at, unit, across, distance)
+        return CentreLinePoint(at, unit, across, distance)

@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Callable
 
-LATE_PERIODS = 100  # periods by which a value may be older than the newest; more is a clock that was set back
-SILENT_NS = 3_600_000_000_000  # silence after which a device is dropped
+MAX_AGE_PERIODS = 100  # periods by which a value may be older than the newest; more is a clock that was set back
+SILENCE_TIMEOUT_NS = 3_600_000_000_000  # silence after which a device is dropped
 DEVICES = 32  # largest number of devices, which bounds memory
 
 
@@ -34,7 +34,7 @@ class Devices:
         return True
 
     def _drop_silent(self, now_ns: int) -> None:
-        self._last_ns = {name: at for name, at in self._last_ns.items() if abs(now_ns - at) <= SILENT_NS}
+        self._last_ns = {name: at for name, at in self._last_ns.items() if abs(now_ns - at) <= SILENCE_TIMEOUT_NS}
         self._used = {key: period for key, period in self._used.items() if key[0] in self._last_ns}
 
     def is_due(self, source: str, quantity: str, time_ns: int, period_ns: int) -> bool:
@@ -43,7 +43,7 @@ class Devices:
             return False
         key, period = (source, quantity), time_ns // period_ns
         used = self._used.get(key)
-        if used is not None and 0 <= used - period < LATE_PERIODS:
+        if used is not None and 0 <= used - period < MAX_AGE_PERIODS:
             return False
         self._used[key] = period
         return True

@@ -19,7 +19,7 @@ from ..settings import Settings
 from .base import Kind, Observation, Sensor, Start
 from .gnss.fix import true_time_ns
 
-LEAST_SD = 1e-3  # [rad]
+MIN_SD = 1e-3  # [rad]
 TILT_SD = 0.02  # [rad] error of a heading in the alignment by the tilt error
 
 
@@ -78,6 +78,6 @@ class BaselineHeading(Kind):
 def of_fix(fix: GnssFix, settings: Settings) -> Iterator[BaselineHeading]:
     """Heading of a fix, if it has one; as late as its position."""
     if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
-        time_ns, sd = true_time_ns(settings, fix.sampled_ns), max(fix.baseline_heading_sd_rad, LEAST_SD)
+        time_ns, sd = true_time_ns(settings, fix.sampled_ns), max(fix.baseline_heading_sd_rad, MIN_SD)
         yaw_body = settings.vehicle.gnss.baseline_yaw_body_rad
         yield BaselineHeading(time_ns, fix.received_ns, fix.source, fix.baseline_heading_rad, sd, yaw_body)

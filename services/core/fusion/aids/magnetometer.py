@@ -20,13 +20,13 @@ from .base import Kind, Observation
 PERIOD_NS = 1_000_000_000
 CORRELATION_S = 20.0  # of the disturbance by iron that the vehicle passes: readings are no independent evidence
 STRENGTH = (0.8, 1.2)  # [-] of the field where it was calibrated
-KNOWN_SD = radians(2.0)  # of a heading that serves as reference for the compass
+REFERENCE_SD = radians(2.0)  # of a heading that serves as reference for the compass
 SECTORS = 8  # of the horizon
 JUDGED_SECTORS = 4  # in which it must have been judged: iron of the vehicle errs by the heading
-WORST = radians(10.0)  # mean error of a sector up to which a compass is one
-LEAST_SD = radians(2.0)
-STRONGEST_FIELD = 100.0  # plausible, times that of the Earth
-SHARE = 0.1  # weight of a new reading in the mean of its sector
+MAX_SECTOR_ERROR = radians(10.0)  # mean error of a sector up to which a compass is one
+MIN_SD = radians(2.0)
+MAX_FIELD = 100.0  # plausible, times that of the Earth
+UPDATE_WEIGHT = 0.1  # weight of a new reading in the mean of its sector
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class CompassCheck:
 
     def judged(self, seen: "MagneticHeading", navigation: ErrorStateFilter) -> "CompassCheck":
         """Check after a reading, if the heading of the filter is accurate enough."""
-        known = navigation.P[em.ATTITUDE.stop - 1, em.ATTITUDE.stop - 1] <= KNOWN_SD**2
+        known = navigation.P[em.ATTITUDE.stop - 1, em.ATTITUDE.stop - 1] <= REFERENCE_SD**2
         if not (known and seen.plausible):
             return self
         C = navigation.ned_from_body
@@ -47,7 +47,7 @@ class CompassCheck:
         """Check after an error [rad] observed at a heading."""
         sector = int((yaw % (2.0 * np.pi)) / (2.0 * np.pi) * SECTORS) % SECTORS
         old = self.errors[sector]
-        mean = error if old is None else wrap_angle(old + SHARE * wrap_angle(error - old))
+        mean = error if old is None else wrap_angle(old + UPDATE_WEIGHT * wrap_angle(error - old))
         return CompassCheck((*self.errors[:sector], mean, *self.errors[sector + 1 :]))
 
     @property
@@ -77,7 +77,7 @@ class MagneticHeading(Kind):
 
     def implausible(self) -> str | None:
         """Limit of the field."""
-        return None if hypot(*self.field_b) < STRONGEST_FIELD else "implausible magnetic field"
+        return None if hypot(*self.field_b) < MAX_FIELD else "implausible magnetic field"
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Heading alone."""
@@ -96,14 +96,14 @@ class MagneticHeading(Kind):
             return "field of another strength than the Earth's"
         if spread is None:
             return f"not yet judged by {JUDGED_SECTORS} known headings"
-        return None if spread <= WORST else f"errs by up to {degrees(spread):.0f} degrees"
+        return None if spread <= MAX_SECTOR_ERROR else f"errs by up to {degrees(spread):.0f} degrees"
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Innovation of its horizontal direction against magnetic north; the error of the tilt is neglected."""
         H = np.zeros((1, em.SIZE))
         H[0, em.ATTITUDE.stop - 1] = -1.0
         spread = self.check.spread if self.check else None
-        R = np.array([[CORRELATION_S * max(LEAST_SD, spread or WORST) ** 2]])
+        R = np.array([[CORRELATION_S * max(MIN_SD, spread or MAX_SECTOR_ERROR) ** 2]])
         return Observation(AidingKind.MAGNETIC_HEADING, np.array([self.error(navigation)]), H, R, self.unfit)
 
 

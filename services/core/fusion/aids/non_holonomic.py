@@ -14,7 +14,7 @@ from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
 
 PERIOD_S = 0.1
 CORRELATION_S = 1.0  # of the wheels' sideways and vertical motion: successive zeros are no independent evidence
-SLOWEST_M_S = 2.0  # below it a wheel goes where it is steered
+MIN_SPEED_M_S = 2.0  # below it a wheel goes where it is steered
 SLIP = 0.006  # [rad per m/s²] by which a tyre runs askew in a bend; 0.006 in a real car
 
 

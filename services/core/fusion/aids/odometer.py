@@ -12,7 +12,7 @@ from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from ..inertial.propagation import FASTEST_M_S
+from ..inertial.propagation import MAX_SPEED_M_S
 from ..settings import Settings
 from .base import Kind, MotionSink, NonInertial, Observation, Sensor
 from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
@@ -44,7 +44,7 @@ class WheelSpeed(Kind):
 
     def implausible(self) -> str | None:
         """Limit of speeds."""
-        fast = not (abs(self.speed) < FASTEST_M_S and abs(self.resolution) < FASTEST_M_S)
+        fast = not (abs(self.speed) < MAX_SPEED_M_S and abs(self.resolution) < MAX_SPEED_M_S)
         return "implausible speed" if fast else None
 
     def show(self, sink: MotionSink) -> None:

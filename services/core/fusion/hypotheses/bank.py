@@ -39,13 +39,13 @@ FloatArray = npt.NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 
 USEFUL_LIMITS = 30.0  # alert limits beyond which a solution says nothing
-KEPT_NS = 3 * SECOND_NS  # of snapshots beyond the memory of late measurements
+RETENTION_NS = 3 * SECOND_NS  # of snapshots beyond the memory of late measurements
 SEPARATION_LIMIT = chi_square_limit(2, 1e-5)
-LARGEST_RATIO = 1e6  # of one innovation
+MAX_RATIO = 1e6  # of one innovation
 MEAN_OF = 30  # innovations whose mean is published
 PART, FASTEST_HZ = 20, 100.0  # samples used again for each new one of this rate: two minutes take 6 s
 ODOMETER_SILENT_S = 10.0  # after which there is nothing to leave out
-NEVER_S = 1e9
+INFINITE_AGE_S = 1e9
 
 
 class Alternative(NamedTuple):
@@ -64,8 +64,8 @@ class Alternative(NamedTuple):
     odometer_innovations: float | None = None  # [-] the same of the odometer
 
 
-class Published(NamedTuple):
-    """Published solution at the horizon, from which the others are so far apart."""
+class PublishedSolution(NamedTuple):
+    """PublishedSolution solution at the horizon, from which the others are so far apart."""
 
     position: Geodetic
     cov: FloatArray  # [m², NED] shape (3, 3)
@@ -74,7 +74,7 @@ class Published(NamedTuple):
     started_ns: int | None
 
     @classmethod
-    def of(cls, engine: Engine) -> "Published":
+    def of(cls, engine: Engine) -> "PublishedSolution":
         """That of an engine with a filter."""
         assert engine.filter is not None
         P, monitor = engine.filter.P[em.POSITION, em.POSITION], engine.aids.error_monitor
@@ -92,7 +92,7 @@ class Published(NamedTuple):
         return squared(apart_n, S)
 
 
-class Kept(NamedTuple):
+class CursorPlan(NamedTuple):
     """What a hypothesis leaves out, and how its cursors are anchored."""
 
     hypothesis: Hypothesis
@@ -115,20 +115,20 @@ def _alone(time_ns: int) -> tuple[Event, ...]:
 
 
 # Inertial sensors alone are of use for a minute; a filter that keeps GNSS does not drift and needs no second anchor.
-KEPT = (
-    Kept(Hypothesis.GNSS, ("gnss",), _without_gnss, 120.0),
-    Kept(Hypothesis.GNSS_AND_ODOMETER, ("gnss", "odometer"), _alone, 60.0),
-    Kept(Hypothesis.ODOMETER, ("odometer",), _without_odometer, NEVER_S, odometer=True),
+CURSOR_PLANS = (
+    CursorPlan(Hypothesis.GNSS, ("gnss",), _without_gnss, 120.0),
+    CursorPlan(Hypothesis.GNSS_AND_ODOMETER, ("gnss", "odometer"), _alone, 60.0),
+    CursorPlan(Hypothesis.ODOMETER, ("odometer",), _without_odometer, INFINITE_AGE_S, odometer=True),
 )
 
 
-SOLVED = (*(kept.hypothesis for kept in KEPT), Hypothesis.RECEIVER_TIME, Hypothesis.IMU)
+SOLVED = (*(kept.hypothesis for kept in CURSOR_PLANS), Hypothesis.RECEIVER_TIME, Hypothesis.IMU)
 
 
 class Member:
     """One cursor of a hypothesis."""
 
-    def __init__(self, settings: Settings, kept: Kept, main: Cursor, since_ns: int | None = None) -> None:
+    def __init__(self, settings: Settings, kept: CursorPlan, main: Cursor, since_ns: int | None = None) -> None:
         """Start at the place of the main cursor, or at its snapshot before a suspect time."""
         self.kept = kept
         if since_ns is None:
@@ -152,11 +152,11 @@ class Member:
                 ratios = [
                     (z / sd) ** 2 for z, sd in zip(outcome.innovation, outcome.innovation_sd, strict=True) if sd > 0.0
                 ]
-                value = min(LARGEST_RATIO, sum(ratios) / max(1, len(ratios)))
+                value = min(MAX_RATIO, sum(ratios) / max(1, len(ratios)))
                 before = self._innovations.get(outcome.kind, value)
                 self._innovations[outcome.kind] = before + (value - before) / MEAN_OF
 
-    def alternative(self, of: Published, limits_m: Pair) -> Alternative | Explanation:
+    def alternative(self, of: PublishedSolution, limits_m: Pair) -> Alternative | Explanation:
         """Its solution against the published position, or why there is none."""
         engine = self.cursor.engine
         if self.is_behind:
@@ -218,7 +218,7 @@ class Bank:
         horizon_ns = self._horizon_ns
         for entry in timeline.log.entries(told_ns, horizon_ns):
             self.motion.use(entry)
-        memory_ns = round((self._settings.history_s + self._settings.merge_delay_s) * 1e9) + KEPT_NS
+        memory_ns = round((self._settings.history_s + self._settings.merge_delay_s) * 1e9) + RETENTION_NS
         most = PART * max(1, round((horizon_ns - told_ns) * 1e-9 * FASTEST_HZ))
         for member in self._members:
             used = member.cursor.advance(timeline.log, horizon_ns, most if member.is_behind else None)
@@ -241,7 +241,7 @@ class Bank:
         elif (before_ns is None or since_ns < before_ns) and main.engine.filter is not None:
             self._members = [
                 Member(self._settings, kept, main, start_ns(main, since_ns))
-                for kept in KEPT[1:]  # the solution without GNSS is that of the conflict
+                for kept in CURSOR_PLANS[1:]  # the solution without GNSS is that of the conflict
                 if self._is_wanted(kept, main.engine)
             ]
         self._follow()
@@ -252,7 +252,7 @@ class Bank:
             return
         engine = main.engine
         converged = engine.filter is not None and (time_ns - (engine.started_ns or 0)) * 1e-9 >= CONVERGED_S
-        for kept in KEPT:
+        for kept in CURSOR_PLANS:
             mine = [member for member in self._members if member.kept is kept]
             over = [
                 member
@@ -260,13 +260,13 @@ class Bank:
                 if member.cursor.engine.filter is None or member.age_s(time_ns) > kept.longest_s
             ]
             self._members = [member for member in self._members if member not in over]
-            youngest_s = min((member.age_s(time_ns) for member in mine if member not in over), default=NEVER_S)
+            youngest_s = min((member.age_s(time_ns) for member in mine if member not in over), default=INFINITE_AGE_S)
             if converged and youngest_s >= 0.5 * kept.longest_s and self._is_wanted(kept, engine):
                 self._members.append(Member(self._settings, kept, main))
         self._follow()
 
     @staticmethod
-    def _is_wanted(kept: Kept, engine: Engine) -> bool:
+    def _is_wanted(kept: CursorPlan, engine: Engine) -> bool:
         """Whether there is an odometer that a hypothesis could leave out."""
         age_s = engine.odometer_age_s
         return not kept.odometer or (age_s is not None and age_s < ODOMETER_SILENT_S)
@@ -288,16 +288,16 @@ class Bank:
             yield from ((hypothesis, explain(Code.PAUSED)) for hypothesis in SOLVED)
             return
         limits_m = self._settings.vehicle.alert_limits_m
-        published = Published.of(engine)
+        published = PublishedSolution.of(engine)
         without_gnss = self._of_gnss(engine, published) or self._of(Hypothesis.GNSS, published, limits_m)
         yield without_gnss
-        for kept in KEPT[1:]:
+        for kept in CURSOR_PLANS[1:]:
             yield self._of(kept.hypothesis, published, limits_m)
         yield self._free_time(without_gnss, published)
         yield self.without_imu(engine) or (Hypothesis.IMU, explain(Code.NO_MOTION))
 
     def _free_time(
-        self, without_gnss: Alternative | tuple[Hypothesis, Explanation], published: Published
+        self, without_gnss: Alternative | tuple[Hypothesis, Explanation], published: PublishedSolution
     ) -> Alternative | tuple[Hypothesis, Explanation]:
         """The solution if the time of the receiver is not known: the published one across the way, without GNSS along.
 
@@ -333,7 +333,7 @@ class Bank:
         if hypothesis is Hypothesis.IMU:
             return self.without_imu(engine)
         limits_m = self._settings.vehicle.alert_limits_m
-        published = Published.of(engine)
+        published = PublishedSolution.of(engine)
         if hypothesis is Hypothesis.RECEIVER_TIME:
             without_gnss = self._of_gnss(engine, published) or self._of(Hypothesis.GNSS, published, limits_m)
             found = self._free_time(without_gnss, published)
@@ -342,7 +342,7 @@ class Bank:
         return found if isinstance(found, Alternative) else None
 
     def _of(
-        self, hypothesis: Hypothesis, published: Published, limits_m: Pair
+        self, hypothesis: Hypothesis, published: PublishedSolution, limits_m: Pair
     ) -> Alternative | tuple[Hypothesis, Explanation]:
         member = self.oldest(hypothesis)
         if member is None:
@@ -350,7 +350,7 @@ class Bank:
         found = member.alternative(published, limits_m)
         return found if isinstance(found, Alternative) else (hypothesis, found)
 
-    def _of_gnss(self, engine: Engine, published: Published) -> Alternative | None:
+    def _of_gnss(self, engine: Engine, published: PublishedSolution) -> Alternative | None:
         """The solution without GNSS of an open conflict, which starts before the suspect time."""
         conflict = self._timeline.verdicts.conflict
         if conflict is None or conflict.cursor is None or conflict.cursor.engine.filter is None:
@@ -372,7 +372,7 @@ class Bank:
         levels = self.levels(state.position_cov)
         if not levels[0] <= USEFUL_LIMITS * self._settings.vehicle.alert_limit_horizontal_m:
             return None
-        separation = Published.of(engine).separation(apart, state.position_cov, None)
+        separation = PublishedSolution.of(engine).separation(apart, state.position_cov, None)
         return Alternative(
             Hypothesis.IMU, ("imu",), self.motion.started_ns, state.position, state.velocity,
             upper(state.position_cov.tolist()), levels, apart, separation, self.motion.innovations / 3.0,

@@ -27,12 +27,12 @@ from ..start.course import STANDING_M_S, UNKNOWN_HEADING_VARIANCE, CourseFollowe
 FloatArray = npt.NDArray[np.float64]
 
 VELOCITY_AGE_S = 0.5  # largest age of a velocity that belongs to a position
-LONGEST_STEP_S = 10.0  # between two positions that are compared
+MAX_STEP_S = 10.0  # between two positions that are compared
 ACCELERATION_SD = 2.0  # [m/s²] of a car between two fixes, as in a gap of the inertial samples
 GATE = chi_square_limit(3, 1e-6)
 REJECTIONS = 3  # positions in a row, after which the new place is taken and the old one is held in the covariance
 JUMP_HELD_S = 60.0  # a reflection or another constellation in use lasts for about a minute
-NEVER_NS = -(2**62)
+NO_TIME_NS = -(2**62)
 TILT_SD = 0.1  # [rad] roll and pitch of a car on a road: grades and banks of 10 %
 UNKNOWN_HEIGHT_SD = 100.0  # [m] of a position without a height
 
@@ -61,7 +61,7 @@ class GnssOnly:
         self._path = np.zeros(3)  # [m, NED] of positions from the first one on
         self._rejections = 0
         self._jump_n: FloatArray = np.zeros(3)
-        self._jump_ns = NEVER_NS
+        self._jump_ns = NO_TIME_NS
         self._newest: Solution | None = None
         self.rejected = 0  # positions that contradict those before
 
@@ -104,7 +104,7 @@ class GnssOnly:
             cov = newest.cov if newest.axes == 3 else newest.cov + np.diag([0.0, 0.0, 1.0])
             return np.array(newest.velocity), cov
         before = self._before
-        if before is None or fix.time_ns - before.time_ns > LONGEST_STEP_S * 1e9:
+        if before is None or fix.time_ns - before.time_ns > MAX_STEP_S * 1e9:
             unknown = self._settings.gnss.position_sd_ned_m
             return np.zeros(3), np.diag(np.square(unknown)) + np.eye(3) * 30.0**2
         step_s = (fix.time_ns - before.time_ns) * 1e-9
@@ -118,7 +118,7 @@ class GnssOnly:
     def _agrees(self, before: GnssPosition, fix: GnssPosition, velocity: FloatArray, velocity_cov: FloatArray) -> bool:
         """Compare a position with the one before and the velocities of both; after some rejections it is taken."""
         step_s = (fix.time_ns - before.time_ns) * 1e-9
-        if step_s > LONGEST_STEP_S:
+        if step_s > MAX_STEP_S:
             self._rejections = 0
             return True
         z = np.array(ned_from_geodetic_difference(fix.position, before.position))

@@ -26,15 +26,15 @@ FloatArray = npt.NDArray[np.float64]
 
 NORTH, EAST, DOWN, SPEED, HEADING, TURN, CLIMB, SCALE = range(8)
 SIZE = 8
-LEAST_SPEED_M_S = 3.0  # from which the direction of a velocity is the heading at the start
+MIN_SPEED_M_S = 3.0  # from which the direction of a velocity is the heading at the start
 # Noise of what the model takes as constant, per root second: changes of speed of 2 m/s², of turn rate of 0.3 rad/s² and
 # of the climb of 0.5 m/s², each for a second, as a car drives.
 NOISE_SD = np.array([0.05, 0.05, 0.05, 2.0, 0.005, 0.3, 0.5, 1e-5])
 SCALE_SD = 0.05  # of an odometer that is not calibrated
 SIDE_SLIP_SD_M_S = 0.1  # of the antenna against the direction of the vehicle
 STANDING_M_S = 0.3  # below it the model does not turn
-LONGEST_STEP_S = 0.5
-LONGEST_GAP_S = 10.0  # without a position, after which it starts again
+MAX_STEP_S = 0.5
+MAX_GAP_S = 10.0  # without a position, after which it starts again
 GATE = chi_square_limit(3, 1e-6)
 REJECTIONS = 10  # in a row, after which it starts again
 MEAN_OF = 30  # innovations whose mean is published
@@ -171,7 +171,7 @@ class MotionModel:
         """Start at the newest position, if the vehicle moves."""
         north, east, _ = fix.velocity
         speed, place = hypot(north, east), self._position
-        if place is None or speed < LEAST_SPEED_M_S or abs(fix.time_ns - place.time_ns) * 1e-9 > 1.0:
+        if place is None or speed < MIN_SPEED_M_S or abs(fix.time_ns - place.time_ns) * 1e-9 > 1.0:
             return
         self.time_ns = self._fix_ns = fix.time_ns
         self.started_ns, self._origin, self._rejections, self.innovations = fix.time_ns, place.position, 0, 3.0
@@ -189,12 +189,12 @@ class MotionModel:
         """Propagate to a time; returns whether the model runs."""
         if self.started_ns is None:
             return False
-        if (time_ns - self._fix_ns) * 1e-9 > LONGEST_GAP_S:
+        if (time_ns - self._fix_ns) * 1e-9 > MAX_GAP_S:
             self.started_ns = None
             return False
         left_s = (time_ns - self.time_ns) * 1e-9
         while left_s > 0.0:
-            step_s = min(left_s, LONGEST_STEP_S)
+            step_s = min(left_s, MAX_STEP_S)
             self._propagate(step_s)
             left_s -= step_s
         self.time_ns = max(self.time_ns, time_ns)

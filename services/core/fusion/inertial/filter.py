@@ -15,7 +15,7 @@ from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion
 
 from ..aids.gnss import velocity_errors as gnss_velocity_errors
-from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
+from ..aids.gnss.position_errors import UNKNOWN_ERRORS, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from . import error_model as em
@@ -42,7 +42,7 @@ NO_ERRORS = ImuErrors()
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
 
-class Late(NamedTuple):
+class FixDelay(NamedTuple):
     """Delays [s] of GNSS that the filter has found, and the velocity [m/s, NED] of the longer one ago.
 
     Stamps are corrected by them. Velocities count less where they change nevertheless: a receiver that is late smooths
@@ -103,16 +103,16 @@ class ErrorStateFilter:
         P: FloatArray,
         imu: ImuErrors = NO_ERRORS,
         parameters: tuple[float, ...] = NO_PARAMETERS,
-        gnss_errors: GnssErrorBank | KnownGnssErrors = UNKNOWN,
+        gnss_errors: GnssErrorBank | KnownGnssErrors = UNKNOWN_ERRORS,
     ) -> None:
         self.state = initial_state(inertial, ZERO, ZERO)
         self.P = P
         self.imu = imu
         self.parameters = parameters
         self.gnss_errors = gnss_errors
-        self.velocity_errors = gnss_velocity_errors.UNKNOWN
+        self.velocity_errors = gnss_velocity_errors.UNKNOWN_ERRORS
         self.position_correction: Vector = ZERO  # [m, NED] sum of all corrections
-        self.late: Late | None = None  # fixes that seem to be older than their stamps
+        self.late: FixDelay | None = None  # fixes that seem to be older than their stamps
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
         self._has_sample = False
@@ -285,14 +285,14 @@ class ErrorStateFilter:
         """
         more_s = position_s - (self.late.position_s if self.late is not None else 0.0)
         self.propagate_covariance()
-        self.late = Late(position_s, velocity_s, self.velocity) if position_s or velocity_s else None
+        self.late = FixDelay(position_s, velocity_s, self.velocity) if position_s or velocity_s else None
         north, east, down = (more_s * part for part in self.velocity)
         if moved:
             place = geodetic_from_ned_difference((north, east, down), self.position)
             self.inertial = self.inertial._replace(position=place)
         self.inflate_along(em.POSITION, UNCERTAIN_SHARE * np.array([north, east, down]))
 
-    def _lag(self, late: Late, span_s: float) -> None:
+    def _lag(self, late: FixDelay, span_s: float) -> None:
         """Let the velocity of the delay ago follow, and the position be less sure where it changes.
 
         Its variance grows by (d_p c / 4)² in the delay T, with the change c: found delays scatter by a quarter.

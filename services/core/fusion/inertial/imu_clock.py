@@ -1,6 +1,6 @@
 """Estimates the state of the IMU clock from the stamps of rejected samples."""
 
-from .imu_gaps import LONGEST_BRIDGED_S
+from .imu_gaps import MAX_BRIDGED_S
 from .propagation import GAP_S
 
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
@@ -32,7 +32,7 @@ class Clock:
         step_ns = 0 if known or self._last_ns is None else time_ns - self._last_ns
         self._lost_ns += step_ns if 0 < step_ns <= GAP_S * 1e9 else 0
         self._last_ns = None if known else time_ns
-        return self.rejected > REJECTED_LIMIT or self._lost_ns > LONGEST_BRIDGED_S * 1e9
+        return self.rejected > REJECTED_LIMIT or self._lost_ns > MAX_BRIDGED_S * 1e9
 
     @property
     def lost_s(self) -> float:

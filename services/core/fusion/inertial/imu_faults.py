@@ -12,12 +12,12 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Readings = tuple[float, float, float, float, float, float]
 
-STUCK_S = 0.5  # repetition of an accelerometer reading that noise excludes
+MAX_REPETITION_S = 0.5  # repetition of an accelerometer reading that noise excludes
 SATURATED_S = 0.03  # repetition of a gyroscope reading at the end of its range
 SATURATED_RAD_S = 1.5  # lowest end of a range
 GYROSCOPE = (3, 4, 5)
 AXES = (*GYROSCOPE, 0, 1, 2)  # in the order of the test: the first fault is reported
-LONGEST_NS = (int(STUCK_S * 1e9),) * 3 + (int(SATURATED_S * 1e9),) * 3  # plausible repetition, by axis
+MAX_DURATION_NS = (int(MAX_REPETITION_S * 1e9),) * 3 + (int(SATURATED_S * 1e9),) * 3  # plausible repetition, by axis
 FAULTS = ("accelerometer stuck",) * 3 + ("gyroscope saturated",) * 3
 FORCE_LIMIT = 1000.0  # [m/s²] plausible specific force
 RATE_LIMIT = 100.0  # [rad/s] plausible angular rate
@@ -66,7 +66,7 @@ class Repeats:
         changed = tuple(ever or not equal for ever, equal in zip(self._changed, same, strict=True))
         self._since_ns, self._changed = since, changed
         for axis in AXES:
-            if changed[axis] and time_ns - since[axis] >= LONGEST_NS[axis] and _is_fault(axis, readings[axis]):
+            if changed[axis] and time_ns - since[axis] >= MAX_DURATION_NS[axis] and _is_fault(axis, readings[axis]):
                 return FAULTS[axis]
         return None
 
@@ -85,9 +85,11 @@ def faults(stamps_ns: IntArray, samples: FloatArray) -> dict[int, str]:
             np.flatnonzero(readings[1:] != readings[:-1]) + 1
         )  # of repetitions, without the first, before which nothing has changed
         lasts = np.append(begins, len(readings))[1:] - 1
-        for begin, last in np.column_stack([begins, lasts])[stamps_ns[lasts] - stamps_ns[begins] >= LONGEST_NS[axis]]:
+        for begin, last in np.column_stack([begins, lasts])[
+            stamps_ns[lasts] - stamps_ns[begins] >= MAX_DURATION_NS[axis]
+        ]:
             if _is_fault(axis, float(readings[begin])):
-                late = np.searchsorted(stamps_ns[begin : last + 1], stamps_ns[begin] + LONGEST_NS[axis])
+                late = np.searchsorted(stamps_ns[begin : last + 1], stamps_ns[begin] + MAX_DURATION_NS[axis])
                 for place in range(int(begin + late), int(last) + 1):
                     found.setdefault(place, FAULTS[axis])
     return found

@@ -8,7 +8,7 @@ from . import error_model as em
 from .filter import ErrorStateFilter
 
 # A step longer than `propagation.GAP_S` is a gap: the state is propagated over it, and the covariance is inflated.
-LONGEST_BRIDGED_S = 1.0  # a longer gap interrupts the solution
+MAX_BRIDGED_S = 1.0  # a longer gap interrupts the solution
 FORCE_SD = 2.0  # [m/s²] unmeasured acceleration of a car in a gap
 RATE_SD = 0.3  # [rad/s] unmeasured rate
 SUSPECT_PERIOD_S = 0.1  # between two inflations for suspect samples

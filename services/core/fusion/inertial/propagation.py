@@ -17,7 +17,7 @@ from shared.inertial.strapdown import InertialState, LocalEarth, local_earth, me
 from shared.maths.compiled import COMPILED, compilable, compiled
 from shared.maths.rotation import Quaternion, Vector
 
-from .standstill import UNSETTLED, Limits, Quiet, detect, is_standstill, norm
+from .standstill import UNSETTLED, Limits, StandstillState, detect, is_standstill, norm
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -26,8 +26,8 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 GAP_S = 0.05  # longest step between two samples; a longer one is a gap
 VIBRATION_S = 1.0  # time constant of the measured vibration
 COMPILED_FROM = 4  # smallest number of samples for compiled code
-NEARLY = 0.99  # share of an interval after which it has ended: sums of sampling periods jitter
-FASTEST_M_S = 500.0  # plausible speed
+INTERVAL_SHARE = 0.99  # share of an interval after which it has ended: sums of sampling periods jitter
+MAX_SPEED_M_S = 500.0  # plausible speed
 HIGHEST_LATITUDE = 0.4999 * pi  # [rad] 2 km from the pole, where NED is singular
 
 
@@ -76,7 +76,7 @@ class State(NamedTuple):
     span_s: float = 0.0  # time since the last covariance step, and over it:
     velocity_gain_n: Vector = ZERO  # [m/s, NED] integral of the specific force
     rotation_b: Vector = ZERO  # [rad, body] integral of the rate
-    quiet: Quiet = UNSETTLED  # of the standstill detector
+    quiet: StandstillState = UNSETTLED  # of the standstill detector
     standstill_s: float = 0.0  # standstill since the last zero-velocity update, and over it:
     standstill_rotation_b: Vector = ZERO  # [rad, body] integral of the rate
     since_non_holonomic_s: float = 0.0
@@ -163,8 +163,8 @@ def propagate(  # noqa: PLR0915  # one loop
     standstill_s, (zx, zy, zz) = state.standstill_s, state.standstill_rotation_b
     non_holonomic_s = state.since_non_holonomic_s
     (abx, aby, abz), (gbx, gby, gbz), (asx, asy, asz), (gsx, gsy, gsz) = errors
-    covariance_s, zero_velocity_s = NEARLY * intervals.covariance_s, NEARLY * intervals.zero_velocity_s
-    constraint_s, gap_s = NEARLY * intervals.non_holonomic_s, intervals.gap_s
+    covariance_s, zero_velocity_s = INTERVAL_SHARE * intervals.covariance_s, INTERVAL_SHARE * intervals.zero_velocity_s
+    constraint_s, gap_s = INTERVAL_SHARE * intervals.non_holonomic_s, intervals.gap_s
     stop, k = Stop.END_OF_SAMPLES, begin
     while k < end:
         step = (times_ns[k] - time_ns) * 1e-9
@@ -239,7 +239,7 @@ def implausible(state: State) -> tuple[str, str] | None:
     """Cause and text why a state violates the plausibility limits, or None."""
     if not isfinite(sum(state.quaternion) + sum(state.velocity) + sum(state.position)):
         return "not_finite", "the state is not finite"
-    if norm(state.velocity) >= FASTEST_M_S:
+    if norm(state.velocity) >= MAX_SPEED_M_S:
         return "velocity", "the velocity is implausible"
     near_pole = abs(state.position[0]) >= HIGHEST_LATITUDE
     return ("latitude", "the position is too near a pole") if near_pole else None

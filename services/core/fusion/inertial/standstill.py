@@ -30,7 +30,7 @@ STANDSTILL_RATE_SD = 2e-4  # [rad/s] of the mean rate over a standstill of a few
 SLOWEST_PACE = QUIET_S / UNCERTAIN_QUIET_S
 
 
-class Quiet(NamedTuple):
+class StandstillState(NamedTuple):
     """State of the detector."""
 
     rate: Vector  # [rad/s, body] smoothed
@@ -50,12 +50,14 @@ class Limits(NamedTuple):
     tilted_pace: float = QUIET_S / UNCERTAIN_QUIET_S
 
 
-UNSETTLED = Quiet((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), -SMOOTHING_S, (0.0, 0.0, 0.0))
-CERTAIN = Limits(SPEED_LIMIT, 1.0)
+UNSETTLED = StandstillState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), -SMOOTHING_S, (0.0, 0.0, 0.0))
+CERTAIN_LIMITS = Limits(SPEED_LIMIT, 1.0)
 
 
 @compilable
-def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step: float, limits: Limits) -> Quiet:
+def detect(
+    quiet: StandstillState, rate: Vector, acceleration: Vector, speed: float, step: float, limits: Limits
+) -> StandstillState:
     """Update the detector by one sample.
 
     Parameters
@@ -84,18 +86,18 @@ def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step:
     share, pace = min(1.0, step / SMOOTHING_S), limits.pace
     rate, acceleration = low_pass(quiet.rate, rate, share), low_pass(quiet.acceleration, acceleration, share)
     if quiet.quiet_s < 0.0:
-        return Quiet(rate, acceleration, min(0.0, quiet.quiet_s + step), quiet.reference)
+        return StandstillState(rate, acceleration, min(0.0, quiet.quiet_s + step), quiet.reference)
     if norm(acceleration) >= ACCELERATION_LIMIT:
         (x, y, z), (a, b, c) = acceleration, quiet.reference
         if norm((x - a, y - b, z - c)) >= ACCELERATION_LIMIT or norm(acceleration) >= TILT_ACCELERATION_LIMIT:
-            return Quiet(rate, acceleration, 0.0, acceleration)
+            return StandstillState(rate, acceleration, 0.0, acceleration)
         pace = min(pace, limits.tilted_pace)
     holds = norm(rate) < RATE_LIMIT and speed < limits.speed
-    return Quiet(rate, acceleration, quiet.quiet_s + pace * step if holds else 0.0, quiet.reference)
+    return StandstillState(rate, acceleration, quiet.quiet_s + pace * step if holds else 0.0, quiet.reference)
 
 
 @compilable
-def is_standstill(quiet: Quiet) -> bool:
+def is_standstill(quiet: StandstillState) -> bool:
     """Whether the vehicle is at standstill."""
     return quiet.quiet_s >= QUIET_S
 
@@ -103,7 +105,7 @@ def is_standstill(quiet: Quiet) -> bool:
 def limits_of(P: FloatArray) -> Limits:
     """Limits for a filter with covariance P."""
     speed = SPEED_SDS * sqrt(P.item(3, 3) + P.item(4, 4) + P.item(5, 5))
-    return CERTAIN if speed <= SPEED_LIMIT else Limits(speed, max(SLOWEST_PACE, SPEED_LIMIT / speed))
+    return CERTAIN_LIMITS if speed <= SPEED_LIMIT else Limits(speed, max(SLOWEST_PACE, SPEED_LIMIT / speed))
 
 
 @compilable

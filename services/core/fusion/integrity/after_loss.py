@@ -7,14 +7,14 @@ from shared.maths.quantiles import principal_variances
 from shared.messages.explanation import Explanation, explain
 
 from ..codes import Code
-from .disagreement import CLOSURE_SDS, LONGEST_S, NONE, Pair
+from .disagreement import CLOSURE_SDS, MAX_DURATION_S, NONE, Pair
 
 DRIVEN_M = 500.0  # [m] with positions that agree
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
 
 
 @dataclass(frozen=True)
-class AfterLoss:
+class ReturnSpread:
     """What a return may be off by, as it is within the spread of the solution without GNSS; replaced, not changed."""
 
     bound: Pair = NONE  # [m] three standard deviations of that solution at the return, horizontal and vertical
@@ -31,21 +31,21 @@ class AfterLoss:
             driven_m=self.driven_m,
         )  # fmt: skip
 
-    def returned(self, time_ns: int, before: Block) -> "AfterLoss":
+    def returned(self, time_ns: int, before: Block) -> "ReturnSpread":
         """Hold the spread of the solution before the first position; an earlier one that is larger stays."""
         nn, ne, ee, dd = before
         largest, _ = principal_variances(nn, ne, ee)
         horizontal, vertical = CLOSURE_SDS * sqrt(max(0.0, largest)), CLOSURE_SDS * sqrt(max(0.0, dd))
-        return AfterLoss((max(self.bound[0], horizontal), max(self.bound[1], vertical)), time_ns)
+        return ReturnSpread((max(self.bound[0], horizontal), max(self.bound[1], vertical)), time_ns)
 
-    def confirmed(self, *, used: bool, since_s: float, speed: float) -> "AfterLoss":
+    def confirmed(self, *, used: bool, since_s: float, speed: float) -> "ReturnSpread":
         """Use the outcome of a position [s since the one before, m/s]: a way of 500 m in agreement ends it."""
         if self.returned_ns is None:
             return self
-        if not used or since_s > LONGEST_S:
+        if not used or since_s > MAX_DURATION_S:
             return replace(self, driven_m=0.0)
         driven_m = self.driven_m + speed * since_s
         return NO_LOSS if driven_m >= DRIVEN_M else replace(self, driven_m=driven_m)
 
 
-NO_LOSS = AfterLoss()
+NO_LOSS = ReturnSpread()

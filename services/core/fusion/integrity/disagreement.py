@@ -6,7 +6,7 @@ by:
 
 - closure: the position comes back by the same vector, within the spread of both;
 - displacement, where the difference grew and did not step: since then the way driven by inertial sensors and by GNSS
-  has agreed for `CONFIRMED_S`. A held offset agrees in displacement for ever, so that a step is not ended by it;
+  has agreed for `CONFIRMATION_S`. A held offset agrees in displacement for ever, so that a step is not ended by it;
 - a place that is known from an earlier drive, and the operator, who confirms the position;
 - for a first fix aside of the saved position, a drive of `DRIVEN_M`: a transmitter at the parking place stays behind.
 """
@@ -22,11 +22,11 @@ from .closure import horizontal_bound, vertical_bound
 Pair = tuple[float, float]  # horizontal, vertical
 Vector = tuple[float, float, float]
 NONE: Pair = (0.0, 0.0)
-STILL: Vector = (0.0, 0.0, 0.0)
+ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
-CONFIRMED_S = 60.0  # of used positions without a rejection, which decide for GNSS where the difference grew
+CONFIRMATION_S = 60.0  # of used positions without a rejection, which decide for GNSS where the difference grew
 DRIVEN_M = 2000.0  # with positions that agree, after which the saved position is no longer held against them
-LONGEST_S = 3.0  # between two positions of one agreement
+MAX_DURATION_S = 3.0  # between two positions of one agreement
 CLOSURE_SDS = 3.0
 CLOSURE_RISK = 1e-3  # that an offset is larger than what a step back leaves of it
 GREW_RATIO = 9.0  # [-] largest test ratio of the first rejected position of a difference that grew: three gates
@@ -36,7 +36,7 @@ GREW_RATIO = 9.0  # [-] largest test ratio of the first rejected position of a d
 class Disagreement:
     """A vector between two positions, of which each may be the true one; replaced and never changed in place."""
 
-    vector_n: Vector = STILL  # [m, NED] position in use minus the one that was given up
+    vector_n: Vector = ZERO_VECTOR  # [m, NED] position in use minus the one that was given up
     spread: Pair = NONE  # [m] standard deviation of the vector
     grew: bool = False  # without a step: displacement decides
     slack: Pair = NONE  # [m] by which a solution that was given up may itself have been off
@@ -50,7 +50,7 @@ class Disagreement:
     @property
     def is_open(self) -> bool:
         """Whether there is anything to hold."""
-        return self.vector_n != STILL or self.slack != NONE
+        return self.vector_n != ZERO_VECTOR or self.slack != NONE
 
     @property
     def bound(self) -> Pair:
@@ -74,7 +74,7 @@ class Disagreement:
         if self.at_start:
             ways.append(explain(Code.ENDS_BY_DRIVE, needed_m=DRIVEN_M, driven_m=self.driven_m))
         elif self.grew:
-            ways.append(explain(Code.ENDS_BY_AGREEMENT, needed_s=CONFIRMED_S))
+            ways.append(explain(Code.ENDS_BY_AGREEMENT, needed_s=CONFIRMATION_S))
         if place_m is not None:
             ways.append(explain(Code.ENDS_AT_PLACE, distance_m=place_m))
         return (*ways, explain(Code.ENDS_BY_OPERATOR))
@@ -128,8 +128,8 @@ class Disagreement:
             sum_n, slacks = (0.0, 0.0, sum_n[2]), (0.0, slacks[1])
         if closed[1] or noise[1]:
             sum_n, slacks = (sum_n[0], sum_n[1], 0.0), (slacks[0], 0.0)
-        if sum_n == STILL and slacks == NONE:
-            return NOTHING
+        if sum_n == ZERO_VECTOR and slacks == NONE:
+            return NO_DISAGREEMENT
         first = not self.is_open
         begun_ns = time_ns if since_ns is None else since_ns
         return Disagreement(
@@ -156,14 +156,14 @@ class Disagreement:
         if self.growth_m_s > 0.0:
             grown = self.slack[0] + self.growth_m_s * since_s, self.slack[1]
             return replace(self, slack=grown, agreeing_ns=time_ns)
-        if not used or self.agreeing_ns is None or since_s > LONGEST_S:
+        if not used or self.agreeing_ns is None or since_s > MAX_DURATION_S:
             return replace(self, agreeing_ns=time_ns)
-        if self.grew and (time_ns - self.agreeing_ns) * 1e-9 >= CONFIRMED_S:
-            return NOTHING
+        if self.grew and (time_ns - self.agreeing_ns) * 1e-9 >= CONFIRMATION_S:
+            return NO_DISAGREEMENT
         if not self.at_start:
             return self
         driven_m = self.driven_m + speed * since_s
-        return NOTHING if driven_m >= DRIVEN_M else replace(self, driven_m=driven_m)
+        return NO_DISAGREEMENT if driven_m >= DRIVEN_M else replace(self, driven_m=driven_m)
 
 
-NOTHING = Disagreement()
+NO_DISAGREEMENT = Disagreement()

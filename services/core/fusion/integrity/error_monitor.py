@@ -11,9 +11,9 @@ from shared.messages.navigation import AidingKind
 from ..aids.base import Outcome
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from .after_loss import NO_LOSS, AfterLoss
-from .disagreement import CLOSURE_SDS, GREW_RATIO, NONE, NOTHING, STILL, Disagreement, Pair, Vector
-from .innovation_statistics import ESTIMATED, UNKNOWN, InnovationStatistics
+from .after_loss import NO_LOSS, ReturnSpread
+from .disagreement import CLOSURE_SDS, GREW_RATIO, NO_DISAGREEMENT, NONE, ZERO_VECTOR, Disagreement, Pair, Vector
+from .innovation_statistics import ESTIMATED, NO_STATISTICS, InnovationStatistics
 
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
 NO_BLOCK: Block = (0.0, 0.0, 0.0, 0.0)
@@ -30,12 +30,12 @@ class ErrorMonitor:
     used_ns: int = 0  # stamp of the last position that was used
     cov_after_fix: Block = NO_BLOCK  # covariance after it
     fault_shift: Pair = NONE  # [m] largest shift by an undetected error of it
-    rejected_n: Vector = STILL  # [m, NED] innovation of a rejected position or height, until one is used
+    rejected_n: Vector = ZERO_VECTOR  # [m, NED] innovation of a rejected position or height, until one is used
     rejected_sd: Pair = NONE  # [m] of that innovation
     rejected_grew: bool = False  # the first of these was hardly beyond the gate
     unestimated: Pair = NONE  # [m²] variance of position errors that are time-correlated and no state of the filter
-    held: Disagreement = NOTHING  # what a reset to rejected positions, a return or a conflict has left open
-    loss: AfterLoss = NO_LOSS  # what the return after an outage may be off by
+    held: Disagreement = NO_DISAGREEMENT  # what a reset to rejected positions, a return or a conflict has left open
+    loss: ReturnSpread = NO_LOSS  # what the return after an outage may be off by
     delay_s: float = 0.0  # suspected delay of positions that no setting corrects
 
     def restarted(self, time_ns: int, started: ErrorStateFilter) -> "ErrorMonitor":
@@ -44,14 +44,14 @@ class ErrorMonitor:
         If the filter before rejected positions until it was reset, either of the two may have been wrong.
         """
         held = self.held
-        if self.rejected_n != STILL:
+        if self.rejected_n != ZERO_VECTOR:
             moved_m = hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # by the vehicle since
             north, east, down = self.rejected_n
             away = 1.0 + moved_m / max(hypot(north, east), 1e-3) if hypot(north, east) > 0.0 else 1.0
             spread = self.rejected_sd[0] + moved_m / CLOSURE_SDS, self.rejected_sd[1]
             held = held.after((away * north, away * east, down), spread, time_ns, grew=self.rejected_grew)
         return replace(
-            self, used_ns=time_ns, cov_after_fix=block(started), fault_shift=NONE, rejected_n=STILL, held=held
+            self, used_ns=time_ns, cov_after_fix=block(started), fault_shift=NONE, rejected_n=ZERO_VECTOR, held=held
         )
 
     def after(
@@ -97,7 +97,7 @@ class ErrorMonitor:
         z, height = outcome.innovation, outcome.height
         statistics = self.position
         if not statistics.time_ns or (self.estimated and not estimated):  # they are of another error model
-            statistics = ESTIMATED if estimated else UNKNOWN
+            statistics = ESTIMATED if estimated else NO_STATISTICS
         sd = outcome.innovation_sd
         if height is not None:
             z, sd = (*z, height.innovation), (*sd, height.innovation_sd)
@@ -115,7 +115,7 @@ class ErrorMonitor:
             held = held.after((0.0, 0.0, down), (0.0, sd_down), outcome.time_ns, grew=False)
             down = 0.0
         if not outcome.used:
-            first = self.rejected_n[:2] == STILL[:2]
+            first = self.rejected_n[:2] == ZERO_VECTOR[:2]
             grew = outcome.test_ratio <= GREW_RATIO if first else self.rejected_grew
             return replace(known, rejected_n=(z[0], z[1], down), rejected_sd=sds, rejected_grew=grew, held=held)
         left_out = 0.0 if len(outcome.innovation) == 3 else down
@@ -151,7 +151,7 @@ class ErrorMonitor:
             return self
         bound_h, bound_v = self.loss.bound
         spread = bound_h / CLOSURE_SDS, bound_v / CLOSURE_SDS
-        held = self.held.after(STILL, spread, self.used_ns, grew=False, slack=self.loss.bound)
+        held = self.held.after(ZERO_VECTOR, spread, self.used_ns, grew=False, slack=self.loss.bound)
         return replace(self, held=held, loss=NO_LOSS)
 
     @cached_property

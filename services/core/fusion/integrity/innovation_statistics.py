@@ -11,12 +11,16 @@ from typing import NamedTuple
 MEMORY_S = 60.0  # time constant of the statistics
 MEAN_S = 10.0  # time constant of the mean innovation
 BREAK_S = 5.0  # longest interval of two innovations whose product is used in the autocovariance
-LARGEST = 5.0  # [-] limit of u, so that one outlier does not determine the statistics for minutes
-CHANCE_SDS = 2.0  # standard deviations of the sample statistics of white noise that are no evidence
-HIDDEN = 1.25  # largest time-correlated variance over the mean square of u; the filter has followed a part of it
+MAX_VALUE = 5.0  # [-] limit of u, so that one outlier does not determine the statistics for minutes
+WHITE_NOISE_SDS = 2.0  # standard deviations of the sample statistics of white noise that are no evidence
+MAX_CORRELATED_RATIO = (
+    1.25  # largest time-correlated variance over the mean square of u; the filter has followed a part of it
+)
 TRIAL_S = 20.0  # weight of the initial values, as a time of observation
-CHANCE = 0.5  # standard deviation of `Axis.mean_ratio` of white noise, averaged over three axes
-RARE = 3.3  # [-] quantile of a normal |u| at 1e-3: larger peaks show that the tails are heavier than normal
+MEAN_RATIO_SD = 0.5  # standard deviation of `Axis.mean_ratio` of white noise, averaged over three axes
+NORMAL_QUANTILE_1E_3 = (
+    3.3  # [-] quantile of a normal |u| at 1e-3: larger peaks show that the tails are heavier than normal
+)
 LAG_LIMIT = 4.0  # largest time-correlated variance over the lag-1 autocovariance
 
 
@@ -76,8 +80,8 @@ class InnovationStatistics:
         """
         axis = self.axes[place]
         lag_1 = max(0.0, axis.lag_1)
-        unseen = 1.0 - max(0.0, axis.mean_square - lag_1) - CHANCE_SDS * sqrt(1.5 * self.interval_s / MEMORY_S)
-        share = min(unseen, HIDDEN * axis.mean_square, LAG_LIMIT * lag_1)
+        unseen = 1.0 - max(0.0, axis.mean_square - lag_1) - WHITE_NOISE_SDS * sqrt(1.5 * self.interval_s / MEMORY_S)
+        share = min(unseen, MAX_CORRELATED_RATIO * axis.mean_square, LAG_LIMIT * lag_1)
         return max(0.0, share) * min(axis.variance, axis.newest)
 
     @property
@@ -87,12 +91,12 @@ class InnovationStatistics:
         By their mean square, or by the recent peak if that gives more.
         """
         mean = 0.5 * (self.axes[0].mean_square + self.axes[1].mean_square) - sqrt(0.5) * self._chance
-        return max(1.0, mean, (max(self.axes[0].peak, self.axes[1].peak) / RARE) ** 2)
+        return max(1.0, mean, (max(self.axes[0].peak, self.axes[1].peak) / NORMAL_QUANTILE_1E_3) ** 2)
 
     @property
     def scale_vertical(self) -> float:
         """The same for vertical innovations."""
-        return max(1.0, self.axes[2].mean_square - self._chance, (self.axes[2].peak / RARE) ** 2)
+        return max(1.0, self.axes[2].mean_square - self._chance, (self.axes[2].peak / NORMAL_QUANTILE_1E_3) ** 2)
 
     @property
     def _chance(self) -> float:
@@ -105,10 +109,12 @@ class InnovationStatistics:
 
         The variance of the mean innovation over `MEAN_S` over that of white innovations.
         """
-        return max(1.0, (self.axes[0].mean_ratio + self.axes[1].mean_ratio + self.axes[2].mean_ratio) / 3.0 - CHANCE)
+        return max(
+            1.0, (self.axes[0].mean_ratio + self.axes[1].mean_ratio + self.axes[2].mean_ratio) / 3.0 - MEAN_RATIO_SD
+        )
 
 
-UNKNOWN = InnovationStatistics()
+NO_STATISTICS = InnovationStatistics()
 ESTIMATED = InnovationStatistics(axes=(Axis(lag_1=0.0),) * 3)  # the time-correlated error is a state of the filter
 
 
@@ -122,7 +128,7 @@ def _updated(
     successive: bool,
     decay: float,
 ) -> Axis:
-    u = min(LARGEST, max(-LARGEST, innovation / sd))
+    u = min(MAX_VALUE, max(-MAX_VALUE, innovation / sd))
     mean = axis.mean + quick * (u - axis.mean)
     variance = sd * sd
     return Axis(

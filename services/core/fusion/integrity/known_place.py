@@ -12,14 +12,14 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from .disagreement import CLOSURE_SDS, Pair
 
 AWAY_M = 200.0  # from the place, after which the vehicle has left it
-STOOD_S = 10.0
-LARGEST_LEVEL_M = 10.0  # of the saved position; what is held of an offset is part of it
-FARTHEST_M: Pair = (6.0, 12.0)  # from it, as it is shown: less than half of an offset that matters
+MIN_STANDSTILL_S = 10.0
+MAX_LEVEL_M = 10.0  # of the saved position; what is held of an offset is part of it
+MAX_DISTANCE_M: Pair = (6.0, 12.0)  # from it, as it is shown: less than half of an offset that matters
 
 
 def known_well(level_m: float | None) -> bool:
     """Whether a place with a protection level [m] is one: that of a position in doubt may be where a spoofer put it."""
-    return level_m is not None and level_m <= LARGEST_LEVEL_M
+    return level_m is not None and level_m <= MAX_LEVEL_M
 
 
 @dataclass
@@ -54,10 +54,10 @@ class KnownPlace:
         distance_m = hypot(north, east)
         self.is_left |= distance_m > AWAY_M
         self._standing_ns = (self._standing_ns or time_ns) if stationary else None
-        if not self.is_left or self._standing_ns is None or (time_ns - self._standing_ns) * 1e-9 < STOOD_S:
+        if not self.is_left or self._standing_ns is None or (time_ns - self._standing_ns) * 1e-9 < MIN_STANDSTILL_S:
             return False
         limits = [
             min(CLOSURE_SDS * hypot(mine, its), most)
-            for mine, its, most in zip(spread, self.spread, FARTHEST_M, strict=True)
+            for mine, its, most in zip(spread, self.spread, MAX_DISTANCE_M, strict=True)
         ]
         return distance_m <= limits[0] and abs(down) <= limits[1]

@@ -9,9 +9,9 @@ from typing import NamedTuple
 from .disagreement import NONE, Disagreement, Pair, Vector
 
 WINDOW = 5  # [-] successive seconds over which a growth lasts; a step is none
-LEAST = 3  # [-] seconds of a new conflict from which a rate is known
-LONGEST_S = 3600.0  # [s] over which growth is extrapolated, and of a cut whose length the clock does not tell
-LARGEST_M = 1e5  # [m] beyond which a bound is of no use, horizontal and vertical
+MIN_CONFLICT_S = 3  # [-] seconds of a new conflict from which a rate is known
+MAX_DURATION_S = 3600.0  # [s] over which growth is extrapolated, and of a cut whose length the clock does not tell
+MAX_DISTANCE_M = 1e5  # [m] beyond which a bound is of no use, horizontal and vertical
 
 
 class Distances(NamedTuple):
@@ -46,7 +46,7 @@ class GrowthRate:
             return
         span_s = (time_ns - last.time_ns) * 1e-9
         self._rates.append(((new.apart[0] - last.apart[0]) / span_s, (new.apart[1] - last.apart[1]) / span_s))
-        if len(self._rates) >= LEAST:
+        if len(self._rates) >= MIN_CONFLICT_S:
             horizontal, vertical = (median(rates) for rates in zip(*self._rates, strict=True))
             self.largest = max(self.largest[0], horizontal), max(self.largest[1], vertical)
 
@@ -66,14 +66,14 @@ class RememberedConflict:
     def at(self, time_ns: int) -> Disagreement:
         """What is held at a start: as it was, with the growth since then.
 
-        A cut of unknown length, after which the clock shows an earlier time, counts as one of `LONGEST_S`. What has
+        A cut of unknown length, after which the clock shows an earlier time, counts as one of `MAX_DURATION_S`. What has
         contradicted nothing does not grow.
         """
         if not self.held.is_open:
             return self.held
         gap_s = (time_ns - self.time_ns) * 1e-9
-        span_s = min(gap_s, LONGEST_S) if gap_s >= 0.0 else LONGEST_S
+        span_s = min(gap_s, MAX_DURATION_S) if gap_s >= 0.0 else MAX_DURATION_S
         grown_h, grown_v = (
-            min(slack + rate * span_s, LARGEST_M) for slack, rate in zip(self.held.slack, self.growth, strict=True)
+            min(slack + rate * span_s, MAX_DISTANCE_M) for slack, rate in zip(self.held.slack, self.growth, strict=True)
         )
         return replace(self.held, slack=(grown_h, grown_v), agreeing_ns=None)

@@ -22,8 +22,8 @@ SPLITS = (0.5, 0.75, 0.95)  # [-] shares of the risk that horizontal errors with
 FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
 OUTAGE_FACTOR = 3.0  # [-] on the variance that an outage adds, for errors of sensors that no state stands for
 OUTAGE_S = 10.0  # time in which these have come to bear
-LARGEST_M = 1e9
-NEAR = 1e-4  # [-] of a vertical level, by which it may be too large
+MAX_DISTANCE_M = 1e9
+VERTICAL_TOLERANCE = 1e-4  # [-] of a vertical level, by which it may be too large
 
 
 class Levels(NamedTuple):
@@ -83,7 +83,7 @@ def vertical_level_with_fault(variance: float, fault: float, risk: float) -> flo
     low = vertical_level(variance, risk)
     if fault <= 0.0 or variance <= 0.0:
         return low + max(0.0, fault)
-    per_m, near, high = sqrt(0.5 / variance), NEAR * low, low + fault
+    per_m, near, high = sqrt(0.5 / variance), VERTICAL_TOLERANCE * low, low + fault
     while high - low > near:
         middle = 0.5 * (low + high)
         moved = 0.5 * (erfc((middle - fault) * per_m) + erfc((middle + fault) * per_m))
@@ -161,12 +161,12 @@ def protection_levels(
     variance = scale_v * dd + monitor.correlated_variance_vertical
     variance += spread.arm_vertical_m**2 + (spread.delay_s * velocity[2]) ** 2
     if not isfinite(sum(cov) + variance):
-        return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
+        return Levels(MAX_DISTANCE_M, MAX_DISTANCE_M, risk)  # of numbers that have broken down nothing is known
     (fault_h, fault_v), (rejected_h, rejected_v) = monitor.fault_shift, monitor.rejection_bound
     late_h, late_v = monitor.delay_s * sqrt(speed2), monitor.delay_s * abs(velocity[2])
     horizontal = rejected_h + late_h + horizontal_level_with_fault(cov, fault_h, risk)
     vertical = rejected_v + late_v + vertical_level_with_fault(variance, fault_v, risk)
-    return Levels(min(horizontal, LARGEST_M), min(vertical, LARGEST_M), risk)
+    return Levels(min(horizontal, MAX_DISTANCE_M), min(vertical, MAX_DISTANCE_M), risk)
 
 
 def _grown(then: float, now: float, growth: float) -> float:

@@ -28,7 +28,7 @@ from .error_monitor import ErrorMonitor
 
 FloatArray = npt.NDArray[np.float64]
 
-LEAST_SD_M = 0.1  # of a difference: two filters do not propagate their covariances at the same instants
+MIN_SD_M = 0.1  # of a difference: two filters do not propagate their covariances at the same instants
 
 
 def difference_covariance(of_sub: FloatArray, of_full: FloatArray, monitor: ErrorMonitor) -> FloatArray:
@@ -51,10 +51,10 @@ def difference_covariance(of_sub: FloatArray, of_full: FloatArray, monitor: Erro
     """
     values, axes = np.linalg.eigh(of_sub - of_full)
     sums = np.einsum("ik,ij,jk->k", axes, of_sub + of_full, axes)
-    values = np.where(values < -(LEAST_SD_M**2), sums, values)
+    values = np.where(values < -(MIN_SD_M**2), sums, values)
     horizontal, vertical = 2.0 * monitor.correlated_variance_horizontal, 2.0 * monitor.correlated_variance_vertical
     S: FloatArray = (axes * np.maximum(values, 0.0)) @ axes.T
-    return S + np.diag([horizontal, horizontal, vertical]) + LEAST_SD_M**2 * np.eye(3)
+    return S + np.diag([horizontal, horizontal, vertical]) + MIN_SD_M**2 * np.eye(3)
 
 
 def squared(apart_n: Vector, covariance: FloatArray) -> float | None:

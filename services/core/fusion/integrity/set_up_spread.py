@@ -18,7 +18,7 @@ DELAY_SD_S = 0.12  # of stamps at arrival: 3.3 of them hold 0.3 s, as of a seria
 KNOWN_DELAY_SD_S = 0.05  # of a delay that is given: checks know it to 0.02 to 0.08 s
 
 
-class Measured(NamedTuple):
+class CheckDifference(NamedTuple):
     """Difference from the settings and its standard deviation, by a check."""
 
     error: float
@@ -42,7 +42,9 @@ class SetUpSpread:
     delay_s: float = 0.0
 
     @classmethod
-    def of(cls, settings: Settings, arm: Measured | None = None, delay: Measured | None = None) -> "SetUpSpread":
+    def of(
+        cls, settings: Settings, arm: CheckDifference | None = None, delay: CheckDifference | None = None
+    ) -> "SetUpSpread":
         """Spread by the settings, or by a check where one has agreed.
 
         Parameters
@@ -75,6 +77,6 @@ def assumed_delay_sd_s(gnss: GnssSettings) -> float:
     return KNOWN_DELAY_SD_S if gnss.delay_s else DELAY_SD_S
 
 
-def _replaced(assumed: float, measured: Measured | None) -> float:
+def _replaced(assumed: float, measured: CheckDifference | None) -> float:
     """Spread after a check: what it has seen and how well, which is no reason to assume more than before."""
     return assumed if measured is None else min(assumed, hypot(*measured))

@@ -30,14 +30,14 @@ FloatArray = npt.NDArray[np.float64]
 
 AXES = (Direction.FORWARD, Direction.RIGHT, Direction.DOWN)
 OPPOSITE = (Direction.BACKWARD, Direction.LEFT, Direction.UP)
-FEWEST = 20  # intervals
+MIN_INTERVALS = 20  # intervals
 LEVELLED_S = 20.0  # of samples that tell the direction of gravity
 COLUMN_SD = 0.2  # of a column of M that is known
 RATE_SD = 0.1  # of the response of the gyroscopes to a turn
 EXPLAINED = 0.6  # share of the variance of the rate along the axis of turns that the course explains
 MARGIN = 0.8  # by which tr(PᵀM) of another permutation must exceed that of the identity
 GAIN = (0.5, 1.6)  # length of a column of M that is of this motion: a car pitches and rolls with its accelerations
-SDS = 5.0
+SIGNIFICANCE_SDS = 5.0
 BIAS_SDS = 3.0
 FORCE_LIMIT = 0.1  # relative error of the mean specific force against gravity
 RATE_LIMIT = 0.25  # relative error of the gyroscopes against the course
@@ -76,8 +76,10 @@ def fit_axes(motion: Motion, intervals: Intervals | None, present: Matrix3) -> A
     turning = np.isfinite(intervals.course_rate)
     a, lateral, rate = intervals.acceleration[turning], intervals.lateral[turning], intervals.course_rate[turning]
     one = np.ones_like(a)
-    forces = least_squares(np.column_stack([a, lateral, one]), intervals.force[turning]) if len(a) >= FEWEST else None
-    rates = least_squares(np.column_stack([rate, one]), intervals.rate[turning]) if len(a) >= FEWEST else None
+    forces = (
+        least_squares(np.column_stack([a, lateral, one]), intervals.force[turning]) if len(a) >= MIN_INTERVALS else None
+    )
+    rates = least_squares(np.column_stack([rate, one]), intervals.rate[turning]) if len(a) >= MIN_INTERVALS else None
     if rates is not None and np.corrcoef(intervals.rate[turning] @ rates.coefficients[0], rate)[0, 1] ** 2 < EXPLAINED:
         rates = None
     return _with_fits(fit, forces, rates)
@@ -131,7 +133,7 @@ def check_axes(fit: AxesFit | None) -> Check:
     best, gap = nearest_permutation(fit.columns)
     if np.array_equal(best, np.eye(3)):
         return Check(name, Verdict.AGREES, explain(Code.AXES_AGREE, sd_ratio=fit.sd), gap, fit.sd, 0.0, MARGIN)
-    if gap < max(MARGIN, SDS * fit.sd):
+    if gap < max(MARGIN, SIGNIFICANCE_SDS * fit.sd):
         return Check(name)
     code = Code.AXES_SWAPPED if np.linalg.det(best) > 0.0 else Code.AXES_MIRRORED
     forward, right, down = (axis_name(best[:, place]) for place in range(3))
@@ -181,7 +183,7 @@ def check_gyroscope(fit: AxesFit | None) -> Check:
         why = explain(Code.TURNS_ABOUT_ANOTHER_AXIS, ratio=gain, axis=axis_name(fit.turn / size))
         why = explain(Code.TURNS_REVERSED, ratio=gain) if gain < -0.7 * size else why
         return Check(name, Verdict.CONTRADICTS, why, *values)
-    if abs(size - 1.0) > RATE_LIMIT + SDS * sd:
+    if abs(size - 1.0) > RATE_LIMIT + SIGNIFICANCE_SDS * sd:
         code = Code.TURNS_IN_DEGREES if 40.0 < size < 80.0 else Code.TURNS_OF_ANOTHER_SIZE
         return Check(name, Verdict.CONTRADICTS, explain(code, ratio=size), *values)
     return Check(name, Verdict.AGREES, explain(Code.TURNS_AGREE, ratio=gain, sd_ratio=sd), *values)

@@ -15,19 +15,19 @@ from .motion import Changes, Motion, Velocities
 
 FloatArray = npt.NDArray[np.float64]
 
-LARGEST_S = 1.6
-COARSE_S: FloatArray = np.arange(-8, 9, dtype=np.float64) * 0.2
-FINE_S: FloatArray = np.arange(-5, 6, dtype=np.float64) * 0.05  # about the best of them
-NEAR_S = 0.25
+MAX_DURATION_S = 1.6
+COARSE_GRID_S: FloatArray = np.arange(-8, 9, dtype=np.float64) * 0.2
+FINE_GRID_S: FloatArray = np.arange(-5, 6, dtype=np.float64) * 0.05  # about the best of them
+PEAK_WIDTH_S = 0.25
 LEAST_SD_S, LARGEST_SD_S = 0.02, 0.08
-FEWEST = 30
+MIN_INTERVALS = 30
 INDEPENDENT = 1e-12  # eigenvalue of xᵀ x over the largest, below which a regressor follows from the others
 EXPLAINED = 0.5  # share of the variance of the course rate that the best lag explains
 CLEAR = 12.0  # logarithm of the likelihood over that of no lag
 REPEATED = 3.0  # residuals in a row that count as one
-APART_S = 1.9  # between positions without velocity
+POSITION_SPACING_S = 1.9  # between positions without velocity
 REPEATED_APART = 4.0  # as `REPEATED`, of two series that share their noise in part
-LATE_S = 0.15
+MAX_DELAY_S = 0.15
 
 
 def check_delay(name: str, what: str, found: tuple[float, float, float] | None, setting: tuple[str, float]) -> Check:
@@ -45,11 +45,11 @@ def check_delay(name: str, what: str, found: tuple[float, float, float] | None, 
     if found is None:
         return Check(name)
     lag_s, sd_s, gain = found
-    values = lag_s, sd_s, 0.0, LATE_S, "s"
-    if abs(lag_s) < LATE_S:
+    values = lag_s, sd_s, 0.0, MAX_DELAY_S, "s"
+    if abs(lag_s) < MAX_DELAY_S:
         why = explain(Code.DELAY_AGREES, what=what, lag_s=lag_s, sd_s=sd_s)
         return Check(name, Verdict.AGREES, why, *values)
-    if abs(lag_s) < LATE_S + 2.0 * sd_s or gain < CLEAR:
+    if abs(lag_s) < MAX_DELAY_S + 2.0 * sd_s or gain < CLEAR:
         return Check(name)
     key, present_s = setting
     code = Code.OLDER_THAN_STATED if lag_s > 0.0 else Code.NEWER_THAN_STATED
@@ -71,21 +71,24 @@ def lag_of_positions(motion: Motion) -> tuple[float, float, float] | None:
     found = lag_of(motion, motion.of_positions())
     if found is not None:
         return found
-    series = [Changes.of(motion.of_positions(APART_S, after_s), APART_S) for after_s in (0.0, 0.5 * APART_S)]
+    series = [
+        Changes.of(motion.of_positions(POSITION_SPACING_S, after_s), POSITION_SPACING_S)
+        for after_s in (0.0, 0.5 * POSITION_SPACING_S)
+    ]
     return _lag_of(motion, series, REPEATED_APART)
 
 
 def _lag_of(motion: Motion, series: list[Changes], repeated: float) -> tuple[float, float, float] | None:
-    series = [changes.within(motion, LARGEST_S + NEAR_S) for changes in series]
-    if any(np.isfinite(changes.course_rate).sum() < FEWEST for changes in series):
+    series = [changes.within(motion, MAX_DURATION_S + PEAK_WIDTH_S) for changes in series]
+    if any(np.isfinite(changes.course_rate).sum() < MIN_INTERVALS for changes in series):
         return None
 
     def log_likelihoods(lags_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = [_log_likelihoods(motion, changes, lags_s) for changes in series]
         return np.sum([part for part, _ in parts], axis=0) / repeated, np.min([share for _, share in parts], axis=0)
 
-    coarse, _ = log_likelihoods(COARSE_S)
-    lags = COARSE_S[int(coarse.argmax())] + FINE_S
+    coarse, _ = log_likelihoods(COARSE_GRID_S)
+    lags = COARSE_GRID_S[int(coarse.argmax())] + FINE_GRID_S
     total, explained = log_likelihoods(lags)
     if explained.max() < EXPLAINED:
         return None
@@ -93,7 +96,7 @@ def _lag_of(motion: Motion, series: list[Changes], repeated: float) -> tuple[flo
     weight /= weight.sum()
     lag = float(weight @ lags)
     sd = float(np.hypot(np.sqrt(weight @ (lags - lag) ** 2), LEAST_SD_S))
-    unmoved = float(coarse[len(COARSE_S) // 2])
+    unmoved = float(coarse[len(COARSE_GRID_S) // 2])
     return (lag, sd, float(total.max()) - unmoved) if sd < LARGEST_SD_S else None
 
 

@@ -10,7 +10,7 @@ from shared.messages.explanation import explain
 
 from ..aids.base import Measurement
 from ..codes import Code, Direction
-from ..integrity.set_up_spread import Measured, SetUpSpread
+from ..integrity.set_up_spread import CheckDifference, SetUpSpread
 from ..settings import Settings
 from . import axes, receiver
 from .delay import check_delay, lag_of, lag_of_positions
@@ -19,7 +19,7 @@ from .motion import Motion, MotionLog, Velocities, intervals_of
 from .odometer import check_odometer_scale
 
 PERIOD_NS = 10_000_000_000
-FEWEST_VELOCITIES = 20
+MIN_VELOCITIES = 20
 DELAYS = "gnss_delay", "gnss_velocity_delay"  # checks
 BESIDE_VELOCITY_S = 0.05  # standard deviation of the delay of positions, where that of velocities is known alone
 
@@ -122,12 +122,12 @@ class SetUpMonitor:
         known = (self.checks[name][0] for name in names if name in self.checks)
         return [check for check in known if check.verdict is not Verdict.UNKNOWN]
 
-    def _agreed(self, *names: str) -> Measured | None:
+    def _agreed(self, *names: str) -> CheckDifference | None:
         """Error and standard deviation by the first of some checks that is known, if it agrees."""
         first = next(iter(self._known(*names)), Check(names[0]))
         if first.verdict is not Verdict.AGREES or first.statistic is None or first.sd is None:
             return None
-        return Measured(first.statistic, first.sd)
+        return CheckDifference(first.statistic, first.sd)
 
     def _adopt(self, check: Check, time_ns: int) -> None:
         """Keep what is known: a finding needs two evaluations in a row, and ignorance replaces nothing."""
@@ -160,14 +160,14 @@ def evaluate(
     """
     by_receiver, by_positions = motion.of_receiver(), motion.of_positions()
     same = receiver.check_velocity_axes(motion)
-    has_velocity = len(by_receiver.begin) >= FEWEST_VELOCITIES
+    has_velocity = len(by_receiver.begin) >= MIN_VELOCITIES
     delays = tuple(_delays(settings, motion, by_receiver if has_velocity else None, by_positions))
     chosen, delay = by_positions, delays[0]
     if has_velocity and same.verdict is not Verdict.CONTRADICTS:
         chosen, delay = by_receiver, delays[1]
     late = delay.verdict is Verdict.CONTRADICTS
     lag_s = delay.statistic if late and delay.statistic is not None else 0.0
-    intervals = intervals_of(motion, chosen, lag_s) if len(chosen.begin) >= FEWEST_VELOCITIES else None
+    intervals = intervals_of(motion, chosen, lag_s) if len(chosen.begin) >= MIN_VELOCITIES else None
     fit = axes.fit_axes(motion, intervals, settings.vehicle.imu.body_from_sensor)
     of_imu = (
         axes.check_accelerometer_scale(fit),
@@ -192,7 +192,7 @@ def _delays(
 ) -> Iterator[Check]:
     """Compare the stamps of positions, and of velocities, with the inertial sensors."""
     gnss = settings.gnss
-    enough = len(by_positions.begin) >= FEWEST_VELOCITIES
+    enough = len(by_positions.begin) >= MIN_VELOCITIES
     key = "core.fusion.gnss.delay_s", gnss.delay_s
     position = None
     if enough:  # velocities of a receiver tell the delay better than positions twice as far apart

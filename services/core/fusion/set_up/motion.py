@@ -23,15 +23,15 @@ Samples = tuple[Sequence[int], Sequence[Vector], Sequence[Vector]]  # stamps [ns
 
 WINDOW_S = 300.0
 NODE_S = 0.05  # between two stored values of the integrals of force and rate
-SHORTEST_S = 0.9  # of an interval between two velocities
+MIN_DURATION_S = 0.9  # of an interval between two velocities
 SLACK_S = 1.6  # by which an interval may be longer
 SIMPSON_S = 0.75  # step of means over an interval
 COURSE_M_S = 3.0  # below it a course is noise
-LARGEST_M_S2 = 8.0  # no tyre accelerates a car so much: GNSS has jumped
+MAX_M_S2 = 8.0  # no tyre accelerates a car so much: GNSS has jumped
 SPEED_S = 0.09  # least time between two speeds
-SILENT_NS = 10_000_000_000  # after which another device is followed
-MOST_EPOCHS = 6000  # 300 s at 20 Hz
-MOST_WAITING = 4000  # batches of samples, more than those between two evaluations
+SILENCE_TIMEOUT_NS = 10_000_000_000  # after which another device is followed
+MAX_EPOCHS = 6000  # 300 s at 20 Hz
+MAX_WAITING = 4000  # batches of samples, more than those between two evaluations
 
 
 class Velocities(NamedTuple):
@@ -74,7 +74,7 @@ class Motion:
         time = self.velocities[:, 0]
         return Velocities(time, time, self.velocities[:, 1:])
 
-    def of_positions(self, shortest_s: float = SHORTEST_S, after_s: float = 0.0) -> Velocities:
+    def of_positions(self, shortest_s: float = MIN_DURATION_S, after_s: float = 0.0) -> Velocities:
         """Mean velocities between positions that are at least a time apart [s], from a time after the first on."""
         positions = self.positions[self.positions[:, 0] >= self.positions[:1, 0].sum() + after_s]
         chosen = _spaced(positions[:, 0], shortest_s)
@@ -125,7 +125,7 @@ class Changes:
     course_rate: FloatArray  # [rad/s] shape (n,)
 
     @classmethod
-    def of(cls, velocities: Velocities, shortest_s: float = SHORTEST_S) -> "Changes":
+    def of(cls, velocities: Velocities, shortest_s: float = MIN_DURATION_S) -> "Changes":
         """Changes over at least a time [s], without those that no tyre makes."""
         times = np.column_stack([velocities.begin, velocities.end])
         chosen = _spaced(times.mean(axis=1), shortest_s)
@@ -135,8 +135,8 @@ class Changes:
         turn = np.remainder(np.diff(course) + np.pi, 2.0 * np.pi) - np.pi
         course_rate = np.where(np.minimum(horizontal[1:], horizontal[:-1]) > COURSE_M_S, turn, np.nan) / span
         speed, acceleration = 0.5 * (horizontal[1:] + horizontal[:-1]), np.diff(horizontal) / span
-        sound = (span <= shortest_s + SLACK_S) & (np.abs(acceleration) < LARGEST_M_S2)
-        sound &= ~(np.abs(speed * course_rate) > LARGEST_M_S2)
+        sound = (span <= shortest_s + SLACK_S) & (np.abs(acceleration) < MAX_M_S2)
+        sound &= ~(np.abs(speed * course_rate) > MAX_M_S2)
         return cls(times, np.flatnonzero(sound), speed[sound], acceleration[sound], course_rate[sound])
 
     @property
@@ -246,8 +246,8 @@ class MotionLog:
         self._waiting: list[Samples] = []  # not yet integrated
         self._last_ns, self._sums = 0, np.zeros(7)  # stamp of the newest sample, and the integrals until then
         self._nodes, self._node_s = _Rows(8, round(WINDOW_S / NODE_S)), 0.0  # and time of the newest
-        self._positions, self._velocities = _Rows(4, MOST_EPOCHS), _Rows(4, MOST_EPOCHS)
-        self._speeds = _Rows(2, MOST_EPOCHS)
+        self._positions, self._velocities = _Rows(4, MAX_EPOCHS), _Rows(4, MAX_EPOCHS)
+        self._speeds = _Rows(2, MAX_EPOCHS)
         self._place: tuple[Geodetic, Vector] | None = None  # newest position, and it against the first [m, NED]
         self._speed_s = -inf  # time of the newest speed
         self._seen_s = 0.0  # stamp of the measurement that is told
@@ -259,7 +259,7 @@ class MotionLog:
             self._start_ns = self._last_ns = stamps_ns[0]
             self._nodes.append(0.0, *self._sums)
         self._waiting.append((stamps_ns, forces, rates))
-        if len(self._waiting) >= MOST_WAITING:
+        if len(self._waiting) >= MAX_WAITING:
             self._integrate()
 
     def see(self, seen: Measurement) -> None:
@@ -289,7 +289,7 @@ class MotionLog:
 
     def _follows(self, seen: Measurement) -> bool:
         source, last_ns = self._followed.get(type(seen), (seen.source, seen.time_ns - 1))
-        if seen.time_ns <= last_ns or (source != seen.source and seen.time_ns - last_ns < SILENT_NS):
+        if seen.time_ns <= last_ns or (source != seen.source and seen.time_ns - last_ns < SILENCE_TIMEOUT_NS):
             return False
         self._followed[type(seen)] = seen.source, seen.time_ns
         return True

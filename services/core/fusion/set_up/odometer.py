@@ -9,8 +9,8 @@ from .findings import Check, Verdict
 from .motion import Motion, Velocities
 from .regression import least_squares
 
-FAST_M_S = 4.0
-FEWEST = 30
+HIGH_SPEED_M_S = 4.0
+MIN_INTERVALS = 30
 SCALE_LIMIT = 0.1
 SCALE_SD = 0.02
 
@@ -19,14 +19,14 @@ def check_odometer_scale(motion: Motion, velocities: Velocities, present: float)
     """Compare the speed of the odometer with that of GNSS; `present` is the scale of the settings."""
     name = "odometer_scale"
     time, speed = motion.speeds.T
-    if len(time) < 2 or len(velocities.begin) < FEWEST:
+    if len(time) < 2 or len(velocities.begin) < MIN_INTERVALS:
         return Check(name)
     middle = 0.5 * (velocities.begin + velocities.end)
     near = np.searchsorted(time, middle).clip(1, len(time) - 1)
     fresh = (time[near] - time[near - 1] < 1.5) & (middle >= time[0]) & (middle <= time[-1])
     gnss = np.hypot(velocities.ned[:, 0], velocities.ned[:, 1])
-    fit_for = fresh & (gnss > FAST_M_S)
-    if fit_for.sum() < FEWEST:
+    fit_for = fresh & (gnss > HIGH_SPEED_M_S)
+    if fit_for.sum() < MIN_INTERVALS:
         return Check(name)
     wheel = np.interp(middle, time, speed)[fit_for]
     fit = least_squares(gnss[fit_for, np.newaxis], np.abs(wheel)[:, np.newaxis])

@@ -23,10 +23,10 @@ from .regression import Fit, least_squares, nearest_permutation
 FloatArray = npt.NDArray[np.float64]
 
 WINDOW_S = 8.0
-FEWEST = 12  # windows, or velocities
+MIN_WINDOWS = 12  # windows, or velocities
 GAIN_SD = 0.25
 AXES_SD = 0.15
-SDS = 5.0
+SIGNIFICANCE_SDS = 5.0
 WRONG_GAIN = 0.5  # below it a sign is wrong
 COMPASS = {(1, 0): Direction.NORTH, (0, 1): Direction.EAST, (-1, 0): Direction.SOUTH, (0, -1): Direction.WEST}
 OF_HEIGHT = Code.HEIGHT_AGREES, Code.HEIGHT_SIGN_WRONG
@@ -39,7 +39,7 @@ def check_velocity_axes(motion: Motion) -> Check:
     track = motion.of_positions()
     seen = _mean_velocity(motion.velocities, track)
     both = np.isfinite(seen).all(axis=1)
-    if both.sum() < FEWEST:
+    if both.sum() < MIN_WINDOWS:
         return Check(name)
     fit = least_squares(track.ned[both, :2], seen[both])
     if fit is None or float(fit.sd.max()) > AXES_SD:
@@ -49,7 +49,7 @@ def check_velocity_axes(motion: Motion) -> Check:
     values = gap, sd, 0.0, 0.8
     if np.array_equal(best, np.eye(2)):
         return Check(name, Verdict.AGREES, explain(Code.VELOCITY_AXES_AGREE), *values)
-    if gap < max(0.8, SDS * sd):
+    if gap < max(0.8, SIGNIFICANCE_SDS * sd):
         return Check(name)
     north, east = (COMPASS[(round(best[0, place]), round(best[1, place]))] for place in (0, 1))
     return Check(name, Verdict.CONTRADICTS, explain(Code.VELOCITY_AXES_WRONG, north=north, east=east), *values)
@@ -91,7 +91,7 @@ def _verdict(name: str, fit: tuple[float, float], against: str, codes: tuple[Cod
     values = gain, sd, 1.0, 1.5
     if gain > WRONG_GAIN:
         return Check(name, Verdict.AGREES, agrees, *values)
-    if gain > -WRONG_GAIN or 1.0 - gain < SDS * sd:
+    if gain > -WRONG_GAIN or 1.0 - gain < SIGNIFICANCE_SDS * sd:
         return Check(name)
     return Check(name, Verdict.CONTRADICTS, wrong, *values)
 
@@ -100,7 +100,7 @@ def _gain(
     motion: Motion, intervals: Intervals, ahead: FloatArray, time: FloatArray, climb: FloatArray
 ) -> tuple[float, float] | None:
     """Factor of a climb [m] on that of pitch and speed, with its standard deviation."""
-    if len(time) < FEWEST or not np.isfinite(climb).any():
+    if len(time) < MIN_WINDOWS or not np.isfinite(climb).any():
         return None
     first = _windows(intervals.begin)
     last = np.append(first[1:], len(intervals.begin)) - 1
@@ -110,7 +110,7 @@ def _gain(
     rates = np.column_stack([work, v, v * intervals.acceleration, np.ones_like(v)])
     *rows, spans = np.add.reduceat(rates * span[:, np.newaxis], first).T
     whole = (last - first >= 3) & (np.abs(spans - (end - begin)) < 0.3) & _covered(time, begin, end)
-    if whole.sum() < FEWEST:
+    if whole.sum() < MIN_WINDOWS:
         return None
     climbs = np.interp(end[whole], time, climb) - np.interp(begin[whole], time, climb)
     return _known(least_squares(np.column_stack(rows)[whole], climbs[:, np.newaxis]))
@@ -137,10 +137,10 @@ def _covered(time: FloatArray, begin: FloatArray, end: FloatArray) -> npt.NDArra
 def _heights_against_velocity(motion: Motion) -> tuple[float, float] | None:
     """Factor of changes of height on the climb by the receiver's vertical velocity."""
     climbed = _integrated(motion.velocities)
-    if climbed is None or len(motion.positions) < FEWEST:
+    if climbed is None or len(motion.positions) < MIN_WINDOWS:
         return None
     edges = np.arange(climbed[0, 0], climbed[-1, 0], WINDOW_S)
-    if len(edges) < FEWEST:
+    if len(edges) < MIN_WINDOWS:
         return None
     by_height = np.diff(np.interp(edges, motion.positions[:, 0], -motion.positions[:, 3]))
     by_velocity = np.diff(np.interp(edges, climbed[:, 0], climbed[:, 1]))
@@ -157,7 +157,7 @@ def _known(fit: Fit | None) -> tuple[float, float] | None:
 def _integrated(velocities: FloatArray) -> FloatArray | None:
     """Time and climb [m] by the receiver's vertical velocity, shape (n, 2)."""
     known = velocities[np.isfinite(velocities[:, 3])]
-    if len(known) < FEWEST:
+    if len(known) < MIN_WINDOWS:
         return None
     up = -known[:, 3]
     step = np.diff(known[:, 0])

@@ -56,7 +56,7 @@ class ParameterReset(NamedTuple):
     place: int
 
 
-class Rescaled(NamedTuple):
+class UnitChange(NamedTuple):
     """Change of unit of some errors u; their numerical values are kept."""
 
     time_ns: int
@@ -73,7 +73,7 @@ class Knot(NamedTuple):
     known: npt.NDArray[np.intp]
 
 
-Record = Start | Step | CorrectionRecord | ParameterReset | Rescaled | Knot
+Record = Start | Step | CorrectionRecord | ParameterReset | UnitChange | Knot
 
 
 class Store(Protocol):
@@ -134,7 +134,7 @@ class HistoryRecorder:
 
     def record_rescaling(self, time_ns: int, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
         """Record a change of unit, with the rows of P before it."""
-        self._store.push(Rescaled(time_ns, place, ratios, rows))
+        self._store.push(UnitChange(time_ns, place, ratios, rows))
 
     @property
     def size(self) -> int:

@@ -16,13 +16,13 @@ from shared.errors import FilterDiverged
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
-from .history import CorrectionRecord, Knot, ParameterReset, Record, Rescaled, Start, Step
+from .history import CorrectionRecord, Knot, ParameterReset, Record, Start, Step, UnitChange
 
 FloatArray = npt.NDArray[np.float64]
-LEAST_SHARE = 1e-12  # lower limit of a smoothed variance, relative to the filtered one
+MIN_SHARE = 1e-12  # lower limit of a smoothed variance, relative to the filtered one
 
 
-class Backwards:
+class BackwardRecursion:
     """Backward recursion: information on the errors at an instant from all later measurements.
 
     Parameters
@@ -103,7 +103,7 @@ class Backwards:
         reduction = P @ self.information @ P
         covariance = P - 0.5 * (reduction + reduction.T)
         # The difference has rounding errors of the order of eps * P: variances are kept above them.
-        np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), LEAST_SHARE * P.diagonal()))
+        np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), MIN_SHARE * P.diagonal()))
         return -P @ self.adjoint, covariance
 
 
@@ -121,7 +121,7 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
         Smoothed state and covariance of each knot, newest first; knots at which the correction of a diverged filter
         is beyond its limits are left out.
     """
-    back = Backwards(em.SIZE)
+    back = BackwardRecursion(em.SIZE)
     for record in newest_first:
         match record:
             case Step():
@@ -130,17 +130,17 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
                 back.correction(record.z, record.H, record.K, record.S_inverse)
             case ParameterReset():
                 back.reset_parameter(record.place)
-            case Rescaled():
+            case UnitChange():
                 back.rescale(record.place, record.ratios, record.rows)
             case Start():
-                back = Backwards(em.SIZE)
+                back = BackwardRecursion(em.SIZE)
             case Knot():
                 state = _smoothed(record, back)
                 if state is not None:
                     yield state
 
 
-def _smoothed(knot: Knot, back: Backwards) -> ErrorStateFilter | None:
+def _smoothed(knot: Knot, back: BackwardRecursion) -> ErrorStateFilter | None:
     """Subtract the smoothed errors from the state of a knot."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[np.ix_(knot.known, knot.known)] = knot.filter.P

@@ -18,12 +18,14 @@ from ..settings import Settings
 from .course import CourseFollower, course_of
 from .heading import Heading
 
-LONGEST_S = 25.0  # of a gap over which attitude and biases are kept: a restart of a device, and a margin
-RECENT_S = 0.3  # age of a fix at the end of a gap from which the filter starts: an unmeasured turn errs by 5 degrees
+MAX_DURATION_S = 25.0  # of a gap over which attitude and biases are kept: a restart of a device, and a margin
+RECENT_WINDOW_S = (
+    0.3  # age of a fix at the end of a gap from which the filter starts: an unmeasured turn errs by 5 degrees
+)
 TILT_SD = 0.05  # [rad] by which the grade of a road changes meanwhile
 
 
-class Kept(NamedTuple):
+class GapCarryOver(NamedTuple):
     """Filter with the attitude and biases at the end of a gap, its heading, and the variance of its tilt [rad²]."""
 
     filter: ErrorStateFilter
@@ -31,7 +33,9 @@ class Kept(NamedTuple):
     tilt_variance: float
 
 
-def kept_over_gap(settings: Settings, lost: ErrorStateFilter, end_ns: int, measurements: Sequence[Measurement]) -> Kept:
+def kept_over_gap(
+    settings: Settings, lost: ErrorStateFilter, end_ns: int, measurements: Sequence[Measurement]
+) -> GapCarryOver:
     """Carry heading and biases over a gap, with the covariance that they have after it.
 
     The heading follows the course over ground of GNSS velocities in the gap; where the vehicle moved before it, the
@@ -72,4 +76,4 @@ def kept_over_gap(settings: Settings, lost: ErrorStateFilter, end_ns: int, measu
     P[em.ATTITUDE, em.ATTITUDE] += np.diag([TILT_SD**2, TILT_SD**2, 0.0])
     P[em.ATTITUDE.stop - 1, em.ATTITUDE.stop - 1] = course.variance
     tilt = max(float(P[em.ATTITUDE, em.ATTITUDE][k, k]) for k in (0, 1))
-    return Kept(kept, Heading(0.0, course.variance**0.5, HeadingMethod.KEPT_OVER_GAP), tilt)
+    return GapCarryOver(kept, Heading(0.0, course.variance**0.5, HeadingMethod.KEPT_OVER_GAP), tilt)

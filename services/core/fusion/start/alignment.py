@@ -16,7 +16,7 @@ from shared.messages.navigation import NavigationPhase
 from ..aids.dual_antenna import BaselineHeading
 from ..aids.gnss.comparison import STANDSTILL_OFFSET_SD, Comparison
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.gnss.position_errors import UNKNOWN, GnssErrorBank, KnownGnssErrors
+from ..aids.gnss.position_errors import UNKNOWN_ERRORS, GnssErrorBank, KnownGnssErrors
 from ..codes import Code, HeadingMethod
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
@@ -332,7 +332,7 @@ class Alignment:
 def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:
     """Statistics of GNSS errors before the first fix: those of the settings, or unknown."""
     correlation_s = settings.gnss.correlation_time_s
-    return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
+    return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN_ERRORS
 
 
 def _tilt_by_bias_error(ned_from_body: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from ..settings import Settings
 
 UNKNOWN_HEADING_VARIANCE = pi**2 / 3.0  # [rad²] of a uniform distribution over the circle
 TURNING_RADIUS_M = 5.0  # of a car: a metre driven unobserved turns it by at most 0.2 rad
-EVEN_S = 2.0  # within which a car's speed changes evenly; over longer times the larger of both is taken
+STEADY_SPEED_S = 2.0  # within which a car's speed changes evenly; over longer times the larger of both is taken
 STANDING_M_S = 0.3  # speed below which the vehicle stands, three times the noise of a receiver's velocity
 FASTEST_REVERSE_M_S = 8.0  # a course against the heading at more than this is not that of a reversing car
 SENSE_VARIANCE = 0.6  # [rad²] of a heading that tells forward from backward motion (44 degrees)
@@ -33,7 +33,7 @@ class Course(NamedTuple):
         """Heading at a later time, at which the vehicle has a speed [m/s]: worse by the way driven meanwhile."""
         span_s = max(0.0, (time_ns - self.time_ns) * 1e-9)
         fastest = max(speed, self.speed)
-        mean = 0.5 * (speed + self.speed) if span_s <= EVEN_S else fastest
+        mean = 0.5 * (speed + self.speed) if span_s <= STEADY_SPEED_S else fastest
         moved_m = mean * span_s if fastest > STANDING_M_S else 0.0
         sd = self.variance**0.5 + moved_m / TURNING_RADIUS_M
         return Course(time_ns, self.yaw, min(sd**2, UNKNOWN_HEADING_VARIANCE), speed)

@@ -18,8 +18,8 @@ MATCH_S = 20.0  # longest time since a standstill after which the velocity gaine
 MATCH_ACCELERATION_SD = 0.05  # [m/s²] drift of that velocity, by tilt
 SAVED_YAW_SD_FLOOR = radians(0.5)
 SAVED_YAW_SD_LIMIT = radians(30.0)  # largest standard deviation of a saved heading that is used
-MOVED_M = 20.0  # distance of the first fix from the saved position above which the vehicle was moved
-FASTEST_M_S = 60.0
+MAX_PARKING_OFFSET_M = 20.0  # distance of the first fix from the saved position above which the vehicle was moved
+MAX_SPEED_M_S = 60.0
 ACCELERATIONS_SD = radians(2.0)  # smallest standard deviation of matched accelerations: tilt changes on the move
 ACCELERATIONS_LIMIT = radians(10.0)  # largest standard deviation with which they start a filter
 SENSE_LIMIT = radians(25.0)  # largest standard deviation with which they tell forward from backward motion
@@ -83,7 +83,7 @@ def saved_heading(saved: Prior, levelling: Levelling, fix: GnssPosition) -> Head
         return None
     distance = hypot(*ned_from_geodetic_difference(fix.position, saved.position)[:2])
     variance = float(fix.cov[0, 0] + fix.cov[1, 1]) + saved.position_sd[0] ** 2 + saved.position_sd[1] ** 2
-    if distance > MOVED_M + 3.0 * sqrt(variance) + FASTEST_M_S * levelling.moving_s:
+    if distance > MAX_PARKING_OFFSET_M + 3.0 * sqrt(variance) + MAX_SPEED_M_S * levelling.moving_s:
         return None
     sd = max(saved.yaw_sd, SAVED_YAW_SD_FLOOR) + drift_sd(levelling)
     return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, HeadingMethod.SAVED)

@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 
 UNKNOWN_HEIGHT_SD = 100.0  # [m]
 CARRIER_CORRELATION_S = 5.0  # correlation time of the errors of carrier-phase positions
-LEAST = 1e-6  # [-] smallest variance of the time-correlated error: with zero it would not be estimated
+MIN_VARIANCE_SHARE = 1e-6  # [-] smallest variance of the time-correlated error: with zero it would not be estimated
 NO_DRIFT = np.zeros(3)  # [m²/s²] velocity variances at standstill
 
 
@@ -68,7 +68,7 @@ def first_place(
         _moved(newest.position, place),
         joint[0, 0] * scaled + cov - newest.cov,
         tuple(in_sds.tolist()),
-        max(joint[1, 1] / correlated_share, LEAST) * np.eye(3),
+        max(joint[1, 1] / correlated_share, MIN_VARIANCE_SHARE) * np.eye(3),
         joint[0, 1] / sqrt(correlated_share) * root,
         gnss_errors.at_start(),
     )

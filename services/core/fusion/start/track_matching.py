@@ -15,18 +15,18 @@ from typing import NamedTuple
 
 from shared.maths.earth import ned_from_geodetic_difference
 
-from ..aids.gnss.comparison import GAIN, LARGEST_JITTER_M
+from ..aids.gnss.comparison import GAIN, MAX_JITTER_M
 from ..aids.gnss.fix import GnssPosition
 from ..codes import HeadingMethod
-from ..inertial.propagation import FASTEST_M_S, ZERO
+from ..inertial.propagation import MAX_SPEED_M_S, ZERO
 from ..settings import Settings
 from .heading import MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
 
 SHORTEST_M = 2.0  # shortest track that gives a heading
-LARGEST_TURN_SD = 0.1  # [rad] of a heading
+MAX_TURN_SD = 0.1  # [rad] of a heading
 STANDSTILL_FIXES_S = 1.0  # time before the vehicle moves off of which fixes are used as well
-MOVED_SDS = 3.0  # standard deviations of a difference of positions above which the vehicle has moved
+MAX_PARKING_OFFSET_SDS = 3.0  # standard deviations of a difference of positions above which the vehicle has moved
 MANY = 4  # number of positions from which their noise is estimated
 
 
@@ -80,7 +80,7 @@ def moved_m_s(points: Sequence[Point]) -> float:
     first, last = points[0].fix, points[-1].fix
     distance, span_s = abs(_offsets(points)[0]), (last.time_ns - first.time_ns) * 1e-9
     sd = sqrt(0.5 * float((first.cov + last.cov)[:2, :2].trace()))
-    return distance / span_s if distance > MOVED_SDS * sd and span_s > 0.0 else 0.0
+    return distance / span_s if distance > MAX_PARKING_OFFSET_SDS * sd and span_s > 0.0 else 0.0
 
 
 def _by_displacement(
@@ -91,7 +91,7 @@ def _by_displacement(
     if (
         fit is None
         or not GAIN[0] < abs(fit.w) < GAIN[1]
-        or not settings.alignment.course_speed_m_s <= abs(gained) < FASTEST_M_S
+        or not settings.alignment.course_speed_m_s <= abs(gained) < MAX_SPEED_M_S
     ):
         return None
     turn, drift = phase(fit.w), MATCH_ACCELERATION_SD * levelling.moving_s
@@ -103,7 +103,7 @@ def _by_displacement(
 def _by_course(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
     rough = _fit(points, [point.heading_integral for point in points])
     fit = rough and _fit(points, [abs(rough.w) * point.heading_integral + point.arm for point in points])
-    if rough is None or fit is None or not settings.alignment.course_speed_m_s <= abs(rough.w) < FASTEST_M_S:
+    if rough is None or fit is None or not settings.alignment.course_speed_m_s <= abs(rough.w) < MAX_SPEED_M_S:
         return None
     turn, span_s = phase(fit.w), (points[-1].fix.time_ns - points[0].fix.time_ns) * 1e-9
     sd = sqrt(2.0) * fit.position_sd / span_s + 0.5 * span_s  # of an acceleration of 1 m/s²
@@ -128,10 +128,10 @@ def _fit(points: Sequence[Point], displacements: Sequence[complex]) -> Fit | Non
         return None
     w = sum((d.conjugate() * p for p, d in pairs), 0j) / dd
     stated = sqrt(0.5 * max(float(point.fix.cov[:2, :2].trace()) for point in points))
-    variance = min(LARGEST_JITTER_M, stated) ** 2
+    variance = min(MAX_JITTER_M, stated) ** 2
     if n >= MANY:
         variance = max(variance, sum(abs(p - w * d) ** 2 for p, d in pairs) / (2 * n - 4))
-    if variance >= (LARGEST_TURN_SD * abs(w)) ** 2 * dd:
+    if variance >= (MAX_TURN_SD * abs(w)) ** 2 * dd:
         return None
     return Fit(w, sqrt(variance / dd) / abs(w), sqrt(variance))
 

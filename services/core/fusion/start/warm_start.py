@@ -22,15 +22,15 @@ from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.imu_faults import Sample, credible, mean
 from ..inertial.propagation import ZERO, ImuErrors, Intervals, implausible, initial_state, samples_of
-from ..inertial.standstill import CERTAIN, UNSETTLED
-from ..integrity.disagreement import NOTHING, Disagreement
+from ..inertial.standstill import CERTAIN_LIMITS, UNSETTLED
+from ..integrity.disagreement import NO_DISAGREEMENT, Disagreement
 from ..settings import Settings
 from .alignment import gnss_error_model
 
 FloatArray = npt.NDArray[np.float64]
 
 LAYOUT = 4  # version of the saved state; increased when the meaning of its elements changes
-LONGEST_GAP_S = 5.0
+MAX_GAP_S = 5.0
 STEP_S = 0.05  # of the propagation over the gap
 # Unmeasured motion: power spectral densities of the noise that drives the random walks,
 YAW_PSD = 0.05  # [rad²/s³]
@@ -41,7 +41,7 @@ RATE_VARIANCE = 0.02**2  # [rad²/s²] about the vertical
 TILT_VARIANCE = 0.01**2  # [rad²/s²] about the horizontal axes, whose rate is not used
 FORCE_VARIANCE = np.diag(np.square([0.5, 0.5, 0.5]))  # [m²/s⁴, NED]
 UPPER = np.triu_indices(em.SIZE)
-LARGEST = 1e12  # [mixed] largest valid variance
+MAX_VALUE = 1e12  # [mixed] largest valid variance
 
 
 class SavedState(NamedTuple):
@@ -57,7 +57,7 @@ class SavedState(NamedTuple):
     covariance: tuple[float, ...]  # upper triangle, row by row
     accepted_ns: int | None  # stamp of the last GNSS position that was used
     gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
-    held: Disagreement = NOTHING  # what the level holds
+    held: Disagreement = NO_DISAGREEMENT  # what the level holds
 
 
 def fingerprint(settings: Settings) -> str:
@@ -71,7 +71,7 @@ def saved_state(
     sample: Sample,
     accepted_ns: int | None,
     gnss_excluded_since_ns: int | None = None,
-    held: Disagreement = NOTHING,
+    held: Disagreement = NO_DISAGREEMENT,
 ) -> SavedState:
     """State of a filter, whose covariance is of its time, for saving."""
     units = np.ones(em.SIZE)
@@ -94,7 +94,7 @@ def saved_state(
 def fault(saved: SavedState, time_ns: int) -> str | None:
     """Reason why a saved state cannot be used at the stamp of the first sample; None if it can."""
     gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
-    if not 0.0 < gap_s <= LONGEST_GAP_S:
+    if not 0.0 < gap_s <= MAX_GAP_S:
         return "saved state too old" if gap_s > 0.0 else "saved state from the future"
     if (len(saved.parameters), len(saved.covariance)) != (len(NO_PARAMETERS), len(UPPER[0])):
         return "saved state of another layout"
@@ -117,7 +117,7 @@ def _is_positive(P: FloatArray) -> bool:
     variances = P.diagonal()
     estimated = variances > 0.0
     if not (
-        estimated[: em.ACCELEROMETER_SCALE.start].all() and (np.abs(P) < LARGEST).all() and not P[~estimated].any()
+        estimated[: em.ACCELEROMETER_SCALE.start].all() and (np.abs(P) < MAX_VALUE).all() and not P[~estimated].any()
     ):
         return False
     sd = np.sqrt(variances[estimated])
@@ -169,7 +169,7 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
     times_ns = [begin_ns + gap_ns * step // steps for step in range(1, steps + 1)]
     samples = samples_of(times_ns, [[*force, x, y, z]] * steps, {})
     for k in range(steps):
-        navigation.propagate(samples, k, k + 1, CERTAIN, Intervals(inf, gap_s=inf))
+        navigation.propagate(samples, k, k + 1, CERTAIN_LIMITS, Intervals(inf, gap_s=inf))
         navigation.propagate_covariance()
     navigation.state = navigation.state._replace(
         quiet=UNSETTLED, standstill_s=0.0, standstill_rotation_b=ZERO, since_non_holonomic_s=0.0

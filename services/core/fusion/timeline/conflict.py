@@ -15,21 +15,21 @@ from shared.messages.explanation import Explanation, explain
 from ..aids.base import Outcome
 from ..codes import Code
 from ..inertial import error_model as em
-from ..integrity.disagreement import NOTHING, Disagreement, Pair, Vector
+from ..integrity.disagreement import NO_DISAGREEMENT, Disagreement, Pair, Vector
 from ..integrity.known_place import KnownPlace
 from ..integrity.separation import difference_covariance, spreads
 from ..settings import Settings
 from ..solution import UncertaintyCache
-from .contradiction import Apart, Contradiction, Left, sizes
+from .contradiction import Contradiction, ResidualOffset, SolutionDifference, sizes
 from .cursor import PERIOD_NS, Cursor
 from .engine import Engine
-from .events import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
+from .events import GnssExcluded, GnssReadmitted, HeldOffset, OdometerExclusion
 from .log import Log
 
-PART = 40  # samples that are used again for each new one: two minutes take 3 s
+SAMPLES_PER_STEP = 40  # samples that are used again for each new one: two minutes take 3 s
 CONVERGED_S = 30.0  # of the filter before the suspect time, without which GNSS is not excluded
 EARLIER_NS = 40_000_000_000  # than the suspect time of a monitor, which sees a slow error late
-MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
+MAX_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
 LAST_LIMITS = 30.0  # alert limits beyond which it is given up
 
 
@@ -110,7 +110,7 @@ class Conflict:
         if self.found.is_any:
             self.weight = max(self.weight, weight)
 
-    def apart(self, main: Engine) -> Apart | None:
+    def apart(self, main: Engine) -> SolutionDifference | None:
         """Difference of the two solutions of now with its spread; None while one of them has no filter.
 
         One that has been reset in the conflict has no past in common with the other.
@@ -124,7 +124,7 @@ class Conflict:
         of_sub, of_main = without.filter.P[em.POSITION, em.POSITION], main.filter.P[em.POSITION, em.POSITION]
         nested = main.counts.resets == self.resets
         S = difference_covariance(of_sub, of_main, main.aids.error_monitor) if nested else of_sub + of_main
-        return Apart.of(without.time_ns, vector_n, S)
+        return SolutionDifference.of(without.time_ns, vector_n, S)
 
     def advance(self, log: Log, horizon_ns: int, samples: int) -> bool:
         """Follow the horizon, which went on by so many samples; returns whether a replay is over."""
@@ -132,7 +132,7 @@ class Conflict:
             self.cursor.advance(log, horizon_ns)
         if self.replay is None:
             return False
-        most = PART * samples
+        most = SAMPLES_PER_STEP * samples
         if self.replay.advance(log, horizon_ns, most) == most:
             return False
         self.replay.outcomes()  # all were reported before
@@ -255,7 +255,7 @@ class Verdicts:
         if self.conflict is not None or self.unresolved is not None:
             return False
         if self.main.engine.aids.error_monitor.held.is_open:
-            self._hold(NOTHING)
+            self._hold(NO_DISAGREEMENT)
         self.main.engine.end_loss()
         return True
 
@@ -328,10 +328,10 @@ class Verdicts:
         conflict.levels_m = horizontal_m, vertical_m = self._levels(without)
         limits = self._settings.vehicle.alert_limits_m
         share = max(horizontal_m / limits[0], vertical_m / limits[1])
-        conflict.compare(self.main.engine, useful=share <= MOST_LIMITS, weight=self.weight)
+        conflict.compare(self.main.engine, useful=share <= MAX_LIMITS, weight=self.weight)
         if share > LAST_LIMITS:
             self._leave(explain(Code.WITHOUT_GNSS_OF_NO_USE, level_m=horizontal_m))
-        elif share > MOST_LIMITS:
+        elif share > MAX_LIMITS:
             conflict.declined = explain(Code.WITHOUT_GNSS_UNDECIDED, horizontal_m=horizontal_m, vertical_m=vertical_m)
         elif conflict.converged_s < CONVERGED_S:
             conflict.declined = explain(Code.NOT_CONVERGED, converged_s=conflict.converged_s, needed_s=CONVERGED_S)
@@ -370,7 +370,7 @@ class Verdicts:
         if held is not None:
             self._hold(held)
 
-    def _left(self, conflict: Conflict, now: Apart | None) -> Disagreement | None:
+    def _left(self, conflict: Conflict, now: SolutionDifference | None) -> Disagreement | None:
         """What the level holds after a conflict, at whose end the two differ by this; None if it was no contradiction.
 
         The posterior of an offset is the weight of the hypothesis times N(d, s²). The solution without GNSS has seen
@@ -379,12 +379,12 @@ class Verdicts:
         """
         if not conflict.found.is_any:
             return None
-        before = NOTHING if conflict.held.since_ns >= conflict.since_ns else conflict.held
+        before = NO_DISAGREEMENT if conflict.held.since_ns >= conflict.since_ns else conflict.held
         risk = self._settings.integrity.risk
         if conflict.weight <= risk:
             return before
         left = conflict.found.left(now, line_factor(min(1.0, risk / conflict.weight)), risk)
-        if left == Left():
+        if left == ResidualOffset():
             return before
         return before.after(
             left.vector_n, left.spread, self.main.engine.time_ns, grew=False, slack=left.slack,
@@ -394,4 +394,4 @@ class Verdicts:
     def _hold(self, held: Disagreement) -> None:
         """Let the level of the engine in use hold a disagreement, at once and when late measurements take it back."""
         self.main.engine.hold(held)
-        self._log.insert(Held(self.next_ns, held))
+        self._log.insert(HeldOffset(self.next_ns, held))

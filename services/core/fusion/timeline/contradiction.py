@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..integrity.closure import horizontal_bound, vertical_bound
-from ..integrity.disagreement import CLOSURE_SDS, NONE, STILL, Pair, Vector
+from ..integrity.disagreement import CLOSURE_SDS, NONE, ZERO_VECTOR, Pair, Vector
 from ..integrity.separation import spreads, squared
 
 FloatArray = npt.NDArray[np.float64]
@@ -32,7 +32,7 @@ def sizes(vector_n: Vector) -> Pair:
 
 
 @dataclass(frozen=True)
-class Apart:
+class SolutionDifference:
     """Position with GNSS minus the one without it, at one time."""
 
     time_ns: int
@@ -42,7 +42,7 @@ class Apart:
     smaller_m: float  # smaller standard deviation on the ground
 
     @classmethod
-    def of(cls, time_ns: int, vector_n: Vector, covariance: FloatArray) -> "Apart":
+    def of(cls, time_ns: int, vector_n: Vector, covariance: FloatArray) -> "SolutionDifference":
         """With the covariance of the difference [m², NED]."""
         spread, horizontal = spreads(covariance), sqrt(squared(vector_n, covariance) or 0.0)
         smaller_m = sqrt(max(0.0, float(np.linalg.det(covariance[:2, :2])))) / spread[0]
@@ -56,10 +56,10 @@ class Apart:
 
 
 @dataclass(frozen=True)
-class Left:
+class ResidualOffset:
     """What a conflict leaves: a vector [m, NED] with its standard deviation and the slack that the level adds [m]."""
 
-    vector_n: Vector = STILL
+    vector_n: Vector = ZERO_VECTOR
     spread: Pair = NONE
     slack: Pair = NONE
 
@@ -68,10 +68,10 @@ class Left:
 class Contradiction:
     """The largest contradiction of a conflict; without one its ratios are 0."""
 
-    vector_n: Vector = STILL  # [m, NED]
+    vector_n: Vector = ZERO_VECTOR  # [m, NED]
     spread: Pair = NONE  # [m] of the difference when it was the most standard deviations
     ratio: Pair = NONE  # [-] which it was then
-    earlier: tuple[Apart, ...] = ()  # of the last `GROWTH_S`
+    earlier: tuple[SolutionDifference, ...] = ()  # of the last `GROWTH_S`
     growth_m_s: float = 0.0  # on the ground, as far as the solution without GNSS decided
 
     @property
@@ -79,7 +79,7 @@ class Contradiction:
         """Whether there has been a contradiction."""
         return self.ratio != NONE
 
-    def after(self, now: Apart, *, decides: bool, stepped: bool = False) -> "Contradiction":
+    def after(self, now: SolutionDifference, *, decides: bool, stepped: bool = False) -> "Contradiction":
         """Add the difference of a second, in which the solution without GNSS was good enough to decide, or was not.
 
         One with GNSS that has `stepped` by a reset has not grown, and a wide solution without it shows no rate.
@@ -96,7 +96,7 @@ class Contradiction:
         growth = _growth(recent[0], now) if recent and decides else self.growth_m_s
         return replace(found, earlier=(*recent, now), growth_m_s=growth)
 
-    def left(self, now: Apart | None, sds: float, risk: float) -> Left:
+    def left(self, now: SolutionDifference | None, sds: float, risk: float) -> ResidualOffset:
         """What is left of the offset by what the solution without GNSS, which began before it, says now, if anything.
 
         Its posterior of now takes the place of the one of then, `sds` standard deviations of which are held, where it
@@ -114,7 +114,7 @@ class Contradiction:
                 north, east = (0.0, 0.0) if closed else now.vector_n[:2]
             else:
                 down = 0.0 if closed else now.vector_n[2]
-        return Left((north, east, down), (spread[0], spread[1]), (slack[0], slack[1]))
+        return ResidualOffset((north, east, down), (spread[0], spread[1]), (slack[0], slack[1]))
 
     def _with(self, axis: int, vector_n: Vector, spread: float, ratio: float) -> "Contradiction":
         """The same with another value on the ground (0) or of the height (1)."""
@@ -124,7 +124,7 @@ class Contradiction:
         return replace(self, vector_n=(north, east, down), spread=(spread_h, spread_v), ratio=(ratio_h, ratio_v))
 
 
-def _growth(then: Apart, now: Apart) -> float:
+def _growth(then: SolutionDifference, now: SolutionDifference) -> float:
     """Rate [m/s] at which a difference has grown between two times; 0 where its spread explains it."""
     span_s = (now.time_ns - then.time_ns) * 1e-9
     moved = hypot(now.vector_n[0] - then.vector_n[0], now.vector_n[1] - then.vector_n[1])

@@ -17,7 +17,7 @@ from .events import Event
 from .log import Key, Log, key_of, order
 
 PERIOD_NS = 1_000_000_000  # between two snapshots
-PART = 100  # samples that are processed at once: the largest distance of a snapshot from its period's begin
+BATCH_SAMPLES = 100  # samples that are processed at once: the largest distance of a snapshot from its period's begin
 
 
 class Snapshot(NamedTuple):
@@ -124,7 +124,9 @@ class Cursor:
         used = 0
         while most is None or used < most:
             begin_ns = self.engine.time_ns
-            samples = log.samples(begin_ns, until_ns, PART if most is None else min(PART, most - used))
+            samples = log.samples(
+                begin_ns, until_ns, BATCH_SAMPLES if most is None else min(BATCH_SAMPLES, most - used)
+            )
             if not len(samples.times_ns):
                 break
             end_ns = int(samples.times_ns[-1])

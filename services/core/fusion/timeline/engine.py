@@ -25,7 +25,7 @@ from ..codes import Code, HeadingMethod
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, mean
 from ..inertial.imu_gaps import (
-    LONGEST_BRIDGED_S,
+    MAX_BRIDGED_S,
     SUSPECT_PERIOD_S,
     inflate_for_gap,
     inflate_for_suspect_samples,
@@ -33,7 +33,7 @@ from ..inertial.imu_gaps import (
 from ..inertial.propagation import Intervals, Samples, Stop, samples_of
 from ..inertial.standstill import is_standstill
 from ..integrity.after_loss import NO_LOSS
-from ..integrity.disagreement import CLOSURE_SDS, NOTHING, Disagreement
+from ..integrity.disagreement import CLOSURE_SDS, NO_DISAGREEMENT, Disagreement
 from ..integrity.over_a_cut import RememberedConflict
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
@@ -220,7 +220,7 @@ class Engine:
                 outcomes += self._use(Standstill(self.time_ns, rate, rate_sd))
             case Stop.NON_HOLONOMIC_DUE:
                 navigation.begin_non_holonomic()
-                if hypot(*navigation.velocity) > non_holonomic.SLOWEST_M_S:
+                if hypot(*navigation.velocity) > non_holonomic.MIN_SPEED_M_S:
                     outcomes += self._use(NonHolonomic(self.time_ns, self._settings))
             case Stop.GAP | Stop.END_OF_SAMPLES:
                 pass  # handled by `_process`
@@ -266,7 +266,7 @@ class Engine:
         assert self.last is not None
         gap_s = (sample.time_ns - self.time_ns) * 1e-9
         self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
-        if gap_s > LONGEST_BRIDGED_S:
+        if gap_s > MAX_BRIDGED_S:
             return self._interrupt(sample, measurements, intervals, gap_s)
         self.attempt(partial(inflate_for_gap, span_s=gap_s))
         row = *mean(self.last.force, sample.force), *mean(self.last.rate, sample.rate)
@@ -286,7 +286,7 @@ class Engine:
         why = explain(Code.GAP, gap_s=gap_s)
         self.attempt(ErrorStateFilter.propagate_covariance)
         lost = self._alignment.carried(self.time_ns) if self._alignment is not None else self.filter
-        if lost is None or gap_s > after_gap.LONGEST_S:
+        if lost is None or gap_s > after_gap.MAX_DURATION_S:
             self.last = sample
             self._end_solution(why, None, lost)
             return []
@@ -294,7 +294,7 @@ class Engine:
         recent = [
             measurement
             for measurement in measurements
-            if (sample.time_ns - measurement.time_ns) * 1e-9 <= after_gap.RECENT_S
+            if (sample.time_ns - measurement.time_ns) * 1e-9 <= after_gap.RECENT_WINDOW_S
         ]
         begin_ns = recent[0].time_ns if recent else sample.time_ns
         self.last = sample._replace(time_ns=begin_ns)
@@ -429,9 +429,9 @@ class Engine:
         """Compare the first position with the saved one; a vehicle that moves already may have left its place."""
         moving_s = (started.time_ns - first.time_ns) * 1e-9
         if not prior.parked:  # it drove on, or where it stood is not known
-            return NOTHING
+            return NO_DISAGREEMENT
         if hypot(*started.velocity[:2]) > PARKED_M_S and moving_s < PARKED_S:
-            return NOTHING
+            return NO_DISAGREEMENT
         vehicle, axes = self._settings.vehicle, first.axes
         north, east, down = ned_from_geodetic_difference(first.position, prior.position)
         sd = np.sqrt(first.cov.diagonal()[:axes])
@@ -439,10 +439,10 @@ class Engine:
         far = hypot(north, east) > max(CLOSURE_SDS * spread[0], vehicle.alert_limit_horizontal_m)
         high = abs(down) > max(CLOSURE_SDS * spread[1], vehicle.alert_limit_vertical_m)
         if not (far or high):
-            return NOTHING
+            return NO_DISAGREEMENT
         vector = (north if far else 0.0, east if far else 0.0, down if high else 0.0)
         spread = spread[0], min(spread[1], abs(down))
-        return NOTHING.after(vector, spread, first.time_ns, grew=False, at_start=True)
+        return NO_DISAGREEMENT.after(vector, spread, first.time_ns, grew=False, at_start=True)
 
     def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
         """Continue with a filter that has just started."""

@@ -65,7 +65,7 @@ class WrongHeights(Event):
 
 
 @dataclass(frozen=True)
-class FoundDelay(Event):
+class GnssDelay(Event):
     """Delays of GNSS [s] that the check of the set-up has found and no setting corrects; zero ends them."""
 
     position_s: float
@@ -151,7 +151,7 @@ class OdometerExclusion(Event):
 
 
 @dataclass(frozen=True)
-class Disturbed(Event):
+class ReturnAfterInterference(Event):
     """The last return of GNSS was one after interference: what it may be off by is held as an offset."""
 
     def apply(self, engine: "Engine") -> None:
@@ -160,7 +160,7 @@ class Disturbed(Event):
 
 
 @dataclass(frozen=True)
-class Held(Event):
+class HeldOffset(Event):
     """From this instant on the level holds a disagreement of two solutions."""
 
     disagreement: Disagreement

@@ -13,9 +13,9 @@ from .engine import Engine
 from .events import Event
 from .log import Log
 
-LONGEST_STEP_S = 0.5  # of the covariance
-ALONE = Intervals(LONGEST_STEP_S, zero_velocity_s=inf, non_holonomic_s=inf)
-EVERYTHING = 1_000_000  # samples
+MAX_STEP_S = 0.5  # of the covariance
+ALONE = Intervals(MAX_STEP_S, zero_velocity_s=inf, non_holonomic_s=inf)
+ALL_SAMPLES = 1_000_000  # samples
 
 
 def predicted(cursor: Cursor, log: Log, lag_ns: int) -> Engine:
@@ -27,7 +27,7 @@ def predicted(cursor: Cursor, log: Log, lag_ns: int) -> Engine:
     ahead.coasting_ns += lag_ns
     if log.newest is not None:
         begin_ns, end_ns = ahead.time_ns, log.newest.time_ns
-        samples = log.samples(begin_ns, end_ns, EVERYTHING)
+        samples = log.samples(begin_ns, end_ns, ALL_SAMPLES)
         if len(samples.times_ns):
             events = [entry for entry in cursor.entries(log, begin_ns, end_ns) if isinstance(entry, Event)]
             ahead.process(samples, events, ALONE)

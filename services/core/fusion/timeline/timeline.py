@@ -24,19 +24,19 @@ from . import predictor
 from .conflict import Verdicts
 from .cursor import Cursor
 from .engine import BEFORE_ALL_NS, Engine
-from .events import Event, FoundDelay, WrongHeights
+from .events import Event, GnssDelay, WrongHeights
 from .horizon import Horizon
 from .log import Log
 
 MEMORY_NS = 120_000_000_000  # for which snapshots are kept: a monitor accuses GNSS 6 to 120 s after the error began
-LONGEST_STEP_NS = 100_000_000  # of the horizon
-AHEAD = 5  # the horizon moves by this part of a step before a solution is due, which then has little left to carry
+MAX_STEP_NS = 100_000_000  # of the horizon
+LEAD_STEPS = 5  # the horizon moves by this part of a step before a solution is due, which then has little left to carry
 FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000  # for which the receiver's own fix waits for it, and the horizon with it
 # Samples that wait for the horizon, and samples in the log, two minutes at 2.5 kHz. With more, of a device whose stamps
 # hardly advance, the horizon moves on and the oldest are dropped.
 MOST_PENDING, MOST_SAMPLES = 20_000, 300_000
-FOREVER_NS = 2**62
+INFINITE_NS = 2**62
 HELD_LIMIT = 1000  # largest number of measurements that wait
 
 
@@ -47,7 +47,7 @@ class Timeline:
         self._settings, self._rejects = settings, rejects
         self._allowance_ns = round(settings.merge_delay_s * 1e9)
         self._history_ns = round(settings.history_s * 1e9)
-        self._step_ns = min(round(settings.solution_period_s * 1e9), LONGEST_STEP_NS)
+        self._step_ns = min(round(settings.solution_period_s * 1e9), MAX_STEP_NS)
         self._waiting: list[tuple[int, int, str, Measurement]] = []  # (enters by, stamp, source, measurement)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._heights_wrong = False  # of GNSS: they are left out
@@ -159,7 +159,7 @@ class Timeline:
         """Time behind the horizon, at which an event is the next one."""
         return self.verdicts.next_ns
 
-    def correct_delay(self, found: FoundDelay) -> None:
+    def correct_delay(self, found: GnssDelay) -> None:
         """Correct stamps behind the horizon by other delays; fixes that were true before it are left out."""
         self._delays = found.of_stamps
         self.log.change(self.verdicts.main.engine.time_ns, self._as_found)
@@ -179,7 +179,7 @@ class Timeline:
 
     def advance(self, received_ns: int) -> list[Outcome]:
         """Move the horizon with the first sample of each step; returns the outcomes of what it has passed."""
-        step = (self.newest_ns + self._step_ns // AHEAD) // self._step_ns
+        step = (self.newest_ns + self._step_ns // LEAD_STEPS) // self._step_ns
         crowded = self._pending > MOST_PENDING
         if self.log.newest is None or (step == self._step and not crowded):
             return []
@@ -189,7 +189,7 @@ class Timeline:
 
     def finish(self) -> list[Outcome]:
         """Move the horizon to the newest sample, because nothing more will arrive; returns the last outcomes."""
-        self._enter(FOREVER_NS)
+        self._enter(INFINITE_NS)
         return self._advance(self.newest_ns)
 
     def _advance(self, until_ns: int) -> list[Outcome]:

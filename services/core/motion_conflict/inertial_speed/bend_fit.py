@@ -20,8 +20,8 @@ UNKNOWN_ARM_SD = 1.5  # [m] of the IMU ahead of the rear axle, where the vehicle
 ARM_SD = 0.1  # [m] where it does
 UNKNOWN_SIDE_SD = 0.3  # [m] of the IMU from the vehicle's centre line
 MOUNTING_SD = 0.05  # [rad] yaw of the IMU's mounting: real ones are up to 4 degrees askew
-LEAST_SD = 0.02  # [m/s²] of a lateral acceleration over 0.1 s
-MOST_CORRELATION = 0.9  # of successive residuals
+MIN_SD = 0.02  # [m/s²] of a lateral acceleration over 0.1 s
+MAX_CORRELATION = 0.9  # of successive residuals
 ROUNDS = 3  # of noise and fit; the third changes the noise by less than a percent on recorded bends
 
 
@@ -117,9 +117,9 @@ def _noise(residual: FloatArray) -> float:
     """Standard deviation [m/s²] of white noise that would do as much to a mean as these residuals."""
     power = float(residual @ residual)
     if power <= 0.0:
-        return LEAST_SD
-    correlation = min(max(float(residual[1:] @ residual[:-1]) / power, 0.0), MOST_CORRELATION)
-    return max(LEAST_SD, sqrt(power / len(residual) * (1.0 + correlation) / (1.0 - correlation)))
+        return MIN_SD
+    correlation = min(max(float(residual[1:] @ residual[:-1]) / power, 0.0), MAX_CORRELATION)
+    return max(MIN_SD, sqrt(power / len(residual) * (1.0 + correlation) / (1.0 - correlation)))
 
 
 def filled_speed(

@@ -10,20 +10,20 @@ import numpy.typing as npt
 from shared.inertial.increments import PERIOD_NS, SECOND_NS
 
 from .bend_fit import Arm, BendSeries, FittedScale, filled_speed, fit_scale
-from .levelling import Levelled
+from .levelling import LevelIncrement
 
 FloatArray = npt.NDArray[np.float64]
 
 LATERAL_M_S2 = 0.7  # yaw rate times speed that is a bend: below it tilt decides, 0.1 deg are 2 %
 SMOOTHED = 5  # increments over which it is averaged
-SHORTEST = 10  # increments of a bend, 1 s
-LONGEST = 200  # 20 s: over longer ones the gyroscope's tilt errors grow without a straight
+MIN_INCREMENTS = 10  # increments of a bend, 1 s
+MAX_LENGTH = 200  # 20 s: over longer ones the gyroscope's tilt errors grow without a straight
 MARGIN = 30  # increments of the straights before and after a bend, 3 s
-KEPT = LONGEST + 4 * MARGIN
-SETTLED_NS = 15 * SECOND_NS  # after a gap in the inertial samples: three time constants of the lateral correction
-SLOWEST_M_S = 2.0  # least speed within a bend
+HISTORY_INCREMENTS = MAX_LENGTH + 4 * MARGIN
+SETTLING_TIME_NS = 15 * SECOND_NS  # after a gap in the inertial samples: three time constants of the lateral correction
+MIN_SPEED_M_S = 2.0  # least speed within a bend
 GAP_NS = int(2.1 * SECOND_NS)  # between two speeds, beyond which the speed between them is not known
-MOST_SD = 0.15  # [-] of a scale that is worth keeping: five of them would not tell 10 %
+MAX_SD = 0.15  # [-] of a scale that is worth keeping: five of them would not tell 10 %
 CORRELATION_S = 2.0  # of errors of a GNSS speed
 
 
@@ -59,7 +59,7 @@ class SpeedSeries:
             return
         self._times.append(time_ns)
         self._values.append((speed, sd))
-        while time_ns - self._times[0] > (KEPT + 50) * PERIOD_NS:
+        while time_ns - self._times[0] > (HISTORY_INCREMENTS + 50) * PERIOD_NS:
             self._times.popleft()
             self._values.popleft()
 
@@ -103,14 +103,14 @@ class BendRecorder:
         self.geometry = geometry or Geometry()
         self.gnss, self.odometer = SpeedSeries(), SpeedSeries()
         self.left_out: Counter[str] = Counter()  # bends that could not be measured
-        self._rows: deque[Levelled] = deque(maxlen=KEPT)
+        self._rows: deque[LevelIncrement] = deque(maxlen=HISTORY_INCREMENTS)
         self._recent: deque[float] = deque(maxlen=SMOOTHED)
         self._bend: tuple[int, int, int] | None = None  # first and last increment by number, direction
         self._ended: deque[tuple[int, int]] = deque(maxlen=8)  # bends whose straight is not complete
         self._count = 0  # number of the newest increment
         self._usable_ns = 0
 
-    def add(self, row: Levelled, speed: float | None) -> list[Bend]:
+    def add(self, row: LevelIncrement, speed: float | None) -> list[Bend]:
         """Use an increment with the speed [m/s] at its time; give the bends that it completes."""
         if row.after_gap or (self._rows and row.start_ns - self._rows[-1].end_ns > PERIOD_NS):
             self._clear(row.start_ns)
@@ -129,7 +129,7 @@ class BendRecorder:
         self._rows.clear()
         self._recent.clear()
         self._ended.clear()
-        self._bend, self._usable_ns = None, time_ns + SETTLED_NS
+        self._bend, self._usable_ns = None, time_ns + SETTLING_TIME_NS
 
     def _follow(self, lateral: float) -> None:
         """Follow the bend that is driven, or begin one."""
@@ -140,9 +140,9 @@ class BendRecorder:
                 self._bend = (first, self._count, old)
                 return
             length = self._count - first
-            if SHORTEST <= length <= LONGEST:
+            if MIN_INCREMENTS <= length <= MAX_LENGTH:
                 self._ended.append((first, self._count))
-            elif length > LONGEST:
+            elif length > MAX_LENGTH:
                 self.left_out["longer than 20 s"] += 1
         self._bend = (self._count, self._count, direction) if direction else None
 
@@ -181,7 +181,7 @@ class BendRecorder:
         if of_antenna:
             speed = self._of_axle(speed, series.yaw_rate)
         slowest = float(speed[within].min())
-        if slowest < SLOWEST_M_S:
+        if slowest < MIN_SPEED_M_S:
             self._count_left_out("slower than 2 m/s", of_antenna)
             return None
         fitted = fit_scale(series, speed, self.geometry.imu)
@@ -191,7 +191,7 @@ class BendRecorder:
         shared = min(1.0, 2.0 * CORRELATION_S / float(times_s[within.stop - 1] - times_s[within.start]))
         noise = float((sds**2).mean()) * shared / float(speed[within].mean()) ** 2
         sd = float(np.sqrt(fitted.sd**2 + noise))
-        if sd > MOST_SD:
+        if sd > MAX_SD:
             self._count_left_out("not determined to 15 %", of_antenna)
             return None
         return FittedScale(fitted.scale, sd)

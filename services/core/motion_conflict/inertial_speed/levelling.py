@@ -16,11 +16,11 @@ from shared.inertial.increments import Increment
 from shared.maths.earth import STANDARD_GRAVITY
 from shared.maths.rotation import Vector, cross
 
-STILL_M_S = 0.3  # speed that may be standstill: the noise of a GNSS speed
+STANDSTILL_SPEED_M_S = 0.3  # speed that may be standstill: the noise of a GNSS speed
 STILL_INCREMENTS = 20  # in a row, 2 s
 STILL_RATE = 0.02  # [rad/s] largest range of each axis at standstill; an idling engine stays below it in means of 0.1 s
 STILL_FORCE = 0.5  # [m/s²] the same of specific force; that of an idling diesel is 0.3
-MOST_BIAS = 0.2  # [rad/s] of the gyroscope: three times that of an uncalibrated telephone, 0.07
+MAX_BIAS = 0.2  # [rad/s] of the gyroscope: three times that of an uncalibrated telephone, 0.07
 BIAS_GAIN = 0.3  # of each further standstill of 2 s
 STRAIGHT_M_S2 = 0.15  # yaw rate times speed of a straight; a tenth of it, should the speed be false, is 0.1 deg of tilt
 STRAIGHT_M_S = 3.0
@@ -29,7 +29,7 @@ STEEPEST = 0.7  # [-] sine of the forward axis' slope, 45 degrees: beyond it the
 FORWARD_S = 20.0  # along: the change of speed is known less well
 
 
-class Levelled(NamedTuple):
+class LevelIncrement(NamedTuple):
     """One increment in level axes, the forward axis of the IMU made horizontal."""
 
     start_ns: int
@@ -53,7 +53,7 @@ class Levelling:
         """Whether there has been a standstill, from which tilt and bias are known."""
         return self._bias is not None
 
-    def step(self, increment: Increment, speed: float | None, acceleration: float | None) -> Levelled | None:
+    def step(self, increment: Increment, speed: float | None, acceleration: float | None) -> LevelIncrement | None:
         """Propagate over one increment.
 
         Parameters
@@ -98,11 +98,11 @@ class Levelling:
                 down = _sum(down, ahead, -(forward - acceleration) / STANDARD_GRAVITY * duration / FORWARD_S)
             down = _unit(down)
         self._down = down
-        return Levelled(increment.start_ns, increment.end_ns, forward, lateral, yaw_rate, increment.after_gap)
+        return LevelIncrement(increment.start_ns, increment.end_ns, forward, lateral, yaw_rate, increment.after_gap)
 
     def _use_standstill(self, row: Sequence[float], speed: float | None) -> None:
         """Measure gravity and bias over 2 s in which speed is zero and the readings do not change."""
-        if speed is None or speed > STILL_M_S:
+        if speed is None or speed > STANDSTILL_SPEED_M_S:
             self._still.clear()
             return
         self._still.append(tuple(row[:6]))
@@ -111,7 +111,7 @@ class Levelling:
         readings = np.array(self._still)
         spread, mean = np.ptp(readings, axis=0), readings.mean(axis=0)
         self._still.clear()
-        if spread[:3].max() > STILL_FORCE or spread[3:].max() > STILL_RATE or abs(mean[3:]).max() > MOST_BIAS:
+        if spread[:3].max() > STILL_FORCE or spread[3:].max() > STILL_RATE or abs(mean[3:]).max() > MAX_BIAS:
             return
         fx, fy, fz, wx, wy, wz = mean.tolist()
         self._down = _unit((-fx, -fy, -fz))

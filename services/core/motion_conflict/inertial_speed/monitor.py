@@ -15,13 +15,13 @@ from ..codes import Code
 from .bend_fit import ARM_SD, Arm
 from .bends import Bend, BendRecorder, Geometry
 from .levelling import Levelling
-from .scale_change import ALIKE, FALSE_ALARM_RATE, LEAST_BENDS, LIMIT, Change, ScaleChange
+from .scale_change import FALSE_ALARM_RATE, LIMIT, MIN_BENDS, SHARED_CHANGE, Change, ScaleChange
 
 LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S = 80.0, 20.0  # of each axis, as in core.spoofing: beyond every vehicle's motion
-WAIT_NS = 4 * SECOND_NS  # for a speed that covers an increment; odometers are up to 3 s late
-MOST_WAITING = 100  # increments, 10 s between two verdicts
-SILENT_S = 5.0  # without inertial samples or speeds
-STALE_NS = 600 * SECOND_NS  # since the last bend: a motorway has none for so long
+SPEED_TIMEOUT_NS = 4 * SECOND_NS  # for a speed that covers an increment; odometers are up to 3 s late
+MAX_WAITING = 100  # increments, 10 s between two verdicts
+SILENCE_TIMEOUT_S = 5.0  # without inertial samples or speeds
+STALE_AFTER_NS = 600 * SECOND_NS  # since the last bend: a motorway has none for so long
 RESTART_NS = 5 * SECOND_NS  # by which a stamp is earlier than the newest one where a time line starts again
 
 
@@ -51,7 +51,7 @@ class InertialSpeed:
     def _start(self) -> None:
         self._decimator = Decimator(LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S, self.rejected)
         self._levelling, self._recorder = Levelling(), BendRecorder(self._geometry)
-        self._pending: deque[Increment] = deque(maxlen=MOST_WAITING)
+        self._pending: deque[Increment] = deque(maxlen=MAX_WAITING)
         self._imu_ns: int | None = None
 
     def inertial(self, times_ns: Sequence[int], forces_b: Sequence[Vector], rates_b: Sequence[Vector]) -> None:
@@ -60,7 +60,7 @@ class InertialSpeed:
             self.rejected["imu: time line started again"] += 1
             self._start()
         self._imu_ns = max(times_ns[-1], self._imu_ns or times_ns[-1])
-        if self._decimator.add(times_ns, forces_b, rates_b) > MOST_WAITING:
+        if self._decimator.add(times_ns, forces_b, rates_b) > MAX_WAITING:
             self.advance()
 
     def gnss(self, time_ns: int, speed: float, sd: float) -> None:
@@ -79,7 +79,7 @@ class InertialSpeed:
             increment = self._pending[0]
             speed = recorder.gnss.at(increment.end_ns)
             waited_ns = self._pending[-1].end_ns - increment.end_ns
-            if waited_ns < WAIT_NS and (speed is None or not self._odometer_reaches(increment.end_ns)):
+            if waited_ns < SPEED_TIMEOUT_NS and (speed is None or not self._odometer_reaches(increment.end_ns)):
                 return
             self._pending.popleft()
             self._use(increment, speed)
@@ -110,18 +110,18 @@ class InertialSpeed:
         missing = self._missing(time_ns)
         if missing is None and change is not None:
             return self._judged(change)
-        few = explain(Code.FEW_BENDS, bends_count=len(self.change.window), needed_count=LEAST_BENDS)
+        few = explain(Code.FEW_BENDS, bends_count=len(self.change.window), needed_count=MIN_BENDS)
         return Test(Outcome.NOT_EVALUATED, missing or few, false_alarm_rate=FALSE_ALARM_RATE)
 
     def _missing(self, time_ns: int) -> Explanation | None:
         """Why the scale cannot be judged now."""
         newest_ns = {Input.INERTIAL_SAMPLES: self._imu_ns, Input.GNSS_SPEED: self._recorder.gnss.newest_ns}
-        missing = absent(newest_ns, time_ns, SILENT_S, never=Code.NO_INPUT, silent=Code.INPUT_SILENT)
+        missing = absent(newest_ns, time_ns, SILENCE_TIMEOUT_S, never=Code.NO_INPUT, silent=Code.INPUT_SILENT)
         if missing is not None:
             return missing
         if not self._levelling.ready:
             return explain(Code.NO_STANDSTILL)
-        if self.bends and time_ns - self.bends[-1].end_ns > STALE_NS:
+        if self.bends and time_ns - self.bends[-1].end_ns > STALE_AFTER_NS:
             return explain(Code.NO_BEND, age_s=round((time_ns - self.bends[-1].end_ns) / SECOND_NS))
         return None
 
@@ -157,4 +157,4 @@ def _falsified(change: Change) -> tuple[str, ...]:
     """
     if change.odometer is None:
         return (GNSS, IMU)
-    return (GNSS, ODOMETER) if change.odometer * change.difference > ALIKE * change.difference**2 else (GNSS,)
+    return (GNSS, ODOMETER) if change.odometer * change.difference > SHARED_CHANGE * change.difference**2 else (GNSS,)

@@ -15,12 +15,12 @@ from .bends import Bend
 
 FloatArray = npt.NDArray[np.float64]
 
-LEAST_BENDS = 5
-MOST_BENDS = 40  # in the window; older ones belong to the reference
-MOST_SUSPECT = 120  # in the window while it is suspicious: what was before a change must stay apart from it
-MOST_REFERENCE = 0.03  # [-] by which the reference may differ from one: what inertial sensors are off
+MIN_BENDS = 5
+MAX_BENDS = 40  # in the window; older ones belong to the reference
+MAX_SUSPECT = 120  # in the window while it is suspicious: what was before a change must stay apart from it
+MAX_REFERENCE = 0.03  # [-] by which the reference may differ from one: what inertial sensors are off
 REFERENCE_WALK = 5e-4  # [-] of the reference for each bend: load, temperature; 1 % over 400 bends
-LEAST_SD = 0.008  # [-] of a bend; in simulation, without slip and with an industrial IMU, 0.009 was measured
+MIN_SD = 0.008  # [-] of a bend; in simulation, without slip and with an industrial IMU, 0.009 was measured
 UNLEARNED = 10  # newest bends that are not handed on: a change within them may not be seen yet
 START_WALK = 3e-3  # [-] of the scale from one start to the next: temperature, load
 SPREAD_BENDS = 60  # from whose differences the spread is estimated
@@ -37,7 +37,7 @@ SUSPICIOUS = 2.5  # standard deviations: from here on nothing is learned
 ONSET = 13.82  # chi-square 0.999 with two degrees of freedom: change points that are likely enough
 RELEASE_BENDS = 10
 RELEASED = 2.0  # standard deviations of the last bends, below which an accusation ends
-ALIKE = 0.5  # share of the change of GNSS that the odometer shows if both are falsified
+SHARED_CHANGE = 0.5  # share of the change of GNSS that the odometer shows if both are falsified
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Learned:
+class BendScale:
     """Scale that a vehicle's bends have taught."""
 
     mean: float  # of GNSS
@@ -98,33 +98,33 @@ class ScaleChange:
     accusing: bool = False
     learned: int = 0  # bends in the reference
     change: Change | None = None
-    window: deque[Bend] = field(default_factory=lambda: deque(maxlen=MOST_SUSPECT))
+    window: deque[Bend] = field(default_factory=lambda: deque(maxlen=MAX_SUSPECT))
 
     def __post_init__(self) -> None:
         self.reference = Reference(1.0, self.common_sd**2)
         self._ratios: deque[float] = deque(maxlen=SPREAD_BENDS)  # |difference| of successive bends, normalised
         self._spread = 1.0
 
-    def adopt(self, learned: Learned) -> None:
+    def adopt(self, learned: BendScale) -> None:
         """Begin with what earlier drives have taught; within the bounds of a reference."""
-        mean = min(max(learned.mean, 1.0 - MOST_REFERENCE), 1.0 + MOST_REFERENCE)
+        mean = min(max(learned.mean, 1.0 - MAX_REFERENCE), 1.0 + MAX_REFERENCE)
         variance = min(learned.sd**2 + START_WALK**2, self.common_sd**2)
         self.reference = Reference(mean, variance, learned.odometer)
         self.learned, self._spread = learned.bends, learned.spread
 
-    def lesson(self) -> Learned | None:
+    def lesson(self) -> BendScale | None:
         """What the next start may begin with: all bends but the newest; None while anything is suspicious."""
         if self.frozen or self._is_suspicious():
             return None
         bends = list(self.window)[:-UNLEARNED]
-        if self.learned + len(bends) < LEAST_BENDS:
+        if self.learned + len(bends) < MIN_BENDS:
             return None
         values = np.array([bend.scale for bend in bends])
         means, variances = self.reference.with_bends(values, np.array([self._variance(bend) for bend in bends]))
-        mean = min(max(float(means[-1]), 1.0 - MOST_REFERENCE), 1.0 + MOST_REFERENCE)
+        mean = min(max(float(means[-1]), 1.0 - MAX_REFERENCE), 1.0 + MAX_REFERENCE)
         wheels = [bend.odometer for bend in bends if bend.odometer is not None]
         odometer = self.reference.odometer if not wheels else float(np.median(wheels))
-        return Learned(mean, sqrt(float(variances[-1])), odometer, self.learned + len(bends), self._spread)
+        return BendScale(mean, sqrt(float(variances[-1])), odometer, self.learned + len(bends), self._spread)
 
     def _measure_spread(self) -> None:
         """Measured spread of the bends over the stated one, from differences of successive bends.
@@ -146,18 +146,18 @@ class ScaleChange:
             last = self.window[-1]
             self._ratios.append(abs(bend.scale - last.scale) / sqrt(bend.sd**2 + last.sd**2))
             self._measure_spread()
-        if len(self.window) == MOST_SUSPECT:
+        if len(self.window) == MAX_SUSPECT:
             oldest = self.window.popleft()
             if self.change is not None and oldest.end_ns <= self.change.first_ns:
                 self._learn(oldest)
         self.window.append(bend)
         self.change = self._largest()
-        while len(self.window) > MOST_BENDS and not self._is_suspicious():
+        while len(self.window) > MAX_BENDS and not self._is_suspicious():
             self._learn(self.window.popleft())
         self._decide()
 
     def _variance(self, bend: Bend) -> float:
-        return max(self._spread * bend.sd, LEAST_SD) ** 2
+        return max(self._spread * bend.sd, MIN_SD) ** 2
 
     def _is_suspicious(self) -> bool:
         return self.accusing or (self.change is not None and self.change.size > SUSPICIOUS)
@@ -172,17 +172,17 @@ class ScaleChange:
         innovation = bend.scale - reference.mean
         bound = 3.0 * sqrt(prior + variance)
         reference.mean += gain * min(max(innovation, -bound), bound)
-        reference.mean = min(max(reference.mean, 1.0 - MOST_REFERENCE), 1.0 + MOST_REFERENCE)
+        reference.mean = min(max(reference.mean, 1.0 - MAX_REFERENCE), 1.0 + MAX_REFERENCE)
         reference.variance = (1.0 - gain) * prior
         self.learned += 1
         if bend.odometer is not None:
             old = reference.odometer
-            reference.odometer = bend.odometer if old is None else old + (bend.odometer - old) / MOST_BENDS
+            reference.odometer = bend.odometer if old is None else old + (bend.odometer - old) / MAX_BENDS
 
     def _largest(self) -> Change | None:
         """Change with the largest size, over all lengths of the last bends from five on."""
         n = len(self.window)
-        if n < LEAST_BENDS:
+        if n < MIN_BENDS:
             return None
         values = np.array([bend.scale for bend in self.window])
         variances = np.array([self._variance(bend) for bend in self.window])
@@ -192,7 +192,7 @@ class ScaleChange:
         after = np.cumsum((values / variances)[::-1])[::-1] / backwards
         difference, sd = after - before[:n], np.sqrt(1.0 / backwards + before_variance[:n])
         size = np.abs(difference) / sd
-        k = int(np.argmax(size[: n - LEAST_BENDS + 1]))
+        k = int(np.argmax(size[: n - MIN_BENDS + 1]))
         first = int(np.flatnonzero(size**2 >= size[k] ** 2 - ONSET)[0])
         first_ns, suspect_ns = self.window[first].start_ns, self.window[max(0, first - 1)].start_ns
         if self.accusing and self.change is not None:  # an accusation keeps its earliest
@@ -232,7 +232,7 @@ class ScaleChange:
             self.accusing = change.size > LIMIT
         elif self._has_returned(change):
             recent = list(self.window)[-RELEASE_BENDS:]
-            self.accusing, self.window = False, deque(recent, maxlen=MOST_SUSPECT)
+            self.accusing, self.window = False, deque(recent, maxlen=MAX_SUSPECT)
             self.change = self._largest()
 
     def _has_returned(self, change: Change) -> bool:
@@ -260,8 +260,8 @@ class ScaleChange:
 def _weights(values: FloatArray, sds: FloatArray) -> FloatArray:
     """Huber weights, shape (n,), by the distance of each value from the median of the five around it."""
     n = len(values)
-    first = np.clip(np.arange(n) - 2, 0, n - LEAST_BENDS)
-    around = np.median(values[first[:, None] + np.arange(LEAST_BENDS)], axis=1)
+    first = np.clip(np.arange(n) - 2, 0, n - MIN_BENDS)
+    around = np.median(values[first[:, None] + np.arange(MIN_BENDS)], axis=1)
     distance = np.abs(values - around) / sds
     weights: FloatArray = np.minimum(1.0, HUBER / np.maximum(distance, HUBER))
     return weights

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from shared.inertial.increments import SECOND_NS
 from shared.messages.navigation import AidingKind, AidingUpdate
 
-KEPT = 330  # seconds: the longest window, and what is learned after it
+HISTORY_SECONDS = 330  # seconds: the longest window, and what is learned after it
 # Standard deviations by which one innovation counts at most: a second of multipath is no drift.
 CLIP = 4.0
 KINDS = (AidingKind.GNSS_VELOCITY, AidingKind.GNSS_POSITION)
@@ -26,7 +26,7 @@ class InnovationSeconds:
     """Innovations over their standard deviations, one mean a second; newest last."""
 
     def __init__(self, rejected: Counter[str]) -> None:
-        self.seconds: deque[Second] = deque(maxlen=KEPT)
+        self.seconds: deque[Second] = deque(maxlen=HISTORY_SECONDS)
         self._rejected = rejected
         self._number = 0
         self._sum = [0.0] * 5

@@ -28,14 +28,14 @@ from ..codes import Code
 from ..grade import Grade
 from ..settings import Settings
 from .innovations import KINDS, InnovationSeconds, Second
-from .spread import LEAST_BLOCKS, Spread, f_limit
+from .spread import MIN_BLOCKS, Spread, f_limit
 
 LENGTHS_S = (30, 100, 300)
 CONSECUTIVE = 2  # evaluations above the limit that accuse
-LEAST_SHARE = 0.8  # of the seconds of a window that have innovations
+MIN_SHARE = 0.8  # of the seconds of a window that have innovations
 STATED_GRADES = (Grade.INDUSTRIAL, Grade.TACTICAL)
 SETTLING_NS = 20 * SECOND_NS  # after the alignment: its errors are in the first innovations
-LATE_S = 1  # of the innovations behind the clock: the filter waits for late fixes
+MAX_DELAY_S = 1  # of the innovations behind the clock: the filter waits for late fixes
 BREAK_NS = 2 * SECOND_NS  # without a solution, after which the filter has started again
 DOUBT_RATE = 1e-3  # false-alarm rate below which nothing is learned
 # Seconds for which sums over 30 s must be inconspicuous, below a rate of 0.01, to end an episode that they have accused
@@ -127,7 +127,7 @@ class DriftMonitor:
         now_s = time_ns // SECOND_NS
         found, doubtful, recovered = {}, False, True
         for kind, innovations in self._innovations.items():
-            innovations.complete(now_s - LATE_S)
+            innovations.complete(now_s - MAX_DELAY_S)
             for length in LENGTHS_S:
                 spread, sums = self._spreads[kind, length], summed(innovations.seconds, length)
                 result = self._result(spread, sums) if sums is not None else None
@@ -205,7 +205,7 @@ class DriftMonitor:
                 if end_s - length < max(last_s, self._suspected_s):
                     continue
                 block = [second for second in innovations.seconds if end_s - length <= second.number < end_s]
-                if len(block) >= LEAST_SHARE * length:
+                if len(block) >= MIN_SHARE * length:
                     self._spreads[kind, length].learn(sums_of(block), len(block))
                     self._learned_s[kind, length] = end_s
 
@@ -216,7 +216,7 @@ def summed(seconds: Sequence[Second], length: int) -> Sums | None:
         return None
     end_s = seconds[-1].number + 1
     chosen = [second for second in seconds if second.number >= end_s - length]
-    if len(chosen) < LEAST_SHARE * length:
+    if len(chosen) < MIN_SHARE * length:
         return None
     return Sums(sums_of(chosen), len(chosen), end_s - length)
 
@@ -231,7 +231,7 @@ def missing(spread: Spread, sums: Sums | None) -> Explanation:
     if sums is None:
         return explain(Code.FEW_INNOVATIONS)
     return explain(
-        Code.LEARNING_SPREAD, blocks_count=spread.blocks, needed_count=LEAST_BLOCKS
+        Code.LEARNING_SPREAD, blocks_count=spread.blocks, needed_count=MIN_BLOCKS
     )  # fmt: skip
 
 

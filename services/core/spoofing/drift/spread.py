@@ -10,7 +10,7 @@ from scipy.special import fdtri
 # in simulation (standard deviation 0.95 to 1.06, no correlation); where the grade of the sensors is not stated to be
 # industrial it counts for nothing.
 STATED_BLOCKS = 40
-LEAST_BLOCKS = 10  # learned, before a limit that rests on them alone is of use
+MIN_BLOCKS = 10  # learned, before a limit that rests on them alone is of use
 MEMORY_BLOCKS = 100  # of which the mean is taken
 # Of the variance of a sum over its number of seconds: innovations of 10 Hz are means of ten; positions of
 # navmatlab_car, whose lever arm is unknown, reach 20.
@@ -49,7 +49,7 @@ class Spread:
     @property
     def is_known(self) -> bool:
         """Whether there are enough blocks."""
-        return self.blocks >= LEAST_BLOCKS
+        return self.blocks >= MIN_BLOCKS
 
     def variance(self, axis: int) -> float:
         """Variance of a sum over its number of seconds."""

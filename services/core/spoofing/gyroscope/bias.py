@@ -7,8 +7,8 @@ from shared.inertial.increments import SECOND_NS
 from shared.maths.rotation import Vector
 
 AGE_NS = 60 * SECOND_NS  # twice the longest window: an error of half the smallest detectable size is not followed
-KEPT = 130  # one a second
-UNKNOWN_SD = 2e-3  # [rad/s] of a recording without the standard deviation: 0.1 deg/s, at switch-on
+HISTORY_SECONDS = 130  # one a second
+DEFAULT_SD = 2e-3  # [rad/s] of a recording without the standard deviation: 0.1 deg/s, at switch-on
 
 
 class Bias(NamedTuple):
@@ -23,7 +23,7 @@ class ReferenceBias:
     """The estimate of a minute ago, or the oldest there is; while something is suspected, that of before."""
 
     def __init__(self) -> None:
-        self._known: deque[Bias] = deque(maxlen=KEPT)
+        self._known: deque[Bias] = deque(maxlen=HISTORY_SECONDS)
         self._used: Bias | None = None
 
     def add(self, time_ns: int, value: Vector, sd: Vector | None) -> None:
@@ -31,7 +31,7 @@ class ReferenceBias:
         if self._known and time_ns < self._known[-1].time_ns:
             self.clear()
         if not self._known or time_ns - self._known[-1].time_ns >= SECOND_NS:
-            self._known.append(Bias(time_ns, value, sd or (UNKNOWN_SD,) * 3))
+            self._known.append(Bias(time_ns, value, sd or (DEFAULT_SD,) * 3))
 
     def clear(self) -> None:
         """Forget all: the filter has started again."""

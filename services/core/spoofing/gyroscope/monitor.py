@@ -20,7 +20,7 @@ from ..codes import Code
 from ..settings import Settings
 from .axle import Axle, AxleSecond, combined
 from .bias import Bias, ReferenceBias
-from .sources import LEAST_COURSE_M_S, Course, Headings, Reading, Second, WheelSeconds, course_of
+from .sources import MIN_COURSE_M_S, Course, Headings, Reading, Second, WheelSeconds, course_of
 from .track import GyroscopeTrack
 from .vote import Difference, Source, Vote, vote
 
@@ -28,16 +28,16 @@ from .vote import Difference, Source, Vote, vote
 LENGTHS_S = (5, 10, 30)
 CONSECUTIVE = 2  # evaluations above the threshold that accuse
 COURSES = 100  # that wait for the observer
-LEAST_SHARE = 0.8  # of the seconds of a window that wheel speeds must cover
-STILL_M_S = 0.3  # GNSS speed of a vehicle that stands: six times the least standard deviation of an axis
+MIN_SHARE = 0.8  # of the seconds of a window that wheel speeds must cover
+STANDSTILL_SPEED_M_S = 0.3  # GNSS speed of a vehicle that stands: six times the least standard deviation of an axis
 # [rad/s] Mean yaw rate of a vehicle that stands, over 5 s: a body that sways on its springs by a millimetre at the
 # bumper, 2 m from its middle, turns by 0.03 deg.
-STILL_SD = 3e-4
+STANDSTILL_RATE_SD = 3e-4
 COMPASS_SD = 0.17  # [rad] of a magnetic heading: iron that the vehicle passes turns it by ten degrees
 LEARNING_DELAY_S = 30  # for which seconds wait before they are learned, the longest window
 USEFUL_SD = 5e-3  # [rad/s] of the wheels' yaw rate over 5 s, above which it is still being learned
 USEFUL_SHARE = 0.2  # of the turn, likewise: the track width is known to 0.3 m before it is learned
-AGREED_S = 60  # of agreement with the newest bias that end an accusation
+AGREEMENT_S = 60  # of agreement with the newest bias that end an accusation
 DOUBT_RATE = 1e-4  # false-alarm rate below which nothing is learned and the bias of before is kept
 
 
@@ -120,9 +120,13 @@ class GyroscopeMonitor:
 
     def _note_standstill(self, time_ns: int, largest_m_s: float) -> None:
         """Note since when GNSS has stood, by velocities that follow each other within 2 s."""
-        if self._fix_ns is None or not 0 < time_ns - self._fix_ns <= 2 * SECOND_NS or largest_m_s >= STILL_M_S:
+        if (
+            self._fix_ns is None
+            or not 0 < time_ns - self._fix_ns <= 2 * SECOND_NS
+            or largest_m_s >= STANDSTILL_SPEED_M_S
+        ):
             self._still_since_ns = None
-        if largest_m_s < STILL_M_S and self._still_since_ns is None:
+        if largest_m_s < STANDSTILL_SPEED_M_S and self._still_since_ns is None:
             self._still_since_ns = time_ns
         self._fix_ns = time_ns
 
@@ -186,7 +190,7 @@ class GyroscopeMonitor:
         now = self._votes(newest)
         agrees = len(now) == len(votes) and not any(vote.exceeds(DOUBT_RATE) for vote in now.values())
         self._agreed_s = self._agreed_s + 1 if agrees else 0
-        if self._agreed_s >= AGREED_S:
+        if self._agreed_s >= AGREEMENT_S:
             self._reference.adopt()
             self._agreed_s = 0
 
@@ -260,7 +264,7 @@ class GyroscopeMonitor:
             return None
         if end_ns - self._fix_ns > 1.5 * SECOND_NS or (turn := self._mean_rate(end_ns, bias, length)) is None:
             return None
-        return Difference(turn, STILL_SD**2)
+        return Difference(turn, STANDSTILL_RATE_SD**2)
 
     def _mean_rate(self, end_ns: int, bias: Bias, length: int) -> float | None:
         begin, end = self.track.at(end_ns - length * SECOND_NS), self.track.at(end_ns)
@@ -271,11 +275,11 @@ class GyroscopeMonitor:
         end = end_ns // SECOND_NS
         chosen = [second for second in self.wheels.seconds if second.number >= end - length - 1]
         chosen = chosen[-length:]
-        if len(chosen) < LEAST_SHARE * length or chosen[-1].number < end - 2:
+        if len(chosen) < MIN_SHARE * length or chosen[-1].number < end - 2:
             return None
         n, moving = len(chosen), [second for second in chosen if not second.still]
         mean = sum(second.rate_less(bias.value) for second in chosen) / n
-        still_variance = STILL_SD**2 * (n - len(moving)) / n
+        still_variance = STANDSTILL_RATE_SD**2 * (n - len(moving)) / n
         if not moving:
             return Difference(mean, still_variance), mean
         rates = []
@@ -320,10 +324,10 @@ class GyroscopeMonitor:
         if self._reference.newest is None or self.track.newest_ns is None:
             return explain(Code.NO_GYROSCOPE)
         if not self._has_wheels(time_ns):
-            return explain(Code.NO_YAW_RATE, limit_m_s=LEAST_COURSE_M_S)
+            return explain(Code.NO_YAW_RATE, limit_m_s=MIN_COURSE_M_S)
         track_sd_m, ratio_sd = self.rear.sds
         return explain(
-            Code.NO_YAW_RATE_YET, limit_m_s=LEAST_COURSE_M_S, track_sd_m=track_sd_m, wheels_sd_share=ratio_sd
+            Code.NO_YAW_RATE_YET, limit_m_s=MIN_COURSE_M_S, track_sd_m=track_sd_m, wheels_sd_share=ratio_sd
         )  # fmt: skip
 
     def _has_wheels(self, time_ns: int) -> bool:

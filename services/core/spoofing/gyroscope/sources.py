@@ -13,13 +13,13 @@ from ..settings import UNKNOWN_AXLE_M, Settings
 from .axle import AxleSecond
 from .track import GyroscopeTrack, Turn
 
-KEPT = 330  # seconds: the longest window, and what is late
-WAITING = 50  # samples and readings that the increments have not reached yet, 5 s
-LEAST_SAMPLES = 4  # of a second
-FASTEST_M_S = 100.0
+HISTORY_SECONDS = 330  # seconds: the longest window, and what is late
+MAX_PENDING = 50  # samples and readings that the increments have not reached yet, 5 s
+MIN_SAMPLES = 4  # of a second
+MAX_SPEED_M_S = 100.0
 FRONT_CURVATURE = 0.07  # [1/m] up to which the cosine of the steering angle is above 0.98 (wheelbase of 2.8 m)
-SLOWEST_M_S = 0.5  # speed of the wheels below which they may turn unseen
-LEAST_COURSE_M_S = 5.0  # GNSS speed that has a course
+MIN_SPEED_M_S = 0.5  # speed of the wheels below which they may turn unseen
+MIN_COURSE_M_S = 5.0  # GNSS speed that has a course
 # [rad s²/m] Sideslip of the rear axle per lateral acceleration: cornering compliance of passenger cars, 2 to 4 deg/g.
 SIDESLIP = 5e-3
 
@@ -50,7 +50,7 @@ class Course(NamedTuple):
 def course_of(settings: Settings, time_ns: int, velocity_n: Vector, sd_m_s: float) -> Course | None:
     """Course of a GNSS velocity [m/s, NED] with its standard deviation per axis, None of one that is too slow."""
     speed = hypot(*velocity_n[:2])
-    if speed < LEAST_COURSE_M_S:
+    if speed < MIN_COURSE_M_S:
         return None
     arm, axle = settings.vehicle.gnss.lever_arm_body_m, settings.vehicle.rear_axle_body_m
     ahead_m = arm[0] - (axle[0] if axle is not None else 0.0)
@@ -86,11 +86,11 @@ class WheelSeconds:
     """Means over seconds of the wheel speeds; newest last."""
 
     def __init__(self, rejected: Counter[str]) -> None:
-        self.seconds: deque[Second] = deque(maxlen=KEPT)
+        self.seconds: deque[Second] = deque(maxlen=HISTORY_SECONDS)
         self.newest_ns: int | None = None
         self.stationary_since_ns: int | None = None  # by the inertial sensors
         self._rejected = rejected
-        self._waiting: deque[tuple[int, WheelSpeeds]] = deque(maxlen=WAITING)
+        self._waiting: deque[tuple[int, WheelSpeeds]] = deque(maxlen=MAX_PENDING)
         self._open: list[tuple[Turn, WheelSpeeds]] = []
         self._number = 0
 
@@ -100,7 +100,7 @@ class WheelSeconds:
             self._rejected["wheel speeds: stamp is not after the one before"] += 1
             return
         wheels = [value for value in _wheels(speeds) if value is not None]
-        if not all(isfinite(value) and abs(value) < FASTEST_M_S for value in wheels):
+        if not all(isfinite(value) and abs(value) < MAX_SPEED_M_S for value in wheels):
             self._rejected["wheel speeds: implausible"] += 1
             return
         self.newest_ns = time_ns
@@ -130,7 +130,7 @@ class WheelSeconds:
     def _completed(self) -> Iterator[Second]:
         """Complete the open second, if it has enough samples."""
         samples, self._open = self._open, []
-        if len(samples) < LEAST_SAMPLES:
+        if len(samples) < MIN_SAMPLES:
             return
         turned = any(fastest(speeds) > 0.0 for _, speeds in samples)
         since_ns = self.stationary_since_ns
@@ -142,7 +142,7 @@ class WheelSeconds:
             front = None
         if not still:
             rear, front = (
-                None if axle_second is None or axle_second.speed < SLOWEST_M_S else axle_second
+                None if axle_second is None or axle_second.speed < MIN_SPEED_M_S else axle_second
                 for axle_second in (rear, front)
             )
         if rear is None and front is None:
@@ -182,8 +182,8 @@ class Headings:
     """Headings of one source, one a second; newest last."""
 
     def __init__(self) -> None:
-        self.readings: deque[Reading] = deque(maxlen=KEPT)
-        self._waiting: deque[tuple[int, float, float, float, float]] = deque(maxlen=WAITING)
+        self.readings: deque[Reading] = deque(maxlen=HISTORY_SECONDS)
+        self._waiting: deque[tuple[int, float, float, float, float]] = deque(maxlen=MAX_PENDING)
 
     def add(self, time_ns: int, angle: float, variance: float, *, ahead_s: float = 0.0, slip_s: float = 0.0) -> None:
         """Keep a heading [rad] and its variance [rad²] until the increments have reached its time.

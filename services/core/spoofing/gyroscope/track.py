@@ -10,8 +10,8 @@ from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Vector, ned_from_body
 from shared.messages.navigation import NavigationSolution
 
-KEPT = 350  # increments, 35 s: the longest window
-STALE_NS = 3 * SECOND_NS  # age of an attitude
+HISTORY_INCREMENTS = 350  # increments, 35 s: the longest window
+STALE_AFTER_NS = 3 * SECOND_NS  # age of an attitude
 
 
 class Turn(NamedTuple):
@@ -52,7 +52,7 @@ class GyroscopeTrack:
     """
 
     def __init__(self) -> None:
-        self._turns: deque[Turn] = deque(maxlen=KEPT)
+        self._turns: deque[Turn] = deque(maxlen=HISTORY_INCREMENTS)
         self._axis: Vector | None = None
         self._axis_ns = 0
         self._earth = 0.0
@@ -70,7 +70,7 @@ class GyroscopeTrack:
         """Integrate increments; gives whether the track has been continuous."""
         continuous = True
         for increment in increments:
-            if self._axis is None or abs(increment.end_ns - self._axis_ns) > STALE_NS:
+            if self._axis is None or abs(increment.end_ns - self._axis_ns) > STALE_AFTER_NS:
                 continuous = continuous and not self._turns
                 self._turns.clear()
                 continue

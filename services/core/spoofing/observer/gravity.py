@@ -31,15 +31,15 @@ FloatArray = npt.NDArray[np.float64]
 
 NAME = "gravity"
 SIDE, GAP = 10, 2  # [s] of the means before and after, and between them
-LEAST_DEG = 1.0
+MIN_ANGLE_DEG = 1.0
 ODOMETER_GAP_S = 2.5
-WAITING = 5  # seconds for which speeds may be late
-KEPT_S = 120  # for which a knock is stated: until the mounting can have been found again
+MAX_PENDING_SECONDS = 5  # seconds for which speeds may be late
+RETENTION_S = 120  # for which a knock is stated: until the mounting can have been found again
 ALONG_SD = 0.3  # [m/s²] of the acceleration along: a drag that GNSS and odometer share is no knock
 ACROSS_SD, ACROSS_SHARE = 0.1, 0.1  # [m/s²] likewise, and as a share of speed times yaw rate: sideslip, lever arms
 
 
-class _Waiting(NamedTuple):
+class _PendingSecond(NamedTuple):
     """One second that the speeds have not reached yet."""
 
     end_ns: int
@@ -67,7 +67,7 @@ class Gravity:
         self._frame: FloatArray = np.eye(3)  # of the present body axes
         self._open: list[Increment] = []
         self._end_ns: int | None = None  # of the newest increment
-        self._waiting: deque[_Waiting] = deque(maxlen=WAITING)
+        self._waiting: deque[_PendingSecond] = deque(maxlen=MAX_PENDING_SECONDS)
         self._speeds = Series(500, ODOMETER_GAP_S)
         self._before: float | None = None  # speed at the end of the last second
         self._knock: Test | None = None
@@ -103,13 +103,13 @@ class Gravity:
         duration = float(step.sum())
         angle = ((rows[:, 3:6] - bias) * step[:, None]).sum(axis=0)
         force = (rows[:, :3] * step[:, None]).sum(axis=0) / duration
-        self._waiting.append(_Waiting(end_ns, force, self._frame @ _rotation(0.5 * angle), angle, duration))
+        self._waiting.append(_PendingSecond(end_ns, force, self._frame @ _rotation(0.5 * angle), angle, duration))
         self._frame = self._frame @ _rotation(angle)
         reached_ns = self._speeds.newest_ns or 0
         while self._waiting and self._waiting[0].end_ns <= reached_ns:
             self._take(self._waiting.popleft())
 
-    def _take(self, one: _Waiting) -> None:
+    def _take(self, one: _PendingSecond) -> None:
         """Remove the acceleration of the wheels from a second that the speeds have reached."""
         speed, before = self._speeds.at(one.end_ns), self._before
         self._before = speed
@@ -141,7 +141,7 @@ class Gravity:
     def _stated(self, knock: Test, present: Test) -> Test:
         """The knock, or what is found now when it was long ago."""
         newest_ns = self._seconds[-1].time_ns if self._seconds else self._knock_ns
-        if newest_ns - self._knock_ns <= KEPT_S * SECOND_NS:
+        if newest_ns - self._knock_ns <= RETENTION_S * SECOND_NS:
             return knock
         self._knock = None
         return present
@@ -160,7 +160,7 @@ class Gravity:
         sd = hypot(ALONG_SD, drift), hypot(ACROSS_SD, ACROSS_SHARE * across, drift)
         statistics = [(item[0] / sd[0]) ** 2 + (item[1] / sd[1]) ** 2 for item in apart]
         angles = [degrees(hypot(item[0], item[1]) / STANDARD_GRAVITY) for item in apart]
-        kept = min(angles) > LEAST_DEG and float(apart[1][:2] @ apart[2][:2]) > 0.0
+        kept = min(angles) > MIN_ANGLE_DEG and float(apart[1][:2] @ apart[2][:2]) > 0.0
         return (min(statistics) if kept else 0.0), angles[0]
 
 

@@ -31,9 +31,9 @@ from .trend import Trend, row_of, trend
 
 LENGTHS_S = (60, 120, 300)
 # Part of a window at its end in which an error must still grow: what has ended is not accused again by long windows.
-RECENT_S = {60: 30, 120: 60, 300: 60}
-ENDED_SDS = 3.0  # by which the rate at the end of a window is smaller than that of the window
-EVERY_S = {60: 1, 120: 2, 300: 5}  # a long window changes little in a second
+RECENT_WINDOW_S = {60: 30, 120: 60, 300: 60}
+RATE_END_SDS = 3.0  # by which the rate at the end of a window is smaller than that of the window
+PERIOD_S = {60: 1, 120: 2, 300: 5}  # a long window changes little in a second
 COLUMNS, NEWEST = 8, 10  # of the table of courses; readings that may be new in it
 TURNING_M_S = 0.5  # speed of wheels that are sure to turn
 CONSECUTIVE = 2  # evaluations above the threshold that accuse
@@ -153,7 +153,7 @@ class ObserverMonitor:
         bias, variance = self._bias()
         found = dict(self._turns)
         for length in LENGTHS_S:
-            if (time_ns // SECOND_NS) % EVERY_S[length] == 0 or name_of(length) not in found:
+            if (time_ns // SECOND_NS) % PERIOD_S[length] == 0 or name_of(length) not in found:
                 found[name_of(length)] = self._turn(length, bias, variance, of_wheels)
         self._turns = dict(found)
         found[BIAS] = self._of_bias(bias, variance)
@@ -224,12 +224,12 @@ class ObserverMonitor:
 
     def _ended(self, slope: Trend, bias: Bias, length: int, common: float) -> bool:
         """Whether the course has come back, so that it does not turn away any more at the end of the window."""
-        recent = self._trend(bias, RECENT_S[length])
+        recent = self._trend(bias, RECENT_WINDOW_S[length])
         if recent is None:
             return True
         sd = sqrt(recent.variance + self._common(recent, 0.0) + min(common, slope.variance))
         sign = 1.0 if slope.rate > 0.0 else -1.0
-        return sign * (slope.rate - recent.rate) > ENDED_SDS * sd
+        return sign * (slope.rate - recent.rate) > RATE_END_SDS * sd
 
     def _of_bias(self, bias: Bias | None, variance: float) -> Test:
         """Bias of the filter, which GNSS teaches, against that of the observer, about the vertical."""

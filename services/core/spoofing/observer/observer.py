@@ -23,9 +23,9 @@ SWAY_RAD = 2.5e-4  # a body sways on its springs by half a millimetre at the bum
 LEVELLING_S = 60.0  # time constant with which the tilt follows the specific force while driving
 LEVEL_M_S2 = 0.5  # excess of the specific force above which it shows an acceleration, and no tilt
 LEVEL_RATE = 0.05  # [rad/s] likewise: a bend
-LEAST_NOISE = 0.25  # of the stated random walk, to which the scatter of few increments may fall
-UNLIKELY_SDS = 5.0  # by which a bias jumps only where no vehicle stood: without wheels that say so
-KEPT = 30  # increments of the yaw
+MIN_NOISE = 0.25  # of the stated random walk, to which the scatter of few increments may fall
+BIAS_JUMP_SDS = 5.0  # by which a bias jumps only where no vehicle stood: without wheels that say so
+HISTORY_INCREMENTS = 30  # increments of the yaw
 BRIDGED_NS = SECOND_NS  # gap of the samples over which the axis down is kept
 CORRELATION_S = 200.0  # of the instability of a bias
 EARTH_SD = 4e-6  # [rad/s] Earth's rate and the curvature of the way, through slopes and speed
@@ -75,13 +75,13 @@ class Observer:
         """Combine a standstill with the bias from before it, and level by its specific force."""
         if found.begin_ns != self._begin_ns:
             self._begin_ns, self._prior = found.begin_ns, self.bias
-        noise = max(found.noise, LEAST_NOISE * self._long.angle_random_walk_rad_sqrt_s)
+        noise = max(found.noise, MIN_NOISE * self._long.angle_random_walk_rad_sqrt_s)
         variance = noise**2 / found.seconds + (SWAY_RAD / found.seconds) ** 2
         variance += self._grade.gyroscope_instability_rad_s**2
         value, prior = found.rate, self._prior
         if prior is not None:
             before = self._walked(prior, found.end_ns)
-            limit = UNLIKELY_SDS * sqrt(before + variance)
+            limit = BIAS_JUMP_SDS * sqrt(before + variance)
             if not found.by_wheels and max(abs(a - b) for a, b in zip(value, prior.value, strict=True)) > limit:
                 self.counts["standstill without wheels: turns"] += 1
                 return
@@ -133,8 +133,8 @@ class Observer:
         sx, sy, sz = last.axis_s
         moved = (sx + down[0] * duration_s, sy + down[1] * duration_s, sz + down[2] * duration_s)
         self._turns.append(Turn(one.end_ns, last.angle + rate * duration_s, moved, rate, down))
-        if len(self._turns) > 2 * KEPT:
-            del self._turns[:-KEPT]
+        if len(self._turns) > 2 * HISTORY_INCREMENTS:
+            del self._turns[:-HISTORY_INCREMENTS]
 
     @property
     def newest_ns(self) -> int | None:

@@ -14,14 +14,14 @@ from shared.maths.rotation import Vector
 # no 4 s of driving stayed within both, and 70 % of those of standing did; over 2 s one in a hundred of driving does.
 FORCE_LIMIT = 0.1  # [m/s²]
 RATE_LIMIT = 0.004  # [rad/s]
-LARGEST_RATE = 0.05  # [rad/s] bias at switch-on: 3 deg/s
-PART = 5  # increments of such a mean
+MAX_RATE = 0.05  # [rad/s] bias at switch-on: 3 deg/s
+MEAN_INCREMENTS = 5  # increments of such a mean
 SETTLING = 1  # parts that begin a standstill, and are not used
-WAITING = 2  # the last parts before a motion are not used: it begins before the wheels are seen to turn
+MARGIN_MEANS = 2  # the last parts before a motion are not used: it begins before the wheels are seen to turn
 WITH_WHEELS_S, WITHOUT_S = 2.0, 4.0  # least length
-LONGEST_S = 120.0  # after which another one begins: the bias walks on
+MAX_DURATION_S = 120.0  # after which another one begins: the bias walks on
 WHEELS_SILENT_NS = 2 * SECOND_NS  # after which wheels say nothing any more
-MOVED_NS = SECOND_NS  # before and after wheels that turn
+MOTION_MARGIN_NS = SECOND_NS  # before and after wheels that turn
 
 
 class Standstill(NamedTuple):
@@ -83,11 +83,11 @@ class Standstills:
     def add(self, one: Increment) -> Standstill | None:
         """Use an increment; gives the standstill so far when another part of it is sure."""
         hears = self._wheels_ns is not None and one.end_ns - self._wheels_ns <= WHEELS_SILENT_NS
-        if hears and self._turned_ns is not None and self._turned_ns > one.start_ns - MOVED_NS:
+        if hears and self._turned_ns is not None and self._turned_ns > one.start_ns - MOTION_MARGIN_NS:
             self.clear()
             return None
         self._sum(one.row)
-        if self._part.count < PART:
+        if self._part.count < MEAN_INCREMENTS:
             return None
         part, self._part = self._part, _Sums()
         if not self._is_quiet(part):
@@ -98,13 +98,13 @@ class Standstills:
             return None
         self._all.add(part)
         self._waiting.append(part)
-        if len(self._waiting) <= WAITING:
+        if len(self._waiting) <= MARGIN_MEANS:
             return None
         self._whole.add(self._waiting.pop(0))
         if self._whole.seconds < (WITH_WHEELS_S if hears else WITHOUT_S):
             return None
         found = self._found(one.end_ns - SECOND_NS, by_wheels=hears)
-        if self._whole.seconds >= LONGEST_S:
+        if self._whole.seconds >= MAX_DURATION_S:
             self._begin(one.end_ns)
         return found
 
@@ -115,7 +115,7 @@ class Standstills:
         new, mean = part.mean(), self._all.mean()
         apart = [(a - b) ** 2 for a, b in zip(new, mean, strict=True)]
         rate2 = sum(value**2 for value in mean[3:])
-        return sum(apart[:3]) < FORCE_LIMIT**2 and sum(apart[3:]) < RATE_LIMIT**2 and rate2 < LARGEST_RATE**2
+        return sum(apart[:3]) < FORCE_LIMIT**2 and sum(apart[3:]) < RATE_LIMIT**2 and rate2 < MAX_RATE**2
 
     def _sum(self, row: Sequence[float]) -> None:
         part, duration_s = self._part, row[6]
@@ -130,5 +130,5 @@ class Standstills:
     def _found(self, end_ns: int, *, by_wheels: bool) -> Standstill:
         whole = self._whole
         fx, fy, fz, wx, wy, wz = whole.mean()
-        noise = sqrt(whole.squares * PART / (PART - 1) / whole.count)
+        noise = sqrt(whole.squares * MEAN_INCREMENTS / (MEAN_INCREMENTS - 1) / whole.count)
         return Standstill(self._begin_ns, end_ns, whole.seconds, (wx, wy, wz), (fx, fy, fz), noise, by_wheels)

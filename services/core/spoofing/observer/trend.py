@@ -12,9 +12,9 @@ from ..gyroscope.sources import Reading
 
 FloatArray = npt.NDArray[np.float64]
 
-LEAST_SHARE = 0.8  # of the window, from its first to its last reading
-LEAST_READINGS = 0.4  # of its seconds
-LEAST_SD = 2e-3  # [rad] of one course: of the vehicle, which drifts across its lane
+MIN_SHARE = 0.8  # of the window, from its first to its last reading
+MIN_READINGS = 0.4  # of its seconds
+MIN_SD = 2e-3  # [rad] of one course: of the vehicle, which drifts across its lane
 # [rad] By which side wind and crossfall change the sideslip between the ends of a window.
 OFFSET_SD = 2e-3
 
@@ -72,12 +72,12 @@ def trend(
         return None
     chosen = table[table[:, 0] >= table[-1, 0] - length_s]
     t = chosen[:, 0] - chosen[-1, 0]
-    if len(chosen) < LEAST_READINGS * length_s or -t[0] < LEAST_SHARE * length_s:
+    if len(chosen) < MIN_READINGS * length_s or -t[0] < MIN_SHARE * length_s:
         return None
     yaw = chosen[:, 3] - chosen[:, 4:7] @ np.array(bias)
     off = chosen[:, 1] - yaw
     off = np.remainder(off - float(np.angle(np.exp(1j * off).sum())) + np.pi, 2.0 * np.pi) - np.pi
-    v = chosen[:, 2] + LEAST_SD**2 + (time_sd_s * chosen[:, 7]) ** 2
+    v = chosen[:, 2] + MIN_SD**2 + (time_sd_s * chosen[:, 7]) ** 2
     return _without_the_worst(t, off, yaw, v, correlation_s)
 
 

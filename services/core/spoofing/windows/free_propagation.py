@@ -40,9 +40,9 @@ UNIT, UNIT_STATES = np.eye(3), np.eye(SIZE)
 STANDSTILL_SD = 0.02  # [m/s]
 # [m/s] of the forward speed, above which the non-holonomic constraint is not used: the products of the errors of speed
 # and direction, which its linear form leaves out, are then as large as its own noise.
-LARGEST_SPEED_SD = 2.0
+MAX_SPEED_SD = 2.0
 FASTEST_REVERSE_M_S = 2.0  # forward speed below its negative is that of a run which has lost its direction
-LEAST_ODOMETER = 10  # speeds that aid a propagation, before it speaks for the odometer
+MIN_ODOMETER = 10  # speeds that aid a propagation, before it speaks for the odometer
 ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses it
 # Of a vehicle that is driven: how fast force and rate change, of which the trapezoidal rule over a gap knows the ends.
 JERK_M_S3, ANGULAR_ACCELERATION_RAD_S2 = 2.0, 0.2
@@ -94,7 +94,7 @@ class FreePropagations:
 
     def odometer_agrees(self, run: int) -> bool:
         """Whether the odometer has aided a propagation, and does not contradict it."""
-        return bool(self.runs["odometer_updates"][run] >= LEAST_ODOMETER and not self.runs["odometer_rejections"][run])
+        return bool(self.runs["odometer_updates"][run] >= MIN_ODOMETER and not self.runs["odometer_rejections"][run])
 
     def advance(self, increments: Sequence[Increment]) -> None:
         """Propagate attitudes, velocities and ways by some increments, at most `NODES`."""
@@ -192,7 +192,7 @@ class FreePropagations:
             H of v_b: [C', C' sk(v)]
 
         Their errors are correlated over `correlation_s`; R is multiplied by it, for one update a second. The constraint
-        is used while the standard deviation of v_bx is at most `LARGEST_SPEED_SD` and its innovation is within the
+        is used while the standard deviation of v_bx is at most `MAX_SPEED_SD` and its innovation is within the
         gate. Its linear form leaves out the product of the errors of speed and direction, whose variance is part of R::
 
             var(v_bx) (var(direction of the mounting) + var(attitude))
@@ -207,7 +207,7 @@ class FreePropagations:
         velocity, H, _ = self.body_velocities()
         forward = H[:, 0]
         variance = np.vecdot(np.vecmat(forward, self.runs["P"]), forward)
-        rows = np.flatnonzero(variance <= LARGEST_SPEED_SD**2)
+        rows = np.flatnonzero(variance <= MAX_SPEED_SD**2)
         (ahead, *across), H = velocity[rows].T, H[rows, 1:]
         yaw, pitch = self.runs["mounting"][rows, 1:].T
         H[:, 0, YAW], H[:, 1, PITCH] = -ahead, ahead

@@ -26,17 +26,17 @@ from .metrics import WINDOW_S
 FloatArray = npt.NDArray[np.float64]
 
 LENGTHS_S = (30, 60)  # of velocities
-WAYS_S = (60, 120)
+WINDOW_LENGTHS_S = (60, 120)
 SPACING_S = 5  # between anchors, so that a window is at most this much longer than its name says
 WIDE_SPACING_S = 20  # of propagations that are older than the longest length of velocities
 FROZEN_S = 180  # age up to which a propagation is kept, if none younger takes its place
 RELEASE_RATE = 0.01  # of fault-free evaluations above the threshold of release
-LEAST_FIXES = 4  # of a mean over 5 s
-LEAST_PART = 2  # fixes of a part of them that is tested on its own
+MIN_FIXES = 4  # of a mean over 5 s
+MIN_PART = 2  # fixes of a part of them that is tested on its own
 DIMENSIONS = 3
-LATEST_NS = 1_900_000_000  # age at which a fix is still compared
-LEAST_POSITION_SD = 0.8  # [m] reflections differ between two places, whatever the receiver states
-LEAST_SPEED = 2.0  # [m/s] of a comparison of speeds
+MAX_DELAY_NS = 1_900_000_000  # age at which a fix is still compared
+MIN_POSITION_SD = 0.8  # [m] reflections differ between two places, whatever the receiver states
+MIN_SPEED = 2.0  # [m/s] of a comparison of speeds
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class LongResult:
 
 
 @dataclass(frozen=True)
-class WayResult:
+class DistanceTest:
     """Test of the way since an anchor at one time."""
 
     statistic: float  # [-] chi-square with 2 degrees of freedom without a fault
@@ -182,7 +182,7 @@ class LongWindow:
         if self.suspect_since_ns is not None:
             self._keep([row for row, age in enumerate(ages) if age <= FROZEN_S])
             return
-        newest_whole = max((row for row, age in enumerate(ages) if age >= WAYS_S[-1]), default=0)
+        newest_whole = max((row for row, age in enumerate(ages) if age >= WINDOW_LENGTHS_S[-1]), default=0)
         kept: list[int] = []
         for row, age in enumerate(ages):
             apart_s = ages[kept[-1]] - age if kept else WIDE_SPACING_S
@@ -215,7 +215,7 @@ class LongWindow:
 
     def _passed(self, fix: VelocityFix, time_ns: int, passed_ns: int) -> _Passed | None:
         """What the propagations say of a time, None if no one knows it."""
-        if passed_ns - time_ns > LATEST_NS:
+        if passed_ns - time_ns > MAX_DELAY_NS:
             return None
         nodes = self.free.nodes_at(time_ns, passed_ns)
         known = (~np.isnan(nodes[:, 0])).tolist()
@@ -241,11 +241,11 @@ class LongWindow:
             return [row]
         return [row, row + 1 if row + 1 < number else row - 1]
 
-    def way(self, length_s: int) -> WayResult | None:
+    def way(self, length_s: int) -> DistanceTest | None:
         """Test the way with the youngest propagation of at least a length, and the one beside it; None without them."""
         return _beside([self._way(row) for row in self._pair(length_s)], self.way_doubt)
 
-    def _way(self, row: int) -> WayResult | None:
+    def _way(self, row: int) -> DistanceTest | None:
         """Test the way with one propagation, as the mean of the last 5 s; None without enough fixes.
 
         Notes
@@ -257,7 +257,7 @@ class LongWindow:
         """
         anchor_ns = self._anchors_ns[row]
         first, places = self._first.get(anchor_ns), [place for place in self._places if anchor_ns in place.rows]
-        if first is None or len(places) < LEAST_FIXES:
+        if first is None or len(places) < MIN_FIXES:
             return None
         origin = first.nodes[first.rows[anchor_ns]]
         nodes = np.array([place.nodes[place.rows[anchor_ns]] for place in places]) - origin
@@ -266,7 +266,7 @@ class LongWindow:
         differences = np.array(apart) - nodes[:, 3:5]
         d = differences.mean(axis=0)
         change = nodes[-1, :2]
-        variance = sum(max(passed.fix.position_sd, LEAST_POSITION_SD) ** 2 for passed in (first, places[-1]))
+        variance = sum(max(passed.fix.position_sd, MIN_POSITION_SD) ** 2 for passed in (first, places[-1]))
         S = (
             self.free.runs["P"][row, MOVED, MOVED][:2, :2]
             + np.eye(2) * variance
@@ -278,7 +278,7 @@ class LongWindow:
         means = [d, *(part.mean(axis=0) for part in (np.delete(differences, worst, 0), differences[:half],
                                                     differences[half:]))]  # fmt: skip
         statistic = min(float(mean @ np.linalg.solve(S, mean)) for mean in means)
-        return WayResult(statistic, d, np.sqrt(np.diag(S)), anchor_ns)
+        return DistanceTest(statistic, d, np.sqrt(np.diag(S)), anchor_ns)
 
     def result(self, length_s: int) -> LongResult | None:
         """Test with the youngest propagation of at least a length, and the one beside it; None without them."""
@@ -288,7 +288,7 @@ class LongWindow:
         """Test with one propagation; None with too few fixes."""
         anchor_ns = self._anchors_ns[row]
         compared = [passed for passed in self._compared if anchor_ns in passed.rows]
-        if len(compared) < LEAST_FIXES:
+        if len(compared) < MIN_FIXES:
             return None
         if anchor_ns not in self._results:
             self._results[anchor_ns] = self._result(anchor_ns, compared)
@@ -316,7 +316,7 @@ class LongWindow:
         without the one that is farthest from the run, and of each half.
         """
         parts = [compared, *_parts(compared, anchor_ns)]
-        found = [self._of_fixes(anchor_ns, part) for part in parts if len(part) >= LEAST_PART]
+        found = [self._of_fixes(anchor_ns, part) for part in parts if len(part) >= MIN_PART]
         return replace(found[0], statistic=min(long_result.statistic for long_result in found))
 
     def _of_fixes(self, anchor_ns: int, compared: list[_Passed]) -> LongResult:
@@ -341,7 +341,7 @@ class LongWindow:
 
     def _speeds_differ(self, free_n: FloatArray, gnss_n: FloatArray, S: FloatArray) -> bool:
         speed = float(np.hypot(free_n[0], free_n[1]))
-        if speed < LEAST_SPEED:
+        if speed < MIN_SPEED:
             return False
         along = free_n[:2] / speed
         difference = float(np.hypot(gnss_n[0], gnss_n[1])) - speed

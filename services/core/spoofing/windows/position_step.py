@@ -19,8 +19,8 @@ from .metrics import WINDOW_S
 NAME, UNIT = "position_step", "m"
 THRESHOLD = 5.0  # standard deviations
 FALSE_ALARM_RATE = exp(-0.5 * THRESHOLD**2)  # of a horizontal difference with the same variance on both axes
-LEAST_SD_M = 2.0  # reflections differ between the ends of a window, whatever the receiver states
-UNKNOWN_SD_M = 5.0  # of a receiver that states no standard deviation
+MIN_SD_M = 2.0  # reflections differ between the ends of a window, whatever the receiver states
+DEFAULT_SD_M = 5.0  # of a receiver that states no standard deviation
 DELAY_SD_S = 0.2  # between the ages of position and velocity
 
 
@@ -68,5 +68,5 @@ def position_step(fixes: Sequence[VelocityFix]) -> PositionStep | None:
     suspect = fixes[largest] if sizes[largest] > 0.5 * size else first
     speed_sd = max(float(fix.sd[:2].max()) for fix in fixes)
     age_sd = DELAY_SD_S * float(np.hypot(*(velocity[-1] - velocity[0])))
-    sd = hypot(LEAST_SD_M, first.position_sd, last.position_sd, WINDOW_S * speed_sd, age_sd)
+    sd = hypot(MIN_SD_M, first.position_sd, last.position_sd, WINDOW_S * speed_sd, age_sd)
     return PositionStep(size, THRESHOLD * sd, suspect.time_ns)

@@ -22,9 +22,9 @@ from .metrics import WINDOW_S, Metric, acceleration_differences
 
 FloatArray = npt.NDArray[np.float64]
 
-LONGEST_S = 6.0  # of a window: epochs at 1 Hz may be 0.9 s off
+MAX_DURATION_S = 6.0  # of a window: epochs at 1 Hz may be 0.9 s off
 GAP_S = 1.6  # between two fixes of a window
-LEAST_SPEED = 1.0  # [m/s] of the heading rate
+MIN_SPEED = 1.0  # [m/s] of the heading rate
 MOVING_SPEED = 3.0  # [m/s] by inertial sensors, at which a GNSS that stands has no course that could turn
 
 
@@ -49,7 +49,7 @@ def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | Explana
         return explain(Code.NO_INPUT, input=Input.GNSS_VELOCITY)
     limit_ns = fixes[-1].time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
     begin = next((i for i in range(len(fixes) - 1, -1, -1) if fixes[i].time_ns <= limit_ns), None)
-    if begin is None or fixes[-1].time_ns - fixes[begin].time_ns > LONGEST_S * SECOND_NS:
+    if begin is None or fixes[-1].time_ns - fixes[begin].time_ns > MAX_DURATION_S * SECOND_NS:
         return explain(Code.FEW_VELOCITIES)
     chosen = list(fixes[begin:])
     if any(b.time_ns - a.time_ns > GAP_S * SECOND_NS for a, b in pairwise(chosen)):
@@ -113,12 +113,12 @@ def compare(
     slowest = min(fix.speed for fix in fixes)
     inertial_speeds = np.hypot(free[:, 0], free[:, 1]).tolist()
     inertial_speed = min(inertial_speeds)
-    if slowest > LEAST_SPEED or inertial_speed > MOVING_SPEED:
+    if slowest > MIN_SPEED or inertial_speed > MOVING_SPEED:
         turned = float(np.interp(ends[1], times, yaw) - np.interp(ends[0], times, yaw))
         difference[Metric.HEADING_RATE] = (_course_change(fixes) - turned) / duration
-        noise[Metric.HEADING_RATE] = horizontal / max(slowest, LEAST_SPEED)  # of two courses, over the window
+        noise[Metric.HEADING_RATE] = horizontal / max(slowest, MIN_SPEED)  # of two courses, over the window
     else:
-        missing[Metric.HEADING_RATE] = explain(Code.TOO_SLOW, limit_m_s=LEAST_SPEED)
+        missing[Metric.HEADING_RATE] = explain(Code.TOO_SLOW, limit_m_s=MIN_SPEED)
     rate = height_rate(start_ns, end_ns)
     if rate is None:
         missing[Metric.ALTITUDE_RATE] = explain(Code.NO_BAROMETER)
@@ -177,7 +177,7 @@ def _course_change(fixes: Sequence[VelocityFix]) -> float:
     """Change of course [rad], turn by turn; 0 while GNSS stands, where its course is noise."""
     change = 0.0
     for before, after in pairwise(fixes):
-        if min(before.speed, after.speed) > LEAST_SPEED:
+        if min(before.speed, after.speed) > MIN_SPEED:
             courses = [float(np.arctan2(fix.velocity_n[1], fix.velocity_n[0])) for fix in (before, after)]
             change += wrap_angle(courses[1] - courses[0])
     return change

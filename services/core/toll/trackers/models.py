@@ -48,7 +48,7 @@ class Model(Protocol):
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearMotion:
     """Constant velocity (order 2) or constant acceleration (order 3) on each axis, driven by white noise.
 
     The state is (x, y, vx, vy) or (x, y, vx, vy, ax, ay).

@@ -1,7 +1,7 @@
 """Posteriors of the hypotheses, which of them survive, and which one is acted on.
 
 Posterior = prior times likelihood of all that the monitors have said, over the sum of these. A hypothesis survives
-while its posterior is above the integrity risk. One that alone survives, with more than `CERTAIN`, is acted on: its
+while its posterior is above the integrity risk. One that alone survives, with more than `CERTAIN_PROBABILITY`, is acted on: its
 source is not used. Of several none is.
 """
 
@@ -13,13 +13,15 @@ from shared.messages.trust import Belief, Hypothesis, Outcome
 
 from ..codes import Code
 from ..facts import SECOND_NS, Facts, Monitor, Posterior
-from .evidence import MOST, Evidence, explained_by
+from .evidence import MAX_LOG_LIKELIHOOD, Evidence, explained_by
 from .priors import PRIOR, SUSPECTED
 
-CERTAIN = 0.99
+CERTAIN_PROBABILITY = 0.99
 NO_FAULT = 1.0 - sum(PRIOR.values())  # prior of "nothing is wrong"
 DRIFT_NS = 30 * SECOND_NS  # before the first accusation of a drift: its shortest window
-KEPT = MOST  # sum of logarithms by which a hypothesis that survived a restart is above "nothing is wrong"
+RESTART_LOG_ODDS = (
+    MAX_LOG_LIKELIHOOD  # sum of logarithms by which a hypothesis that survived a restart is above "nothing is wrong"
+)
 
 
 def suspected_priors(suspects: Collection[Hypothesis], risk: float) -> dict[Hypothesis, float]:
@@ -48,7 +50,9 @@ class Beliefs:
         for belief in found:
             if belief.since_ns is not None:
                 self._since_ns[belief.hypothesis] = belief.since_ns
-                self._earlier[belief.hypothesis] = log(belief.probability / priors[belief.hypothesis]) + KEPT
+                self._earlier[belief.hypothesis] = (
+                    log(belief.probability / priors[belief.hypothesis]) + RESTART_LOG_ODDS
+                )
 
     def update(self, facts: Facts, open_ones: Collection[Hypothesis]) -> tuple[Posterior, ...]:
         """Use the statements of one time.
@@ -115,7 +119,7 @@ class Beliefs:
                 PRIOR.get(k, NO_FAULT),
                 share,
                 k in surviving or (k is Hypothesis.NOTHING and share > risk),
-                surviving == {k} and share > CERTAIN,
+                surviving == {k} and share > CERTAIN_PROBABILITY,
                 self._why(k),
                 self._since_ns.get(k),
             )

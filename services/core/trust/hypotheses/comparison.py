@@ -19,14 +19,14 @@ from ..facts import Monitor, Statement
 
 FALSE_ALARM_RATE = 1e-3  # it decides where another monitor, with its own rate, has found a contradiction
 LIMIT = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM_RATE) ** 2  # chi-square with one degree of freedom
-AGREES = 0.25  # of the limit: half of the difference
-CLEARLY = 0.5  # of the difference of the one that contradicts, to which that of the other may come
-LEAST_SPEED_M_S = 2.0
+AGREEMENT_SHARE = 0.25  # of the limit: half of the difference
+CLEAR_SHARE = 0.5  # of the difference of the one that contradicts, to which that of the other may come
+MIN_SPEED_M_S = 2.0
 WINDOW_S = 10.0  # in which the way grows by what is another sample of it
 NEEDED = (Hypothesis.GNSS_AND_ODOMETER, Hypothesis.GNSS, Hypothesis.ODOMETER)
 
 
-class Apart(NamedTuple):
+class SolutionDistance(NamedTuple):
     """Distance of two solutions along the way [m], and its square over the sum of their variances [-]."""
 
     distance_m: float
@@ -43,7 +43,7 @@ def compared(bank: TrustHypotheses) -> Statement:
     if any(hypothesis not in known for hypothesis in NEEDED):
         return _with(base, Outcome.NOT_EVALUATED, explain(Code.NOT_COMPARABLE))
     alone, without_gnss, without_odometer = (known[hypothesis] for hypothesis in NEEDED)
-    if hypot(*alone.velocity_ned_m_s[:2]) < LEAST_SPEED_M_S:
+    if hypot(*alone.velocity_ned_m_s[:2]) < MIN_SPEED_M_S:
         return _with(base, Outcome.NOT_EVALUATED, explain(Code.HARDLY_MOVES))
     odometer, gnss = _along(alone, without_gnss), _along(alone, without_odometer)
     # An odometer that this solution would reject takes no part in the solution without GNSS.
@@ -56,22 +56,24 @@ def compared(bank: TrustHypotheses) -> Statement:
     return _with(base, outcome, _compared(Code.SOLUTIONS_COMPARED, odometer, gnss, wrong_speed), accused, statistic)
 
 
-def _compared(code: Code, odometer: Apart, gnss: Apart, wrong_speed: float) -> Explanation:
+def _compared(code: Code, odometer: SolutionDistance, gnss: SolutionDistance, wrong_speed: float) -> Explanation:
     return explain(
         code, odometer_m=odometer.distance_m, gnss_m=gnss.distance_m, odometer_statistic=odometer.squared,
         gnss_statistic=gnss.squared, speed_statistic=wrong_speed, threshold=LIMIT,
     )  # fmt: skip
 
 
-def _accused(of_odometer: float, odometer: Apart, gnss: Apart, both: Apart) -> tuple[str, ...] | None:
+def _accused(
+    of_odometer: float, odometer: SolutionDistance, gnss: SolutionDistance, both: SolutionDistance
+) -> tuple[str, ...] | None:
     """Who contradicts the inertial sensors, or everything else; None where no two of three agree."""
     if max(of_odometer, gnss.squared) <= LIMIT:
         return ()
-    if of_odometer <= AGREES * LIMIT and odometer.distance_m <= CLEARLY * gnss.distance_m:
+    if of_odometer <= AGREEMENT_SHARE * LIMIT and odometer.distance_m <= CLEAR_SHARE * gnss.distance_m:
         return (GNSS,)
-    if gnss.squared <= AGREES * LIMIT and of_odometer > LIMIT:
+    if gnss.squared <= AGREEMENT_SHARE * LIMIT and of_odometer > LIMIT:
         return (ODOMETER,)
-    return (IMU, GNSS, ODOMETER) if both.squared <= AGREES * LIMIT else None
+    return (IMU, GNSS, ODOMETER) if both.squared <= AGREEMENT_SHARE * LIMIT else None
 
 
 def _with(
@@ -80,7 +82,7 @@ def _with(
     return replace(base, outcome=outcome, why=why, accused=accused, statistic=statistic)
 
 
-def _along(one: HypothesisSolution, other: HypothesisSolution) -> Apart:
+def _along(one: HypothesisSolution, other: HypothesisSolution) -> SolutionDistance:
     """Distance of two solutions along the way of the first."""
     vn, ve, _ = one.velocity_ned_m_s
     speed = hypot(vn, ve)
@@ -88,7 +90,7 @@ def _along(one: HypothesisSolution, other: HypothesisSolution) -> Apart:
     north, east = (other.apart_ned_m[k] - one.apart_ned_m[k] for k in (0, 1))
     distance = direction[0] * north + direction[1] * east
     variance = sum(_variance(solution, direction) for solution in (one, other))
-    return Apart(abs(distance), distance**2 / variance if variance > 0.0 else 0.0)
+    return SolutionDistance(abs(distance), distance**2 / variance if variance > 0.0 else 0.0)
 
 
 def _variance(solution: HypothesisSolution, direction: tuple[float, float]) -> float:

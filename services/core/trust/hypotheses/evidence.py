@@ -20,7 +20,7 @@ EXPLAINED = 0.5  # that it accuses, where a source that it names is wrong
 PARTLY = 0.2  # where a source is wrong that it needs and does not name
 # Largest sum of logarithms that one monitor may say for a hypothesis: two independent windows. More of the same does
 # not make it another monitor.
-MOST = 2.0 * log(EXPLAINED / FALSE_ALARM)
+MAX_LOG_LIKELIHOOD = 2.0 * log(EXPLAINED / FALSE_ALARM)
 OF_EVIDENCE = 2.0  # the same of the receiver's own flags, which are wrong more often than a comparison of two sensors
 DEFAULT_WINDOW_S = 5.0
 # Power: probability that a monitor which passes would have accused, if the hypothesis were true; and the least sum of
@@ -141,7 +141,7 @@ class Evidence:
 
     def _accuse(self, statement: Statement, facts: Facts, suspected: Collection[Hypothesis]) -> None:
         explained = explained_by(statement, odometer_in_use=facts.odometer_in_use)
-        most = OF_EVIDENCE if self.monitor is Monitor.EVIDENCE else MOST
+        most = OF_EVIDENCE if self.monitor is Monitor.EVIDENCE else MAX_LOG_LIKELIHOOD
         for hypothesis in suspected:
             ratio = log(explained.get(hypothesis, FALSE_ALARM) / FALSE_ALARM)
             before = self.sums.get(hypothesis, 0.0)

@@ -36,8 +36,8 @@ PLAIN: dict[type[Message], str] = {  # field of a receiver that keeps the newest
 SOURCES_MAXIMUM, SATELLITES_MAXIMUM, CHANGES_MAXIMUM = 8, 160, 500
 TRACK_STEP_NS, TRACK_POINTS = 30 * NS, 120  # one hour
 PlaceInSky = tuple[str, int, float, float]  # constellation, number, elevation and azimuth in degrees
-KEPT_NS = round(0.95 * NS)  # between two records of an unchanged fix
-SILENT_NS = round((BY_NAME["gnss/fix"].silent_after_s or 5.0) * NS)
+RETENTION_NS = round(0.95 * NS)  # between two records of an unchanged fix
+SILENCE_TIMEOUT_NS = round((BY_NAME["gnss/fix"].silent_after_s or 5.0) * NS)
 NO_DATA = "no_data"
 FRESH_CORRECTION_S, OLD_CORRECTION_S = 5.0, 30.0  # a receiver's ambiguities outlive a few seconds without corrections
 
@@ -51,8 +51,8 @@ class Changes:
 
     def note(self, time_ns: int, state: str) -> None:
         """Note the state at one time, later than the one before."""
-        if self._newest_ns is not None and time_ns - self._newest_ns > SILENT_NS:
-            self._changes.append((self._newest_ns + SILENT_NS, NO_DATA))
+        if self._newest_ns is not None and time_ns - self._newest_ns > SILENCE_TIMEOUT_NS:
+            self._changes.append((self._newest_ns + SILENCE_TIMEOUT_NS, NO_DATA))
         if not self._changes or self._changes[-1][1] != state:
             self._changes.append((time_ns, state))
         self._newest_ns = time_ns
@@ -60,11 +60,11 @@ class Changes:
     def until(self, now_ns: int) -> Iterator[tuple[int, str]]:
         """Give the changes, with a pause that lasts until now."""
         yield from self._changes
-        if self._newest_ns is not None and now_ns - self._newest_ns > SILENT_NS:
-            yield self._newest_ns + SILENT_NS, NO_DATA
+        if self._newest_ns is not None and now_ns - self._newest_ns > SILENCE_TIMEOUT_NS:
+            yield self._newest_ns + SILENCE_TIMEOUT_NS, NO_DATA
 
 
-class KeptFix(BaseModel):
+class FixClass(BaseModel):
     """Kind of fix and class of the corrections of a receiver at one time."""
 
     model_config = ConfigDict(defer_build=True)
@@ -75,7 +75,7 @@ class KeptFix(BaseModel):
     correction: str
 
 
-class KeptSky(BaseModel):
+class SkyTrackPoints(BaseModel):
     """New points of the tracks of satellites."""
 
     model_config = ConfigDict(defer_build=True)
@@ -104,12 +104,14 @@ class ReceiverHistory:
     waited_since_ns: int | None = None  # first fix of all, if it had no position
     first_position_ns: int | None = None
     tracks: dict[tuple[str, int], deque[tuple[int, float, float]]] = field(default_factory=dict)
-    kept: KeptFix | None = None  # the newest one
+    kept: FixClass | None = None  # the newest one
 
-    def note_fix(self, fix: GnssFix, received_ns: int) -> Iterator[KeptFix]:
+    def note_fix(self, fix: GnssFix, received_ns: int) -> Iterator[FixClass]:
         """Note kind, corrections, and how long the first position took; give what a restart must know."""
         self.fix = fix
-        found = KeptFix(kind="fix", ns=received_ns, source=self.source, fix=kind_of(fix), correction=correction_of(fix))
+        found = FixClass(
+            kind="fix", ns=received_ns, source=self.source, fix=kind_of(fix), correction=correction_of(fix)
+        )
         self.restore_fix(found)
         located = fix.latitude_deg is not None
         if self.first_position_ns is None and located and self.waited_since_ns is not None:
@@ -119,18 +121,18 @@ class ReceiverHistory:
         last = self.kept
         if (
             last is None
-            or found.ns - last.ns >= KEPT_NS
+            or found.ns - last.ns >= RETENTION_NS
             or (last.fix, last.correction) != (found.fix, found.correction)
         ):
             self.kept = found
             yield found
 
-    def restore_fix(self, kept: KeptFix) -> None:
+    def restore_fix(self, kept: FixClass) -> None:
         """Note kind and corrections at one time."""
         self.fixes.note(kept.ns, kept.fix)
         self.corrections.note(kept.ns, kept.correction)
 
-    def note_satellites(self, message: GnssSatellites, received_ns: int) -> Iterator[KeptSky]:
+    def note_satellites(self, message: GnssSatellites, received_ns: int) -> Iterator[SkyTrackPoints]:
         """Add a point to each track, twice a minute; give what a restart must know."""
         self.satellites = message
         places = tuple(
@@ -138,11 +140,11 @@ class ReceiverHistory:
             for seen in message.satellites
             if seen.elevation_rad is not None and seen.azimuth_rad is not None
         )
-        found = KeptSky(kind="sky", ns=received_ns, source=self.source, places=places)
+        found = SkyTrackPoints(kind="sky", ns=received_ns, source=self.source, places=places)
         if added := self.restore_sky(found):
             yield found.model_copy(update={"places": added})
 
-    def restore_sky(self, kept: KeptSky) -> tuple[PlaceInSky, ...]:
+    def restore_sky(self, kept: SkyTrackPoints) -> tuple[PlaceInSky, ...]:
         """Add points to the tracks and return them; a satellite that has not been seen for the length is dropped."""
         added = tuple(place for place in kept.places if self._append(place, kept.ns))
         oldest_ns = kept.ns - TRACK_POINTS * TRACK_STEP_NS
@@ -168,21 +170,21 @@ class GnssHistory:
     def __init__(self) -> None:
         self.receivers: dict[str, ReceiverHistory] = {}
 
-    def restore(self, kept: KeptFix | KeptSky) -> None:
+    def restore(self, kept: FixClass | SkyTrackPoints) -> None:
         """Take over a record of an earlier life of the process."""
         receiver = self._receiver(kept.source)
-        if receiver and isinstance(kept, KeptFix):
+        if receiver and isinstance(kept, FixClass):
             receiver.restore_fix(kept)
-        elif receiver and isinstance(kept, KeptSky):
+        elif receiver and isinstance(kept, SkyTrackPoints):
             receiver.restore_sky(kept)
 
-    def note(self, message: Message, received_ns: int) -> list[KeptFix | KeptSky]:
+    def note(self, message: Message, received_ns: int) -> list[FixClass | SkyTrackPoints]:
         """Take one message and return what a restart must know; what is not of a receiver is ignored."""
         if isinstance(message, DeviceState) and message.process != DRIVER:
             return []
         if not isinstance(message, OfReceiver) or (receiver := self._receiver(message.source)) is None:
             return []
-        kept: list[KeptFix | KeptSky] = []
+        kept: list[FixClass | SkyTrackPoints] = []
         match message:
             case GnssFix():
                 kept += receiver.note_fix(message, received_ns)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic_core import to_json
 
-from shared.bounded import TooMuch, read_bytes
+from shared.bounded import SizeExceeded, read_bytes
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,7 @@ class HistoryFile:
         for path in (self._before, self._path):
             try:
                 yield from read_bytes(path, 4 * FILE_BYTES).splitlines() if path.exists() else []
-            except (OSError, TooMuch) as error:
+            except (OSError, SizeExceeded) as error:
                 log.warning("cannot read %s: %s", path, error)
 
     def append(self, records: list[Record]) -> None:

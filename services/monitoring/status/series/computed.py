@@ -17,7 +17,7 @@ SOURCES = ("navigation/solution", "truth/state", "gnss/satellites", "vehicle/whe
 _WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
 
-class Computed:
+class DerivedSeries:
     """Derives values from a message and the newest truth."""
 
     def __init__(self) -> None:

@@ -79,7 +79,7 @@ class SeriesFull(Exception):
     """No further field can be kept."""
 
 
-class Kept:
+class FieldHistory:
     """One field and its last minute and hour."""
 
     def __init__(self, field: Field) -> None:
@@ -106,9 +106,9 @@ class Series:
         self.fillings = 0  # times that the past of fields was read
         self.refused = 0  # questions for a field that could not be kept
         self.wanted: list[str] = []  # fields that were asked for since their past was last read from a recording
-        self._kept: dict[str, Kept] = {}
-        self._by_topic: dict[str, list[Kept]] = {}
-        self._computed = computed.Computed()
+        self._kept: dict[str, FieldHistory] = {}
+        self._by_topic: dict[str, list[FieldHistory]] = {}
+        self._computed = computed.DerivedSeries()
         self._standard = tuple(standard)
         for name in self._standard:
             self._add(fields.parse(name))
@@ -204,7 +204,7 @@ class Series:
         self._by_topic[oldest.field.topic].remove(oldest)
 
     def _add(self, field: Field) -> None:
-        kept = self._kept[field.name] = Kept(field)
+        kept = self._kept[field.name] = FieldHistory(field)
         if field.topic != COMPUTED:
             self._by_topic.setdefault(field.topic, []).append(kept)
         self.wanted.append(field.name)

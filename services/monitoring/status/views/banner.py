@@ -27,7 +27,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 from shared.trust.accused import reference
 from shared.trust.result import told
-from shared.words.words import ENGLISH, LANGUAGES, Told, Words, reason, said, stated, words
+from shared.words.words import ENGLISH, LANGUAGES, CodedText, Words, reason, said, stated, words
 
 from .codes import Code
 from .geometry import vertical_sd
@@ -83,11 +83,11 @@ class Evidence:
 
     broker: bool
     received_ns: int | None = None  # stamp of the newest message of all
-    awaited: Told | None = None  # what is to come after a start, as long as nothing is known to keep it away
+    awaited: CodedText | None = None  # what is to come after a start, as long as nothing is known to keep it away
     earlier_monitors: frozenset[str] = frozenset()  # their process was restarted since their last statement
     trust: TrustState | None = None
     trust_age_s: float | None = None
-    trust_cause: Told | None = None  # root cause of a missing or old verdict
+    trust_cause: CodedText | None = None  # root cause of a missing or old verdict
     solution: NavigationSolution | None = None
     solution_age_s: float | None = None
     filter_codes: tuple[Explanation, ...] = ()  # why the filter is in its phase
@@ -101,7 +101,7 @@ class Evidence:
     alert_limit_horizontal_m: float | None = None  # as configured, from `navigation/state`
     alert_limit_vertical_m: float | None = None
     set_up: SetUpState | None = None
-    cause: Told | None = None  # root cause of a missing or old solution
+    cause: CodedText | None = None  # root cause of a missing or old solution
     load: ProcessLoad | None = None  # of core.fusion, while it is behind or checks are paused
 
 
@@ -143,7 +143,7 @@ class Verdict:
     lines: Mapping[str, Line] = field(default_factory=dict)  # in languages other than English
 
 
-WAITING = frozenset(
+WAITING_STATES = frozenset(
     (
         NavigationPhase.WAITING_FOR_IMU,
         NavigationPhase.LEVELLING,
@@ -169,7 +169,7 @@ def show(evidence: Evidence) -> Verdict:
 
 
 def _lines(
-    explanation: Explanation, state: TrustLevel | None = None, text: str = "", cause: Told | None = None
+    explanation: Explanation, state: TrustLevel | None = None, text: str = "", cause: CodedText | None = None
 ) -> dict[str, Line]:
     """Put a code into words in every language.
 
@@ -187,7 +187,9 @@ def _lines(
     return {language: _line(words(language), explanation, state, text, cause) for language in LANGUAGES}
 
 
-def _line(spoken: Words, explanation: Explanation, state: TrustLevel | None, text: str, cause: Told | None) -> Line:
+def _line(
+    spoken: Words, explanation: Explanation, state: TrustLevel | None, text: str, cause: CodedText | None
+) -> Line:
     general = None if state is None else explain(OF_STATE[state])
     sentence = spoken.sentence(explanation, **({"cause": cause} if cause else {})) or text
     action = spoken.action(explanation)
@@ -245,7 +247,7 @@ def _spoken(
 
 def _cause(e: Evidence, trust: TrustState) -> Explanation | None:
     """Why there is no position, where this process knows more of it than `core.trust`."""
-    waiting = e.phase in WAITING
+    waiting = e.phase in WAITING_STATES
     match trust.state:
         case TrustLevel.NO_FIX if e.load is not None and e.load.paused:
             return explain(Code.NO_FIX_SLOW, lag_s=round(e.load.lag_s))

@@ -11,7 +11,7 @@ from ..state import State
 from . import hypotheses as hypothesis_views
 from . import snapshot as views
 from .banner import WORDS, Trust
-from .models.dashboard import Everything
+from .models.dashboard import DashboardState
 from .models.trust import HypothesesReport, TrustReport
 from .models.unit import Health, Outages, Topic
 from .snapshot import common, rounded, traffic
@@ -52,7 +52,7 @@ def health(state: State, now_ns: int) -> Health:
     }
 
 
-def snapshot(state: State, now_ns: int) -> Everything:
+def snapshot(state: State, now_ns: int) -> DashboardState:
     """Give everything at once: the dashboard's view and the newest message of every topic."""
     topics = {name: topic(flow, now_ns) for name, flow in state.topics.items()}
     return {**common(state, now_ns), "topics": topics}

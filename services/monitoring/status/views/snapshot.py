@@ -22,7 +22,7 @@ from shared.page.answers import Object
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import limits_of
 from shared.topics import TOPICS
-from shared.words.words import ENGLISH, LANGUAGES, Told, words
+from shared.words.words import ENGLISH, LANGUAGES, CodedText, words
 
 from ..flow import TopicFlow
 from ..state import State
@@ -268,7 +268,7 @@ def _told(text: str, code: Explanation | None) -> dict[str, str]:
     """What a code says in languages other than English; empty for a message without a code."""
     if code is None:
         return {}
-    return {language: words(language).told(Told(text, code)) for language in LANGUAGES if language != ENGLISH}
+    return {language: words(language).told(CodedText(text, code)) for language in LANGUAGES if language != ENGLISH}
 
 
 def _topic(state: State, flow: TopicFlow) -> TopicShown:

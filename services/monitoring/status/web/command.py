@@ -18,12 +18,12 @@ from ..state import State
 from .access.guard import insist_on
 from .access.rights import Right
 
-WAITING = 8  # commands that are not yet published
+MAX_PENDING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(ModeCommand)}}, "required": True}
 
 
 @answer({"request_id": "5f0c9a7be2d1"})
-class Accepted(TypedDict):
+class CommandAccepted(TypedDict):
     """A command was published; the answer on the bus has this ID."""
 
     request_id: str
@@ -34,7 +34,7 @@ class CommandApi:
 
     def __init__(self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int]) -> None:
         self._state, self._lock, self._now_ns = state, lock, now_ns
-        self.commands: Queue[ModeCommand] = Queue(WAITING)
+        self.commands: Queue[ModeCommand] = Queue(MAX_PENDING)
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
@@ -45,7 +45,7 @@ class CommandApi:
             tags=["command"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    async def command(self, request: Request) -> Accepted:
+    async def command(self, request: Request) -> CommandAccepted:
         """Publish a command; 202 with the request ID that `mode/answer` will carry."""
         command = _command(await body.read(request))
         insist_on(request, right_of(command.command))

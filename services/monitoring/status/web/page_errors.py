@@ -8,13 +8,13 @@ from pydantic import ValidationError
 
 from shared.bus.bus import Bus
 from shared.page import body
-from shared.page.answers import Taken, reference_to, refusals
+from shared.page.answers import AcceptedRequest, reference_to, refusals
 from shared.page.page_error import PageError
 
 log = logging.getLogger(__name__)  # limited: a visitor decides how much comes
 
 REJECT = "page error"  # as the heartbeat of monitoring.status counts it
-WAITING = 8  # reports that are not yet counted
+MAX_PENDING = 8  # reports that are not yet counted
 
 
 BODY = {"content": {"application/json": {"schema": reference_to(PageError)}}, "required": True}
@@ -24,7 +24,7 @@ class PageErrorsApi:
     """Takes reports of pages, a few at a time: a page that fails in a loop says nothing new."""
 
     def __init__(self) -> None:
-        self.reports: Queue[PageError] = Queue(WAITING)
+        self.reports: Queue[PageError] = Queue(MAX_PENDING)
 
     def add_to(self, app: FastAPI) -> None:
         """Add the route."""
@@ -35,7 +35,7 @@ class PageErrorsApi:
             tags=["unit"], responses=refused, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
-    async def report(self, request: Request) -> Taken:
+    async def report(self, request: Request) -> AcceptedRequest:
         """Report an error of the dashboard's program: counted as `page error` in the health of monitoring.status."""
         try:
             report = PageError.model_validate_json(await body.read(request))

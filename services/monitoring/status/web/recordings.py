@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from shared.library.library import Library
 from shared.page import body
-from shared.page.answers import Responses, Taken, reference_to, refusals
+from shared.page.answers import AcceptedRequest, Responses, reference_to, refusals
 from shared.runtime.reports import VARIABLE, read_report
 
 from ..views import recordings as views
@@ -168,7 +168,7 @@ class RecordingsApi:
             raise HTTPException(404, "there is no report; solve the recording first")
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
-    async def command(self, request: Request) -> Taken:
+    async def command(self, request: Request) -> AcceptedRequest:
         """Keep, release, delete, replay or solve a recording, or stop the job."""
         try:
             command = Command.model_validate_json(await body.read(request))

@@ -11,12 +11,12 @@ from typing_extensions import TypedDict
 
 from shared.messages.replay import ReplayCommand, ReplayControl
 from shared.page import body
-from shared.page.answers import Object, Stamp, Taken, answer, reference_to, refusals
+from shared.page.answers import AcceptedRequest, Object, Stamp, answer, reference_to, refusals
 
 from ..replay import ReplayFeed
 
-WAITING = 32  # commands that are not yet published
-LOOK_S = 0.02  # between two looks for a jump that is complete
+MAX_PENDING = 32  # commands that are not yet published
+POLL_PERIOD_S = 0.02  # between two looks for a jump that is complete
 BODY = {"content": {"application/json": {"schema": reference_to(ReplayControl)}}, "required": True}
 
 
@@ -53,7 +53,7 @@ class ReplayApi:
         self, feed: ReplayFeed | None, lock: AbstractContextManager[object], host_ns: Callable[[], int]
     ) -> None:
         self._feed, self._lock, self._host_ns = feed, lock, host_ns
-        self.commands: Queue[ReplayControl] = Queue(WAITING)
+        self.commands: Queue[ReplayControl] = Queue(MAX_PENDING)
         self._connected = False
 
     def add_to(self, app: FastAPI) -> None:
@@ -77,7 +77,7 @@ class ReplayApi:
         with self._lock:
             return {"replay": self.view()}
 
-    async def control(self, request: Request) -> Taken:
+    async def control(self, request: Request) -> AcceptedRequest:
         """Play, pause, seek, or set the speed; 202, and the position follows in the state."""
         if self._feed is None:
             raise HTTPException(409, "this unit shows no recording; run obu replay FILE")
@@ -96,8 +96,8 @@ class ReplayApi:
         if self._feed is None:
             await asyncio.sleep(period_s)
             return
-        for _ in range(round(period_s / LOOK_S)):
-            await asyncio.sleep(LOOK_S)
+        for _ in range(round(period_s / POLL_PERIOD_S)):
+            await asyncio.sleep(POLL_PERIOD_S)
             if self._feed.fresh:
                 break
         self._feed.fresh = False

@@ -29,10 +29,10 @@ from shared.topics import BY_NAME
 from ..history.columns import FIELDS, HistoryColumns
 from ..state import State
 from ..views import position, prometheus, reports
-from ..views.models.dashboard import Everything
+from ..views.models.dashboard import DashboardState
 from ..views.models.position import Feature, Solution
 from ..views.models.trust import HypothesesReport, TrustReport
-from ..views.models.unit import Alive, Health, Outages, Topic, Viewers
+from ..views.models.unit import Health, Liveness, Outages, Topic, Viewers
 from . import page_errors
 from .access import login
 from .access.access import Access, Rules
@@ -100,7 +100,7 @@ class Api:
         """Add the routes."""
         unknown = refusals({404: "There is no such name"})
         lost: Responses = {503: described(Health, "The broker is lost")}
-        dead: Responses = {503: described(Alive, "The broker is lost")}
+        dead: Responses = {503: described(Liveness, "The broker is lost")}
         feature: Responses = {200: {"content": {GEOJSON: {"schema": reference_to(Feature)}}}}
         app.add_api_route("/api/solution", self.solution, response_model=Solution, tags=["position"],
                           response_description="The newest solution", responses=feature)  # fmt: skip
@@ -112,7 +112,7 @@ class Api:
             ("/api/health", self.health, "unit", "State of the unit", lost),
             ("/api/alive", self.alive, "unit", "It works", dead),
             ("/api/outages", self.outages, "unit", "Outages by root cause", None),
-            ("/api/state", self.state, "unit", "Everything at once", None),
+            ("/api/state", self.state, "unit", "DashboardState at once", None),
             ("/api/topics/{name:path}", self.topic, "unit", "One topic", unknown),
         ):
             app.add_api_route(path, answer, tags=[tag], response_description=description, responses=responses)
@@ -134,7 +134,7 @@ class Api:
             return json_response(self._ask(position.feature), 200, GEOJSON)
         return self._ask(position.solution)
 
-    def state(self) -> Everything:
+    def state(self) -> DashboardState:
         """Everything at once: banner, solution, processes, and the newest message of every topic."""
         look_at(self._state, self._lock, self._now_ns, tuple(BY_NAME))
         return self._ask(reports.snapshot)
@@ -145,7 +145,7 @@ class Api:
         response.status_code = 503 if report["state"] == "failed" else 200
         return report
 
-    def alive(self, response: Response) -> Alive:
+    def alive(self, response: Response) -> Liveness:
         """Whether this process responds and the broker is connected; 503 if it is not. It needs no login."""
         alive = self._ask(reports.health)["state"] != "failed"
         response.status_code = 200 if alive else 503
@@ -193,7 +193,7 @@ class Api:
             return view(self._state, self._now_ns())
 
 
-class Described(FastAPI):
+class DocumentedApp(FastAPI):
     """An app whose description has the schemas of bodies, which are read here and not by FastAPI."""
 
     def openapi(self) -> dict[str, Any]:
@@ -206,7 +206,7 @@ class Described(FastAPI):
         return super().openapi()
 
 
-class Watching:
+class ClientStreams:
     """The streams to clients that stay connected: `/ws` and `/api/events`."""
 
     def __init__(self, stream: Stream, events: Events) -> None:
@@ -241,7 +241,7 @@ def make_app(
     api: Api,
     further: Iterable[Routes],
     pages: Pages,
-    watching: Watching,
+    watching: ClientStreams,
     access: Access,
 ) -> FastAPI:
     """Put the routes together."""
@@ -256,7 +256,7 @@ def make_app(
         for task in tasks:
             task.cancel()
 
-    app = Described(
+    app = DocumentedApp(
         title="On-board unit",
         description=DESCRIPTION,
         version=API_VERSION,
@@ -294,7 +294,7 @@ def app_without_unit() -> FastAPI:
 
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
     replay = ReplayApi(None, lock, now_ns)
-    watching = Watching(Stream(state, lock, now_ns, 1, replay), Events(state, lock, now_ns, 1))
+    watching = ClientStreams(Stream(state, lock, now_ns, 1, replay), Events(state, lock, now_ns, 1))
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     commands = CommandApi(state, lock, now_ns)

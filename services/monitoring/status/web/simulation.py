@@ -17,9 +17,9 @@ from shared.page.answers import reference_to, refusals
 from ..state import State
 from ..views import simulation as views
 from ..views.models.simulation import Simulation
-from .command import Accepted
+from .command import CommandAccepted
 
-WAITING = 8  # commands that are not yet published
+MAX_PENDING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": reference_to(SimulationAttack)}}, "required": True}
 
 
@@ -28,7 +28,7 @@ class SimulationApi:
 
     def __init__(self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int]) -> None:
         self._state, self._lock, self._now_ns = state, lock, now_ns
-        self.commands: Queue[SimulationAttack] = Queue(WAITING)
+        self.commands: Queue[SimulationAttack] = Queue(MAX_PENDING)
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -46,7 +46,7 @@ class SimulationApi:
             shown = views.simulation(self._state, self._now_ns())
         return {**views.catalogue(), "simulation": shown}
 
-    async def attack(self, request: Request) -> Accepted:
+    async def attack(self, request: Request) -> CommandAccepted:
         """Start or stop an attack; 202 with the request ID that `simulation/state` will carry."""
         with self._lock:
             simulated = self._state.simulated(self._now_ns())

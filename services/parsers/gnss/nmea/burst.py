@@ -12,16 +12,16 @@ from shared.maths.dates import NS
 
 from ..dialect import ContentError
 
-MOST_GSA = 8  # of one epoch: one or two a constellation
-MOST_GSV = 40  # of one epoch: some for each constellation and signal
+MAX_GSA = 8  # of one epoch: one or two a constellation
+MAX_GSV = 40  # of one epoch: some for each constellation and signal
 UNTIMED = -1  # time of day of a burst of which no sentence with a time has come yet
-SHORTEST_PAUSE_NS = 20_000_000
+MIN_PAUSE_NS = 20_000_000
 Sentence = Any  # pynmea2 creates the fields at run time; an empty or absent one is None or ""
 # Of any talker. The time of day in ZDA may be that of the next pulse: it gives the date, and does not mark an epoch.
-USED = frozenset(("RMC", "GGA", "GNS", "GST", "GSA", "GSV", "VTG", "ZDA", "HDT", "THS", "PUBX00"))
+USED_SENTENCES = frozenset(("RMC", "GGA", "GNS", "GST", "GSA", "GSV", "VTG", "ZDA", "HDT", "THS", "PUBX00"))
 TIMED = {"RMC": 0, "GGA": 0, "GNS": 0, "GST": 0, "PUBX00": 2}  # index of the field with the time of day
 POSITIONS = {"RMC", "GGA", "GNS", "PUBX00"}
-NUMBERED = {"GSA": MOST_GSA, "GSV": MOST_GSV}
+NUMBERED = {"GSA": MAX_GSA, "GSV": MAX_GSV}
 _parse: Callable[[str], Sentence] = NMEASentence.parse  # pynmea2 has no type annotations
 
 
@@ -84,7 +84,7 @@ class NmeaAssembler:
         self._done = True
 
     def take(self, sentence: bytes, received_ns: int) -> Iterator[NmeaEpoch]:
-        """Process one sentence of `USED` with a valid checksum; yield the completed epochs.
+        """Process one sentence of `USED_SENTENCES` with a valid checksum; yield the completed epochs.
 
         Raises
         ------
@@ -129,7 +129,9 @@ class NmeaAssembler:
                 late = [name for name, ns in before.arrivals_ns.items() if ns >= pause_end_ns and name not in TIMED]
                 for name in late:
                     epoch.add(
-                        name if name in USED else name[:3], before.sentences.pop(name), before.arrivals_ns.pop(name)
+                        name if name in USED_SENTENCES else name[:3],
+                        before.sentences.pop(name),
+                        before.arrivals_ns.pop(name),
                     )
             self._kinds_before.append(before.kinds)
         return epoch
@@ -162,7 +164,7 @@ class Pauses:
 
     def next_burst(self) -> int | None:
         """Learn from the burst that ended; give the arrival that ended its pause, or None if there was none."""
-        clear = self._longest_ns > max(2 * self._second_ns, SHORTEST_PAUSE_NS)
+        clear = self._longest_ns > max(2 * self._second_ns, MIN_PAUSE_NS)
         self._limits_ns.append((self._longest_ns + self._second_ns) // 2 if clear else 0)
         self._longest_ns = self._second_ns = 0
         return self._end_ns if clear else None

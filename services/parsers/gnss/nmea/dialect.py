@@ -9,8 +9,8 @@ from shared.messages.operation import MessageUse
 
 from ..dialect import Dialect, Output, Stream
 from ..gnss_time import Unwrapper
-from ..lateness import LATEST_S, with_lateness
-from .burst import POSITIONS, USED, NmeaAssembler, NmeaEpoch, kind_of
+from ..lateness import MAX_DELAY_S, with_lateness
+from .burst import POSITIONS, USED_SENTENCES, NmeaAssembler, NmeaEpoch, kind_of
 from .epoch import fix_from_sentences
 from .satellites import satellites_of
 from .utc_steps import UtcSteps
@@ -28,7 +28,7 @@ class NmeaDialect(Dialect):
         super().__init__(stream)
         self._bursts = NmeaAssembler()
         self._day, self._steps = Unwrapper(DAY_NS), UtcSteps()
-        self._clock, self._resets = ClockMapping(stream.minimum_delay_s, longest_delay_s=LATEST_S), 0
+        self._clock, self._resets = ClockMapping(stream.minimum_delay_s, longest_delay_s=MAX_DELAY_S), 0
         self._newest: tuple[NmeaEpoch, int] | None = None  # epoch, and the time stamp of its fix [ns]
 
     def kind(self, frame: bytes) -> str:
@@ -37,9 +37,9 @@ class NmeaDialect(Dialect):
 
     def use(self, kind: str) -> MessageUse:
         """Unknown is what no table of sentences holds."""
-        if kind in USED:
+        if kind in USED_SENTENCES:
             return MessageUse.USED
-        return MessageUse.UNUSED if kind in KNOWN else MessageUse.UNKNOWN
+        return MessageUse.UNUSED if kind in KNOWN_SENTENCES else MessageUse.UNKNOWN
 
     def take(self, frame: bytes, received_ns: int) -> Iterator[Output]:
         """Add a sentence to its burst; yield the fix of each that is complete."""
@@ -93,7 +93,7 @@ class NmeaDialect(Dialect):
 
 
 # Sentences of receivers that are known and give nothing: NMEA 0183 version 4.11, and what makers add.
-KNOWN = frozenset((
+KNOWN_SENTENCES = frozenset((
     "ALM", "BOD", "BWC", "DBT", "DCN", "DHV", "DTM", "GAL", "GBQ", "GBS", "GGQ", "GLC", "GLL", "GLQ", "GNQ",
     "GPQ", "GRS", "HDG", "HDM", "HTD", "MSK", "MSS", "MWV", "OSD", "ROT", "RTE", "TXT", "VBW", "VHW", "VLW",
     "VPW", "WPL", "XTE", "XTR", "PASHR", "PGRME", "PGRMF", "PGRMZ", "PMTK", "PQTM", "PSAT", "PSTI", "PSTM",

@@ -22,8 +22,8 @@ PUBX_FIXES = {
     "DR": FixType.DEAD_RECKONING, "G2": FixType.TWO_D, "D2": FixType.TWO_D, "G3": FixType.THREE_D,
     "D3": FixType.THREE_D, "RK": FixType.GNSS_DEAD_RECKONING, "TT": FixType.TIME_ONLY,
 }  # fmt: skip
-FASTEST_M_S = 600.0
-LARGEST = 1e6  # limit of every numerical field
+MAX_SPEED_M_S = 600.0
+MAX_VALUE = 1e6  # limit of every numerical field
 NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: absent, no fix, manual input, simulator
 # GGA quality of each letter of GNS, one a constellation; the best of them is that of the fix.
 QUALITIES = {"R": 4, "F": 5, "P": 2, "D": 2, "A": 1, "E": 6, "M": 7, "S": 8, "N": 0}
@@ -152,7 +152,7 @@ class _Reader:
             value = float(text)
         except ValueError:
             value = math.nan
-        if abs(value) < LARGEST:  # false for NaN
+        if abs(value) < MAX_VALUE:  # false for NaN
             return value
         self._rejects["nmea_field"] += 1
         return None
@@ -173,7 +173,7 @@ class _Reader:
     def velocity(self, pubx: Sentence, speed_m_s: float | None, course_deg: float | None) -> Vector3 | None:
         """Velocity [m/s, NED] of the motion over ground with the vertical velocity of PUBX,00."""
         down_m_s = self.number(pubx.v_vel)
-        if speed_m_s is None or course_deg is None or down_m_s is None or abs(down_m_s) > FASTEST_M_S:
+        if speed_m_s is None or course_deg is None or down_m_s is None or abs(down_m_s) > MAX_SPEED_M_S:
             return None
         course = math.radians(course_deg)
         return speed_m_s * math.cos(course), speed_m_s * math.sin(course), down_m_s
@@ -195,7 +195,7 @@ class _Reader:
 
     def _speed(self, text: str | float | None, unit_m_s: float) -> float | None:
         value = self.number(text)
-        if value is not None and not 0 <= value * unit_m_s <= FASTEST_M_S:
+        if value is not None and not 0 <= value * unit_m_s <= MAX_SPEED_M_S:
             self._rejects["nmea_field"] += 1
             return None
         return None if value is None else value * unit_m_s

@@ -10,7 +10,7 @@ from shared.messages.gnss import Constellation, GnssSatellites, Satellite
 
 from .burst import NmeaEpoch, Sentence
 
-MOST = 128
+MAX_SATELLITES = 128
 # Talkers of GSV and GSA, and the system of GSA of version 4.11, whose talker is GN.
 TALKERS = {
     "GP": Constellation.GPS, "GL": Constellation.GLONASS, "GA": Constellation.GALILEO, "GB": Constellation.BEIDOU,
@@ -69,7 +69,7 @@ def satellites_of(epoch: NmeaEpoch, *, sampled_ns: int, source: str) -> GnssSate
         return None
     return GnssSatellites(
         sampled_ns=sampled_ns, received_ns=epoch.last_received_ns, source=source,
-        satellites=tuple(found.values())[:MOST],
+        satellites=tuple(found.values())[:MAX_SATELLITES],
     )  # fmt: skip
 
 

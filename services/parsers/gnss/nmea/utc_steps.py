@@ -7,7 +7,7 @@ from shared.maths.dates import NS
 
 TOLERANCE_NS = NS // 4  # of an interval, by which its arrival may differ
 INTERVALS = 8  # that the usual one is the median of
-FEWEST = 2
+MIN_STEPS = 2
 
 
 class UtcSteps:
@@ -27,7 +27,7 @@ class UtcSteps:
         step_s = 0
         if self._before is not None:
             told_ns, arrived_ns = time_ns - self._before[0], received_ns - self._before[1]
-            usual_ns = round(median(self._usual_ns)) if len(self._usual_ns) >= FEWEST else None
+            usual_ns = round(median(self._usual_ns)) if len(self._usual_ns) >= MIN_STEPS else None
             if usual_ns is not None and abs(arrived_ns - usual_ns) <= min(TOLERANCE_NS, usual_ns // 2):
                 step_s = _whole_seconds(told_ns - usual_ns)
             if told_ns > 0 and step_s == 0:

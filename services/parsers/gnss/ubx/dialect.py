@@ -20,7 +20,7 @@ from shared.messages.vehicle import VehicleSpeed
 
 from ..dialect import Dialect, Output, Stream
 from ..gnss_time import MS, Unwrapper
-from ..lateness import LATEST_S, with_lateness
+from ..lateness import MAX_DELAY_S, with_lateness
 from . import messages, raw, signal
 from .configuration import ANSWERS, UbxDialogue
 from .epoch import DECODERS, Epoch, EpochAssembler, fix_from_epoch
@@ -28,7 +28,7 @@ from .wheel_ticks import WheelTicks
 
 PART_AGE_NS = 1_500_000_000  # between a part of the signal quality and the next fix; at 1 Hz it is up to one second
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
-USED = frozenset(
+USED_MESSAGES = frozenset(
     (
         *(f"NAV-{kind}" for kind in (*DECODERS, "EOE", "SAT", "SIG")), *(f"RXM-{kind}" for kind in raw.KINDS),
         *signal.FIELDS, *ANSWERS,
@@ -52,7 +52,7 @@ class UbxDialect(Dialect):
         self.dialogue = UbxDialogue(stream.source)
         self._epochs = EpochAssembler(stream.rejects)
         self._wheels = WheelTicks(stream.metres_per_wheel_tick)
-        self._week, self._clock = Unwrapper(WEEK_NS), ClockMapping(stream.minimum_delay_s, longest_delay_s=LATEST_S)
+        self._week, self._clock = Unwrapper(WEEK_NS), ClockMapping(stream.minimum_delay_s, longest_delay_s=MAX_DELAY_S)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[OfEpoch], tuple[int, OfEpoch]] = {}
         self._signal: dict[str, tuple[int, signal.Part]] = {}  # of this epoch, each with its arrival [ns]
@@ -70,7 +70,7 @@ class UbxDialect(Dialect):
     def use(self, kind: str) -> MessageUse:
         """Unknown is what the interface description does not list."""
         of_vehicle = (kind == "ESF-RAW" and self.stream.uses_imu) or kind == "ESF-MEAS"
-        if kind in USED or of_vehicle:
+        if kind in USED_MESSAGES or of_vehicle:
             return MessageUse.USED
         return MessageUse.UNUSED if kind in _known() else MessageUse.UNKNOWN
 

@@ -12,7 +12,7 @@ from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from ..gnss_time import gps_time_ns
 from . import messages
 
-FASTEST_M_S = 600.0  # civil receivers are limited to about 500 m/s
+MAX_SPEED_M_S = 600.0  # civil receivers are limited to about 500 m/s
 # Message, and the field of `Epoch` that holds what it says; NAV-EOE says that the epoch is complete.
 DECODERS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "PVT": ("pvt", messages.decode_pvt),
@@ -30,7 +30,7 @@ DECODERS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "PL": ("levels", messages.decode_levels),
 }
 
-PARTS = frozenset(("STATUS", "SOL", "POSLLH", "VELNED", "TIMEUTC", "TIMEGPS", "PL"))
+EPOCH_MESSAGES = frozenset(("STATUS", "SOL", "POSLLH", "VELNED", "TIMEUTC", "TIMEGPS", "PL"))
 
 
 @dataclass(slots=True)
@@ -121,7 +121,7 @@ class EpochAssembler:
             yield from self._finish()
             return
         has_fix = self._has_fix or self._epoch.pvt is not None or self._epoch.pvat is not None
-        if not (has_fix and kind in PARTS):  # of a fix that NAV-PVT gives, nobody waits for these
+        if not (has_fix and kind in EPOCH_MESSAGES):  # of a fix that NAV-PVT gives, nobody waits for these
             self._kinds.add(kind)
             self._epoch.last_received_ns = received_ns
         try:
@@ -175,7 +175,7 @@ def fix_from_epoch(epoch: Epoch, pvt: messages.Pvt, *, sampled_ns: int, source: 
     usable = stated_place and pvt.fix_type is not FixType.TIME_ONLY
     position = (epoch.high_precision or pvt.position) if stated_place else None
     velocity, speed = pvt.velocity_ned_m_s or (), pvt.ground_speed_m_s
-    moving = usable and speed is not None and max(speed, *map(abs, velocity)) <= FASTEST_M_S
+    moving = usable and speed is not None and max(speed, *map(abs, velocity)) <= MAX_SPEED_M_S
     stated = epoch.covariance or messages.Covariance(None, None)
     position_cov = _covariance(stated.position_ned_m2, _position_sd(position))
     velocity_cov = _covariance(stated.velocity_ned_m2_s2, _velocity_sd(pvt))

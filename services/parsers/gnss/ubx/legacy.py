@@ -22,7 +22,7 @@ from .valset import elevation_rad
 CFG, MSG, RATE, NAV5 = 0x06, 0x01, 0x08, 0x24
 # In place of NAV-PVT, which receivers before generation 7 do not have.
 BEFORE_PVT = ("NAV-POSLLH", "NAV-SOL", "NAV-VELNED", "NAV-TIMEUTC")
-WITHOUT = frozenset(("MON-RF", "SEC-SIG", "NAV-SIG"))  # generation 9 alone has them
+GENERATION_9_MESSAGES = frozenset(("MON-RF", "SEC-SIG", "NAV-SIG"))  # generation 9 alone has them
 DYNAMIC_MODEL_ONLY = 1  # bit of the mask of CFG-NAV5
 ATTEMPTS = 2  # of each setting
 SHORTEST_MS, LONGEST_MS = 50, 65535
@@ -104,7 +104,7 @@ class LegacyExchange(Exchange):
         if model is not None:
             yield _Setting(ubx_frame(CFG, NAV5, struct.pack("<HB33x", DYNAMIC_MODEL_ONLY, model)))
         for name, every in self._plan.every.items():
-            if name not in WITHOUT:
+            if name not in GENERATION_9_MESSAGES:
                 yield _output(name, every)
 
     def _result(self, period_s: float) -> Result:

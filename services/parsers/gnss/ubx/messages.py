@@ -67,7 +67,7 @@ _CONSTELLATIONS = (
 _CORRECTION_AGES = (None, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, 120)
 _NO_ACCURACY = 0xFFFFFFFF  # [resolution of the field] "unknown"
 HIGHEST_M = 100e3
-LEAST_RADIUS_CM = 6e8  # below it coordinates in ECEF are those of no place on Earth: a receiver without a fix says 0
+MIN_RADIUS_CM = 6e8  # below it coordinates in ECEF are those of no place on Earth: a receiver without a fix says 0
 
 
 class UbxError(ContentError):
@@ -284,7 +284,7 @@ def decode_solution(payload: bytes) -> Solution:
     """Decode UBX-NAV-SOL, which has no height above the geoid; raises UbxError for an unknown fix type."""
     _, fix_type, flags, x, y, z, p_acc, v_x, v_y, v_z, s_acc, pdop, satellites = _SOLUTION.unpack_from(payload)
     status = Status(_fix_type(fix_type), bool(flags & 1), bool(flags & 2))
-    if math.hypot(x, y, z) < LEAST_RADIUS_CM:
+    if math.hypot(x, y, z) < MIN_RADIUS_CM:
         return Solution(status, None, None, satellites, _dop(pdop))
     place = geodetic_from_ecef((x * 1e-2, y * 1e-2, z * 1e-2))
     velocity = _ned_from_ecef(place, (v_x * 1e-2, v_y * 1e-2, v_z * 1e-2))

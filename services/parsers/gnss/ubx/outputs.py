@@ -37,7 +37,7 @@ BY_IMPORTANCE = (
     "RXM-SFRBX", "NAV-SIG", "ESF-RAW",
 )  # fmt: skip
 BITS = 10  # of a byte at a serial port, with start and stop bit
-SHARE = 0.7  # of a port for these messages: NMEA, which stays switched on, needs the rest
+PORT_SHARE = 0.7  # of a port for these messages: NMEA, which stays switched on, needs the rest
 STEP_S = 0.1  # between the navigation periods that are asked for in place of one that is too short
 
 
@@ -79,7 +79,7 @@ def plan_outputs(wanted: GnssConfigure, rate_baud: int | None) -> OutputPlan:
     """
     period_s = wanted.navigation_period_s
     full = {name: usual_every(name, period_s) for name in messages_of(wanted.outputs)}
-    if rate_baud is None or load_bytes_s(full, period_s) <= (limit := SHARE * rate_baud / BITS):
+    if rate_baud is None or load_bytes_s(full, period_s) <= (limit := PORT_SHARE * rate_baud / BITS):
         return OutputPlan(period_s, full)
     fix = {name: 1 for name in full if name in MESSAGES[GnssOutput.FIX]}
     if load_bytes_s(fix, period_s) > limit:

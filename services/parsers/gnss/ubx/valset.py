@@ -21,7 +21,7 @@ RAM = 1  # volatile layer of VALSET; VALGET numbers the same layer 0
 PORTS = ("UART1", "USB")
 ELEVATION_MASK, DYNAMIC_MODEL = "CFG_NAVSPG_INFIL_MINELEV", "CFG_NAVSPG_DYNMODEL"
 PERIOD = "CFG_RATE_MEAS"
-MOST_LOST = 2  # settings without an answer, after which the receiver is given up
+MAX_LOST = 2  # settings without an answer, after which the receiver is given up
 Setting = dict[int, int]  # keys and their values, which a receiver takes over as a whole or not at all
 
 
@@ -81,7 +81,7 @@ class ValsetExchange(Exchange):
         if self._ticks < TIMEOUT_TICKS:
             return
         self._ticks = 0
-        if self._parts is None or self._parts.lost >= MOST_LOST:
+        if self._parts is None or self._parts.lost >= MAX_LOST:
             yield self._result(NO_RESPONSE)
         else:
             yield from self._said(self._parts.skip())

@@ -11,7 +11,7 @@ REAR_LEFT, REAR_RIGHT, SINGLE, SPEED = 8, 9, 10, 11  # data types: ticks of a wh
 TICKS = (REAR_LEFT, REAR_RIGHT, SINGLE)
 COUNT, BACKWARDS = (1 << 23) - 1, 1 << 23  # of the field with ticks
 TAG_WRAP_MS = 1 << 32
-LONGEST_MS = 2000  # between two counts of one wheel
+MAX_DURATION_MS = 2000  # between two counts of one wheel
 _HEAD = struct.Struct("<IHH")
 
 
@@ -50,7 +50,7 @@ class WheelTicks:
             return None
         count = field & COUNT
         before, self._last[kind] = self._last.get(kind), (tag_ms, count)
-        if before is None or not 0 < (step_ms := (tag_ms - before[0]) % TAG_WRAP_MS) <= LONGEST_MS:
+        if before is None or not 0 < (step_ms := (tag_ms - before[0]) % TAG_WRAP_MS) <= MAX_DURATION_MS:
             return None
         speed = self._metres_per_tick * ((count - before[1]) & COUNT) / (step_ms * 1e-3)
         return -speed if field & BACKWARDS else speed

@@ -24,8 +24,8 @@ from .effects import ON_INERTIAL, ON_NEIGHBOURS, ON_ODOMETER, ON_SIGNALS, Start,
 from .signals import Odometer, Signals
 
 NS = 1_000_000_000
-SHOWN = 32  # runs in a `SimulationState`
-MOST_ACTIVE = 16
+MAX_RUNS = 32  # runs in a `SimulationState`
+MAX_ACTIVE = 16
 REPLAY_STEP_S = 0.02
 REPLAY_BLOCK = 50  # [steps] simulated at once
 
@@ -113,7 +113,7 @@ class Attacks:
                     started_ns=run.started_ns,
                     ended_ns=run.ended_ns if run.ended_ns is not None and run.ended_ns <= at_ns else None,
                 )
-                for run in begun[-SHOWN:]
+                for run in begun[-MAX_RUNS:]
             ),
         )
 
@@ -163,8 +163,8 @@ class Attacks:
     def _start(self, attack: AttackName, message: SimulationAttack, at_ns: int) -> None:
         parameters = BY_NAME[attack].complete(message.parameters)
         running = [run for run in self._runs if run.ended_ns is None or run.ended_ns > at_ns]
-        if len([run for run in running if run.attack != attack]) >= MOST_ACTIVE:
-            raise ValueError(f"{MOST_ACTIVE} attacks are active or scheduled; stop one first")
+        if len([run for run in running if run.attack != attack]) >= MAX_ACTIVE:
+            raise ValueError(f"{MAX_ACTIVE} attacks are active or scheduled; stop one first")
         for run in running:
             if run.attack == attack and run.started_ns <= at_ns:
                 run.ended_ns = at_ns
@@ -181,5 +181,5 @@ class Attacks:
         ended_ns = None if duration_s is None else at_ns + round(duration_s * NS)
         self._runs.append(_Run(next(self._keys), attack, parameters, at_ns, ended_ns))
         old = [run for run in self._runs if run.ended_ns is not None and run.ended_ns <= at_ns]
-        for run in old[: max(0, len(self._runs) - 2 * SHOWN)]:  # memory is bounded
+        for run in old[: max(0, len(self._runs) - 2 * MAX_RUNS)]:  # memory is bounded
             self._runs.remove(run)

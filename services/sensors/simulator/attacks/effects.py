@@ -22,8 +22,8 @@ from shared.messages.simulation import AttackName
 from ..vehicle import AntennaState, Readings, Vector
 from .signals import Odometer, SatelliteFault, Signals
 
-LEAST_DISTANCE_M = 1e-3  # below it the direction to a rebroadcaster is not defined
-STILL: Vector = (0.0, 0.0, 0.0)
+MIN_DISTANCE_M = 1e-3  # below it the direction to a rebroadcaster is not defined
+ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
 Parameters = Mapping[str, float]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -40,8 +40,8 @@ class Memory:
     """What an attack remembers from epoch to epoch."""
 
     t: float = 0.0
-    offset_n: Vector = STILL
-    velocity_n: Vector = STILL  # derivative of the offset
+    offset_n: Vector = ZERO_VECTOR
+    velocity_n: Vector = ZERO_VECTOR  # derivative of the offset
     heading: float | None = None  # [rad] of the vehicle when the signals first returned
 
     def integrate(self, velocity_n: Vector, t: float) -> Vector:
@@ -111,7 +111,7 @@ def _freeze(signals: Signals, _start: Start, _t: float) -> Signals:
 
 
 def _static_replay(signals: Signals, start: Start, _t: float) -> Signals:
-    return _from(signals, start.antenna.position, STILL)
+    return _from(signals, start.antenna.position, ZERO_VECTOR)
 
 
 def _straight_replay(signals: Signals, start: Start, t: float) -> Signals:
@@ -133,9 +133,9 @@ def _delay(signals: Signals, start: Start, _t: float) -> Signals:
     way_e = np.subtract(ecef_from_geodetic(here.position), ecef_from_geodetic(rebroadcaster))
     way_n = ned_from_ecef(here.position.latitude, here.position.longitude) @ way_e
     length = float(np.linalg.norm(way_n))
-    rate = float(way_n @ here.velocity_n) / length if length > LEAST_DISTANCE_M else 0.0
+    rate = float(way_n @ here.velocity_n) / length if length > MIN_DISTANCE_M else 0.0
     late = SPEED_OF_LIGHT * start.parameters["delay"] * 1e-6
-    moved = _from(signals, rebroadcaster, STILL)
+    moved = _from(signals, rebroadcaster, ZERO_VECTOR)
     return replace(moved, path_m=signals.path_m + late + length, path_rate_m_s=signals.path_rate_m_s + rate)
 
 
@@ -161,7 +161,7 @@ def _hold(parameters: Parameters, t: float) -> tuple[float, float]:
 
 
 # Attacks that move the fix in one direction: distance [m], and what the velocity shows of it [m/s].
-ASIDE: Mapping[AttackName, Callable[[Parameters, float], tuple[float, float]]] = {
+OFFSET_DIRECTIONS: Mapping[AttackName, Callable[[Parameters, float], tuple[float, float]]] = {
     AttackName.POSITION_JUMP: _jump,
     AttackName.COLD_START: _jump,
     AttackName.DRAG_OFF: _drag,
@@ -175,7 +175,7 @@ ASIDE: Mapping[AttackName, Callable[[Parameters, float], tuple[float, float]]] =
 
 def _aside(name: AttackName) -> Callable[[Signals, Start, float], Signals]:
     def effect(signals: Signals, start: Start, t: float) -> Signals:
-        distance, speed = ASIDE[name](start.parameters, t)
+        distance, speed = OFFSET_DIRECTIONS[name](start.parameters, t)
         north, east = towards(start)
         return _displaced(signals, (distance * north, distance * east, 0.0), (speed * north, speed * east, 0.0))
 
@@ -217,7 +217,7 @@ def _returned(signals: Signals, start: Start, distance: float) -> Signals:
     if start.memory.heading is None:
         start.memory.heading = signals.source.heading
     angle = start.memory.heading + radians(start.parameters["direction"])
-    return _displaced(signals, (distance * cos(angle), distance * sin(angle), 0.0), STILL)
+    return _displaced(signals, (distance * cos(angle), distance * sin(angle), 0.0), ZERO_VECTOR)
 
 
 def _tunnel_return(signals: Signals, start: Start, t: float) -> Signals:
@@ -290,7 +290,7 @@ ON_SIGNALS: Mapping[AttackName, Callable[[Signals, Start, float], Signals]] = {
     AttackName.STRAIGHT_REPLAY: _straight_replay,
     AttackName.REPLAY_DRIVE: _replay_drive,
     AttackName.DELAY: _delay,
-    **{name: _aside(name) for name in ASIDE},
+    **{name: _aside(name) for name in OFFSET_DIRECTIONS},
     AttackName.MASKED_DRAG: _masked_drag,
     AttackName.FEW_SATELLITES: _few_satellites,
     AttackName.CLIMB: _climb,

@@ -13,7 +13,7 @@ from .gnss_errors import BASE_SD, VELOCITY_SD, PositionErrors, position_errors, 
 
 FloatArray = npt.NDArray[np.float64]
 
-SETTLED_S = 15.0  # [s] initial standstill for the alignment; excluded from an exact RMSE
+SETTLING_TIME_S = 15.0  # [s] initial standstill for the alignment; excluded from an exact RMSE
 REACQUISITION_S = 2.0  # [s] from the end of an outage to the first fix
 AMBIGUITIES_S = (("none", 8.0), ("float", 25.0))  # [s] after an outage, the time at which each state ends
 
@@ -84,7 +84,7 @@ class Reception:
                 self._epochs,
                 self._step,
                 seed=(self._seed, Stream.GNSS, period),
-                settled=round(SETTLED_S / self._step) - 1 if period == 0 else 0,
+                settled=round(SETTLING_TIME_S / self._step) - 1 if period == 0 else 0,
                 last=None if self._errors is None else self._errors.last,
             )
             self._period = period

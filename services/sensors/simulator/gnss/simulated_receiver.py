@@ -21,12 +21,12 @@ from .raw_measurements import IONOSPHERE, RangeErrors, measure
 from .receiver_settings import Settings
 from .reception import Fix, Reception
 from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms, signal_under
-from .sky import FEWEST, FloatArray, Sky, SkyModel, dilution
+from .sky import MIN_SATELLITES, FloatArray, Sky, SkyModel, dilution
 
 SOURCE = "gnss0"
 MS = 1_000_000
 BYTE_NS = 10 * 1_000_000_000 // 115_200
-FULL_NS = 1_000_000_000  # transmit backlog above which the receiver skips an epoch
+MAX_BACKLOG_NS = 1_000_000_000  # transmit backlog above which the receiver skips an epoch
 RESPONSE_NS = 8 * MS  # from a written message to its response
 CHUNK_BYTES = (120, 330)  # size of one read of the serial port
 HEIGHT_SD = 1.5  # standard deviation of the height over the horizontal accuracy, where the receiver states another one
@@ -79,7 +79,7 @@ class Receiver:
             self._reception = Reception(self._scenario, self._seed, self._period_ms * 1e-3)
         index = (utc_ms - self._utc_start_ns // MS - 1) // self._period_ms
         epoch = self._measure(signals, index, utc_ms + round(signals.time_offset_s * 1e3))
-        if self._free_ns > epoch_ns + FULL_NS:
+        if self._free_ns > epoch_ns + MAX_BACKLOG_NS:
             return
         data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
         first = min(len(data), int(self._chunks.integers(*CHUNK_BYTES)))
@@ -93,7 +93,7 @@ class Receiver:
             gps_s, source.position, mask_deg=self._scenario.mask_deg, loss_db=loss_db, covered=source.covered
         )
         sky = self._few(sky, signals.satellites_left)
-        covered = source.covered or bool(sky.used.sum() < FEWEST)
+        covered = source.covered or bool(sky.used.sum() < MIN_SATELLITES)
         true_fix = self._reception.fix(index, replace(source, covered=covered))
         errors, rates = self._faults(signals.faults, sky)
         raw = measure(

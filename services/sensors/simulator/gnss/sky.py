@@ -15,9 +15,9 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 HORIZON_DEG = 5.0  # elevation below which satellites are not searched
-WEAKEST_DB_HZ = 24.0  # C/N0 below which a signal is tracked but not used
+MIN_DB_HZ = 24.0  # C/N0 below which a signal is tracked but not used
 TRACKED_DB_HZ = 10.0  # C/N0 below which a signal is lost
-FEWEST = 4  # satellites of a fix
+MIN_SATELLITES = 4  # satellites of a fix
 UNKNOWN_DOP = 99.99
 NAVIGATION = ("gps", "galileo")  # constellations whose measurements and navigation words are simulated
 # Errors of pseudoranges: what orbits, clocks and atmosphere leave varies slowly; noise is white and grows as
@@ -139,7 +139,7 @@ class SkyModel:
         wave = np.sin(2.0 * pi * time_s / 47.0 + self._wave[0, seen])
         cn0 = 36.0 + 12.0 * np.sin(elevation) - 20.0 * np.log10(distance[seen] / 23e6) + 1.5 * wave - loss_db
         hidden = covered | (elevation < radians(mask_deg)) | (cn0 < TRACKED_DB_HZ)
-        used = ~hidden & (cn0 >= WEAKEST_DB_HZ)
+        used = ~hidden & (cn0 >= MIN_DB_HZ)
         weakness = 10.0 ** (np.maximum(0.0, REFERENCE_DB_HZ - cn0) / 20.0)
         slow, white = self._errors(time_s)[:, seen]
         error = SLOW_SD_M * slow + NOISE_SD_M * weakness / np.sin(elevation) * white

@@ -13,7 +13,7 @@ from shared.protocols.ubx import ubx_frame
 
 from .raw_measurements import CLOCK_DRIFT, clock_bias_s
 from .simulated_epoch import GEOID_M, LEAP_SECONDS, WEEK_MS, Epoch, gps_ms
-from .sky import TRACKED_DB_HZ, WEAKEST_DB_HZ
+from .sky import MIN_DB_HZ, TRACKED_DB_HZ
 
 NAV, RXM, ACK, CFG, MON, SEC = 0x01, 0x02, 0x05, 0x06, 0x0A, 0x27
 VALSET, VALGET = 0x8A, 0x8B
@@ -117,7 +117,7 @@ def nav_sig(epoch: Epoch) -> bytes:
     kind = np.column_stack([np.zeros_like(second), second]).ravel().astype(np.uint8)
     cn0 = np.column_stack([sky.cn0_db_hz, np.maximum(sky.cn0_db_hz - weaker, 0.0)]).ravel()
     cn0[cn0 < TRACKED_DB_HZ] = 0.0
-    used = np.repeat(sky.used, 2) & (cn0 >= WEAKEST_DB_HZ)
+    used = np.repeat(sky.used, 2) & (cn0 >= MIN_DB_HZ)
     rows = np.zeros(len(cn0), _SIGNAL)
     rows["system"], rows["number"], rows["signal"] = np.repeat(system, 2), np.repeat(sky.number, 2), kind
     rows["cn0"] = np.rint(cn0)

@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Move:
+class SpeedChange:
     """A smooth change from one speed to another."""
 
     duration: float  # [s]
@@ -32,7 +32,7 @@ class Move:
         return 0.5 * (self.begin + self.end) * self.duration
 
 
-def plan_lap(course: Course, acceleration: float, rng: np.random.Generator) -> list[Move]:
+def plan_lap(course: Course, acceleration: float, rng: np.random.Generator) -> list[SpeedChange]:
     """Plan one lap from standstill to standstill.
 
     Parameters
@@ -61,10 +61,10 @@ def plan_lap(course: Course, acceleration: float, rng: np.random.Generator) -> l
         joints[i] = min(joints[i], sqrt(joints[i + 1] ** 2 + 2.0 * acceleration * length))
     for i, length in enumerate(lengths):
         joints[i + 1] = min(joints[i + 1], sqrt(joints[i] ** 2 + 2.0 * acceleration * length))
-    moves: list[Move] = []
+    moves: list[SpeedChange] = []
     for i, length in enumerate(lengths):
         moves += _segment_moves(length, joints[i], joints[i + 1], limits[i], acceleration)
-        moves.append(Move(stops[i], 0.0, 0.0))
+        moves.append(SpeedChange(stops[i], 0.0, 0.0))
     return [move for move in moves if move.duration > 1e-9]
 
 
@@ -74,12 +74,12 @@ def _stop_duration(segment: RoadSegment, chance: float, share: float) -> float:
     return float(segment.stop_s[0] + share * (segment.stop_s[1] - segment.stop_s[0]))
 
 
-def _segment_moves(length: float, begin: float, end: float, limit: float, acceleration: float) -> Iterator[Move]:
+def _segment_moves(length: float, begin: float, end: float, limit: float, acceleration: float) -> Iterator[SpeedChange]:
     """Accelerate to the speed limit, or to the highest speed that the length allows, and brake to the end speed."""
     top = max(begin, end, min(limit, sqrt(0.5 * (begin**2 + end**2) + acceleration * length)))
-    up, down = Move((top - begin) / acceleration, begin, top), Move((top - end) / acceleration, top, end)
+    up, down = SpeedChange((top - begin) / acceleration, begin, top), SpeedChange((top - end) / acceleration, top, end)
     yield up
-    yield Move(max(0.0, length - up.distance - down.distance) / top, top, top)
+    yield SpeedChange(max(0.0, length - up.distance - down.distance) / top, top, top)
     yield down
 
 
@@ -90,7 +90,7 @@ class SpeedProfile:
         self._course, self._acceleration, self._rng = course, acceleration, rng
         self._table = np.zeros((0, 5))  # start time, start distance, duration, start speed, end speed
         self._time = self._distance = 0.0
-        self._append([Move(standstill, 0.0, 0.0)])
+        self._append([SpeedChange(standstill, 0.0, 0.0)])
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance and speed of the vehicle along the road.
@@ -117,7 +117,7 @@ class SpeedProfile:
         self._table = self._table[max(0, index[0]) :]
         return result
 
-    def _append(self, moves: list[Move]) -> None:
+    def _append(self, moves: list[SpeedChange]) -> None:
         rows = []
         for move in moves:
             rows.append((self._time, self._distance, move.duration, move.begin, move.end))

@@ -12,7 +12,7 @@ import psycopg
 import pytest
 
 from fleet.web.access import login
-from fleet.web.access.attempts import Attempts, Free, origins
+from fleet.web.access.attempts import Attempts, FreeAttempts, origins
 from fleet.web.access.passwords import agrees, hashed, weakness
 from fleet.web.access.rights import GRANTED, ROWS, Right, Role, needed
 from fleet.web.database import Database
@@ -179,8 +179,8 @@ def guesses(running: RunningWeb, name: str, number: int, ends: Sequence[str] = (
 @pytest.mark.parametrize("name", ["anna", "nobody-at-all", "\U0001f600"])
 def test_guesses_beside_each_other_pass_no_more_than_guesses_in_turn(running: RunningWeb, name: str) -> None:
     forget(running)
-    assert guesses(running, name, 50) == {401: Free.ONE, 429: 50 - Free.ONE}
-    assert running.rows("SELECT max(failures) FROM attempt") == [(Free.ONE,)]
+    assert guesses(running, name, 50) == {401: FreeAttempts.ONE, 429: 50 - FreeAttempts.ONE}
+    assert running.rows("SELECT max(failures) FROM attempt") == [(FreeAttempts.ONE,)]
     forget(running)
 
 
@@ -190,7 +190,7 @@ def test_guesses_from_many_addresses_beside_each_other_are_counted_for_the_accou
     monkeypatch.setattr(login, "agrees", lambda *_: False)  # which takes a tenth of a second
     forget(running)
     ends = [f"127.0.1.{n}" for n in range(1, 31)]
-    assert guesses(running, "anna", 150, ends)[401] == Free.ACCOUNT
+    assert guesses(running, "anna", 150, ends)[401] == FreeAttempts.ACCOUNT
     forget(running)
 
 
@@ -199,7 +199,7 @@ def test_guesses_at_the_own_password_beside_each_other_are_counted(running: Runn
     session = running.visitor("pat")
     with ThreadPoolExecutor(30) as pool:
         statuses = Counter(pool.map(lambda n: change(session, f"guess {n}"), range(30)))
-    assert statuses == {401: Free.ONE, 429: 30 - Free.ONE}
+    assert statuses == {401: FreeAttempts.ONE, 429: 30 - FreeAttempts.ONE}
 
 
 def forget(running: RunningWeb) -> None:
@@ -219,7 +219,7 @@ def test_a_botnet_has_a_hundred_guesses_and_a_network_of_ipv6_is_one_address(run
         with psycopg.connect(running.dsn) as db:
             db.execute("UPDATE attempt SET last = last - make_interval(secs => %s)", (seconds,))
 
-    for number in range(Free.ACCOUNT):
+    for number in range(FreeAttempts.ACCOUNT):
         assert begin("anna", f"192.0.2.{number}") == 0
     assert 0 < begin("anna", "198.51.100.1") <= 2.0
     later(2.0)
@@ -228,7 +228,7 @@ def test_a_botnet_has_a_hundred_guesses_and_a_network_of_ipv6_is_one_address(run
     running.run(attempts.succeeded(right))
     later(2.0)
     assert running.run(attempts.begin(right)) == 0, "the right password is not counted"
-    for number in range(Free.ONE):
+    for number in range(FreeAttempts.ONE):
         assert begin("otto", f"2001:db8::{number:x}") == 0
     assert begin("otto", "2001:db8::ffff") > 0
     assert begin("otto", "2001:db8:0:1::1") == 0

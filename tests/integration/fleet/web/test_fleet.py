@@ -17,7 +17,7 @@ from fleet.servers.nats import NatsAccess
 from fleet.web import enrolment, vehicles
 from fleet.web.vehicles import TRAIL_POINTS, TRAIL_REPORTS, columns_of
 from shared.fleet.batch import MOST_REPORTS
-from shared.fleet.times import OLD_S, RESTING_S, RETRY_S
+from shared.fleet.times import MAX_AGE_S, RESTING_S, RETRY_S
 from shared.fleet.topics import REVOKED
 from tests.support.dashboard.status_server import eventually
 from tests.support.fleet.reports import Unit
@@ -73,11 +73,11 @@ def test_the_list_has_the_gravest_first_and_is_filtered_by_name_verdict_age_and_
 
 def test_a_vehicle_at_rest_is_not_old_between_two_of_its_reports(running: RunningWeb, anna: Visitor) -> None:
     enter(running, "rest-new", 0, age_s=RESTING_S + RETRY_S + 2)
-    enter(running, "rest-old", 0, age_s=OLD_S + 1)
+    enter(running, "rest-old", 0, age_s=MAX_AGE_S + 1)
     assert names(anna.get("/api/vehicles?find=rest-&age=fresh")) == ["rest-new"]
     assert names(anna.get("/api/vehicles?find=rest-&age=old")) == ["rest-old"]
-    assert f"OLD_S = {OLD_S};" in anna.get("/store.js").text, "the page and the database agree"
-    assert f"older than {OLD_S} s" in anna.get("/words.js").text
+    assert f"OLD_S = {MAX_AGE_S};" in anna.get("/store.js").text, "the page and the database agree"
+    assert f"older than {MAX_AGE_S} s" in anna.get("/words.js").text
 
 
 def test_a_vehicle_is_told_with_its_track_events_gaps_and_keys(running: RunningWeb, anna: Visitor) -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cli.calibrate.allan import (
-    FEWEST_CLUSTERS,
     FLICKER,
+    MIN_CLUSTERS,
     FloatArray,
     allan_deviation,
     cluster_counts,
@@ -52,8 +52,8 @@ def test_a_constant_has_no_deviation_and_large_offsets_cost_no_digits() -> None:
 
 def test_clusters_end_at_a_ninth_of_the_samples() -> None:
     counts = cluster_counts(9000)
-    assert counts[0] == 1 and counts[-1] == 9000 // FEWEST_CLUSTERS
-    assert len(cluster_counts(FEWEST_CLUSTERS - 1)) == 0
+    assert counts[0] == 1 and counts[-1] == 9000 // MIN_CLUSTERS
+    assert len(cluster_counts(MIN_CLUSTERS - 1)) == 0
     with pytest.raises(ValueError, match="need twice as many"):
         allan_deviation(np.zeros(10), 1.0, np.array([6]))
 

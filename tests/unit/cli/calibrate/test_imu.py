@@ -12,7 +12,7 @@ from rich.console import Console
 from cli.calibrate.allan import FloatArray
 from cli.calibrate.imu import calibrate_imu
 from cli.calibrate.rest import gaps, longest_rest
-from cli.import_drive.conversion.convert import Converted
+from cli.import_drive.conversion.convert import Conversion
 from cli.import_drive.output import Part, write
 from cli.progress import progress_on
 from services.core.fusion.settings import ImuSettings
@@ -44,7 +44,7 @@ def recorded(folder: Path, seconds: float) -> Path:
         for k in range(len(stamps))
     ]  # fmt: skip
     path = folder / "rest.mcap"
-    part = Part("rest", "", Converted(messages, len(messages), Counter()))
+    part = Part("rest", "", Conversion(messages, len(messages), Counter()))
     with progress_on(Console(stderr=True)) as progress:
         write(path, [part], parse_vehicle(""), {"name": "rest"}, progress)
     return path

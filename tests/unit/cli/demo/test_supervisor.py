@@ -150,7 +150,7 @@ def test_nobody_waits_for_one_that_has_ended(supervisor: Supervisor, code: str) 
 def test_one_that_does_not_connect_is_waited_for_a_while_alone(
     supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cli.demo.supervisor.LISTENS_S", 0.5)
+    monkeypatch.setattr("cli.demo.supervisor.LISTEN_TIMEOUT_S", 0.5)
     supervisor.add("recorder", SLEEPER, throughout=True, start_limit_s=60.0)
     supervisor.add("other", SLEEPER)
     watch_until(supervisor, lambda: supervisor.alive() == 2)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cli.campaign import Job, code_of, in_executor
-from cli.fleet.run import MODULES, Command, Done, cluster, run, work_on
+from cli.fleet.run import MODULES, Command, CommandOutcome, cluster, run, work_on
 from shared.errors import UserError
 from shared.evidence import KeyFile, Outcome
 from shared.evidence.outcome import OTHER_RELEASE
@@ -89,7 +89,7 @@ def test_a_folder_that_cannot_be_made_is_said_before_anything_starts(tmp_path: P
         ask(Command.VERIFY, RECORDING, out=tmp_path / "file" / "out")
 
 
-def done(command: Command, to: Path, recording: Path, *words: str) -> Done:
+def done(command: Command, to: Path, recording: Path, *words: str) -> CommandOutcome:
     return work_on(str(recording), "", command, words, str(to), code_of(MODULES[command]))
 
 

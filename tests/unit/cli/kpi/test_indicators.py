@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cli.kpi.indicators import INDICATORS, NS, Observed, indicators_of
+from cli.kpi.indicators import INDICATORS, NS, DriveObservations, indicators_of
 from cli.kpi.page import page
 from cli.solve.metrics.errors import Errors
 from cli.solve.metrics.gnss_alone import GnssAlone
@@ -45,8 +45,8 @@ def errors(horizontal: list[float], vertical: list[float]) -> Errors:
     )  # fmt: skip
 
 
-def drive(**changes: object) -> Observed:
-    given = Observed(
+def drive(**changes: object) -> DriveObservations:
+    given = DriveObservations(
         first_ns=START_NS,
         last_ns=START_NS + 100 * NS,
         track=track([second / 10 for second in range(1000)]),

@@ -67,7 +67,7 @@ def speed(value: float, now_ns: int) -> VehicleSpeed:
     return VehicleSpeed(sampled_ns=now_ns, received_ns=now_ns, source="a", speed_m_s=value)
 
 
-class Recorded:
+class RecordedProcess:
     """A process under the live runtime, with everything recorded."""
 
     def __init__(self, name: str, process: Reactor) -> None:
@@ -135,8 +135,8 @@ class Recorded:
         return [k for k, e in enumerate(self.envelopes) if e.topic == topic and e.producer == self.name][nth]
 
 
-def echo_incarnation(seconds: int = 20, *, ended: bool = True) -> Recorded:
-    recorded = Recorded("core.fusion", Echo())
+def echo_incarnation(seconds: int = 20, *, ended: bool = True) -> RecordedProcess:
+    recorded = RecordedProcess("core.fusion", Echo())
     recorded.health()
     for k in range(seconds * 10):
         recorded.input(speed(0.1 * k, recorded.now_ns))
@@ -270,7 +270,7 @@ def test_messages_delivered_twice_are_compared_once() -> None:
 
 
 def test_a_saved_message_that_the_process_publishes_and_consumes_is_an_input() -> None:
-    recorded = Recorded("core.fusion", Echo())
+    recorded = RecordedProcess("core.fusion", Echo())
     recorded.publish("core.fusion", speed(5.0, 1))
     recorded.order.add(recorded.envelopes[-1])
     recorded.feed(speed(5.0, 1))
@@ -285,7 +285,7 @@ def test_a_saved_message_that_the_process_publishes_and_consumes_is_an_input() -
 
 
 def test_an_incarnation_without_a_journal_is_reported_as_such() -> None:
-    recorded = Recorded("core.fusion", Echo())
+    recorded = RecordedProcess("core.fusion", Echo())
     recorded.health()
 
     assert recorded.repeat(Echo()).verdict is Verdict.NO_JOURNAL
@@ -300,7 +300,7 @@ def candump(k: int) -> CanRaw:
 def can_recording(path: Path, change: Callable[[list[Envelope]], None] = lambda envelopes: None) -> Path:
     """Record parsers.can as the unit does, and change something afterwards."""
     process = load_process("parsers.can", parse_vehicle(""))
-    recorded = Recorded("parsers.can", process)  # type: ignore[arg-type]  # it is one, by its layer
+    recorded = RecordedProcess("parsers.can", process)  # type: ignore[arg-type]  # it is one, by its layer
     for k in range(300):
         recorded.input(candump(k))
         if k % 10 == 9:
@@ -397,7 +397,7 @@ def test_nothing_compared_is_not_success(tmp_path: Path) -> None:
 def test_a_retained_message_is_found_by_an_incarnation_that_begins_much_later(tmp_path: Path) -> None:
     """It is consumed at once, and a newer one follows before the journal that names it."""
     process = load_process("core.fusion", parse_vehicle(""))
-    recorded = Recorded("core.fusion", process)  # type: ignore[arg-type]  # it is one, by its layer
+    recorded = RecordedProcess("core.fusion", process)  # type: ignore[arg-type]  # it is one, by its layer
     kept = LastPosition(
         sampled_ns=START_NS, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
         position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,

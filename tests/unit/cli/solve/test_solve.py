@@ -56,7 +56,7 @@ def smoothed(recording: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Printed:
+class SolveOutput:
     """Output folder of `obu solve --json`, and what it printed."""
 
     folder: Path
@@ -64,13 +64,13 @@ class Printed:
 
 
 @pytest.fixture(scope="module")
-def with_outages(recording: Path) -> Printed:
+def with_outages(recording: Path) -> SolveOutput:
     """Three outages of 5 s, filtered and smoothed."""
     out, folder = StringIO(), recording.parent / "cut"
     with redirect_stdout(out), pytest.MonkeyPatch.context() as patch:
         one_empty_figure(patch)
         assert solve(recording, outage="5/15", smooth=True, out=folder, as_json=True) == 0
-    return Printed(folder, out.getvalue())
+    return SolveOutput(folder, out.getvalue())
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def test_the_solution_is_close_to_the_truth_of_the_simulation(solution: Path) ->
     assert list(found) == WRITTEN
 
 
-def test_outages_remove_fixes_and_their_metrics_are_printed(solution: Path, with_outages: Printed) -> None:
+def test_outages_remove_fixes_and_their_metrics_are_printed(solution: Path, with_outages: SolveOutput) -> None:
     whole, cut = metrics_in(solution), metrics_in(with_outages.folder)
     assert cut["outage_count"] == 3
     assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, evaluated or not"
@@ -263,7 +263,7 @@ def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(s
     assert not [path.name for path in smoothed.iterdir() if path.stem.startswith("tmp")]
 
 
-def test_the_smoothed_drive_has_smaller_outage_errors(with_outages: Printed) -> None:
+def test_the_smoothed_drive_has_smaller_outage_errors(with_outages: SolveOutput) -> None:
     found = metrics_in(with_outages.folder)
     assert found["smoothed_outage_inside_max_m"] < found["outage_inside_max_m"]
     assert found["smoothed_outage_largest_error_rms_m"] < found["outage_largest_error_rms_m"]
@@ -271,7 +271,7 @@ def test_the_smoothed_drive_has_smaller_outage_errors(with_outages: Printed) -> 
 
 @pytest.mark.usefixtures("without_figures")
 def test_a_smoothed_solution_is_accepted_as_truth(
-    recording: Path, smoothed: Path, with_outages: Printed, tmp_path: Path
+    recording: Path, smoothed: Path, with_outages: SolveOutput, tmp_path: Path
 ) -> None:
     found = metrics_in(with_outages.folder)
     assert solve(recording, truth=str(smoothed / "solution_smoothed.csv"), outage="5/15", out=tmp_path) == 0

@@ -9,21 +9,21 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.core.fusion.aids.devices import DEVICES, SILENT_NS, Devices
+from services.core.fusion.aids.devices import DEVICES, SILENCE_TIMEOUT_NS, Devices
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, In, Process
 from services.core.fusion.settings import AlignmentSettings, ImuSettings, MagnetometerSettings
 from services.core.fusion.timeline import timeline
 from services.core.fusion.timeline.timeline import HELD_LIMIT
-from shared.maths.dates import BEYOND_NS
+from shared.maths.dates import END_DATE_NS
 from shared.maths.earth import Geodetic
-from shared.messages.base import LARGEST, LARGEST_SQUARE, Tick
+from shared.messages.base import MAX_SQUARE, MAX_VALUE, Tick
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-LATEST_NS = BEYOND_NS - 1
+LATEST_NS = END_DATE_NS - 1
 NOW_NS = 1_790_000_000_000_000_000
 STEP_NS = 10_000_000
 SIZES = [
@@ -54,7 +54,7 @@ def up_to(largest: float) -> st.SearchStrategy[float]:
     return st.one_of(st.sampled_from(extremes), st.floats(-20.0, 20.0), st.floats(-largest, largest))
 
 
-anything, squares = up_to(LARGEST), up_to(LARGEST_SQUARE)
+anything, squares = up_to(MAX_VALUE), up_to(MAX_SQUARE)
 vectors = st.tuples(anything, anything, anything)
 credible = st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
 stamps = st.one_of(
@@ -277,7 +277,7 @@ def test_a_renamed_receiver_is_accepted_once_its_old_names_were_silent_for_an_ho
     now = [0]
     devices = Devices(rejects, lambda: now[0])
     for k in range(200):
-        now[0] = k * SILENT_NS // 30
+        now[0] = k * SILENCE_TIMEOUT_NS // 30
         assert devices.is_due("imu", "pressure", now[0], 1000)
         assert devices.is_known(f"gnss {k}") and devices.is_due(f"gnss {k}", "speed", now[0], 1000)
         assert len(devices) <= DEVICES
@@ -285,7 +285,7 @@ def test_a_renamed_receiver_is_accepted_once_its_old_names_were_silent_for_an_ho
     for k in range(DEVICES):
         devices.is_known(f"other {k}")
     assert rejects["too many devices"] > 0 and not devices.is_known("one too many")
-    now[0] += SILENT_NS + 1
+    now[0] += SILENCE_TIMEOUT_NS + 1
     assert devices.is_known("one too many")
 
 

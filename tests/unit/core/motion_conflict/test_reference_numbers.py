@@ -40,7 +40,7 @@ def test_an_empty_window_is_an_error() -> None:
 
 
 @dataclass(frozen=True)
-class Expected:
+class ReferenceNumbers:
     nominal: tuple[float, float]
     gap_means: tuple[float, ...]  # of 6 to 10 zeros
     gap_medians: tuple[float, ...]  # of 14 to 16 zeros
@@ -56,11 +56,11 @@ class Expected:
     event_scale: float
 
 
-HIGHWAY = Expected(
+HIGHWAY = ReferenceNumbers(
     (0.092, 0.118), (0.10, 4.47, 9.01, 13.54, 18.08), (0.15, 52.57, 105.0), 7, 9, 15, (100, 160), (6.0, 11.5),
     (5.67, 8.88), (0.09, 0.095), (80.0, 380.0), 18, 0.095,
 )  # fmt: skip
-URBAN = Expected(
+URBAN = ReferenceNumbers(
     (0.476, 0.532), (0.52, 0.96, 1.78, 2.64, 3.86), (0.65, 5.82, 11.0), 8, 16, 16, (170, 170), (5.0, 6.0),
     (9.10, 10.47), (0.32, 0.34), (150.0, 450.0), 33, 0.40,
 )  # fmt: skip
@@ -68,14 +68,14 @@ BOTH = pytest.mark.parametrize(("name", "expected"), [("highway", HIGHWAY), ("ur
 
 
 @BOTH
-def test_normal_driving_stays_below_1_km_h(name: str, expected: Expected) -> None:
+def test_normal_driving_stays_below_1_km_h(name: str, expected: ReferenceNumbers) -> None:
     nominal = with_scale(Drive(name), 0.0)
     assert (nominal.mean, nominal.median) == pytest.approx(expected.nominal, abs=0.01)
     assert nominal.first_s is None and nominal.mean_above == nominal.median_above == 0
 
 
 @BOTH
-def test_statistics_of_a_gap_at_speed_zero(name: str, expected: Expected) -> None:
+def test_statistics_of_a_gap_at_speed_zero(name: str, expected: ReferenceNumbers) -> None:
     drive = Drive(name)
     assert [with_gap(drive, k).mean for k in range(6, 11)] == pytest.approx(expected.gap_means, abs=0.02)
     assert [with_gap(drive, k).median for k in range(14, 17)] == pytest.approx(expected.gap_medians, abs=0.02)
@@ -83,7 +83,7 @@ def test_statistics_of_a_gap_at_speed_zero(name: str, expected: Expected) -> Non
 
 @pytest.mark.slow
 @BOTH
-def test_break_points_of_gaps_delays_and_scales(name: str, expected: Expected) -> None:
+def test_break_points_of_gaps_delays_and_scales(name: str, expected: ReferenceNumbers) -> None:
     """An outage lasts 10 s longer if the receiver first repeats its speed."""
     found = break_points(Drive(name))
     zeros = (found.bias_zeros, found.mean_zeros, found.median_zeros, found.event_zeros)
@@ -95,13 +95,13 @@ def test_break_points_of_gaps_delays_and_scales(name: str, expected: Expected) -
 
 
 @BOTH
-def test_statistics_of_a_delay_of_5_s(name: str, expected: Expected) -> None:
+def test_statistics_of_a_delay_of_5_s(name: str, expected: ReferenceNumbers) -> None:
     found = with_delay(Drive(name), 5.0)
     assert (found.mean, found.median) == pytest.approx(expected.delayed_5_s, abs=0.05)
 
 
 @BOTH
-def test_a_lasting_zero_is_a_conflict_and_300_s_later_an_event(name: str, expected: Expected) -> None:
+def test_a_lasting_zero_is_a_conflict_and_300_s_later_an_event(name: str, expected: ReferenceNumbers) -> None:
     found = meaconing(Drive(name))
     assert found.first_s is not None
     assert found.event_s is not None

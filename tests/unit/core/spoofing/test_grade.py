@@ -8,7 +8,7 @@ import pytest
 
 from services.core.spoofing.codes import Code
 from services.core.spoofing.grade import LONG, Grade, profile_of
-from services.core.spoofing.lesson import NEEDED_S, Lesson, profile_of_learned
+from services.core.spoofing.lesson import NEEDED_S, WindowCollection, profile_of_learned
 from services.core.spoofing.process import Config, Process
 from services.core.spoofing.profile import UNIT_IMU, Origin
 from services.core.spoofing.windows.metrics import Metric
@@ -50,8 +50,8 @@ def state(*passing: str, accusing: Sequence[str] = (), suspect_ns: int | None = 
     )  # fmt: skip
 
 
-def taught(verdict: TrustState, windows: int) -> Lesson:
-    lesson = Lesson(UNIT_IMU)
+def taught(verdict: TrustState, windows: int) -> WindowCollection:
+    lesson = WindowCollection(UNIT_IMU)
     for k in range(windows):
         lesson.heed(verdict.model_copy(update={"sampled_ns": k * SECOND_NS}))
         lesson.add(k * SECOND_NS, window(k), [0.1])
@@ -112,7 +112,7 @@ def test_nothing_is_learned_in_doubt_or_without_a_source_that_vouches(verdict: T
 
 
 def test_a_slow_drag_cannot_teach_more_than_three_times_the_stated_grade() -> None:
-    lesson = Lesson(UNIT_IMU)
+    lesson = WindowCollection(UNIT_IMU)
     for k in range(NEEDED_S):
         lesson.heed(state("motion").model_copy(update={"sampled_ns": k * SECOND_NS}))
         lesson.add(k * SECOND_NS, replace(window(k), difference={Metric.ACCELERATION_EAST: 2.0}), [1e4])

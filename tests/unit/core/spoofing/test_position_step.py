@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from services.core.spoofing.inertial.tracks import VelocityFix
-from services.core.spoofing.windows.position_step import LEAST_SD_M, THRESHOLD, position_step
+from services.core.spoofing.windows.position_step import MIN_SD_M, THRESHOLD, position_step
 from shared.inertial.increments import SECOND_NS
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
@@ -30,7 +30,7 @@ def test_a_curve_without_noise_moves_by_the_integral_of_its_velocity() -> None:
     found = position_step(fixes())
     assert found is not None
     assert found.size < 0.2, "error of the trapezoidal rule at 1 Hz: W v omega² h² / 12 = 0.17 m"
-    assert found.limit > THRESHOLD * LEAST_SD_M
+    assert found.limit > THRESHOLD * MIN_SD_M
 
 
 @pytest.mark.parametrize("step_m", [12.0, 100.0])
@@ -51,7 +51,7 @@ def test_a_position_that_drifts_is_suspect_since_the_start_of_the_window() -> No
 def test_stated_standard_deviations_of_both_ends_widen_the_limit() -> None:
     found = position_step(fixes(100.0, turn_rate=1e-9, sd_m=20.0))
     assert found is not None
-    assert found.limit == pytest.approx(THRESHOLD * np.sqrt(LEAST_SD_M**2 + 2 * 20.0**2)) and found.size < found.limit
+    assert found.limit == pytest.approx(THRESHOLD * np.sqrt(MIN_SD_M**2 + 2 * 20.0**2)) and found.size < found.limit
 
 
 def test_with_a_position_missing_there_is_no_comparison() -> None:
@@ -67,5 +67,5 @@ def test_the_limit_holds_what_an_inaccurate_velocity_moves_in_five_seconds() -> 
         position_step([replace(fix, sd=np.full(3, sd)) for fix in fixes(turn_rate=1e-9)]) for sd in (0.0, 0.4)
     )
     assert exact is not None and inaccurate is not None
-    assert exact.limit == pytest.approx(THRESHOLD * LEAST_SD_M)
-    assert inaccurate.limit == pytest.approx(THRESHOLD * np.hypot(LEAST_SD_M, 5.0 * 0.4))
+    assert exact.limit == pytest.approx(THRESHOLD * MIN_SD_M)
+    assert inaccurate.limit == pytest.approx(THRESHOLD * np.hypot(MIN_SD_M, 5.0 * 0.4))

@@ -9,7 +9,7 @@ import pytest
 
 from services.core.spoofing.codes import Code
 from services.core.spoofing.process import Config, Process
-from services.core.spoofing.profile import UNIT_IMU, LearnedDrive, Origin, Profile, Trait, learn
+from services.core.spoofing.profile import UNIT_IMU, LearnedDrive, Origin, Profile, ProfileCondition, learn
 from services.core.spoofing.settings import UNKNOWN_AXLE_M
 from services.core.spoofing.windows.metrics import Metric
 from services.core.spoofing.windows.short_window import Window
@@ -156,19 +156,22 @@ def test_a_profile_of_the_same_unit_gives_no_warning() -> None:
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"imu": "mti-3"}, {Trait.IMU: "IMU mti-3, now imu0"}),
-        ({"gnss": "neo-m8"}, {Trait.GNSS: "GNSS receiver neo-m8, now gnss0"}),
-        ({"imu_rate_hz": 50.0}, {Trait.IMU_RATE: "IMU rate 50 Hz, now 100 Hz"}),
-        ({"gnss_rate_hz": 4.0}, {Trait.GNSS_RATE: "GNSS rate 4 Hz, now 1 Hz"}),
-        ({"configuration": "f" * 16}, {Trait.CONFIGURATION: f"configuration {'f' * 16}, now {Config().digest()}"}),
+        ({"imu": "mti-3"}, {ProfileCondition.IMU: "IMU mti-3, now imu0"}),
+        ({"gnss": "neo-m8"}, {ProfileCondition.GNSS: "GNSS receiver neo-m8, now gnss0"}),
+        ({"imu_rate_hz": 50.0}, {ProfileCondition.IMU_RATE: "IMU rate 50 Hz, now 100 Hz"}),
+        ({"gnss_rate_hz": 4.0}, {ProfileCondition.GNSS_RATE: "GNSS rate 4 Hz, now 1 Hz"}),
+        (
+            {"configuration": "f" * 16},
+            {ProfileCondition.CONFIGURATION: f"configuration {'f' * 16}, now {Config().digest()}"},
+        ),
         (
             {"imu": "mti-3", "gnss": "neo-m8"},
-            {Trait.IMU: "IMU mti-3, now imu0", Trait.GNSS: "GNSS receiver neo-m8, now gnss0"},
+            {ProfileCondition.IMU: "IMU mti-3, now imu0", ProfileCondition.GNSS: "GNSS receiver neo-m8, now gnss0"},
         ),
     ],
 )
 def test_a_profile_of_another_unit_is_warned_of_in_the_statement_and_how_it_differs_in_the_log(
-    changes: dict[str, object], named: dict[Trait, str], caplog: pytest.LogCaptureFixture
+    changes: dict[str, object], named: dict[ProfileCondition, str], caplog: pytest.LogCaptureFixture
 ) -> None:
     stated = stated_after(Config(profile=profile(origin(**changes))))
     assert stated.reason_code == explain(Code.PROFILE_OF_ANOTHER_UNIT, differences=tuple(named))

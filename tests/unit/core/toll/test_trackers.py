@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose
 
 from cli.papers.toll.trajectory import cam_of, mixed
 from services.core.toll.trackers.filters import MANOEUVRE, Estimates, Tracker, imm
-from services.core.toll.trackers.models import Cruise, Ctra, Ctrv, FourState, Linear, Model
+from services.core.toll.trackers.models import Cruise, Ctra, Ctrv, FourState, LinearMotion, Model
 from services.core.toll.trackers.motion import arc, integrated_noise
 from services.core.toll.trackers.observation import ACCELERATION, HEADING, YAW_RATE, Observation, cartesian
 from shared.maths.earth import wrap_angles
 
-MODELS: tuple[Model, ...] = (Linear(2, 1.5), Linear(3, 1.0), Ctrv(), Ctra(), Cruise(), FourState())
+MODELS: tuple[Model, ...] = (LinearMotion(2, 1.5), LinearMotion(3, 1.0), Ctrv(), Ctra(), Cruise(), FourState())
 RUNS = 20
 
 
@@ -108,7 +108,7 @@ def test_the_cartesian_observation_has_the_covariance_of_its_jacobian() -> None:
 def test_the_noise_of_a_step_is_that_of_its_two_halves() -> None:
     for order in (2, 3):
         whole, half = integrated_noise(order, np.array([0.8]))[0], integrated_noise(order, np.array([0.4]))[0]
-        Phi = Linear(order, 1.0).transition(np.zeros((1, 2 * order)), np.array([0.4])).Phi[0][::2, ::2]
+        Phi = LinearMotion(order, 1.0).transition(np.zeros((1, 2 * order)), np.array([0.4])).Phi[0][::2, ::2]
         assert_allclose(Phi @ half @ Phi.T + half, whole, rtol=1e-12)
 
 
@@ -213,7 +213,7 @@ def test_the_imm_is_as_good_as_the_best_model_and_knows_the_mode() -> None:
     of_imm, probability = mean_square(imm(), cams, trajectory.states)
     assert of_imm <= 1.02 * min(single)
     assert max(single) / raw < 0.0155  # reference: 0.013 to 0.015
-    position_only = mean_square(Tracker((Linear(2, 1.5, position_only=True),)), cams, trajectory.states)[0]
+    position_only = mean_square(Tracker((LinearMotion(2, 1.5, position_only=True),)), cams, trajectory.states)[0]
     assert isclose(position_only / raw, 0.172, abs_tol=0.01)
     assert MANOEUVRE == 1
     assert probability[trajectory.during("roundabout")].mean() > 0.99

@@ -6,7 +6,7 @@ import pytest
 
 from services.core.trust.facts import SECOND_NS, Alternative, Facts, Monitor, Posterior, Solution, Statement
 from services.core.trust.readmission import (
-    USUAL_S,
+    HEALTHY_BOUNDS_S,
     Admission,
     Judgement,
     Readmission,
@@ -165,7 +165,7 @@ def test_gnss_is_accused_while_its_hypothesis_survives_and_decided_while_it_alon
     given: Facts, beliefs: tuple[Posterior, ...], expected: tuple[bool, bool, bool, bool, int | None]
 ) -> None:
     found = judge_gnss(replace(given, beliefs=beliefs))
-    assert replace(found, within_s=USUAL_S) == Judgement(*expected)
+    assert replace(found, within_s=HEALTHY_BOUNDS_S) == Judgement(*expected)
 
 
 @pytest.mark.parametrize(

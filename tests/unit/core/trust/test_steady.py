@@ -6,7 +6,7 @@ import pytest
 
 from services.core.trust.codes import Code
 from services.core.trust.facts import SECOND_NS, Facts, Monitor
-from services.core.trust.steady import LASTS_S, Steady
+from services.core.trust.steady import DURATION_S, VerdictHysteresis
 from services.core.trust.verdict import verdict
 from shared.messages.trust import TrustLevel
 from tests.unit.core.trust.test_verdict import SAFE as FACTS
@@ -36,7 +36,7 @@ def with_level(horizontal_m: float) -> Facts:
 
 def states(levels_m: list[float], step_s: float = 1.0) -> list[TrustLevel]:
     """Verdicts of a horizontal level over time, with an alert limit of 10 m."""
-    steady = Steady()
+    steady = VerdictHysteresis()
     return [steady.after(at(with_level(level_m), k * step_s)).state for k, level_m in enumerate(levels_m)]
 
 
@@ -58,7 +58,7 @@ def test_a_limit_is_left_at_a_smaller_share(level_m: float, before_m: float, sta
 
 
 def test_no_verdict_is_ever_better_than_that_of_its_facts() -> None:
-    steady = Steady()
+    steady = VerdictHysteresis()
     for k, level_m in enumerate([5.0, 7.0, 9.0, 7.8, 11.0, 9.7, 9.0, 7.9, 7.0, 6.0] * 5):
         facts = at(with_level(level_m), 0.7 * k)
         order = (UNSAFE, CAUTION, SAFE)
@@ -66,18 +66,18 @@ def test_no_verdict_is_ever_better_than_that_of_its_facts() -> None:
 
 
 def test_it_says_what_it_waits_for_and_shows_no_figure_of_a_narrower_limit() -> None:
-    steady = Steady()
+    steady = VerdictHysteresis()
     steady.after(with_level(11.0))
     waiting = steady.after(at(with_level(5.0), 1.0))
     assert waiting.row == 3
     assert [reason.code for reason in waiting.reasons][-1] == Code.HAS_TO_LAST
-    assert waiting.reasons[-1].values == {"state": "safe", "lasts_s": LASTS_S}
+    assert waiting.reasons[-1].values == {"state": "safe", "lasts_s": DURATION_S}
     near = steady.after(at(with_level(9.6), 2.0)).reasons[0]
     assert near.code == Code.LEVEL_HAS_TO_FALL and near.values["limit_m"] == pytest.approx(10.0)
 
 
 def test_a_first_position_and_one_after_a_loss_are_shown_at_once() -> None:
-    steady, lost = Steady(), replace(FACTS, solution=None)
+    steady, lost = VerdictHysteresis(), replace(FACTS, solution=None)
     assert steady.after(lost).state is TrustLevel.INITIALISING
     assert steady.after(at(FACTS, 0.1)).state is SAFE
     assert Monitor.MOTION in FACTS.statements

@@ -1,9 +1,9 @@
 """What the watchdog says of connections that were refused, and of a process that runs twice."""
 
 from services.monitoring.health.codes import Code
-from services.monitoring.health.intruders import SHOWN_NS, Intruders
+from services.monitoring.health.intruders import DISPLAY_TIME_NS, Intruders
 from services.monitoring.health.watch import Watch
-from shared.messages.explanation import Explanation, Quoted, explain, process
+from shared.messages.explanation import Explanation, QuotedText, explain, process
 from shared.messages.operation import ProcessHealth, ProcessState
 
 NOW_NS = 1_795_000_000_000_000_000
@@ -38,12 +38,12 @@ def test_refused_connections_are_a_problem_for_a_minute_with_the_names_that_were
     intruders.refused(5, ["x", "y"], NOW_NS + SECOND)
     [problem] = intruders.problems(NOW_NS + SECOND)
     assert problem.what == "broker" and problem.since_ns == NOW_NS
-    clients = Quoted(quoted="x, y")
+    clients = QuotedText(quoted="x, y")
     assert problem.text_code == explain(Code.REFUSED, refused_count=5, clients=clients)
-    [problem] = intruders.problems(NOW_NS + SHOWN_NS + 1)
+    [problem] = intruders.problems(NOW_NS + DISPLAY_TIME_NS + 1)
     assert problem.text_code is not None
     assert problem.text_code.values["refused_count"] == 2, "the first three are over"
-    assert not list(intruders.problems(NOW_NS + SHOWN_NS + 2 * SECOND))
+    assert not list(intruders.problems(NOW_NS + DISPLAY_TIME_NS + 2 * SECOND))
 
 
 def test_names_of_any_length_fit_into_the_message() -> None:
@@ -62,7 +62,7 @@ def test_two_programs_under_one_name_are_named() -> None:
             watch.take_health(beat(life, now_ns, ProcessState.LOST), now_ns)
             watch.take_health(beat(life, now_ns), now_ns)
     assert codes(watch, now_ns) == [explain(Code.RUNS_TWICE, process(FUSION))]
-    assert not codes(watch, now_ns + SHOWN_NS + SECOND)
+    assert not codes(watch, now_ns + DISPLAY_TIME_NS + SECOND)
 
 
 def test_a_process_that_is_started_anew_does_not_run_twice() -> None:

@@ -10,7 +10,6 @@ from shared.bus.codes import broker_down
 from shared.messages.explanation import Explanation, explain, process, topic
 from shared.messages.imu import ImuSamples
 from shared.messages.operation import (
-    Carried,
     Freshness,
     Outage,
     ProcessHealth,
@@ -18,6 +17,7 @@ from shared.messages.operation import (
     ProcessStatus,
     RecordingState,
     TopicAge,
+    TopicTraffic,
 )
 from shared.topics import BY_NAME
 
@@ -59,8 +59,8 @@ class Unit:
         self.events: list[tuple[float, Outage]] = []
         self.deaf: set[str] = set()  # processes that receive nothing
         self.silent_about: set[str] = set()  # processes whose heartbeats do not tell what they published
-        self.published: dict[tuple[str, str, int], Carried] = {}  # by process, topic and life
-        self._received: dict[tuple[str, str, int], Carried] = {}
+        self.published: dict[tuple[str, str, int], TopicTraffic] = {}  # by process, topic and life
+        self._received: dict[tuple[str, str, int], TopicTraffic] = {}
         self._due: dict[str, int] = {}
 
     def run(self, duration_s: float) -> list[tuple[float, Outage]]:
@@ -132,8 +132,8 @@ class Unit:
             for name in processes:
                 heard = counts is self.published or name not in self.deaf | self.hanging
                 key = (name, topic, self.lives.get(name, 1))
-                before = counts.get(key, Carried(topic=topic, count=0))
-                counts[key] = Carried(
+                before = counts.get(key, TopicTraffic(topic=topic, count=0))
+                counts[key] = TopicTraffic(
                     topic=topic, count=before.count + 1, newest_ns=self.now_ns, stamp_ns=stamp_ns,
                     producer=None if counts is self.published else producer,
                 ) if heard else before  # fmt: skip

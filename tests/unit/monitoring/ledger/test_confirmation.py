@@ -14,7 +14,7 @@ from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.explanation import explain, passage
 from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
-from shared.unpacked import ALWAYS_BYTES
+from shared.unpacked import MIN_LIMIT_BYTES
 from tests.support.cases import each
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
 
@@ -325,7 +325,7 @@ def test_a_ledger_of_version_1_is_migrated_with_its_charges_and_passages_in_prog
 
 
 @pytest.mark.parametrize(
-    "damage", [b"", b"no zlib", b"x\x9c\x03\x00\x00\x00\x00\x01", zlib.compress(bytes(ALWAYS_BYTES + 1))]
+    "damage", [b"", b"no zlib", b"x\x9c\x03\x00\x00\x00\x00\x01", zlib.compress(bytes(MIN_LIMIT_BYTES + 1))]
 )
 def test_damaged_evidence_is_a_sentence(any_gate: Gate, damage: bytes) -> None:
     car = any_gate.vehicle("a")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.ledger.ledger import PASSAGES_BYTES, RECENT, Ledger, Settings
+from services.monitoring.ledger.ledger import PASSAGES_BYTES, RECENT_PASSAGES, Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Row, Store, Value
 from shared.bus.codec import encode
-from shared.messages.explanation import Quoted, explain
-from shared.messages.toll import SETTLED, STATIONS, EvidencePack, PassageState, RegisteredStation, TransactionKind
+from shared.messages.explanation import QuotedText, explain
+from shared.messages.toll import MAX_SETTLED, STATIONS, EvidencePack, PassageState, RegisteredStation, TransactionKind
 from shared.topics import MANY_BYTES
 from tests.support.v2x.tolling import NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
 
@@ -324,7 +324,7 @@ def test_ten_minutes_later_nothing_of_an_uncharged_vehicle_is_on_the_disk(tmp_pa
 GROWING = {"booking", "settled", "receipt", "evidence", "pulse", "balance"}
 
 
-class Watched(Store):
+class StatementLog(Store):
     """A store that remembers its statements."""
 
     said: dict[str, int]
@@ -339,7 +339,7 @@ class Watched(Store):
 
 
 def test_what_is_done_every_second_reads_no_growing_table_from_end_to_end(tmp_path: Path) -> None:
-    store = Watched(tmp_path / "ledger.sqlite")
+    store = StatementLog(tmp_path / "ledger.sqlite")
     store.said = {}
     ledger = Ledger(store, PLAZA, "", Settings(), START_NS)
     drive(ledger, Vehicle())
@@ -387,7 +387,7 @@ def test_a_class_that_the_tariff_has_lost_is_not_charged_and_counted(tmp_path: P
     ledger = Ledger(store, plaza, "", Settings(), START_NS)
     ledger.passage(vehicle.says(CHARGED), LATER_NS)
     assert outcomes(ledger) == {vehicle.passage_id: PassageState.SUSPECT}
-    why = explain("ledger.no_class", tariff_class=Quoted(quoted="van"))
+    why = explain("ledger.no_class", tariff_class=QuotedText(quoted="van"))
     assert ledger.state(LATER_NS).recent[0].reason_code == why
     assert ledger.due(LATER_NS) == []
     assert ledger.rejects == {"tariff class": 1}
@@ -397,11 +397,11 @@ def test_a_class_that_the_tariff_has_lost_is_not_charged_and_counted(tmp_path: P
 def test_the_list_of_settled_passages_is_bounded_and_has_the_newest(opened: tuple[Ledger, Store]) -> None:
     ledger, store = opened
     with store.transaction():
-        for k in range(SETTLED + 10):
+        for k in range(MAX_SETTLED + 10):
             store.execute("INSERT INTO settled VALUES (?, ?, '{}')", f"{k:064x}", LATER_NS + k)
     found = ledger.open_passages(LATER_NS + NS).settled
-    assert len(found) == SETTLED
-    assert found[0] == f"{SETTLED + 9:064x}"
+    assert len(found) == MAX_SETTLED
+    assert found[0] == f"{MAX_SETTLED + 9:064x}"
 
 
 def test_a_registration_that_was_lost_while_the_ledger_was_down_is_waited_for(opened: tuple[Ledger, Store]) -> None:
@@ -441,7 +441,7 @@ def test_the_longest_list_of_settled_passages_and_stations_leaves_room_for_the_o
 ) -> None:
     ledger, store = opened
     with store.transaction():
-        for k in range(SETTLED + 10):
+        for k in range(MAX_SETTLED + 10):
             store.execute("INSERT INTO settled VALUES (?, ?, '{}')", f"{k:064x}", LATER_NS + k)
     longest = RegisteredStation(station_id=2**32 - 1, valid_until_ns=4 * 10**18)
     found = ledger.open_passages(LATER_NS + NS).model_copy(update={"registered": STATIONS * (longest,)})
@@ -456,8 +456,8 @@ def test_the_longest_list_of_settled_passages_and_stations_leaves_room_for_the_o
 
 def test_the_newest_50_vehicles_without_a_contract_are_listed(tmp_path: Path) -> None:
     ledger, store = ledger_at(tmp_path / "ledger.sqlite")
-    for n in range(RECENT + 2):
+    for n in range(RECENT_PASSAGES + 2):
         ledger.passage(Vehicle(f"v{n}", (n,)).says(OPEN), START_NS + n)
     listed = [row.passage_id for row in ledger.state(LATER_NS).recent]
-    assert listed == [Vehicle(f"v{n}", (n,)).passage_id for n in range(2, RECENT + 2)]
+    assert listed == [Vehicle(f"v{n}", (n,)).passage_id for n in range(2, RECENT_PASSAGES + 2)]
     store.close()

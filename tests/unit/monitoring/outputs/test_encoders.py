@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from services.monitoring.outputs import gpsd_reports
 from services.monitoring.outputs.nmea import ENCODERS, burst
-from services.monitoring.outputs.report import Newest, Report
+from services.monitoring.outputs.report import LatestMessages, Report
 from shared.messages.gnss import Constellation, Satellite
 from shared.messages.navigation import NavigationPhase
 from shared.messages.operation import OriginKind
@@ -28,7 +28,7 @@ OPTIONAL = (gpsd_reports.gst, gpsd_reports.sky, gpsd_reports.att)
 
 def report(state: TrustLevel = TrustLevel.SAFE, kind: OriginKind = OriginKind.LIVE, utc: bool = True,
            seen: int = 12, time_ns: int = T, **changes: object) -> Report:  # fmt: skip
-    made = Newest()
+    made = LatestMessages()
     made.add_origin(origin(time_ns, kind), "sensors.gnss", time_ns, retained=False)
     made.add_trust(verdict(time_ns, state))
     made.add_fix(fix(time_ns, time_ns if utc else None))
@@ -175,7 +175,7 @@ def test_the_longest_sky_fits_and_used_satellites_come_first() -> None:
     sky = gpsd_reports.sky(made)
     assert sky is not None
     assert sky["uSat"] == 56
-    assert len(gpsd_reports.encoded(sky)) <= gpsd_reports.LONGEST
+    assert len(gpsd_reports.encoded(sky)) <= gpsd_reports.MAX_LENGTH
     assert gpsd_reports.encoded(sky).endswith(b"}\r\n")
 
 

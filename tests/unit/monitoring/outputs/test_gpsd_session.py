@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.monitoring.outputs import gpsd_reports
-from services.monitoring.outputs.gpsd_session import LONGEST_REQUEST, MOST_ERRORS, BadClient, Session, Shared
+from services.monitoring.outputs.gpsd_session import MAX_ERRORS, MAX_REQUEST, BadClient, Session, SharedReports
 
 
 def session() -> Session:
-    return Session(Shared(1_700_000_000_000_000_000, lambda: 1_700_000_001_000_000_000))
+    return Session(SharedReports(1_700_000_000_000_000_000, lambda: 1_700_000_001_000_000_000))
 
 
 def ask(client: Session, text: str) -> list[dict[str, Any]]:
@@ -108,7 +108,7 @@ def test_a_named_device_must_be_the_one_that_is_there() -> None:
 
 
 def test_poll_gives_the_newest_objects() -> None:
-    shared = Shared(now_ns=lambda: 1_700_000_001_000_000_000)
+    shared = SharedReports(now_ns=lambda: 1_700_000_001_000_000_000)
     client = Session(shared)
     empty = ask(client, "?POLL;")[0]
     assert empty["time"] == "2023-11-14T22:13:21.000Z" and empty["active"] == 1
@@ -130,13 +130,13 @@ def test_what_is_no_request_is_answered_with_an_error(text: str) -> None:
 
 def test_a_client_that_sends_no_requests_is_to_be_dropped() -> None:
     client = session()
-    for _ in range(MOST_ERRORS):
+    for _ in range(MAX_ERRORS):
         assert classes(client, "GET / HTTP/1.1\r\n") == ["ERROR"]
     with pytest.raises(BadClient, match="bad_requests"):
         client.answer(b"Host: unit\r\n")
 
 
-@pytest.mark.parametrize("data", [b"?" * (LONGEST_REQUEST + 1), b"?" * (LONGEST_REQUEST + 1) + b";"])
+@pytest.mark.parametrize("data", [b"?" * (MAX_REQUEST + 1), b"?" * (MAX_REQUEST + 1) + b";"])
 def test_a_request_without_an_end_is_to_be_dropped(data: bytes) -> None:
     with pytest.raises(BadClient, match="request_length"):
         session().answer(data)
@@ -148,6 +148,6 @@ def test_whatever_bytes_come_answers_are_bounded_objects_or_the_client_is_droppe
     try:
         for part in parts:
             for line in client.answer(part).split(b"\r\n")[:-1]:
-                assert len(line) <= gpsd_reports.LONGEST and "class" in json.loads(line)
+                assert len(line) <= gpsd_reports.MAX_LENGTH and "class" in json.loads(line)
     except BadClient:
         pass

@@ -5,7 +5,14 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from services.monitoring.outputs.report import ELLIPSE_95, STALE_NS, Newest, Quality, Report, horizontal_ellipse
+from services.monitoring.outputs.report import (
+    ELLIPSE_95,
+    STALE_AFTER_NS,
+    LatestMessages,
+    Quality,
+    Report,
+    horizontal_ellipse,
+)
 from shared.messages.gnss import CarrierSolution
 from shared.messages.navigation import NavigationPhase
 from shared.messages.operation import OriginKind
@@ -17,8 +24,10 @@ T = 1_700_000_000 * NS
 UTC_OFFSET_NS = 37 * NS
 
 
-def newest(state: TrustLevel = TrustLevel.SAFE, kind: OriginKind = OriginKind.LIVE, **changes: object) -> Newest:
-    made = Newest()
+def newest(
+    state: TrustLevel = TrustLevel.SAFE, kind: OriginKind = OriginKind.LIVE, **changes: object
+) -> LatestMessages:
+    made = LatestMessages()
     made.add_origin(origin(T, kind), "sensors.gnss", T, retained=False)
     made.add_trust(verdict(T, state))
     made.add_fix(fix(T, T + UTC_OFFSET_NS))
@@ -54,16 +63,16 @@ def test_the_verdict_decides_whether_a_position_is_given(state: TrustLevel, qual
 
 def test_a_solution_older_than_two_seconds_is_no_fix_and_time_goes_on() -> None:
     unit = newest()
-    assert unit.report(T + STALE_NS).place is not None
-    stale = unit.report(T + STALE_NS + 1)
+    assert unit.report(T + STALE_AFTER_NS).place is not None
+    stale = unit.report(T + STALE_AFTER_NS + 1)
     assert stale.place is None
-    assert stale.utc_ns == T + UTC_OFFSET_NS + STALE_NS + 1
+    assert stale.utc_ns == T + UTC_OFFSET_NS + STALE_AFTER_NS + 1
 
 
 def test_a_solution_that_comes_late_is_as_old_as_its_stamp() -> None:
     unit = newest()
-    unit.add_solution(solution(T), T + STALE_NS + 1, recorded_ns=None)
-    assert unit.report(T + STALE_NS + 1).place is None
+    unit.add_solution(solution(T), T + STALE_AFTER_NS + 1, recorded_ns=None)
+    assert unit.report(T + STALE_AFTER_NS + 1).place is None
 
 
 def test_without_a_recent_verdict_or_origin_there_is_no_fix() -> None:
@@ -91,7 +100,7 @@ def test_simulated_and_replayed_data_are_those_of_a_simulator() -> None:
     unit.add_solution(solution(T), T + 10**6 * NS, recorded_ns=T)
     replayed = unit.report(T + 10**6 * NS)
     assert replayed.quality is Quality.SIMULATOR and replayed.utc_ns == T + UTC_OFFSET_NS
-    assert unit.report(T + 10**6 * NS + STALE_NS + 1).place is None
+    assert unit.report(T + 10**6 * NS + STALE_AFTER_NS + 1).place is None
 
 
 def test_coasting_is_dead_reckoning_also_while_gnss_is_excluded() -> None:
@@ -155,4 +164,4 @@ def test_of_many_producers_of_origins_the_newest_are_remembered() -> None:
 
 
 def test_without_anything_there_is_a_report_without_fix() -> None:
-    assert Newest().report(T) == Report(None)
+    assert LatestMessages().report(T) == Report(None)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from services.monitoring.recorder.codes import Code
 from services.monitoring.recorder.process import Config, Process
-from services.monitoring.recorder.quota import MOST_BUDGETS, SHARE, Quota
+from services.monitoring.recorder.quota import MAX_BUDGETS, TOPIC_SHARE, Quota
 from shared.bus.bus import Envelope
 from shared.messages.explanation import topic
 from shared.messages.operation import RecordingState
@@ -26,9 +26,9 @@ def envelope(topic: str, size: int, *, producer: str = "controller.mode", number
 def test_a_topic_gets_its_share_at_once_and_its_rate_after_that() -> None:
     quota, one = Quota(RATE, TOTAL), envelope("gnss/raw", 400)
     size = len(one.payload)
-    assert len(quota.admitted([one] * 100, START_NS)) == TOTAL // SHARE // size
+    assert len(quota.admitted([one] * 100, START_NS)) == TOTAL // TOPIC_SHARE // size
     assert len(quota.admitted([one] * 100, START_NS + 5 * SECOND_NS)) in (5000 // size, 5000 // size + 1)
-    assert quota.left_out >= 200 - (TOTAL // SHARE + 5000) // size - 1
+    assert quota.left_out >= 200 - (TOTAL // TOPIC_SHARE + 5000) // size - 1
 
 
 def test_other_topics_are_recorded_while_one_floods() -> None:
@@ -46,16 +46,16 @@ def test_a_process_cannot_evade_its_limit_by_many_topics() -> None:
     topics = ("gnss/raw", "imu/raw", "can/raw", "v2x/raw")
     flood = [envelope(name, 400, producer="sensors.simulator") for name in topics for _ in range(100)]
     admitted = quota.admitted(flood, START_NS)
-    assert sum(len(e.payload) for e in admitted) <= 2 * TOTAL // SHARE
+    assert sum(len(e.payload) for e in admitted) <= 2 * TOTAL // TOPIC_SHARE
     complaint = quota.complaint(START_NS)
     assert complaint is not None and "sensors.simulator" in str(complaint.values["senders"])
 
 
 def test_invented_names_take_no_memory() -> None:
     quota = Quota(RATE, TOTAL)
-    for number in range(5 * MOST_BUDGETS):
+    for number in range(5 * MAX_BUDGETS):
         quota.admitted([envelope("mode/state", 20, producer=f"process{number}")], START_NS)
-    assert len(quota._budgets) <= MOST_BUDGETS + 2
+    assert len(quota._budgets) <= MAX_BUDGETS + 2
 
 
 def test_the_recorder_counts_and_says_what_it_leaves_out(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_the_recorder_counts_and_says_what_it_leaves_out(tmp_path: Path) -> None
     states = [message for message in bus.published if isinstance(message, RecordingState)]
     assert states[-1].recording and states[-1].left_out > 2900
     assert states[-1].flood and "gnss/raw" in states[-1].flood
-    most = (TOTAL // SHARE + 4 * RATE) / 2000  # an eighth of the room, and 1 kB a second
+    most = (TOTAL // TOPIC_SHARE + 4 * RATE) / 2000  # an eighth of the room, and 1 kB a second
     assert 4000 - most <= bus.rejects["flood"] < 4000 - most / 2
     (path,) = (tmp_path / "recordings").glob("*.mcap")
     with Recording(path) as recording:

@@ -10,7 +10,7 @@ from services.monitoring.recorder.codes import Code
 from services.monitoring.recorder.process import Config, Process
 from shared.bus.bus import Envelope
 from shared.library.order import in_order, read_order
-from shared.messages.explanation import Quoted
+from shared.messages.explanation import QuotedText
 from shared.messages.operation import Mode, ModeState, RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
@@ -189,7 +189,7 @@ def test_a_disk_that_is_not_mounted_is_a_reason_and_its_place_is_not_made(tmp_pa
     assert [(state.recording, state.free_bytes) for state in states] == [(False, 0)] * len(states)
     assert codes_of(states) == {Code.CANNOT_USE_FOLDER}
     assert states[-1].reason_code is not None
-    assert states[-1].reason_code.values["error"] == Quoted(quoted="No such file or directory")
+    assert states[-1].reason_code.values["error"] == QuotedText(quoted="No such file or directory")
     assert states[-1].dropped == 20
     assert not (tmp_path / "disk").exists()
 

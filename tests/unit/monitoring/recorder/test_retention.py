@@ -1,11 +1,11 @@
 from services.monitoring.recorder.codes import Code
 from services.monitoring.recorder.retention import Limits, Verdict, decide, file_name
 from shared.messages.explanation import explain
-from shared.recording.folder import Stored
+from shared.recording.folder import StoredRecording
 from tests.support.cases import each
 
 LIMITS = Limits(maximum_total_bytes=100, minimum_free_bytes=50)
-FILES = [Stored("c", 30), Stored("a", 30), Stored("b", 30)]
+FILES = [StoredRecording("c", 30), StoredRecording("a", 30), StoredRecording("b", 30)]
 
 
 def test_nothing_goes_while_both_limits_hold() -> None:
@@ -13,7 +13,7 @@ def test_nothing_goes_while_both_limits_hold() -> None:
 
 
 def test_the_oldest_go_first_and_no_more_than_needed() -> None:
-    assert decide([*FILES, Stored("d", 45)], 1000, LIMITS) == Verdict(delete=("a", "b"))
+    assert decide([*FILES, StoredRecording("d", 45)], 1000, LIMITS) == Verdict(delete=("a", "b"))
 
 
 def test_low_room_on_the_disk_lets_the_oldest_go() -> None:
@@ -21,15 +21,19 @@ def test_low_room_on_the_disk_lets_the_oldest_go() -> None:
 
 
 def test_a_kept_recording_stays_and_the_next_goes() -> None:
-    assert decide([Stored("a", 30, kept=True), *FILES[::2]], 30, LIMITS) == Verdict(delete=("b",))
+    assert decide([StoredRecording("a", 30, kept=True), *FILES[::2]], 30, LIMITS) == Verdict(delete=("b",))
 
 
 def test_the_recording_in_progress_counts_but_stays() -> None:
-    assert decide([Stored("a", 80), Stored("b", 30)], 1000, LIMITS, open_name="a") == Verdict(delete=("b",))
+    assert decide([StoredRecording("a", 80), StoredRecording("b", 30)], 1000, LIMITS, open_name="a") == Verdict(
+        delete=("b",)
+    )
 
 
 def test_kept_recordings_over_the_quota_stop_the_recorder() -> None:
-    verdict = decide([Stored("a", 101_000_000, kept=True), Stored("b", 5)], 1000, Limits(100_000_000, 0))
+    verdict = decide(
+        [StoredRecording("a", 101_000_000, kept=True), StoredRecording("b", 5)], 1000, Limits(100_000_000, 0)
+    )
 
     assert verdict == Verdict(refusal=explain(Code.OVER_QUOTA, maximum_total_bytes=100_000_000))
 
@@ -43,7 +47,7 @@ def test_nothing_is_deleted_where_that_would_not_be_enough() -> None:
 @each("free_bytes", range(0, 200, 7))
 @each("kept", range(8))
 def test_after_the_deletions_both_limits_hold_or_recording_is_refused(free_bytes: int, kept: int) -> None:
-    files = [Stored(f"{k}", 20 + 13 * k, kept=bool(kept >> k & 1)) for k in range(3)]
+    files = [StoredRecording(f"{k}", 20 + 13 * k, kept=bool(kept >> k & 1)) for k in range(3)]
 
     verdict = decide(files, free_bytes, LIMITS)
 

@@ -9,7 +9,7 @@ from shared.errors import BadPayload
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
-from shared.messages.operation import Carried, Mode, ModeState, Origin, OriginKind
+from shared.messages.operation import Mode, ModeState, Origin, OriginKind, TopicTraffic
 from shared.topics import TOPICS
 from tests.support.dashboard.status_world import ALL, SECOND_NS, World, aiding, fix, solution
 
@@ -167,7 +167,7 @@ def test_the_delay_of_the_bus_is_measured_by_heartbeats() -> None:
     assert world.state.bus_delay_p95_s == pytest.approx(0.002)
 
 
-class Told:
+class HeartbeatWorld:
     """A world in which heartbeats tell of inertial samples, which come here only while they are followed."""
 
     def __init__(self) -> None:
@@ -184,7 +184,9 @@ class Told:
                 self.beat(now_ns)
 
     def beat(self, newest_ns: int) -> None:
-        carried = Carried(topic="imu/sample", count=self.count, newest_ns=newest_ns, stamp_ns=newest_ns - 3_000_000)
+        carried = TopicTraffic(
+            topic="imu/sample", count=self.count, newest_ns=newest_ns, stamp_ns=newest_ns - 3_000_000
+        )
         received = carried.model_copy(update={"newest_ns": newest_ns + 1_000_000, "producer": "parsers.imu"})
         self.world.beat("parsers.imu", published=(carried,))
         self.world.beat("core.fusion", received=(received,), sent_ns=newest_ns + 1_000_000)
@@ -195,14 +197,14 @@ class Told:
 
 
 @pytest.fixture
-def unlooked() -> Told:
-    made = Told()
+def unlooked() -> HeartbeatWorld:
+    made = HeartbeatWorld()
     made.run(20)
     return made
 
 
 def test_a_fast_topic_is_followed_until_heartbeats_tell_of_it() -> None:
-    world = Told()
+    world = HeartbeatWorld()
     assert {"imu/sample", "navigation/solution"} <= world.world.state.followed
     world.run(2)
     assert "imu/sample" not in world.world.state.followed
@@ -210,7 +212,7 @@ def test_a_fast_topic_is_followed_until_heartbeats_tell_of_it() -> None:
     assert set(DRAWN) <= world.world.state.followed
 
 
-def test_rate_age_and_latency_of_a_topic_that_nobody_looks_at_are_told(unlooked: Told) -> None:
+def test_rate_age_and_latency_of_a_topic_that_nobody_looks_at_are_told(unlooked: HeartbeatWorld) -> None:
     flow, state, now_ns = unlooked.flow, unlooked.world.state, unlooked.world.now_ns
     assert flow.newest is None
     assert flow.rate_hz == pytest.approx(100.0, rel=0.01)
@@ -230,7 +232,7 @@ def assert_all_latencies(values: object) -> None:
     assert all(value == pytest.approx(0.004) for value in values["imu/sample:@latency_s"][:-1])
 
 
-def test_a_topic_that_falls_silent_is_stale_at_most_a_heartbeat_later(unlooked: Told) -> None:
+def test_a_topic_that_falls_silent_is_stale_at_most_a_heartbeat_later(unlooked: HeartbeatWorld) -> None:
     end_ns = unlooked.world.now_ns
     unlooked.world.pass_time(0.3)
     assert unlooked.flow.freshness(unlooked.world.now_ns) == "fresh"
@@ -242,7 +244,7 @@ def test_a_topic_that_falls_silent_is_stale_at_most_a_heartbeat_later(unlooked: 
     assert unlooked.world.state.topics["imu/sample"].heard_ns == end_ns
 
 
-def test_a_look_brings_messages_and_its_end_leaves_what_is_told(unlooked: Told) -> None:
+def test_a_look_brings_messages_and_its_end_leaves_what_is_told(unlooked: HeartbeatWorld) -> None:
     state, flow = unlooked.world.state, unlooked.flow
     assert flow.is_coming(unlooked.world.now_ns)
     count = flow.count
@@ -261,7 +263,7 @@ def test_a_look_brings_messages_and_its_end_leaves_what_is_told(unlooked: Told) 
     assert (shown["message"], shown["jitter_s"], shown["producer"]) == (None, None, "parsers.imu")
 
 
-def test_samples_of_before_a_restart_of_their_producer_are_not_live(unlooked: Told) -> None:
+def test_samples_of_before_a_restart_of_their_producer_are_not_live(unlooked: HeartbeatWorld) -> None:
     unlooked.world.pass_time(0.5)
     unlooked.world.lives["parsers.imu"] = unlooked.world.now_ns
     unlooked.world.beat("parsers.imu")
@@ -271,7 +273,9 @@ def test_samples_of_before_a_restart_of_their_producer_are_not_live(unlooked: To
     assert not unlooked.world.state.is_earlier("imu/sample")
 
 
-def test_a_chart_of_a_fast_topic_follows_it_for_a_minute_and_its_gap_is_read_from_the_recording(unlooked: Told) -> None:
+def test_a_chart_of_a_fast_topic_follows_it_for_a_minute_and_its_gap_is_read_from_the_recording(
+    unlooked: HeartbeatWorld,
+) -> None:
     state, name = unlooked.world.state, "imu/sample:specific_force_body_m_s2.0.2"
     state.series.take_wanted()
     state.series.want([name], unlooked.world.now_ns)

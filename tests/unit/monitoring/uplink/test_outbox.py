@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.uplink.outbox import Lost, Outbox, OutboxDamaged, OutboxFault, alone, set_aside
+from services.monitoring.uplink.outbox import LostReports, Outbox, OutboxDamaged, OutboxFault, alone, set_aside
 from shared.errors import UserError
 from shared.evidence.signer import FileSigner
 from shared.fleet.batch import Batch, Event, Kind, Report
-from shared.fleet.receipts import Stored
+from shared.fleet.receipts import StoredBatch
 from shared.fleet.sealed import receipt_digest, unsealed
 from tests.support.fleet.small_centre import Memory
 
@@ -66,9 +66,9 @@ def batches(outbox: Outbox) -> list[tuple[int, bytes]]:
     return [(row.id, outbox.content(row.id) or b"") for row in outbox.open_rows(most=100_000)]
 
 
-def stored(*sealed: bytes) -> list[Stored]:
+def stored(*sealed: bytes) -> list[StoredBatch]:
     found = [unsealed(data).batch for data in sealed]
-    return [Stored(b.epoch_ms, b.first, receipt_digest(d)) for b, d in zip(found, sealed, strict=True)]
+    return [StoredBatch(b.epoch_ms, b.first, receipt_digest(d)) for b, d in zip(found, sealed, strict=True)]
 
 
 def chain(outbox: Outbox) -> list[Batch]:
@@ -144,8 +144,9 @@ def test_a_receipt_deletes_what_it_names_exactly_and_nothing_else(tmp_path: Path
     first, second, third = (data for _, data in batches(outbox))
     (name,) = stored(second)
 
-    strange = [Stored(name.epoch_ms + 1, name.first, name.digest), Stored(name.epoch_ms, name.first + 1, name.digest),
-               Stored(name.epoch_ms, name.first, b"12345678")]  # fmt: skip
+    strange = [StoredBatch(name.epoch_ms + 1, name.first, name.digest),
+               StoredBatch(name.epoch_ms, name.first + 1, name.digest),
+               StoredBatch(name.epoch_ms, name.first, b"12345678")]  # fmt: skip
     assert outbox.settle(strange) == []
     assert len(outbox.settle([name, name])) == 1
     assert [data for _, data in batches(outbox)] == [first, third]
@@ -186,7 +187,7 @@ def test_reports_that_were_never_stored_are_a_gap_of_their_own(tmp_path: Path) -
     outbox = opened(tmp_path)
     outbox.add(report(0))
     outbox.flush(SIGNER)
-    outbox.add(Lost(7, report(1).utc_ms, report(7).utc_ms))
+    outbox.add(LostReports(7, report(1).utc_ms, report(7).utc_ms))
     outbox.add(report(8))
     outbox.flush(SIGNER)
     assert [(b.kind, b.first, b.count) for b in chain(outbox)] == [(0, 0, 1), (2, 1, 7), (0, 8, 1)]

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from services.monitoring.uplink.outbox import Outbox
-from services.monitoring.uplink.sending import Sending, Tally
+from services.monitoring.uplink.sending import BatchCounters, BatchSelection
 from shared.evidence.signer import FileSigner
 from shared.fleet.batch import Event, Kind, Report
-from shared.fleet.receipts import Receipt, Refused, Stored
+from shared.fleet.receipts import Receipt, RejectedBatch, StoredBatch
 from shared.fleet.sealed import receipt_digest, unsealed
 
 NS = 1_000_000_000
@@ -24,8 +24,8 @@ class Sender:
     def __init__(self, folder: Path) -> None:
         self.outbox = Outbox(folder / "outbox.sqlite", "car", EPOCH_MS, 10**9)
         self.rejects: Counter[str] = Counter()
-        self.tally = Tally()
-        self.sending = Sending(self.outbox, self.tally, self.rejects)
+        self.tally = BatchCounters()
+        self.sending = BatchSelection(self.outbox, self.tally, self.rejects)
         self.made = 0
 
     def make(self, number: int = 1, *, event: bool = False) -> None:
@@ -49,12 +49,12 @@ class Sender:
         return row.epoch_ms, first, receipt_digest(self.outbox.content(row.id) or b"")
 
     def receipt(self, now_s: float, *firsts: int) -> None:
-        receipt = Receipt(stored=tuple(Stored(*self.name(first)) for first in firsts))
+        receipt = Receipt(stored=tuple(StoredBatch(*self.name(first)) for first in firsts))
         self.sending.take(receipt, SIGNER, round(now_s * NS), EPOCH_MS + 10**6)
 
     def refusal(self, now_s: float, first: int, reason: str) -> None:
         # As of a centre that cannot verify it: named by its digest alone.
-        receipt = Receipt(refused=(Refused(0, 0, self.name(first)[2], reason),))
+        receipt = Receipt(refused=(RejectedBatch(0, 0, self.name(first)[2], reason),))
         self.sending.take(receipt, SIGNER, round(now_s * NS), EPOCH_MS + 10**6)
 
 
@@ -127,7 +127,7 @@ def test_what_is_refused_stays_is_tried_again_once_an_hour_and_stops_nothing(sen
         if sender.sent(second):
             at.append(second)
             (row,) = sender.outbox.refused_rows(2**62, 2**62)
-            again = Receipt(refused=(Refused(row.epoch_ms, row.first, row.digest[:8], "format"),))
+            again = Receipt(refused=(RejectedBatch(row.epoch_ms, row.first, row.digest[:8], "format"),))
             sender.sending.take(again, SIGNER, second * NS, EPOCH_MS)
     assert len(at) == 2 and 3600 <= at[0] < 3610
     assert sender.outbox.backlog().batches == 1 and sender.rejects == {}
@@ -147,14 +147,14 @@ def test_while_the_centre_takes_nothing_one_refused_batch_a_minute_is_sent_and_a
         for first in sender.sent(second):
             tried.append(first)
             row = next(row for row in sender.outbox.refused_rows(2**62, 2**62, 100) if row.first == first)
-            again = Receipt(refused=(Refused(0, 0, row.digest[:8], "key"),))
+            again = Receipt(refused=(RejectedBatch(0, 0, row.digest[:8], "key"),))
             sender.sending.take(again, SIGNER, second * NS, EPOCH_MS)
     assert len(tried) == len(set(tried)) == 5
 
     for second in range(3900, 3910):
         sender.sent(second)
         rows = sender.outbox.refused_rows(2**62, 2**62, 100)
-        stored = tuple(Stored(row.epoch_ms, row.first, row.digest[:8]) for row in rows if row.first not in tried)
+        stored = tuple(StoredBatch(row.epoch_ms, row.first, row.digest[:8]) for row in rows if row.first not in tried)
         sender.sending.take(Receipt(stored=stored), SIGNER, second * NS, EPOCH_MS)
     assert sender.outbox.backlog().batches == 5, "those that were tried wait for their hour"
 
@@ -173,7 +173,7 @@ def test_a_conflict_begins_another_epoch_once_and_keeps_what_was_reported(sender
 
     sender.sent(2)
     row = sender.outbox.open_rows(most=10)[2]
-    again = Receipt(refused=(Refused(row.epoch_ms, row.first, row.digest[:8], "conflict"),))
+    again = Receipt(refused=(RejectedBatch(row.epoch_ms, row.first, row.digest[:8], "conflict"),))
     sender.sending.take(again, SIGNER, 60 * NS, EPOCH_MS + 2 * 10**6)
     assert sender.outbox.epoch_ms == epochs[1] and sender.outbox.backlog().refused == 1, "not in a loop"
 
@@ -188,6 +188,6 @@ def test_a_key_that_is_registered_later_opens_what_was_refused_for_it(sender: Se
 
 def test_a_receipt_of_nothing_is_counted(sender: Sender) -> None:
     sender.make()
-    sender.sending.take(Receipt(stored=(Stored(EPOCH_MS, 5, bytes(8)),)), SIGNER, NS, EPOCH_MS)
+    sender.sending.take(Receipt(stored=(StoredBatch(EPOCH_MS, 5, bytes(8)),)), SIGNER, NS, EPOCH_MS)
     assert sender.rejects["receipt of no batch"] == 1 and sender.tally.receipted == 0
     assert sender.outbox.open_rows(kind=Kind.POSITIONS)

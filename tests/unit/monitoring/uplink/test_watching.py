@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from services.monitoring.uplink.watching import MOST_LIVE_BYTES, BadWatch, Watch
+from services.monitoring.uplink.watching import MAX_LIVE_BYTES, BadWatch, Watch
 from shared.fleet.topics import WATCHABLE
 from tests.support.cases import each
 
@@ -47,7 +47,7 @@ def test_only_what_may_be_watched_and_is_not_too_large_is_passed_on() -> None:
     watch = Watch()
     watch.take(request("gnss/fix", "toll/transaction", "gnss/raw", "#", "../x"), NS)
     assert watch.topics == {"gnss/fix"} and "gnss/raw" not in WATCHABLE
-    assert not watch.wants("gnss/fix", bytes(MOST_LIVE_BYTES + 1), NS)
+    assert not watch.wants("gnss/fix", bytes(MAX_LIVE_BYTES + 1), NS)
     assert not watch.wants("gnss/raw", b"", NS)
 
 

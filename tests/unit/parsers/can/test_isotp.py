@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.parsers.can.candump import CanFrame
-from services.parsers.can.isotp import FRAME_TIMEOUT_NS, MOST_MESSAGES, MessageJoiner
+from services.parsers.can.isotp import FRAME_TIMEOUT_NS, MAX_MESSAGES, MessageJoiner
 from services.parsers.can.standards import vin_of_answer
 
 MS = 1_000_000
@@ -82,9 +82,9 @@ def test_messages_that_never_end_are_bounded_and_make_room_when_they_are_old() -
     rejects = Counter[str]()
     joiner = MessageJoiner(rejects)
     first = bytes.fromhex("100A414243444546")
-    for identifier in range(3 * MOST_MESSAGES):
+    for identifier in range(3 * MAX_MESSAGES):
         joiner.take(CanFrame(0, "can0", identifier, False, first))
-    assert len(joiner._messages) == MOST_MESSAGES and rejects["isotp_full"] == 2 * MOST_MESSAGES
+    assert len(joiner._messages) == MAX_MESSAGES and rejects["isotp_full"] == 2 * MAX_MESSAGES
     later = 2 * FRAME_TIMEOUT_NS
     joiner.take(CanFrame(later, "can0", 0x7E8, False, first))
     assert joiner.take(CanFrame(later, "can0", 0x7E8, False, b"\x21abcd")) == b"ABCDEFabcd"

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from services.sensors.corrections.address import Address
 from services.sensors.corrections.fault import SourceFault
-from services.sensors.corrections.ntrip import LONGEST_HEADER, LONGEST_LINE, NtripDialogue, nearest_mounts
+from services.sensors.corrections.ntrip import MAX_HEADER, MAX_LINE, NtripDialogue, nearest_mounts
 from tests.support.cases import each
 from tests.support.gnss.frames import rtcm
 
@@ -91,9 +91,9 @@ def test_the_request_names_the_mount_point_and_the_user(version: int) -> None:
         (OK.replace(b"gnss/data", b"text/html") + b"\r\n<html>", "wants you to log in", True),
         (b"HTTP/1.1 503 Busy\r\nRetry-After: 120\r\n\r\n", "overloaded", False),
         (b"SSH-2.0-OpenSSH_9.2\r\n", "is no NTRIP caster", False),
-        (b"\x00" * (LONGEST_LINE + 2), "do not end", False),
-        (b"HTTP/1.1 200 OK\r\nX: " + b"a" * (LONGEST_LINE + 2), "do not end", False),
-        (b"HTTP/1.1 200 OK\r\n" + b"X: a\r\n" * LONGEST_HEADER, "do not end", False),
+        (b"\x00" * (MAX_LINE + 2), "do not end", False),
+        (b"HTTP/1.1 200 OK\r\nX: " + b"a" * (MAX_LINE + 2), "do not end", False),
+        (b"HTTP/1.1 200 OK\r\n" + b"X: a\r\n" * MAX_HEADER, "do not end", False),
         (OK + b"Transfer-Encoding: chunked\r\n\r\n5\r\n123456\r\n", "longer than it states", False),
         (OK + b"Transfer-Encoding: chunked\r\n\r\n-5\r\n", "no valid size", False),
         (OK + b"Transfer-Encoding: chunked\r\n\r\nffffffff\r\n", "no valid size", False),

@@ -28,10 +28,10 @@ DATA = rtcm(1005, 19)
 ICY = b"ICY 200 OK\r\n\r\n"
 
 
-class Clocked:
+class SourceWithClock:
     """A source whose clock the test moves; the network is real."""
 
-    made: ClassVar[list["Clocked"]] = []
+    made: ClassVar[list["SourceWithClock"]] = []
 
     def __init__(self, url: str, **settings: str | float) -> None:
         self.made.append(self)
@@ -65,13 +65,13 @@ class Clocked:
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
     yield
-    while Clocked.made:
-        Clocked.made.pop().source.release("end of the test")
+    while SourceWithClock.made:
+        SourceWithClock.made.pop().source.release("end of the test")
 
 
 def test_bytes_of_the_stream_arrive_and_the_end_is_followed_by_another_attempt() -> None:
     with fake_caster(saying(ICY + DATA)) as caster:
-        run = Clocked(caster.url())
+        run = SourceWithClock(caster.url())
         run.until(lambda: run.data == DATA)
         run.reaches(SourcePhase.WAITING)
         assert "closed the connection" in run.reason and run.wait_s == 2.0
@@ -81,7 +81,7 @@ def test_bytes_of_the_stream_arrive_and_the_end_is_followed_by_another_attempt()
 
 def test_a_caster_that_hangs_is_left_after_twenty_seconds() -> None:
     with fake_caster(saying(ICY + DATA, then_s=0.5)) as caster:
-        run = Clocked(caster.url())
+        run = SourceWithClock(caster.url())
         run.until(lambda: run.data == DATA)
         run.now_s += 19.0
         run.turn()
@@ -93,7 +93,7 @@ def test_a_caster_that_hangs_is_left_after_twenty_seconds() -> None:
 
 def test_a_wrong_password_is_tried_again_after_minutes_only() -> None:
     with fake_caster(saying(b"HTTP/1.1 401 Unauthorized\r\n\r\n")) as caster:
-        run = Clocked(caster.url(user="me"))
+        run = SourceWithClock(caster.url(user="me"))
         run.reaches(SourcePhase.REFUSED)
         assert run.wait_s == 300.0 and "password_file" in run.reason
         for _ in range(50):
@@ -106,14 +106,14 @@ def test_a_wrong_password_is_tried_again_after_minutes_only() -> None:
 @pytest.mark.parametrize("answer", [b"ERROR - Bad Password\r\n", b"ERROR - Bad Password"])
 def test_a_refusal_of_version_1_is_the_reason_alone(answer: bytes) -> None:
     with fake_caster(saying(answer)) as caster:
-        run = Clocked(caster.url(user="me"))
+        run = SourceWithClock(caster.url(user="me"))
         run.reaches(SourcePhase.REFUSED)
         assert run.wait_s == 300.0 and "refuses user or password" in run.reason
         assert "is it an NTRIP caster" not in run.reason
 
 
 def test_where_nothing_listens_no_caster_is_asked_about() -> None:
-    run = Clocked(f"ntrip://me@127.0.0.1:{free_port()}/M")
+    run = SourceWithClock(f"ntrip://me@127.0.0.1:{free_port()}/M")
     run.reaches(SourcePhase.WAITING)
     assert "Connection refused; check the network, host and port" in run.reason
     assert "is it an NTRIP caster" not in run.reason
@@ -121,7 +121,7 @@ def test_where_nothing_listens_no_caster_is_asked_about() -> None:
 
 def test_the_delay_between_attempts_grows_to_a_minute() -> None:
     with fake_caster(saying(b"rubbish\r\n")) as caster:
-        run = Clocked(caster.url())
+        run = SourceWithClock(caster.url())
         waits = []
         for _ in range(6):
             run.reaches(SourcePhase.WAITING)
@@ -133,7 +133,7 @@ def test_the_delay_between_attempts_grows_to_a_minute() -> None:
 
 def test_an_old_caster_that_hangs_up_at_version_2_is_asked_in_version_1() -> None:
     with fake_caster(saying(b""), saying(ICY + DATA)) as caster:
-        run = Clocked(caster.url())
+        run = SourceWithClock(caster.url())
         run.reaches(SourcePhase.WAITING)
         run.now_s += 3.0
         run.until(lambda: run.data == DATA)
@@ -145,16 +145,16 @@ def test_a_source_that_floods_is_left() -> None:
         connection.sendall(ICY + bytes(3_000_000))
 
     with fake_caster(flood) as caster:
-        run = Clocked(caster.url())
+        run = SourceWithClock(caster.url())
         run.reaches(SourcePhase.WAITING)
         assert "far more than corrections need" in run.reason and len(run.data) <= module.BURST_BYTES
 
 
 def test_a_port_without_a_caster_and_an_unknown_host_are_said() -> None:
-    run = Clocked(f"ntrip://127.0.0.1:{free_port()}/M")
+    run = SourceWithClock(f"ntrip://127.0.0.1:{free_port()}/M")
     run.reaches(SourcePhase.WAITING)
     assert "cannot connect" in run.reason
-    run = Clocked("ntrip://no-such-host.invalid/M")
+    run = SourceWithClock("ntrip://no-such-host.invalid/M")
     run.reaches(SourcePhase.WAITING)
     assert "cannot find no-such-host.invalid" in run.reason
 
@@ -170,7 +170,7 @@ def test_each_address_of_a_host_has_its_turn(monkeypatch: pytest.MonkeyPatch) ->
         rows = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", port)) for port in ports]
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_args, **_options: rows)
         monkeypatch.setattr(connection, "ADDRESS_S", 0.1)
-        run = Clocked(caster.url())
+        run = SourceWithClock(caster.url())
         run.until(lambda: run.data == DATA)
 
 
@@ -201,7 +201,7 @@ def test_a_caster_is_told_the_position_periodically_and_never_while_the_verdict_
     known: list[FakeCaster] = []
     with fake_caster(listening(known)) as caster:
         known.append(caster)
-        run = Clocked(caster.url(), gga_period_s=10.0)
+        run = SourceWithClock(caster.url(), gga_period_s=10.0)
         run.position.note(verdict(run.now_s, TrustLevel.UNSAFE))
         run.position.note(fix(run.now_s))
         run.until(lambda: len(caster.requests) == 1)
@@ -269,7 +269,7 @@ def test_tls_is_spoken_with_a_caster_whose_certificate_is_trusted_and_with_no_ot
 
     with fake_caster(tolerant) as caster:
         caster.raw = True
-        run = Clocked(
+        run = SourceWithClock(
             caster.url().replace("ntrip:", "ntrips:"), **({"ca_file": f"{certificate}.crt"} if trusted else {})
         )
         if trusted:

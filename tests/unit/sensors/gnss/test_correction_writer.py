@@ -6,7 +6,7 @@ import tty
 from collections import Counter
 from typing import cast
 
-from services.sensors.gnss.correction_writer import MOST_BYTES, PORTION_BYTES, CorrectionWriter
+from services.sensors.gnss.correction_writer import MAX_BYTES, PORTION_BYTES, CorrectionWriter
 from services.sensors.gnss.process import Config, Process
 from shared.bus.bus import Bus
 from shared.devices.driver import Link
@@ -49,7 +49,7 @@ def test_what_waits_is_bounded_and_the_oldest_makes_room() -> None:
     while link.attempts < 50:
         writer.write(bus.as_bus(), cast(Link, link))
         link.attempts += 1
-    kept = MOST_BYTES // 1000
+    kept = MAX_BYTES // 1000
     assert bus.rejects == Counter(correction_lost=40 - kept)
     assert set(link.written) == set(range(40 - kept, 40))
 

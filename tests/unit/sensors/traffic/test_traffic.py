@@ -14,7 +14,7 @@ from services.parsers.v2x.process import Config, Process
 from services.sensors.traffic.errors import ErrorModel, GaussMarkov
 from services.sensors.traffic.motion import acceleration, gate_distance, lane_path, turning_path
 from services.sensors.traffic.operator import Operator
-from services.sensors.traffic.world import Channel, Frame, Mix, Traffic, World
+from services.sensors.traffic.world import Channel, Frame, Traffic, TrafficMix, World
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.toll import (
@@ -30,7 +30,7 @@ from shared.v2x import frames
 from tests.support.v2x.tolling import NS, PLAZA, START_NS, Vehicle, ledger_at
 
 PERFECT = Channel(loss=0.0, duplicates=0.0, latency_s=0.0, reordered=0.0)
-ALL_WELL = Mix(unequipped=0.0, unregistered=0.0, silent=0.0, new_station_id=0.0, corrected=0.0, turning=0.0)
+ALL_WELL = TrafficMix(unequipped=0.0, unregistered=0.0, silent=0.0, new_station_id=0.0, corrected=0.0, turning=0.0)
 Events = list[tuple[int, Frame | Message]]
 
 

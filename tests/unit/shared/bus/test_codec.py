@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from shared.bus import codec
 from shared.bus.envelope import Envelope
 from shared.errors import BadPayload
-from shared.maths.dates import BEYOND_NS
-from shared.messages.base import LARGEST, Sender, Vector3
+from shared.maths.dates import END_DATE_NS
+from shared.messages.base import MAX_VALUE, Sender, Vector3
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationSolution
@@ -26,7 +26,7 @@ FIX = GnssFix(
     sampled_ns=1, received_ns=2, source="gnss", fix_type=FixType.THREE_D, latitude_deg=48.1, longitude_deg=11.5
 )
 SENDER = Sender(process="core.fusion", incarnation=1, sequence=2)
-finite = st.floats(-LARGEST, LARGEST)
+finite = st.floats(-MAX_VALUE, MAX_VALUE)
 vector = st.tuples(finite, finite, finite)
 
 
@@ -67,7 +67,7 @@ def test_the_topic_of_a_process_message_names_the_process() -> None:
     assert codec.decode("health/core.fusion", codec.encode(health)) == health
 
 
-@given(st.lists(st.tuples(st.integers(0, BEYOND_NS - 1), vector, vector), min_size=1, max_size=20))
+@given(st.lists(st.tuples(st.integers(0, END_DATE_NS - 1), vector, vector), min_size=1, max_size=20))
 def test_inertial_samples_are_encoded_without_rounding(rows: list[tuple[int, Vector3, Vector3]]) -> None:
     stamps, forces, rates = zip(*rows, strict=True)
     samples = ImuSamples(

@@ -10,7 +10,7 @@ from shared.devices.elm327_lines import AnswerLines, ElmFrame
 from shared.errors import UserError
 from shared.messages.operation import DeviceFound
 from tests.support.cases import each
-from tests.support.fake_elm327 import BANNER, FakeElm327, Habits, SerialFake, TcpFake
+from tests.support.fake_elm327 import BANNER, AdapterBehaviour, FakeElm327, SerialFake, TcpFake
 from tests.support.patience import HANGS_S
 
 SPEED = bytes.fromhex("010D")
@@ -21,8 +21,10 @@ ANSWER = ElmFrame(0x7E8, False, bytes.fromhex("03410D32"))
 class Bench:
     """An adapter and a fake without ports: time is counted, and answers arrive after `latency_s`."""
 
-    def __init__(self, habits: Habits | None = None, *, rate: int | None = None, identifier: int = 0x7DF) -> None:
-        self.adapter, self.fake = Elm327(rate, identifier), FakeElm327(habits or Habits())
+    def __init__(
+        self, habits: AdapterBehaviour | None = None, *, rate: int | None = None, identifier: int = 0x7DF
+    ) -> None:
+        self.adapter, self.fake = Elm327(rate, identifier), FakeElm327(habits or AdapterBehaviour())
         self.now_s = 100.0
         self.frames: list[ElmFrame] = []
         self.written: list[tuple[float, str]] = []
@@ -65,14 +67,16 @@ def test_an_adapter_is_set_up_and_gives_the_frames_of_its_answers() -> None:
 @each(
     "habits",
     [
-        Habits(echoes_always=True), Habits(spaces_always=True), Habits(no_headers=True),
-        Habits(no_headers=True, spaces_always=True, echoes_always=True), Habits(banner="OBDII  v1.5"),
-        Habits(searching="SEARCHING..."), Habits(searching="BUS INIT: ...OK\r"), Habits(searching=""),
-        Habits(refuses=("ATL0", "ATS0", "ATSP0")), Habits(refuses=("ATDPN",)),
+        AdapterBehaviour(echoes_always=True), AdapterBehaviour(spaces_always=True), AdapterBehaviour(no_headers=True),
+        AdapterBehaviour(no_headers=True, spaces_always=True, echoes_always=True),
+        AdapterBehaviour(banner="OBDII  v1.5"),
+        AdapterBehaviour(searching="SEARCHING..."), AdapterBehaviour(searching="BUS INIT: ...OK\r"),
+        AdapterBehaviour(searching=""),
+        AdapterBehaviour(refuses=("ATL0", "ATS0", "ATSP0")), AdapterBehaviour(refuses=("ATDPN",)),
     ],
 )  # fmt: skip
 @each("pieces", [1, 4, 1000])
-def test_habits_of_clones_give_the_same_frames(habits: Habits, pieces: int) -> None:
+def test_habits_of_clones_give_the_same_frames(habits: AdapterBehaviour, pieces: int) -> None:
     bench = Bench(habits)
     bench.run(5.0, pieces=pieces)
     assert set(bench.frames) == {ANSWER} and len(bench.frames) >= 8
@@ -80,13 +84,13 @@ def test_habits_of_clones_give_the_same_frames(habits: Habits, pieces: int) -> N
 
 
 def test_bytes_00_and_ff_are_counted_and_cost_nothing() -> None:
-    bench = Bench(Habits(noise=b"\x00\xff"))
+    bench = Bench(AdapterBehaviour(noise=b"\x00\xff"))
     bench.run(5.0)
     assert set(bench.frames) == {ANSWER} and bench.adapter.rejects["adapter_byte"] > 20
 
 
 def test_lost_prompts_are_waited_for_and_then_the_adapter_is_set_up_again() -> None:
-    bench = Bench(Habits(loses_prompts=5))
+    bench = Bench(AdapterBehaviour(loses_prompts=5))
     bench.run(90.0)
     assert bench.adapter.rejects["adapter_silent"] == 5
     assert [command for _, command in bench.written].count("ATZ") == 2
@@ -104,7 +108,7 @@ def test_lost_prompts_are_waited_for_and_then_the_adapter_is_set_up_again() -> N
     ],
 )  # fmt: skip
 def test_a_vehicle_that_does_not_answer_is_asked_ever_less_often_and_wakes(error: str, found: DeviceFound) -> None:
-    bench = Bench(Habits(error=error))
+    bench = Bench(AdapterBehaviour(error=error))
     bench.run(600.0)
     assert bench.adapter.found is found
     times = [at for at, command in bench.written if command == "0100"]
@@ -243,7 +247,7 @@ def read_three(url: str, fake: SerialFake | TcpFake) -> list[str]:
 
 
 def test_a_serial_adapter_gives_candump_lines() -> None:
-    fake = SerialFake(Habits(delay_s=0.005))
+    fake = SerialFake(AdapterBehaviour(delay_s=0.005))
     lines = read_three(fake.url, fake)
     assert len(lines) == 3
     assert {line.split()[1] for line in lines} == {"7E8#03410D32"}

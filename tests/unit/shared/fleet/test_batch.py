@@ -12,7 +12,7 @@ from shared.evidence.signer import FileSigner
 from shared.fleet.batch import (
     EARLIEST_MS,
     LATEST_MS,
-    MOST_SEQUENCE,
+    MAX_SEQUENCE,
     VERDICTS,
     BadBatch,
     Batch,
@@ -25,7 +25,7 @@ from shared.fleet.batch import (
     verdict_code,
 )
 from shared.fleet.cbor import BadCbor, encoded
-from shared.fleet.receipts import Receipt, Refused, Stored
+from shared.fleet.receipts import Receipt, RejectedBatch, StoredBatch
 from shared.fleet.sealed import chain_digest, receipt_digest, seal, unsealed
 from shared.messages.trust import TrustLevel
 from tests.support.cases import each
@@ -68,7 +68,7 @@ def positions(found: tuple[Report, ...], first: int = 0) -> Batch:
     return Batch(Kind.POSITIONS, START_MS, first, len(found), ZEROS, reports=found)
 
 
-@given(st.lists(reports, min_size=1, max_size=30).map(tuple), st.integers(0, MOST_SEQUENCE - 30))
+@given(st.lists(reports, min_size=1, max_size=30).map(tuple), st.integers(0, MAX_SEQUENCE - 30))
 def test_positions_come_back_as_they_were(found: tuple[Report, ...], first: int) -> None:
     assert decode(encode(positions(found, first))) == positions(found, first)
 
@@ -104,7 +104,7 @@ GOOD: list[Any] = [1, 0, START_MS, 0, 1, ZEROS, [[START_MS], [1], [2], [3], [4],
 @each(
     ("place", "value"),
     [
-        (0, 2), (1, 3), (1, -1), (2, 5), (2, LATEST_MS + 1), (3, -1), (3, MOST_SEQUENCE), (4, 0), (4, 2), (4, -1),
+        (0, 2), (1, 3), (1, -1), (2, 5), (2, LATEST_MS + 1), (3, -1), (3, MAX_SEQUENCE), (4, 0), (4, 2), (4, -1),
         (5, b""), (6, []), (6, [[START_MS]] * 7), (7, [[START_MS, "trust/event", {}]]), (0, "1"), (6, 5), (7, None),
         (1, 1), (1, 2), (2, 1e12), (0, True), (1, False), (3, False), (4, True),
     ],
@@ -187,7 +187,9 @@ def test_the_worst_verdict_is_the_greatest_code_and_each_has_one() -> None:
 
 
 def test_a_receipt_comes_back_as_it_was() -> None:
-    receipt = Receipt((Stored(START_MS, 0, b"12345678"),), (Refused(START_MS, 10, b"87654321", "signature"),))
+    receipt = Receipt(
+        (StoredBatch(START_MS, 0, b"12345678"),), (RejectedBatch(START_MS, 10, b"87654321", "signature"),)
+    )
     assert Receipt.decode(receipt.encode()) == receipt
 
 

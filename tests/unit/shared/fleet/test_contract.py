@@ -8,7 +8,7 @@ from jsonschema import Draft202012Validator
 from shared.fleet.batch import Batch, Event, Gap, Kind, Report, encode
 from shared.fleet.cbor import decoded
 from shared.fleet.contract import asyncapi
-from shared.fleet.receipts import Receipt, Refused, Stored
+from shared.fleet.receipts import Receipt, RejectedBatch, StoredBatch
 
 AT_MS = 1_796_000_000_000
 BINARY = "0" * 32  # JSON Schema knows no bytes
@@ -44,7 +44,7 @@ def test_every_kind_of_batch_is_as_the_contract_says() -> None:
 
 
 def test_receipts_and_watches_are_as_the_contract_says() -> None:
-    receipt = Receipt((Stored(AT_MS, 0, bytes(8)),), (Refused(0, 0, bytes(8), "key"),))
+    receipt = Receipt((StoredBatch(AT_MS, 0, bytes(8)),), (RejectedBatch(0, 0, bytes(8), "key"),))
     schema("Receipt").validate(as_json(decoded(receipt.encode())))
     schema("Watch").validate({"topics": ["navigation/solution"], "for_s": 30, "watchers": 1})
     assert not schema("Watch").is_valid({"topics": ["can/raw"], "for_s": 30, "watchers": 1})

@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 
 from shared import RELEASED
 from shared.maths.dates import (
-    BEYOND_NS,
     EARLIEST_HOST_NS,
-    EARLIEST_NS,
+    END_DATE_NS,
     ERA_NS,
     GPS_EPOCH_UTC_NS,
+    MIN_DATE_NS,
     NS,
     DeviceDates,
     in_nearest_era,
@@ -37,9 +37,9 @@ def dated(told_ns: int | None, host_ns: int | None) -> tuple[int | None, int]:
 
 
 def test_the_limits_are_the_years_1980_and_2100() -> None:
-    assert at(1980) == EARLIEST_NS and at(2101) == BEYOND_NS and at(1980, 1, 6) == GPS_EPOCH_UTC_NS
-    assert is_plausible(EARLIEST_NS) and is_plausible(BEYOND_NS - 1)
-    assert not is_plausible(EARLIEST_NS - 1) and not is_plausible(BEYOND_NS)
+    assert at(1980) == MIN_DATE_NS and at(2101) == END_DATE_NS and at(1980, 1, 6) == GPS_EPOCH_UTC_NS
+    assert is_plausible(MIN_DATE_NS) and is_plausible(END_DATE_NS - 1)
+    assert not is_plausible(MIN_DATE_NS - 1) and not is_plausible(END_DATE_NS)
 
 
 def test_a_date_1024_weeks_old_is_moved_to_the_era_of_the_host() -> None:
@@ -65,7 +65,7 @@ def test_an_impossible_date_is_one_reject(told_ns: int | None, host_ns: int | No
     assert dated(told_ns, host_ns) == (None, 1)
 
 
-@given(st.integers(EARLIEST_NS, BEYOND_NS - 1), st.integers(EARLIEST_HOST_NS, at(2085)))
+@given(st.integers(MIN_DATE_NS, END_DATE_NS - 1), st.integers(EARLIEST_HOST_NS, at(2085)))
 def test_live_every_possible_date_is_within_half_an_era_of_the_host(told_ns: int, host_ns: int) -> None:
     found = in_nearest_era(told_ns, host_ns)
     assert abs(found - host_ns) <= ERA_NS // 2

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.runtime.alive import LOOP_SUFFIX, Alive
+from shared.runtime.alive import LOOP_SUFFIX, LivenessSignal
 from tests.support.patience import HANGS_S
 
 
@@ -21,7 +21,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
 
 def test_the_first_turn_makes_a_process_ready_and_each_feeds_the_watchdog(manager: tuple[socket.socket, str]) -> None:
     listener, address = manager
-    alive = Alive({"NOTIFY_SOCKET": address})
+    alive = LivenessSignal({"NOTIFY_SOCKET": address})
     alive.beat(connected=False)
     alive.beat(connected=False)
     alive.beat(connected=True)
@@ -37,7 +37,7 @@ def test_the_first_turn_makes_a_process_ready_and_each_feeds_the_watchdog(manage
 
 
 def test_a_listener_that_does_not_read_holds_nobody_up(manager: tuple[socket.socket, str]) -> None:
-    alive = Alive({"NOTIFY_SOCKET": manager[1]})
+    alive = LivenessSignal({"NOTIFY_SOCKET": manager[1]})
     for _ in range(2000):  # more than any queue of datagrams holds
         alive.beat(connected=True)
     assert alive.fault is None
@@ -45,7 +45,7 @@ def test_a_listener_that_does_not_read_holds_nobody_up(manager: tuple[socket.soc
 
 
 def test_a_listener_that_has_gone_is_said(tmp_path: Path) -> None:
-    alive = Alive({"NOTIFY_SOCKET": str(tmp_path / "nobody")})
+    alive = LivenessSignal({"NOTIFY_SOCKET": str(tmp_path / "nobody")})
     alive.beat(connected=True)
     assert alive.fault == "cannot tell the service manager: No such file or directory"
     alive.stopping()
@@ -53,7 +53,7 @@ def test_a_listener_that_has_gone_is_said(tmp_path: Path) -> None:
 
 def test_of_the_files_one_tells_of_the_loop_and_one_of_the_broker(tmp_path: Path) -> None:
     file, loop = tmp_path / "alive", tmp_path / f"alive{LOOP_SUFFIX}"
-    alive = Alive({"OBU_ALIVE": str(file)})
+    alive = LivenessSignal({"OBU_ALIVE": str(file)})
     alive.beat(connected=False)
     assert loop.exists() and not file.exists()
     alive.beat(connected=True)
@@ -61,7 +61,7 @@ def test_of_the_files_one_tells_of_the_loop_and_one_of_the_broker(tmp_path: Path
 
 
 def test_without_a_listener_nothing_is_said() -> None:
-    alive = Alive({})
+    alive = LivenessSignal({})
     alive.beat(connected=True)
     alive.stopping()
     assert alive.fault is None

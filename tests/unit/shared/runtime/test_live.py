@@ -11,14 +11,14 @@ import pytest
 from shared.bus import codec
 from shared.bus.bus import QUEUE_LENGTH, Bus, Envelope
 from shared.errors import TooManyFaults
-from shared.maths.dates import EARLIEST_NS
+from shared.maths.dates import MIN_DATE_NS
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssRaw
 from shared.messages.navigation import FilterState
-from shared.messages.operation import Consumed
+from shared.messages.operation import ConsumptionOrder
 from shared.messages.v2x import CamFrames
 from shared.messages.vehicle import CanRaw
-from shared.runtime.live import MOST_RUNS, PORTION_BYTES, SERVE_S, Journal, LiveReactor, portions
+from shared.runtime.live import MAX_RUNS, PORTION_BYTES, SERVE_S, Journal, LiveReactor, portions
 from shared.topics import BY_NAME
 
 OLD_LIFE, LIFE = 1_000, 2_000
@@ -68,7 +68,7 @@ class Broker:
         """There is nothing to write."""
 
 
-class Given:
+class StoringProcess:
     """A process that stores what it received."""
 
     def __init__(self) -> None:
@@ -80,17 +80,17 @@ class Given:
 
 
 def test_a_process_receives_states_of_an_earlier_incarnation_and_not_its_own() -> None:
-    bus, process = Broker([envelope(state(1), OLD_LIFE, 7), envelope(state(2), LIFE, 1)]), Given()
+    bus, process = Broker([envelope(state(1), OLD_LIFE, 7), envelope(state(2), LIFE, 1)]), StoringProcess()
     LiveReactor(process, cast(Bus, bus)).run()
     assert [m for m in process.messages if not isinstance(m, Tick)] == [state(1)]
-    (journal,) = [m for m in bus.published if isinstance(m, Consumed)]
+    (journal,) = [m for m in bus.published if isinstance(m, ConsumptionOrder)]
     assert [run for run in journal.runs if run[0] != "tick"] == [
         ("navigation/filter_state", "core.fusion", OLD_LIFE, 7, 1)
     ]
 
 
 def test_a_process_with_a_pause_reads_the_bus_no_more_often_than_that() -> None:
-    bus, process = Broker([envelope(state(1), OLD_LIFE, 7)], readings=4), Given()
+    bus, process = Broker([envelope(state(1), OLD_LIFE, 7)], readings=4), StoringProcess()
     started_s = time.monotonic()
     LiveReactor(process, cast(Bus, bus), pause_s=0.05).run()
     waits_s = np.diff([started_s, *bus.readings_s])
@@ -99,7 +99,7 @@ def test_a_process_with_a_pause_reads_the_bus_no_more_often_than_that() -> None:
     assert state(1) in process.messages
 
 
-class Faulty(Given):
+class Faulty(StoringProcess):
     """A process that cannot handle what it is told to."""
 
     def handle(self, message: Message) -> tuple[Message, ...]:
@@ -113,7 +113,7 @@ def test_a_message_that_a_process_cannot_handle_costs_itself_and_is_said() -> No
     LiveReactor(process, cast(Bus, bus)).run()
     assert [m for m in process.messages if not isinstance(m, Tick)] == [state(1), state(3)]
     assert bus.rejects["fault"] == 1 and bus.last_error == "OverflowError: too large"
-    (journal,) = [m for m in bus.published if isinstance(m, Consumed)]
+    (journal,) = [m for m in bus.published if isinstance(m, ConsumptionOrder)]
     assert ("navigation/filter_state", "core.fusion", OLD_LIFE, 0, 3) in journal.runs, "so that it can be repeated"
 
 
@@ -123,15 +123,15 @@ def test_the_third_message_that_a_process_cannot_handle_ends_it() -> None:
         LiveReactor(process, cast(Bus, bus)).run()
 
 
-@pytest.mark.parametrize(("received_ns", "used"), [(EARLIEST_NS - 1, False), (EARLIEST_NS, True)])
+@pytest.mark.parametrize(("received_ns", "used"), [(MIN_DATE_NS - 1, False), (MIN_DATE_NS, True)])
 def test_a_message_that_arrived_before_1980_or_after_2100_is_one_reject(received_ns: int, used: bool) -> None:
     raw = CanRaw(received_ns=received_ns, source="can0", data=b"")
-    bus, process = Broker([Envelope("can/raw", codec.encode(raw), 0, "sensors.can", 1, 1)]), Given()
+    bus, process = Broker([Envelope("can/raw", codec.encode(raw), 0, "sensors.can", 1, 1)]), StoringProcess()
     LiveReactor(process, cast(Bus, bus)).run()
     assert (raw in process.messages, bus.rejects["stamp"]) == (used, int(not used))
 
 
-class Slow(Given):
+class SlowProcess(StoringProcess):
     """A process that takes a tenth of a second for each portion, on a clock of its own."""
 
     def __init__(self, clock: list[float]) -> None:
@@ -149,11 +149,11 @@ def test_the_bus_is_served_within_a_long_batch_so_that_the_heartbeat_goes_on(
 ) -> None:
     clock = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    raw = [GnssRaw(received_ns=EARLIEST_NS + k, source="g", data=bytes(PORTION_BYTES)) for k in range(20)]
+    raw = [GnssRaw(received_ns=MIN_DATE_NS + k, source="g", data=bytes(PORTION_BYTES)) for k in range(20)]
     if one_long_message:
-        raw = [GnssRaw(received_ns=EARLIEST_NS, source="g", data=bytes(1 << 19))]
+        raw = [GnssRaw(received_ns=MIN_DATE_NS, source="g", data=bytes(1 << 19))]
     inbox = [Envelope("gnss/raw", codec.encode(gnss_raw), 0, "sensors.gnss", 1, k) for k, gnss_raw in enumerate(raw)]
-    bus, process = Broker(inbox, readings=6), Slow(clock)
+    bus, process = Broker(inbox, readings=6), SlowProcess(clock)
     LiveReactor(process, cast(Bus, bus)).run()
     portions = [m for m in process.messages if isinstance(m, GnssRaw)]
     assert b"".join(m.data for m in portions) == b"".join(gnss_raw.data for gnss_raw in raw), (
@@ -164,13 +164,13 @@ def test_the_bus_is_served_within_a_long_batch_so_that_the_heartbeat_goes_on(
 
 
 def test_frames_that_cannot_be_cut_are_handled_as_they_are() -> None:
-    frames = CamFrames(received_ns=EARLIEST_NS, source="v", data=bytes(1 << 19))
+    frames = CamFrames(received_ns=MIN_DATE_NS, source="v", data=bytes(1 << 19))
     assert list(portions(frames)) == [frames]
 
 
 def test_what_arrives_meanwhile_is_consumed_and_the_oldest_of_too_much_is_dropped() -> None:
     ahead = [envelope(state(k), OLD_LIFE, k) for k in range(QUEUE_LENGTH + 3)]
-    bus, process = Broker(ahead), Given()
+    bus, process = Broker(ahead), StoringProcess()
     LiveReactor(process, cast(Bus, bus)).run()
     stamps = [m.sampled_ns for m in process.messages if isinstance(m, FilterState)]
     assert stamps == list(range(3, QUEUE_LENGTH + 3)) and bus.dropped == 3
@@ -179,9 +179,9 @@ def test_what_arrives_meanwhile_is_consumed_and_the_oldest_of_too_much_is_droppe
 def test_the_journal_of_a_long_burst_is_divided_among_messages_that_the_broker_passes_on() -> None:
     life = 4 * 10**18
     journal = Journal(64 * "p", life)
-    for number in range(2 * MOST_RUNS + 1):
+    for number in range(2 * MAX_RUNS + 1):
         journal.add(Envelope(64 * "t", b"", 1, producer=64 * "q", incarnation=life, sequence=2 * number))
     parts = list(journal.take())
-    assert [run[3] for part in parts for run in part.runs] == [2 * number for number in range(2 * MOST_RUNS + 1)]
+    assert [run[3] for part in parts for run in part.runs] == [2 * number for number in range(2 * MAX_RUNS + 1)]
     assert max(len(codec.encode(part)) for part in parts) + 300 <= BY_NAME["consumed/+"].most_bytes
     assert list(journal.take()) == []

@@ -42,7 +42,7 @@ from tests.support.patience import HANGS_S
 NOW_NS = 1_800_000_000_000_000_000
 
 
-class Quiet:
+class SilentBus:
     """A bus on which nothing comes."""
 
     process, incarnation, sequence, connected, stopping = "controller.mode", 1, 1, True, True
@@ -79,9 +79,9 @@ class Listener:
         return []
 
 
-def restored(folder: Path, saved: dict[str, object]) -> tuple[Quiet, Listener]:
+def restored(folder: Path, saved: dict[str, object]) -> tuple[SilentBus, Listener]:
     (folder / "saved-navigation-last_position.json").write_text(json.dumps(saved))
-    bus, process = Quiet(folder), Listener()
+    bus, process = SilentBus(folder), Listener()
     LiveReactor(process, cast(Bus, bus)).run()
     return bus, process
 

@@ -1,8 +1,8 @@
 import pytest
 
 from shared.bus import codec
-from shared.messages.operation import Carried, ProcessHealth, ProcessState
-from shared.runtime.tally import HEARTBEAT_NS, Tally, told
+from shared.messages.operation import ProcessHealth, ProcessState, TopicTraffic
+from shared.runtime.tally import HEARTBEAT_NS, TopicCounters, told
 from shared.topics import BY_NAME
 
 SECOND = 1_000_000_000
@@ -14,12 +14,12 @@ class Bus:
     """Heartbeats twice a second of processes that send and receive `imu/sample` a hundred times a second."""
 
     def __init__(self) -> None:
-        self.tally = Tally(BY_NAME["imu/sample"])
+        self.tally = TopicCounters(BY_NAME["imu/sample"])
         self.now_ns, self.count, self.life = START_NS, 0, 1
 
     def beat(self, process: str, count: int, *, producer: str | None = None, silent_ns: int = 0) -> None:
         newest_ns = self.now_ns - silent_ns
-        carried = Carried(
+        carried = TopicTraffic(
             topic="imu/sample", count=count, newest_ns=newest_ns, stamp_ns=newest_ns - LAG_NS, producer=producer
         )
         health = ProcessHealth(
@@ -137,7 +137,7 @@ def test_a_stamp_ahead_of_its_heartbeat_makes_no_age_negative(bus: Bus) -> None:
 
 
 def test_a_heartbeat_of_a_clock_that_is_ahead_makes_nothing_newer_than_its_arrival(bus: Bus) -> None:
-    carried = Carried(topic="imu/sample", count=1, newest_ns=START_NS + 3600 * SECOND)
+    carried = TopicTraffic(topic="imu/sample", count=1, newest_ns=START_NS + 3600 * SECOND)
     health = ProcessHealth(
         process="parsers.imu", state=ProcessState.READY, incarnation=1, sent_ns=START_NS + 3600 * SECOND
     )
@@ -148,7 +148,7 @@ def test_a_heartbeat_of_a_clock_that_is_ahead_makes_nothing_newer_than_its_arriv
 
 def test_only_fast_topics_of_the_contract_are_told() -> None:
     names = ("imu/sample", "gnss/fix", "no/topic")
-    carried = tuple(Carried(topic=name, count=1) for name in names)
+    carried = tuple(TopicTraffic(topic=name, count=1) for name in names)
     health = ProcessHealth(
         process="x", state=ProcessState.READY, incarnation=1, sent_ns=1, published=carried, received=carried
     )  # fmt: skip

@@ -24,7 +24,7 @@ from services.core.spoofing.codes import Code as InertialCode
 from services.core.spoofing.drift.monitor import NAMES
 from services.core.spoofing.drift.monitor import Part as Axes
 from services.core.spoofing.gyroscope.vote import Source
-from services.core.spoofing.profile import Trait
+from services.core.spoofing.profile import ProfileCondition
 from services.core.toll import codes as toll
 from services.core.trust.codes import Code
 from services.core.trust.facts import Monitor
@@ -34,7 +34,7 @@ from services.monitoring.recorder import codes as recorder
 from services.monitoring.status.views import codes as banner
 from services.monitoring.status.views.banner import Trust
 from shared.bus import codes as broker
-from shared.messages.explanation import Explanation, Quoted, Reference, ReferenceKind, Value, explain, process
+from shared.messages.explanation import Explanation, QuotedText, Reference, ReferenceKind, Value, explain, process
 from shared.messages.gnss import InterferenceState
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
@@ -52,8 +52,8 @@ from shared.words.words import (
     REASON_LENGTH,
     REPOSITORY,
     SUBJECT,
+    CodedText,
     Row,
-    Told,
     Words,
     reason,
     said,
@@ -171,7 +171,7 @@ ENUMERATIONS: dict[str, Iterable[str]] = {
     "direction": Direction,
     "heading_method": HeadingMethod,
     "input": Input,
-    "origin": Trait,
+    "origin": ProfileCondition,
     "yaw_source": Source,
     "axes": [Axes.NORTH_AND_EAST, Axes.ALONG_AND_ACROSS],
     "innovation": NAMES.values(),
@@ -283,7 +283,7 @@ def row(**changes: str) -> Words:
         ("{a:and}", {"a": (Reference(kind=ReferenceKind.TOPIC, name="gnss/raw"),) * 2}, "gnss/raw and gnss/raw"),
         ("{a_bytes:size}", {"a_bytes": 512_000}, "512 kB"),
         ("{a_bytes:size}", {"a_bytes": 300_000_000}, "300 MB"),
-        ("{a}", {"a": Quoted(quoted="{b}")}, "“{b}”"),
+        ("{a}", {"a": QuotedText(quoted="{b}")}, "“{b}”"),
     ],
 )
 def test_values_are_written_by_their_quantity(template: str, values: dict[str, Value], said: str) -> None:
@@ -319,7 +319,7 @@ def test_a_sentence_names_a_cause_by_its_clause_and_one_without_a_code_by_its_te
     no_fix = explain(banner.Code.NO_FIX_CAUSE)
     assert words("de").sentence(no_fix, cause=stated(lost)) == "Keine Position: core.fusion ist ausgefallen."
     assert ENGLISH.sentence(no_fix, cause=stated(lost)) == "No position: core.fusion was lost."
-    for told in (Told("of 0.1.0"), Told("of 0.1.0", explain("future.code"))):
+    for told in (CodedText("of 0.1.0"), CodedText("of 0.1.0", explain("future.code"))):
         assert words("de").sentence(no_fix, cause=told) == "Keine Position: of 0.1.0."
         assert words("de").told(told) == "of 0.1.0"
     assert ENGLISH.sentence(no_fix) is None, "no cause is given"
@@ -361,7 +361,7 @@ VALUES = st.one_of(
     st.integers(-(2**63), 2**63 - 1),
     st.floats(-1e30, 1e30),
     st.sampled_from(["gnss", "motion", "x"]),
-    st.builds(Quoted, quoted=st.text(max_size=80)),
+    st.builds(QuotedText, quoted=st.text(max_size=80)),
     st.builds(Reference, kind=st.sampled_from(ReferenceKind), name=st.text(max_size=64)),
     st.lists(st.sampled_from(["gnss", "x"]), max_size=5).map(tuple),
 )
@@ -374,7 +374,7 @@ def test_whatever_the_values_are_rendering_ends_in_text_or_in_none(code: str, da
     made = Explanation(code=code, values=values)
     assert Explanation.model_validate_json(made.model_dump_json()) == made
     for language in LANGUAGES:
-        for text in (words(language).sentence(made, cause=Told("c")), words(language).detail(made)):
+        for text in (words(language).sentence(made, cause=CodedText("c")), words(language).detail(made)):
             assert text is None or "{" not in PLACEHOLDER.sub("", text) or "“" in text
 
 

@@ -20,21 +20,21 @@ from ..base import Measurement
 from .fix import GnssPosition, GnssVelocity
 
 MEMORY_S = 30.0  # time constant of the exponential weights of past intervals
-SHORTEST_S = 0.45  # shortest interval of velocities
-SHORTEST_OF_POSITIONS_S = 0.95  # shortest interval of positions, whose differences are noisier
-LONGEST_S = 3.0  # longest interval: tilt and biases are constant in it
-FEWEST = 2.5  # smallest number of intervals (exponentially weighted) that give a turn
+MIN_DURATION_S = 0.45  # shortest interval of velocities
+MIN_OF_POSITIONS_S = 0.95  # shortest interval of positions, whose differences are noisier
+MAX_DURATION_S = 3.0  # longest interval: tilt and biases are constant in it
+MIN_INTERVALS = 2.5  # smallest number of intervals (exponentially weighted) that give a turn
 MANY = 4.5  # number of intervals from which their noise is estimated
 FEW_FACTOR = 4.0  # on the stated variance below that number
 STANDSTILL_OFFSET_SD = 0.05  # [m/s²] of c after levelling at standstill
 MOTION_OFFSET_SD = 1.5  # [m/s²] of c after levelling on the move
 SHIFT_SD = 0.3  # [m/s²] of changes of c while levelling on the move goes on
 NEIGHBOURS = 1.7  # on the noise of a difference of positions, which shares a position with the next
-LARGEST_JITTER_M = 1.0  # largest noise from position to position, of which the stated error is more
+MAX_JITTER_M = 1.0  # largest noise from position to position, of which the stated error is more
 WRONG_YAW = radians(30.0)  # smallest heading error that resets a filter
-WRONG_SDS = 5.0  # smallest such error in standard deviations
-SURE = radians(12.0)  # largest standard deviation of such a turn: at constant speed it is noise
-LARGEST_M_S2 = 8.0  # largest acceleration of a car; beyond it GNSS has jumped
+MIN_ERROR_SDS = 5.0  # smallest such error in standard deviations
+MAX_TURN_SD = radians(12.0)  # largest standard deviation of such a turn: at constant speed it is noise
+MAX_M_S2 = 8.0  # largest acceleration of a car; beyond it GNSS has jumped
 PERSISTENT_S = {True: 1.0, False: 3.0}  # time for which velocities (True) or positions must contradict a filter
 GAIN = (0.6, 1.6)  # range of |w| of one motion
 
@@ -71,12 +71,12 @@ class Match(NamedTuple):
         Match
         """
         span_s = (time_ns - self.time_ns) * 1e-9
-        if not self.begun or not 0.0 <= span_s < LONGEST_S:
+        if not self.begun or not 0.0 <= span_s < MAX_DURATION_S:
             return self._replace(time_ns=time_ns, inertial=inertial, gnss=gnss, begun=True)
-        if span_s < SHORTEST_S:
+        if span_s < MIN_DURATION_S:
             return self
         a, g, keep = (inertial - self.inertial) / span_s, (gnss - self.gnss) / span_s, exp(-span_s / MEMORY_S)
-        if abs(g) > LARGEST_M_S2:
+        if abs(g) > MAX_M_S2:
             return self._replace(time_ns=time_ns, inertial=inertial, gnss=gnss)
         return Match(
             time_ns,
@@ -120,7 +120,7 @@ class Match(NamedTuple):
             The noise variance is that of the residuals, or the stated one if that is larger. This is conservative:
             white velocity errors cancel from interval to interval.
         """
-        if self.n < FEWEST:
+        if self.n < MIN_INTERVALS:
             return 0.0, inf
         stated = self.noise / self.n * (1.0 if self.n > MANY else FEW_FACTOR)
         n = self.n + stated / offset_sd**2
@@ -144,10 +144,10 @@ class PositionMatch(NamedTuple):
     def after(self, time_ns: int, inertial: complex, position: Geodetic, sd: float) -> "PositionMatch":
         """Sums with one more position, its noise [m] from fix to fix, and the inertial velocity [m/s]."""
         span_s = (time_ns - self.time_ns) * 1e-9
-        if self.position is not None and 0.0 <= span_s < SHORTEST_OF_POSITIONS_S:
+        if self.position is not None and 0.0 <= span_s < MIN_OF_POSITIONS_S:
             return self
         match = self.match
-        if self.position is not None and 0.0 < span_s < LONGEST_S:
+        if self.position is not None and 0.0 < span_s < MAX_DURATION_S:
             north, east, _ = ned_from_geodetic_difference(position, self.position)
             velocity = complex(north, east) / span_s
             mean = 0.5 * (inertial + self.inertial)
@@ -174,8 +174,8 @@ class Comparison(NamedTuple):
             sd = sqrt(0.5 * float(gnss.cov[0, 0] + gnss.cov[1, 1]))
             match = self.velocities.after(gnss.time_ns, inertial, complex(gnss.velocity[0], gnss.velocity[1]), sd)
             return self._replace(velocities=match, source=gnss.source)._checked(gnss.time_ns)
-        if isinstance(gnss, GnssPosition) and gnss.time_ns - self.velocities.time_ns > LONGEST_S * 1e9:
-            sd = min(LARGEST_JITTER_M, sqrt(0.5 * float(gnss.cov[0, 0] + gnss.cov[1, 1])))
+        if isinstance(gnss, GnssPosition) and gnss.time_ns - self.velocities.time_ns > MAX_DURATION_S * 1e9:
+            sd = min(MAX_JITTER_M, sqrt(0.5 * float(gnss.cov[0, 0] + gnss.cov[1, 1])))
             positions = self.positions.after(gnss.time_ns, inertial, gnss.position, sd)
             return self._replace(positions=positions, source=gnss.source)._checked(gnss.time_ns)
         return self
@@ -191,7 +191,7 @@ class Comparison(NamedTuple):
         return self.wrong_ns is not None and now_ns - self.wrong_ns >= persistent_s * 1e9
 
     def _is_silent(self, now_ns: int) -> bool:
-        return now_ns - max(self.velocities.time_ns, self.positions.time_ns) > LONGEST_S * 1e9
+        return now_ns - max(self.velocities.time_ns, self.positions.time_ns) > MAX_DURATION_S * 1e9
 
     def turned(self, turn: float) -> "Comparison":
         """Comparison with the past inertial accelerations turned by an angle [rad]."""
@@ -216,7 +216,7 @@ class Comparison(NamedTuple):
     def contradicts(self, turn: float) -> bool:
         """Whether a turn from the level frame to NED [rad] is wrong by more than the filter can correct."""
         found, sd = self.result()
-        return sd < SURE and abs(wrap_angle(found - turn)) > max(WRONG_YAW, WRONG_SDS * sd)
+        return sd < MAX_TURN_SD and abs(wrap_angle(found - turn)) > max(WRONG_YAW, MIN_ERROR_SDS * sd)
 
 
 class Corrections(NamedTuple):

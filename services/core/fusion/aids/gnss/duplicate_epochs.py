@@ -15,8 +15,8 @@ MAX_SOURCES = 64  # largest number of pairs of source and kind
 REPEATED_S = 10.0  # longest time for which repeated values are left out; then they are gated as any other
 
 
-class Newest(NamedTuple):
-    """Newest value of a source and kind, its first and last stamp, and the motion at the first."""
+class LatestValue(NamedTuple):
+    """LatestValue value of a source and kind, its first and last stamp, and the motion at the first."""
 
     value: Geodetic | Vector
     since_ns: int
@@ -28,7 +28,7 @@ class Newest(NamedTuple):
 class Epochs(NamedTuple):
     """Newest value of every source; replaced and never changed."""
 
-    newest: dict[tuple[str, type], Newest] = {}  # noqa: RUF012  # never changed in place
+    newest: dict[tuple[str, type], LatestValue] = {}  # noqa: RUF012  # never changed in place
 
     def after(
         self, measurement: GnssPosition | GnssVelocity, navigation: ErrorStateFilter | None
@@ -55,7 +55,7 @@ class Epochs(NamedTuple):
             return self, True
         speed = self._speed(measurement, velocity)
         if last is None or last.value != value:
-            return self._with(key, Newest(value, measurement.time_ns, measurement.time_ns, speed, velocity)), False
+            return self._with(key, LatestValue(value, measurement.time_ns, measurement.time_ns, speed, velocity)), False
         repeated_s = (measurement.time_ns - last.since_ns) * 1e-9
         if isinstance(measurement, GnssPosition):
             moved = min(speed, last.speed) * repeated_s > DISTANCE_M
@@ -74,7 +74,7 @@ class Epochs(NamedTuple):
             return measured.speed
         return hypot(velocity[0], velocity[1]) if velocity else 0.0
 
-    def _with(self, key: tuple[str, type], newest: Newest) -> "Epochs":
+    def _with(self, key: tuple[str, type], newest: LatestValue) -> "Epochs":
         known = self.newest
         if key not in known and len(known) >= MAX_SOURCES:
             oldest = min(known, key=lambda pair: known[pair].time_ns)

@@ -17,7 +17,7 @@ from shared.messages.navigation import AidingKind
 
 from ...inertial import error_model as em
 from ...inertial.filter import ErrorStateFilter
-from ...inertial.propagation import FASTEST_M_S, HIGHEST_LATITUDE
+from ...inertial.propagation import HIGHEST_LATITUDE, MAX_SPEED_M_S
 from ...inertial.standstill import is_standstill
 from ...settings import Settings
 from ..base import Kind, Measurement, MotionSink, NonInertial, Observation, Sensor, Start
@@ -26,11 +26,11 @@ from .position_errors import KnownGnssErrors
 
 FloatArray = npt.NDArray[np.float64]
 
-LARGEST_SD = 1e4  # [m, m/s] upper limit of stated standard deviations
-SMALLEST_SD = 1e-6  # [m, m/s] below it a stated standard deviation is invalid
+MAX_SD = 1e4  # [m, m/s] upper limit of stated standard deviations
+MIN_SD = 1e-6  # [m, m/s] below it a stated standard deviation is invalid
 CORRELATED_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
 LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # plausible heights
-SMALLEST_EIGENVALUE = 1e-3  # [-] of a valid correlation matrix
+MIN_EIGENVALUE = 1e-3  # [-] of a valid correlation matrix
 
 
 class Stamp(NamedTuple):
@@ -155,7 +155,7 @@ class GnssVelocity(Kind):
 
     def implausible(self) -> str | None:
         """Limit of speeds."""
-        return None if hypot(*self.velocity) < FASTEST_M_S else "implausible velocity"
+        return None if hypot(*self.velocity) < MAX_SPEED_M_S else "implausible velocity"
 
     def corrected(self, position_s: float, velocity_s: float) -> Self:
         """At its time of validity."""
@@ -294,13 +294,13 @@ def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor
     """
     if cov is None or not np.isfinite(cov).all():
         return np.diag(np.square(default_sd))
-    cov = np.clip(cov, -(LARGEST_SD**2), LARGEST_SD**2)
-    known = cov.diagonal() > SMALLEST_SD**2
+    cov = np.clip(cov, -(MAX_SD**2), MAX_SD**2)
+    known = cov.diagonal() > MIN_SD**2
     stated = np.sqrt(np.maximum(cov.diagonal(), floor_sd**2))
     correlation = np.where(np.outer(known, known), np.clip(cov / np.outer(stated, stated), -1.0, 1.0), 0.0)
     np.fill_diagonal(correlation, 1.0)
-    if np.linalg.eigvalsh(correlation)[0] < SMALLEST_EIGENVALUE:
+    if np.linalg.eigvalsh(correlation)[0] < MIN_EIGENVALUE:
         correlation = np.eye(3)
-    sd = np.where(known, np.clip(stated * factor, floor_sd, LARGEST_SD), default_sd)
+    sd = np.where(known, np.clip(stated * factor, floor_sd, MAX_SD), default_sd)
     trusted: FloatArray = correlation * np.outer(sd, sd)
     return trusted

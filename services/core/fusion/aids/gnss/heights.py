@@ -5,7 +5,7 @@ import numpy as np
 from ...inertial import error_model as em
 from ...inertial.filter import ErrorStateFilter
 
-LEAST_HEIGHT_M = 10.0  # a height near zero, of which the sign hardly matters
+MIN_HEIGHT_M = 10.0  # a height near zero, of which the sign hardly matters
 GRAVITY_GRADIENT = 3.1e-6  # [1/s²] decrease of gravity per metre of height
 SLOPE = 0.2  # [-] twice that of a steep road, which the climb had with the wrong sign
 
@@ -16,7 +16,7 @@ def inflate_for_wrong_heights(navigation: ErrorStateFilter) -> None:
     The bias of the accelerometers along the vertical has taken up the gravity of the wrong height, which would tell the
     same height again.
     """
-    wrong_m = 2.0 * max(abs(navigation.position.height), LEAST_HEIGHT_M)
+    wrong_m = 2.0 * max(abs(navigation.position.height), MIN_HEIGHT_M)
     navigation.inflate(height_sd=wrong_m)
     vertical_b = navigation.ned_from_body[2]
     navigation.inflate_along(em.ACCELEROMETER_BIAS, GRAVITY_GRADIENT * wrong_m * vertical_b)

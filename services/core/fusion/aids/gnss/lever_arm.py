@@ -21,8 +21,8 @@ FloatArray = npt.NDArray[np.float64]
 Square = tuple[float, float, float, float]  # a matrix of two rows and two columns
 
 MEMORY_S = 120.0  # time constant of the weights
-WRONG_M = 0.5  # smallest significant error: the filter absorbs a part, which grows with the rate of fixes
-WRONG_SDS = 8.0  # smallest significant number of standard deviations: innovations are not independent
+MIN_ERROR_M = 0.5  # smallest significant error: the filter absorbs a part, which grows with the rate of fixes
+MIN_ERROR_SDS = 8.0  # smallest significant number of standard deviations: innovations are not independent
 
 
 class LeverArmMonitor(NamedTuple):
@@ -69,4 +69,4 @@ class LeverArmMonitor(NamedTuple):
         """Error of the arm, forward and right [m], if it is significant."""
         error, sds = self.error()
         forward, right = error
-        return (forward, right) if hypot(forward, right) > WRONG_M and sds > WRONG_SDS else None
+        return (forward, right) if hypot(forward, right) > MIN_ERROR_M and sds > MIN_ERROR_SDS else None

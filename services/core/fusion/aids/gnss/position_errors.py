@@ -37,8 +37,11 @@ START_SDS = 100.0  # of the unknown initial position over the error of a fix
 SURPRISE = 9.0  # d² of one axis at which its influence is clipped
 FLOOR = log(0.01) - log(10.0)  # of an axis' likelihood: one fix in a hundred may be ten times as wrong as stated
 PERIOD_S = 2.0  # between fixes used for learning: closer ones show the receiver's smoothing, not its errors
-FOLLOWED = 0.25, 10.0  # variance over the stated one, correlation time [s] of what is left, if positions are followed
-LASTS = 0.5  # of the stated variance, which the levels then hold for errors that last
+RESIDUAL_ERROR_MODEL = (
+    0.25,
+    10.0,
+)  # variance over the stated one, correlation time [s] of what is left, if positions are followed
+TIME_CORRELATED_SHARE = 0.5  # of the stated variance, which the levels then hold for errors that last
 BREAK_S = 10.0  # without a fix, after which the displacement is unknown again
 VELOCITY_CORRELATION_S = 2.0  # of the error of the filter's velocity
 
@@ -88,14 +91,14 @@ class GnssErrorBank:
     def correlation_s(self) -> float:
         """Correlation time [s], the geometric mean over all hypotheses."""
         if self.follows:
-            return FOLLOWED[1]
+            return RESIDUAL_ERROR_MODEL[1]
         weight = self.weight * CORRELATED_SHARES + 1e-12
         return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
-        learned = FOLLOWED[0] * np.minimum(self._learned, 1.0) if self.follows else self._learned
+        learned = RESIDUAL_ERROR_MODEL[0] * np.minimum(self._learned, 1.0) if self.follows else self._learned
         level, upright = np.sqrt(learned).tolist()
         return np.array([level, level, upright])
 
@@ -113,7 +116,7 @@ class GnssErrorBank:
         """
         if not self.follows:
             return 0.0, 0.0
-        level, upright = (LASTS * np.minimum(self._learned, 1.0)).tolist()
+        level, upright = (TIME_CORRELATED_SHARE * np.minimum(self._learned, 1.0)).tolist()
         return level * max(cov.item(0, 0), cov.item(1, 1)), upright * cov.item(2, 2)
 
     @cached_property
@@ -233,7 +236,7 @@ def _prior() -> FloatArray:
 ROOTS = SCALES * np.sqrt(CORRELATED_SHARES)[:, np.newaxis]  # [-] time-correlated part over what is stated
 WHITES = SCALES**2 * (1.0 - CORRELATED_SHARES)[:, np.newaxis]  # [-] variance of the white part over it
 PRIOR = _prior()
-UNKNOWN = GnssErrorBank(np.zeros((2, *SHAPE[1:])), *_unknown())
+UNKNOWN_ERRORS = GnssErrorBank(np.zeros((2, *SHAPE[1:])), *_unknown())
 
 
 @dataclass(frozen=True)

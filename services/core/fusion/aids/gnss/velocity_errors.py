@@ -19,12 +19,12 @@ CORRELATIONS = np.array([0.2, 0.4, 0.6, 0.8])  # [-] of successive errors that a
 WHITE_PRIOR = 0.5, 0.01  # probability that they are, of a receiver that states their size, and of one that does not
 FOLLOW_BELOW, UNTIL_ABOVE = 0.001, 0.9  # probability of white errors: positions are followed below one, until above
 CORRELATION_S = 60.0  # of the error of velocities that are not white
-SHARE = 0.1  # of the stated variance that it has
+WHITE_SHARE = 0.1  # of the stated variance that it has
 MEMORY_S = 600.0  # forgetting time constant
 POWER_MEMORY_S = 60.0  # of the residuals' mean square
 INDEPENDENT_S = 0.5  # between velocities that count in full: more of them in that time count as one
-CERTAIN = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
-LARGEST = 3.0  # [-] standard deviations at which a residual is clipped
+MAX_LOG_RATIO = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
+MAX_VALUE = 3.0  # [-] standard deviations at which a residual is clipped
 SETTLING_S = 10.0  # from the first velocity, and the first after a gap: residuals repeat while the filter converges
 BREAK_S = 2.0  # longest interval between successive velocities: a longer one is a gap
 
@@ -67,19 +67,19 @@ class GnssVelocityErrors:
         if settled:
             weight = max(1.0 / (self.count + 1), 1.0 - exp(-max(step_s, 0.0) / POWER_MEMORY_S))
             power[:n] += weight * (residual**2 - power[:n])
-        last[:n] = np.clip(residual / np.sqrt(power[:n] + 1e-12), -LARGEST, LARGEST)
+        last[:n] = np.clip(residual / np.sqrt(power[:n] + 1e-12), -MAX_VALUE, MAX_VALUE)
         if settled and self.count and step_s > 0.0:
             rest = 1.0 - CORRELATIONS**2
             apart = last[:n] - CORRELATIONS[:, np.newaxis] * self.last[:n]
             ratio = 0.5 * (last[:n] ** 2 - apart**2 / rest[:, np.newaxis] - np.log(rest)[:, np.newaxis])
             counted = min(1.0, step_s / INDEPENDENT_S) * ratio.sum(axis=1)
-            evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -CERTAIN, CERTAIN)
+            evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -MAX_LOG_RATIO, MAX_LOG_RATIO)
         prior = WHITE_PRIOR[0] if stated else WHITE_PRIOR[1]
         learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, since_ns, self.count + settled, prior)
         limit = UNTIL_ABOVE if self.follows else FOLLOW_BELOW
         follows = learned.white < limit or not (self.time_ns or stated)
-        variance[:n] = SHARE * variances if follows else 0.0
+        variance[:n] = WHITE_SHARE * variances if follows else 0.0
         return replace(learned, follows=follows)
 
 
-UNKNOWN = GnssVelocityErrors(np.zeros(len(CORRELATIONS)), np.zeros(3), np.zeros(3), np.zeros(3))
+UNKNOWN_ERRORS = GnssVelocityErrors(np.zeros(len(CORRELATIONS)), np.zeros(3), np.zeros(3), np.zeros(3))

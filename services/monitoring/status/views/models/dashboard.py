@@ -268,7 +268,7 @@ class Dashboard(State):
 
 
 @answer()
-class Everything(State):
+class DashboardState(State):
     """All that the dashboard shows, and the newest message of every topic."""
 
     topics: dict[str, Topic]

@@ -91,7 +91,7 @@ class Health(TypedDict):
 
 
 @answer()
-class Alive(TypedDict):
+class Liveness(TypedDict):
     """Whether the unit works at all."""
 
     alive: bool

@@ -52,7 +52,7 @@ class TokenList(TypedDict):
 
 
 @answer()
-class MadeToken(TypedDict):
+class IssuedToken(TypedDict):
     """A new token; null after a revocation."""
 
     token: str | None
@@ -119,7 +119,7 @@ class TokensApi:
         )
         return {"tokens": [*tokens], "sessions": [*sessions]}
 
-    async def change(self, request: Request) -> MadeToken:
+    async def change(self, request: Request) -> IssuedToken:
         """Add a token, which is in the answer only, or revoke one and end its logins."""
         try:
             command = COMMANDS.validate_json(await body.read(request))

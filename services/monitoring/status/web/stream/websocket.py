@@ -23,7 +23,7 @@ PERIOD_S, SLOWED_PERIOD_S = 0.2, 1.0
 PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
 
 
-class Shown(Dashboard):
+class PageState(Dashboard):
     """What a page is sent as `state`."""
 
     replay: ReplayShown | None
@@ -95,5 +95,5 @@ class Stream:
 
     def _view(self) -> Json:
         with self._lock:
-            shown: Shown = {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
+            shown: PageState = {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
         return shown

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from cli.import_drive.conversion.convert import Converted, convert, wanted_columns
+from cli.import_drive.conversion.convert import Conversion, convert, wanted_columns
 from cli.import_drive.mapping.mapping import parse_mapping
 from cli.import_drive.readers.table import read_table
 from shared.errors import UserError
@@ -15,7 +15,7 @@ from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 STANDARD_GRAVITY = 9.80665
 
 
-def converted(mapping: str, text: str) -> Converted:
+def converted(mapping: str, text: str) -> Conversion:
     spec = parse_mapping('name = "drive"\n' + mapping, "m.toml")
     table = next(spec.files())
     rows = csv.reader(text.strip().splitlines())

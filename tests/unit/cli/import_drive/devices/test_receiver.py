@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cli.import_drive.devices.receiver import read_receiver
-from cli.import_drive.devices.stamped import WITHOUT_DATE_NS, ClockKind, FileKind, Stamped
+from cli.import_drive.devices.stamped import WITHOUT_DATE_NS, ClockKind, FileKind, StampedFile
 from services.parsers.gnss.process import Config, Process
 from shared.maths.crc import crc24q, fletcher
 from shared.messages.gnss import GnssFix, GnssRaw
@@ -41,7 +41,7 @@ def sentence(body: str) -> bytes:
     return f"${body}*{reduce(xor, body.encode()):02X}\r\n".encode()
 
 
-def times(stamped: Stamped) -> list[float]:
+def times(stamped: StampedFile) -> list[float]:
     return [(portion.time_ns - NOON_NS) / NS for portion in stamped.portions]
 
 

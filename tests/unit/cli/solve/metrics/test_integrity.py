@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from cli.solve.metrics.errors import errors_against
-from cli.solve.metrics.integrity import INTEGRITY, Protected, Region, integrity_metrics, protected
+from cli.solve.metrics.integrity import INTEGRITY, AxisProtection, Region, integrity_metrics, protected
 from cli.solve.metrics.metrics import METRICS
 from cli.solve.report.drawing import WIDTH_IN
 from cli.solve.report.stanford import HEIGHT_IN, draw, stanford
@@ -19,7 +19,7 @@ LIMITS = (10.0, 20.0)
 NOWHERE = (0.0, 0.0, 0.0)
 # Error and level: two nominal, one unavailable, one misleading, one unavailable and misleading, two hazardous.
 PAIRS = np.array([(1.0, 5.0), (9.0, 9.5), (3.0, 12.0), (8.0, 6.0), (15.0, 12.0), (11.0, 9.0), (40.0, 1.0)])
-MADE = Protected("horizontal", PAIRS[:, 0], PAIRS[:, 1], 10.0)
+MADE = AxisProtection("horizontal", PAIRS[:, 0], PAIRS[:, 1], 10.0)
 
 
 def promised(time_s: float, error: float, level: float | None) -> NavigationSolution:
@@ -38,7 +38,7 @@ def test_every_epoch_is_in_one_region() -> None:
 
 
 def test_an_error_equal_to_the_level_or_the_limit_is_not_misleading() -> None:
-    edge = Protected("vertical", np.array([5.0, 10.0]), np.array([5.0, 10.0]), 10.0)
+    edge = AxisProtection("vertical", np.array([5.0, 10.0]), np.array([5.0, 10.0]), 10.0)
     assert edge.regions()[Region.NOMINAL] == 2
 
 

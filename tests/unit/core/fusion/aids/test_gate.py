@@ -11,7 +11,7 @@ import pytest
 from services.core.fusion.aids.base import Height, Outcome
 from services.core.fusion.aids.gate import FaultStatus, Gate, _weight
 from services.core.fusion.aids.gnss.fix import GnssPosition
-from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN
+from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN_ERRORS
 from services.core.fusion.codes import Code
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
@@ -269,10 +269,10 @@ def filter_with_long_correlation_time() -> ErrorStateFilter:
     """Position to 0.2 m; GNSS errors of 3 m estimated to have a correlation time of 200 s."""
     inside = run(Fault(0.0)).navigator.engine.filter
     assert inside is not None
-    evidence = UNKNOWN.evidence.copy()
+    evidence = UNKNOWN_ERRORS.evidence.copy()
     evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
     twin, P = copy(inside), inside.P.copy()
-    twin.gnss_errors = replace(UNKNOWN, evidence=evidence)
+    twin.gnss_errors = replace(UNKNOWN_ERRORS, evidence=evidence)
     twin.parameters = tuple(0.0 for _ in twin.parameters)
     for part, variance in ((em.POSITION, 0.04), (em.GNSS_ERROR, 0.01)):
         P[part], P[:, part] = 0.0, 0.0

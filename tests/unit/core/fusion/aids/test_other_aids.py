@@ -14,7 +14,7 @@ from cli.papers.navigation import give_fix
 from services.core.fusion.aids.barometer import BarometricHeight, pressure_height
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.dual_antenna import BaselineHeading
-from services.core.fusion.aids.magnetometer import SECTORS, WORST, CompassCheck, MagneticHeading
+from services.core.fusion.aids.magnetometer import MAX_SECTOR_ERROR, SECTORS, CompassCheck, MagneticHeading
 from services.core.fusion.codes import Code, HeadingMethod
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
@@ -234,7 +234,7 @@ def test_magnetometer_errors_are_averaged_by_sectors_of_heading() -> None:
         assert check.spread is None
         check = check.after(2.0 * np.pi * (k + 0.5) / SECTORS, 0.01 * (k + 1))
     assert check.spread == pytest.approx(0.04)
-    assert WORST > 0.04
+    assert MAX_SECTOR_ERROR > 0.04
     shaken = check.after(0.1, 1.0)
     assert shaken.errors[0] == pytest.approx(0.01 + 0.1 * 0.99), "one reading has a weight of a tenth"
     seen = MagneticHeading(0, 0, "", (0.5, 0.1, 0.8), 0.0, CompassCheck((0.3, 0.3, 0.3, 0.3) + (None,) * 4))

@@ -7,7 +7,7 @@ import pytest
 
 from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
 from services.core.fusion.aids.odometer import WheelSpeed
-from services.core.fusion.hypotheses.motion_model import LONGEST_GAP_S, REJECTIONS, MotionModel, State
+from services.core.fusion.hypotheses.motion_model import MAX_GAP_S, REJECTIONS, MotionModel, State
 from services.core.fusion.settings import Settings
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 
@@ -92,7 +92,7 @@ def test_it_starts_only_in_motion_and_ends_long_after_the_last_position() -> Non
     model.use(slow)
     assert model.state(SECOND_NS) is None
     model.use(velocity)
-    early, late = model.state(SECOND_NS), model.state(round((LONGEST_GAP_S + 0.5) * SECOND_NS))
+    early, late = model.state(SECOND_NS), model.state(round((MAX_GAP_S + 0.5) * SECOND_NS))
     assert early is not None and late is None
     nine = state(model, 9.0)
     assert nine.position_cov[0, 0] > 10.0 * early.position_cov[0, 0], "it soon knows nothing"

@@ -5,12 +5,12 @@ from services.core.fusion.aids.zero_velocity import PERIOD_S, RATE_SD, SETTLING_
 from services.core.fusion.inertial.error_model import SIZE, VELOCITY
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.standstill import (
-    CERTAIN,
+    CERTAIN_LIMITS,
     STANDSTILL_RATE_SD,
     UNCERTAIN_QUIET_S,
     UNSETTLED,
     Limits,
-    Quiet,
+    StandstillState,
     detect,
     is_standstill,
     limits_of,
@@ -25,13 +25,13 @@ STILL: Vector = (0.0, 0.0, 0.0)
 
 
 def after(
-    rest: Quiet,
+    rest: StandstillState,
     seconds: float,
     rate: Vector = STILL,
     acceleration: Vector = STILL,
     speed: float = 0.0,
-    limits: Limits = CERTAIN,
-) -> Quiet:
+    limits: Limits = CERTAIN_LIMITS,
+) -> StandstillState:
     for _ in range(round(seconds / STEP_S)):
         rest = detect(rest, rate, acceleration, speed, STEP_S, limits)
     return rest
@@ -72,7 +72,7 @@ def test_vibration_of_an_idling_engine_does_not_end_a_standstill() -> None:
     rest = after(UNSETTLED, 2.0)
     for k in range(2000):
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
-        rest = detect(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S, CERTAIN)
+        rest = detect(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S, CERTAIN_LIMITS)
         assert is_standstill(rest)
 
 
@@ -83,12 +83,12 @@ def test_with_an_uncertain_velocity_a_standstill_needs_two_seconds() -> None:
         assert not is_standstill(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
         assert is_standstill(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
     assert not is_standstill(after(settled, 10.0, speed=4.0, limits=limits)), "above the limit of its covariance"
-    assert uncertain(0.05) == CERTAIN
+    assert uncertain(0.05) == CERTAIN_LIMITS
 
 
 def test_a_standstill_is_detected_with_a_tilt_error_of_half_a_degree() -> None:
     """Half a degree of tilt is 0.09 m/s² of gravity; two degrees exceed the tilt errors of a filter."""
-    for limits in (CERTAIN, uncertain(0.6)):
+    for limits in (CERTAIN_LIMITS, uncertain(0.6)):
         leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # braking
         leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), limits=limits)
         assert not is_standstill(leaning)

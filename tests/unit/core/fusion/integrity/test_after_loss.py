@@ -2,13 +2,13 @@
 
 import pytest
 
-from services.core.fusion.integrity.after_loss import DRIVEN_M, NO_LOSS, AfterLoss
+from services.core.fusion.integrity.after_loss import DRIVEN_M, NO_LOSS, ReturnSpread
 from services.core.fusion.integrity.error_monitor import ErrorMonitor
 
 BEFORE = (4.0, 0.0, 9.0, 1.0)  # [m²] standard deviations of 2, 3 and 1 m
 
 
-def driven(loss: AfterLoss, seconds: int, *, used: bool = True) -> AfterLoss:
+def driven(loss: ReturnSpread, seconds: int, *, used: bool = True) -> ReturnSpread:
     for _ in range(seconds):
         loss = loss.confirmed(used=used, since_s=1.0, speed=10.0)
     return loss

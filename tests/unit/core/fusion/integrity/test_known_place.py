@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.core.fusion.integrity.known_place import AWAY_M, STOOD_S, KnownPlace, known_well
+from services.core.fusion.integrity.known_place import AWAY_M, MIN_STANDSTILL_S, KnownPlace, known_well
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
 HOME = Geodetic(0.9, 0.2, 300.0)
@@ -23,7 +23,7 @@ def test_a_place_is_recognised_by_a_vehicle_that_stands_there_again(
     assert not place.recognised(0, away, (1.0, 1.0), stationary=True)
     back = geodetic_from_ned_difference((0.0, beside_m, 0.0), HOME)
     place.recognised(SECOND_NS, back, (1.0, 1.0), stationary=False)
-    for second in range(2, 4 + int(STOOD_S)):
+    for second in range(2, 4 + int(MIN_STANDSTILL_S)):
         found |= place.recognised(second * SECOND_NS, back, (1.0, 1.0), stationary=stands)
     assert found is expected
 

@@ -3,8 +3,8 @@
 import pytest
 
 from services.core.fusion.conflict_record import held_numbers, held_of, remembered
-from services.core.fusion.integrity.disagreement import NOTHING, Disagreement
-from services.core.fusion.integrity.over_a_cut import LARGEST_M, LONGEST_S, GrowthRate, RememberedConflict
+from services.core.fusion.integrity.disagreement import NO_DISAGREEMENT, Disagreement
+from services.core.fusion.integrity.over_a_cut import MAX_DISTANCE_M, MAX_DURATION_S, GrowthRate, RememberedConflict
 from shared.messages.navigation import ConflictRecord
 
 SECOND_NS = 1_000_000_000
@@ -42,13 +42,13 @@ def test_the_bound_grows_over_the_cut_by_the_largest_rate() -> None:
     assert held.bound == pytest.approx((50.0 + 5.0 + 60.0, 2.0 + 6.0 + 10.0))
     assert held.agreeing_ns is None
     assert known.at(0).bound == HELD.bound
-    assert RememberedConflict(0, NOTHING, (3.0, 0.5)).at(20 * SECOND_NS) is NOTHING
+    assert RememberedConflict(0, NO_DISAGREEMENT, (3.0, 0.5)).at(20 * SECOND_NS) is NO_DISAGREEMENT
 
 
 @pytest.mark.parametrize("time_ns", [-1, 10**18])
 def test_a_clock_that_went_back_and_a_long_cut_are_bounded(time_ns: int) -> None:
-    assert RememberedConflict(0, HELD, (3.0, 0.0)).at(time_ns).bound[0] == pytest.approx(55.0 + 3.0 * LONGEST_S)
-    assert RememberedConflict(0, HELD, (1e4, 0.0)).at(time_ns).slack[0] == LARGEST_M
+    assert RememberedConflict(0, HELD, (3.0, 0.0)).at(time_ns).bound[0] == pytest.approx(55.0 + 3.0 * MAX_DURATION_S)
+    assert RememberedConflict(0, HELD, (1e4, 0.0)).at(time_ns).slack[0] == MAX_DISTANCE_M
 
 
 def test_a_record_gives_back_what_was_held() -> None:
@@ -56,5 +56,5 @@ def test_a_record_gives_back_what_was_held() -> None:
     back = remembered(record)
     assert (back.time_ns, back.growth, back.held.grew) == (5, (1.0, 2.0), True)
     assert back.held.bound == HELD.bound
-    assert held_of(ConflictRecord(sampled_ns=0)) is NOTHING
-    assert held_of(ConflictRecord(sampled_ns=0, held_m=(1.0, 2.0))) is NOTHING, "of another layout"
+    assert held_of(ConflictRecord(sampled_ns=0)) is NO_DISAGREEMENT
+    assert held_of(ConflictRecord(sampled_ns=0, held_m=(1.0, 2.0))) is NO_DISAGREEMENT, "of another layout"

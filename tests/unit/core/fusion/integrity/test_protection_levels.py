@@ -12,10 +12,16 @@ from scipy.stats import norm
 
 from services.core.fusion.integrity.disagreement import Disagreement
 from services.core.fusion.integrity.error_monitor import ErrorMonitor
-from services.core.fusion.integrity.innovation_statistics import ESTIMATED, MEMORY_S, RARE, Axis, InnovationStatistics
+from services.core.fusion.integrity.innovation_statistics import (
+    ESTIMATED,
+    MEMORY_S,
+    NORMAL_QUANTILE_1E_3,
+    Axis,
+    InnovationStatistics,
+)
 from services.core.fusion.integrity.protection_levels import (
     FAULT_PROBABILITY,
-    LARGEST_M,
+    MAX_DISTANCE_M,
     horizontal_level,
     horizontal_level_with_fault,
     protection_levels,
@@ -190,7 +196,7 @@ def test_a_rare_large_innovation_scales_the_covariance_for_a_minute() -> None:
     struck = np.vstack([np.clip(struck, -3.0, 3.0), [[0.0, 0.0, 4.5]]])
     then, before = statistics_of(struck), statistics_of(calm)
     assert before.scale_vertical == pytest.approx(1.0, abs=0.15)
-    assert then.scale_vertical == pytest.approx((4.5 / RARE) ** 2)
+    assert then.scale_vertical == pytest.approx((4.5 / NORMAL_QUANTILE_1E_3) ** 2)
     assert then.scale_horizontal == before.scale_horizontal == 1.0
     later = then
     for k in range(60):
@@ -237,9 +243,9 @@ def test_the_way_driven_in_a_delay_that_is_not_corrected_is_added() -> None:
 
 def test_a_covariance_that_is_not_finite_or_not_positive_gives_the_largest_level() -> None:
     broken = ((float("nan"), 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    assert levels(monitor(), cov=broken) == (LARGEST_M, LARGEST_M)
+    assert levels(monitor(), cov=broken) == (MAX_DISTANCE_M, MAX_DISTANCE_M)
     endless = ((1e30, 0.0, 0.0), (0.0, 1e30, 0.0), (0.0, 0.0, 1e30))
-    assert levels(monitor(), cov=endless) == (LARGEST_M, LARGEST_M)
+    assert levels(monitor(), cov=endless) == (MAX_DISTANCE_M, MAX_DISTANCE_M)
 
 
 def test_what_lacks_to_the_variance_of_white_noise_counts_less_two_sampling_errors() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from services.core.fusion.integrity.error_monitor import ErrorMonitor
 from services.core.fusion.integrity.protection_levels import Levels, protection_levels
-from services.core.fusion.integrity.set_up_spread import NO_SPREAD, Measured, SetUpSpread
+from services.core.fusion.integrity.set_up_spread import NO_SPREAD, CheckDifference, SetUpSpread
 from services.core.fusion.set_up.findings import Check, Verdict
 from services.core.fusion.set_up.monitor import SetUpMonitor
 from services.core.fusion.settings import GnssSettings, Settings
@@ -32,7 +32,7 @@ def test_a_lever_arm_that_is_not_given_is_known_less_than_one_that_is_and_a_stat
 
 
 def test_a_check_replaces_what_was_assumed_by_what_it_has_seen_and_never_by_more() -> None:
-    found = SetUpSpread.of(GIVEN, arm=Measured(0.03, 0.04), delay=Measured(0.4, 0.02))
+    found = SetUpSpread.of(GIVEN, arm=CheckDifference(0.03, 0.04), delay=CheckDifference(0.4, 0.02))
     assert found.arm_horizontal_m == pytest.approx(0.05)
     assert found.arm_vertical_m == 0.35, "turns do not show the height"
     assert found.delay_s == 0.12

@@ -16,7 +16,7 @@ from services.core.fusion.set_up.axes import AxesFit, fit_axes
 from services.core.fusion.set_up.delay import _fit, lag_of
 from services.core.fusion.set_up.findings import Check, Verdict
 from services.core.fusion.set_up.monitor import ArmError, SetUpMonitor, check_arm
-from services.core.fusion.set_up.motion import MOST_WAITING, Changes, Intervals, Motion, MotionLog, Velocities
+from services.core.fusion.set_up.motion import MAX_WAITING, Changes, Intervals, Motion, MotionLog, Velocities
 from services.core.fusion.set_up.receiver import _covered, _mean_velocity
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
@@ -24,13 +24,13 @@ from services.sensors.simulator.drive import simulate
 from shared.maths.rotation import Vector, ned_from_body
 from shared.runtime.config import LEVEL_MOUNTING, GnssAntenna, ImuMounting, Vehicle, parse_vehicle
 from tests.support.cases import each
-from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
+from tests.support.drives.set_up import Faults, RecordedDrive, matrix_of, simulated
 
 SECONDS = 180.0
 
 
 @cache
-def town() -> Recorded:
+def town() -> RecordedDrive:
     """Three minutes of stop and go in a town with hills."""
     return simulated(simulate("urban", seed=3, duration_s=SECONDS), exact_heights=True)
 
@@ -161,7 +161,9 @@ def test_after_three_minutes_only_delay_and_lever_arm_may_be_unknown() -> None:
 
 def test_at_standstill_only_the_checks_of_gravity_are_decided() -> None:
     n = 3000
-    still = Recorded(np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[])
+    still = RecordedDrive(
+        np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[]
+    )
     known = {name for name, check in Faults().checks(still).items() if check.verdict is not Verdict.UNKNOWN}
     assert known == {"accelerometer_scale", "imu_upright"}
 
@@ -263,9 +265,9 @@ def test_samples_out_of_order_are_left_out_of_the_integrals() -> None:
 
 def test_a_clock_that_stands_still_does_not_let_the_log_grow() -> None:
     log = MotionLog()
-    for _ in range(2 * MOST_WAITING + 10):
+    for _ in range(2 * MAX_WAITING + 10):
         log.samples((1_000_000_000,), ((0.0, 0.0, -9.81),), ((0.0, 0.0, 0.0),))
-    assert len(log._waiting) < MOST_WAITING
+    assert len(log._waiting) < MAX_WAITING
     assert log.motion() is None
 
 

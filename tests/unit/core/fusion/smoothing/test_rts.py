@@ -16,11 +16,11 @@ from services.core.fusion.aids.gnss.antenna import antenna_position_matrix
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter, rescaled
 from services.core.fusion.inertial.propagation import Intervals, samples_of
-from services.core.fusion.inertial.standstill import CERTAIN
+from services.core.fusion.inertial.standstill import CERTAIN_LIMITS
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.smoothing.history import CorrectionRecord, HistoryRecorder, Knot, Start, Step
-from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
+from services.core.fusion.smoothing.rts import BackwardRecursion, smoothed_filters
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
@@ -69,7 +69,7 @@ def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatAr
 
 
 def smoothed(way: LinearRun) -> tuple[list[FloatArray], list[FloatArray]]:
-    back = Backwards(len(way.Ps[0]))
+    back = BackwardRecursion(len(way.Ps[0]))
     states, covs = [], []
     for k in reversed(range(len(way.Ps))):
         errors, cov = back.smoothed(way.Ps[k])
@@ -136,7 +136,7 @@ def test_a_decaying_error_is_smoothed_to_the_batch_least_squares() -> None:
     """x0 known to 2, x1 = 0.5 x0 + noise of variance 3, z = x1 + noise of variance 1."""
     P1 = np.array([[0.25 * 4.0 + 3.0]])
     seen = correct(P1, np.array([2.0]), np.eye(1), np.eye(1))
-    back = Backwards(1)
+    back = BackwardRecursion(1)
     back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
     back.step(np.array([[0.5]]))
     errors, cov = back.smoothed(np.array([[4.0]]))
@@ -147,7 +147,7 @@ def test_a_decaying_error_is_smoothed_to_the_batch_least_squares() -> None:
 
 def test_measurements_after_a_parameter_reset_do_not_change_the_parameter_before_it() -> None:
     seen = correct(np.eye(2), np.array([1.0]), np.array([[0.0, 1.0]]), np.eye(1))
-    back = Backwards(2)
+    back = BackwardRecursion(2)
     back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
     back.reset_parameter(1)
     errors, cov = back.smoothed(np.eye(2))
@@ -376,7 +376,7 @@ def test_smoothed_errors_do_not_depend_on_a_change_of_scale_of_some_states() -> 
     units = np.ones(n)
     units[place] = ratios
     behind = rescaled(P, place, ratios)
-    back = Backwards(n)
+    back = BackwardRecursion(n)
     H = rng.standard_normal((2, n))
     S_inverse: FloatArray = np.asarray(np.linalg.inv(H @ behind @ H.T + np.eye(2)), dtype=np.float64)
     back.correction(np.array([1.0, -2.0]), H, behind @ H.T @ S_inverse, S_inverse)
@@ -462,7 +462,7 @@ def matched(seed: int) -> World:
         fx, fy, fz = (drive.ideal_force_b[i] + force_bias + noise[0] * rng.standard_normal(3)).tolist()
         wx, wy, wz = (drive.ideal_rate_b[i] + rate_bias + noise[1] * rng.standard_normal(3)).tolist()
         one = samples_of([int(drive.t_ns[i])], [[fx, fy, fz, wx, wy, wz]], {})
-        navigation.propagate(one, 0, 1, CERTAIN, Intervals(np.inf))
+        navigation.propagate(one, 0, 1, CERTAIN_LIMITS, Intervals(np.inf))
         if k % 5 == 0:
             navigation.propagate_covariance()
         if k == 2000:

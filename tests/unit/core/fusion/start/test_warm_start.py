@@ -18,7 +18,7 @@ from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
 from services.core.fusion.start.warm_start import (
-    LONGEST_GAP_S,
+    MAX_GAP_S,
     UPPER,
     SavedState,
     covariance_of,
@@ -269,10 +269,10 @@ def test_an_invalid_state_is_rejected_with_a_counted_reason(name: str, reason: s
 @pytest.mark.parametrize(
     ("age_s", "reason"),
     [
-        (LONGEST_GAP_S + 0.1, "saved state too old"),
+        (MAX_GAP_S + 0.1, "saved state too old"),
         (0.0, "saved state from the future"),
         (-1.0, "saved state from the future"),
-        (LONGEST_GAP_S, None),
+        (MAX_GAP_S, None),
     ],
 )
 def test_a_state_too_old_or_from_the_future_is_rejected(age_s: float, reason: str | None) -> None:

@@ -15,7 +15,7 @@ from services.core.fusion.inertial.imu_faults import Sample
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.timeline import conflict as conflicts
-from services.core.fusion.timeline.conflict import PART
+from services.core.fusion.timeline.conflict import SAMPLES_PER_STEP
 from services.core.fusion.timeline.cursor import Cursor
 from services.core.fusion.timeline.engine import Engine
 from services.core.fusion.timeline.events import GnssExcluded, GnssReadmitted, OdometerExclusion
@@ -207,7 +207,7 @@ def test_the_state_is_replaced_once_the_roll_back_in_parts_has_reached_the_newes
         if since_ns == 60 * SECOND_NS:
             confirmed = n + 1
             break
-    assert confirmed is not None and 15 * 100 / PART <= confirmed <= 20 * 100 / PART
+    assert confirmed is not None and 15 * 100 / SAMPLES_PER_STEP <= confirmed <= 20 * 100 / SAMPLES_PER_STEP
 
 
 def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -> None:
@@ -223,7 +223,7 @@ def test_without_a_snapshot_before_the_suspect_time_the_largest_pull_of_gnss_is_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(conflicts, "CONVERGED_S", 0.0)
-    monkeypatch.setattr(conflicts, "MOST_LIMITS", 1000.0)
+    monkeypatch.setattr(conflicts, "MAX_LIMITS", 1000.0)
     monkeypatch.setattr(conflicts, "LAST_LIMITS", 1000.0)
     levels = {}
     for suspect_s in (60.0, -10.0):  # the oldest snapshot is of the first sample

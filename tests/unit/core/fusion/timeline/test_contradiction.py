@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from services.core.fusion.integrity.disagreement import CLOSURE_SDS
-from services.core.fusion.timeline.contradiction import Apart, Contradiction, Left
+from services.core.fusion.timeline.contradiction import Contradiction, ResidualOffset, SolutionDifference
 
 SECOND_NS = 1_000_000_000
 SDS, RISK = 3.3, 1e-3
 
 
-def apart(second: float, north_m: float, sd_m: float, down_m: float = 0.0) -> Apart:
-    return Apart.of(round(second * SECOND_NS), (north_m, 0.0, down_m), np.eye(3) * sd_m**2)
+def apart(second: float, north_m: float, sd_m: float, down_m: float = 0.0) -> SolutionDifference:
+    return SolutionDifference.of(round(second * SECOND_NS), (north_m, 0.0, down_m), np.eye(3) * sd_m**2)
 
 
-def seen(*differences: Apart, decides: bool = True) -> Contradiction:
+def seen(*differences: SolutionDifference, decides: bool = True) -> Contradiction:
     found = Contradiction()
     for difference in differences:
         found = found.after(difference, decides=decides)
@@ -26,7 +26,7 @@ def seen(*differences: Apart, decides: bool = True) -> Contradiction:
 
 def test_a_difference_within_three_standard_deviations_of_it_holds_nothing_however_large_it_is() -> None:
     found = seen(*(apart(k, 0.99 * CLOSURE_SDS * k, k) for k in range(1, 60)))
-    assert not found.is_any and found.left(apart(61, 500.0, 200.0), SDS, RISK) == Left()
+    assert not found.is_any and found.left(apart(61, 500.0, 200.0), SDS, RISK) == ResidualOffset()
 
 
 def test_it_keeps_what_was_the_most_standard_deviations_and_a_growing_spread_takes_nothing_back() -> None:
@@ -70,7 +70,9 @@ def test_the_bound_after_a_step_to_another_offset_holds_but_for_the_risk(sd_m: f
     noise, exceeded = rng.normal(0.0, sd_m, size=(count, 2)), 0
     for radius, angle, (north, east) in zip(radii, angles, noise, strict=True):
         seen_n = radius * np.cos(angle) + north, radius * np.sin(angle) + east, 0.0
-        left = before.left(Apart.of(60 * SECOND_NS, seen_n, np.eye(3) * sd_m**2), 1e3, RISK)  # never what was before
+        left = before.left(
+            SolutionDifference.of(60 * SECOND_NS, seen_n, np.eye(3) * sd_m**2), 1e3, RISK
+        )  # never what was before
         exceeded += hypot(left.vector_n[0], left.vector_n[1]) + left.slack[0] < radius
     assert exceeded / count <= 4.0 * RISK
 

@@ -19,7 +19,7 @@ from tests.support.drives.on_time import (
     SAMPLE_DELAY_NS,
     SECOND_NS,
     Delivery,
-    Played,
+    TimelineRun,
     contents,
     differences,
     epochs,
@@ -48,11 +48,11 @@ def prompt(end_s: float = END_S, *, gnss_until_s: float = END_S) -> list[Deliver
 
 
 @cache
-def in_time() -> Played:
+def in_time() -> TimelineRun:
     return play(prompt())
 
 
-def settled(played: Played) -> object:
+def settled(played: TimelineRun) -> object:
     """State once all has been used."""
     played.timeline.finish()
     return contents(played.timeline.engine)
@@ -89,7 +89,7 @@ def scattered_deliveries(seed: int, after_ns: Sequence[int]) -> list[Delivery]:
 
 
 @cache
-def scattered_run(seed: int) -> Played:
+def scattered_run(seed: int) -> TimelineRun:
     return play(scattered_deliveries(seed, [0] * len(scattered(seed))))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.core.motion_conflict.inertial_speed.levelling import Levelled, Levelling
+from services.core.motion_conflict.inertial_speed.levelling import LevelIncrement, Levelling
 from shared.inertial.increments import SECOND_NS, Increment
 from shared.maths.earth import STANDARD_GRAVITY
 from shared.maths.rotation import ned_from_body
@@ -15,7 +15,7 @@ FloatArray = npt.NDArray[np.float64]
 STEP_NS = SECOND_NS // 10
 
 
-class Driven:
+class LevellingDrive:
     """Feeds increments of a known motion to a levelling; `mounting` turns the IMU in the vehicle."""
 
     def __init__(
@@ -27,7 +27,7 @@ class Driven:
 
     def step(
         self, speed: float | None, force_b: FloatArray, rate_b: FloatArray, acceleration: float | None = 0.0
-    ) -> Levelled | None:
+    ) -> LevelIncrement | None:
         row = [*(self._turn.T @ force_b), *(self._turn.T @ rate_b + self._bias), 0.1]
         self._time_ns += STEP_NS
         increment = Increment(self._time_ns - STEP_NS, self._time_ns, row, 0.0, False)
@@ -43,7 +43,7 @@ LEVEL = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 
 
 def test_nothing_is_given_before_a_standstill() -> None:
-    driven = Driven()
+    driven = LevellingDrive()
     assert driven.step(10.0, LEVEL, np.zeros(3)) is None
     assert not driven.levelling.ready
     driven.stand()
@@ -51,7 +51,7 @@ def test_nothing_is_given_before_a_standstill() -> None:
 
 
 def test_a_standing_vehicle_whose_speed_is_not_zero_or_whose_readings_change_teaches_nothing() -> None:
-    driven = Driven()
+    driven = LevellingDrive()
     for k in range(40):
         driven.step(0.0, LEVEL, np.array([0.0, 0.0, 0.05 * (-1) ** k]))
         driven.step(5.0, LEVEL, np.zeros(3))
@@ -61,7 +61,7 @@ def test_a_standing_vehicle_whose_speed_is_not_zero_or_whose_readings_change_tea
 @pytest.mark.parametrize("pitch", [0.0, 11.0])
 def test_a_steady_turn_has_the_centripetal_acceleration_however_the_imu_is_mounted(pitch: float) -> None:
     """At 10 m/s and 0.3 rad/s; an IMU pitched by 11 degrees sees 2 % less about its own z axis."""
-    driven = Driven(mounting=ned_from_body(0.0, radians(pitch), 0.0), bias=(0.01, -0.02, 0.03))
+    driven = LevellingDrive(mounting=ned_from_body(0.0, radians(pitch), 0.0), bias=(0.01, -0.02, 0.03))
     driven.stand()
     for _ in range(30):
         levelled = driven.step(10.0, LEVEL + np.array([0.0, 3.0, 0.0]), np.array([0.0, 0.0, 0.3]))
@@ -73,7 +73,7 @@ def test_a_steady_turn_has_the_centripetal_acceleration_however_the_imu_is_mount
 
 def test_a_bank_that_the_gyroscope_sees_is_removed() -> None:
     """The body rolls by 4 degrees within 1 s: without the gyroscope's roll 0.7 m/s² would be taken for lateral."""
-    driven, roll = Driven(), 0.0
+    driven, roll = LevellingDrive(), 0.0
     driven.stand()
     for _ in range(10):
         roll += radians(0.4)
@@ -83,7 +83,7 @@ def test_a_bank_that_the_gyroscope_sees_is_removed() -> None:
 
 
 def test_tilt_is_corrected_on_straights_and_not_in_bends() -> None:
-    driven = Driven()
+    driven = LevellingDrive()
     driven.stand(roll=radians(2.0))  # parked on a bank, then driven on a level road without its turn being seen
     for _ in range(300):
         straight = driven.step(10.0, LEVEL, np.zeros(3))
@@ -94,6 +94,6 @@ def test_tilt_is_corrected_on_straights_and_not_in_bends() -> None:
 
 
 def test_a_vehicle_on_its_side_is_no_vehicle() -> None:
-    driven = Driven(mounting=ned_from_body(0.0, radians(80.0), 0.0))
+    driven = LevellingDrive(mounting=ned_from_body(0.0, radians(80.0), 0.0))
     driven.stand()
     assert driven.step(5.0, LEVEL, np.zeros(3)) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.core.motion_conflict.inertial_speed.bends import Bend
-from services.core.motion_conflict.inertial_speed.scale_change import LIMIT, MOST_REFERENCE, Learned, ScaleChange
+from services.core.motion_conflict.inertial_speed.scale_change import LIMIT, MAX_REFERENCE, BendScale, ScaleChange
 
 SECOND_NS = 1_000_000_000
 PERIOD_NS = 40 * SECOND_NS  # between two bends
@@ -58,7 +58,7 @@ def test_a_clean_drive_exceeds_the_limit_at_most_at_the_design_rate() -> None:
     sizes = []
     for seed in range(20):
         change = ScaleChange(0.02)
-        offset = float(np.clip(0.02 * rng.standard_normal(), -MOST_REFERENCE, MOST_REFERENCE))
+        offset = float(np.clip(0.02 * rng.standard_normal(), -MAX_REFERENCE, MAX_REFERENCE))
         noise = np.random.default_rng((seed, 2)).standard_normal(150)
         for k in range(150):
             change.add(bend(k, 1.0 + offset + SD * float(noise[k])))
@@ -78,7 +78,7 @@ def test_a_slow_ramp_is_not_learned() -> None:
         if change.accusing:
             break
     assert change.accusing
-    assert change.reference.mean <= 1.0 + MOST_REFERENCE
+    assert change.reference.mean <= 1.0 + MAX_REFERENCE
 
 
 def test_what_is_suspicious_or_frozen_is_not_learned() -> None:
@@ -150,6 +150,6 @@ def test_nothing_is_taught_while_the_scale_is_suspicious_and_nothing_beyond_the_
     assert change.lesson() is not None
     driven([1.1] * 5, change=change, first=30, seed=2)
     assert change.lesson() is None
-    change.adopt(Learned(1.2, 0.001, None, 1000, 1.0))
-    assert change.reference.mean == 1.0 + MOST_REFERENCE
+    change.adopt(BendScale(1.2, 0.001, None, 1000, 1.0))
+    assert change.reference.mean == 1.0 + MAX_REFERENCE
     assert sqrt(change.reference.variance) > 0.001, "the scale is another one at each start"

@@ -9,7 +9,7 @@ from scipy.stats import chi2, f
 
 from services.core.spoofing.codes import Code
 from services.core.spoofing.drift.innovations import CLIP, InnovationSeconds
-from services.core.spoofing.drift.monitor import LATE_S, DriftMonitor
+from services.core.spoofing.drift.monitor import MAX_DELAY_S, DriftMonitor
 from services.core.spoofing.drift.spread import LARGEST, STATED_BLOCKS, Spread, f_limit
 from services.core.spoofing.grade import Grade
 from services.core.spoofing.process import Config
@@ -172,7 +172,7 @@ def test_the_last_second_before_a_loss_counts_without_waiting_for_the_next_innov
     monitor = DriftMonitor(INDUSTRIAL, Counter())
     run(white(8), 100, monitor=monitor)
     seconds = monitor._innovations[KIND["velocity"]].seconds
-    for second in range(101, 101 + LATE_S + 1):
+    for second in range(101, 101 + MAX_DELAY_S + 1):
         monitor.verdicts(second * NS + NS // 2)
     assert seconds[-1].number == 100
 

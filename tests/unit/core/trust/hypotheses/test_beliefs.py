@@ -7,8 +7,8 @@ import pytest
 
 from services.core.trust.codes import Code
 from services.core.trust.facts import SECOND_NS, Facts, Monitor, Posterior, Statement
-from services.core.trust.hypotheses.beliefs import CERTAIN, Beliefs, suspected_priors
-from services.core.trust.hypotheses.evidence import FALSE_ALARM, MOST, Evidence, explained_by
+from services.core.trust.hypotheses.beliefs import CERTAIN_PROBABILITY, Beliefs, suspected_priors
+from services.core.trust.hypotheses.evidence import FALSE_ALARM, MAX_LOG_LIKELIHOOD, Evidence, explained_by
 from services.core.trust.hypotheses.priors import PRIOR, SUSPECTED
 from shared.messages.explanation import explain
 from shared.messages.trust import Hypothesis, Outcome
@@ -76,7 +76,7 @@ def test_hypotheses_that_explain_what_is_said_survive_and_one_alone_is_acted_on(
     assert includes <= surviving
     assert {name for name, posterior in found.items() if posterior.acted_on} == ({acted_on} if acted_on else set())
     if acted_on is not None:
-        assert surviving == {acted_on} and found[acted_on].probability > CERTAIN
+        assert surviving == {acted_on} and found[acted_on].probability > CERTAIN_PROBABILITY
 
 
 def test_a_belief_names_the_monitors_that_speak_for_it_and_against_it() -> None:
@@ -116,9 +116,9 @@ def test_one_statement_a_window_counts_and_one_monitor_is_bounded() -> None:
         facts = Facts(k * SECOND_NS)
         evidence.update(statement(Monitor.INERTIAL_SHORT, EITHER), facts, {H.GNSS})
         found.append(evidence.sums[H.GNSS])
-    assert found[0] == found[4] == pytest.approx(0.5 * MOST), "the window is 5 s long"
-    assert found[5] == found[-1] == pytest.approx(MOST)
-    assert exp(0.5 * MOST) == pytest.approx(0.5 / FALSE_ALARM)
+    assert found[0] == found[4] == pytest.approx(0.5 * MAX_LOG_LIKELIHOOD), "the window is 5 s long"
+    assert found[5] == found[-1] == pytest.approx(MAX_LOG_LIKELIHOOD)
+    assert exp(0.5 * MAX_LOG_LIKELIHOOD) == pytest.approx(0.5 / FALSE_ALARM)
 
 
 def test_passing_speaks_only_against_what_another_monitor_has_spoken_for() -> None:

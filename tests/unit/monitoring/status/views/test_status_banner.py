@@ -26,7 +26,7 @@ from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.operation import ProcessLoad, Work
 from shared.messages.trust import Outcome, TrustLevel, TrustState
-from shared.words.words import Told, stated, words
+from shared.words.words import CodedText, stated, words
 from tests.support.cases import each
 from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 from tests.support.words import longest
@@ -241,7 +241,7 @@ def test_a_lost_broker_leaves_nothing_known() -> None:
 
 def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_what_the_filter_waits_for() -> None:
     cause = "a cause without a code"
-    evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=Told(cause))
+    evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=CodedText(cause))
     lost = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.NO_FIX, reasons=("solution is old",)))
     assert show(lost).sentence == f"No position: {cause}."
     missing = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.INITIALISING, reasons=("none yet",)))

@@ -68,7 +68,7 @@ def test_a_summary_beside_the_recording_is_not_computed_again(tmp_path: Path, kn
 def test_recordings_are_listed_by_their_order_of_making_and_the_newest_never_fall_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("shared.library.library.MOST", 3)
+    monkeypatch.setattr("shared.library.library.MAX_LISTED", 3)
     made = ["20300101T000000Z_car.mcap", "20260101T000000Z_car_9.mcap", "20260101T000000Z_car_10.mcap", "1970.mcap"]
     for name in made:
         (tmp_path / name).write_bytes(b"x")

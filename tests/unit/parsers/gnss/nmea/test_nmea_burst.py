@@ -42,7 +42,7 @@ SENTENCES: dict[str, str] = {
 
 
 @dataclass
-class Told:
+class StreamResult:
     """What came of a stream, with the time since the epoch in which each fix was published [s]."""
 
     process: Process
@@ -58,8 +58,8 @@ def sentence(kind: str, second: float) -> bytes:
     return f"${body}*{reduce(xor, body.encode()):02X}\r\n".encode()
 
 
-def told(order: Callable[[int], Iterable[str]], seconds: Iterable[float], period_s: float = 1.0) -> Told:
-    found = Told(Process(Config()))
+def told(order: Callable[[int], Iterable[str]], seconds: Iterable[float], period_s: float = 1.0) -> StreamResult:
+    found = StreamResult(Process(Config()))
     for epoch, second in enumerate(seconds):
         epoch_ns = START_NS + round(epoch * period_s * NS)
         for place, kind in enumerate(order(epoch)):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 
-from services.parsers.gnss.nmea.burst import MOST_GSA, USED, NmeaAssembler, NmeaError, kind_of, time_of_day_ns
+from services.parsers.gnss.nmea.burst import MAX_GSA, USED_SENTENCES, NmeaAssembler, NmeaError, kind_of, time_of_day_ns
 from services.parsers.gnss.nmea.epoch import KNOT_M_S, fix_from_sentences
 from services.parsers.gnss.nmea.satellites import satellites_of
 from services.parsers.gnss.process import Config, Process
@@ -28,7 +28,7 @@ def read(data: bytes) -> list[tuple[GnssFix, dict[str, list[str]]]]:
     """Parse an NMEA stream; return each fix with the fields of its sentences."""
     assembler, rejects, found = NmeaAssembler(), Counter[str](), []
     for frame in Framer(FRAMINGS).feed(data):
-        if frame.protocol != "NMEA" or kind_of(frame.data) not in USED:
+        if frame.protocol != "NMEA" or kind_of(frame.data) not in USED_SENTENCES:
             continue
         for epoch in assembler.take(frame.data, 1):
             fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=rejects)
@@ -185,7 +185,7 @@ def test_sentences_without_a_time_of_day_are_kept_in_bounds() -> None:
             sentences = epoch.sentences
     for epoch in assembler.take(b"$GNRMC,000001.00,A,4230.6,N,01315.3,E,,,311225,,*00\r\n", 2):
         sentences = epoch.sentences
-    assert len(sentences) == 1 + MOST_GSA
+    assert len(sentences) == 1 + MAX_GSA
 
 
 CONTENTS = ("", "A", "1", "-1", "nan", "inf", "1e400", "9999.99", "N", "E", "4230.5", "010126", "x")

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 
 from services.core.fusion.aids.gnss.fix import GnssPosition
-from services.core.fusion.aids.gnss.position_errors import UNKNOWN, GnssErrorBank, mean_at_rest
+from services.core.fusion.aids.gnss.position_errors import UNKNOWN_ERRORS, GnssErrorBank, mean_at_rest
 from services.core.fusion.start.initial_position import first_place
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
@@ -21,7 +21,7 @@ def bank_after(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))
     wandering = np.cumsum(0.03 * np.random.default_rng(seed).standard_normal((n, 3)), axis=0)
-    gnss_errors = UNKNOWN
+    gnss_errors = UNKNOWN_ERRORS
     for i, path in enumerate(size * drawn.injected + 0.02 * SD * drawn.noise + wandering + 100.0):
         gnss_errors = gnss_errors.after(i * 10**9, path, SD, np.full(3, 0.03**2))
     return gnss_errors
@@ -131,14 +131,14 @@ def rest(time_correlated: bool) -> list[GnssPosition]:
 
 
 def test_initial_position_and_time_correlated_error_have_a_positive_covariance() -> None:
-    first = first_place(rest(time_correlated=True), UNKNOWN)
+    first = first_place(rest(time_correlated=True), UNKNOWN_ERRORS)
     whole = np.block([[first.cov, first.cross_cov], [first.cross_cov.T, first.error_cov]])
     assert np.linalg.eigvalsh(whole)[0] > 0.0
     assert (np.diag(first.cross_cov) < 0.0).all()
 
 
 def test_fixes_with_corrections_start_without_a_time_correlated_error() -> None:
-    first = first_place(rest(time_correlated=False), UNKNOWN)
+    first = first_place(rest(time_correlated=False), UNKNOWN_ERRORS)
     assert first.error == (0.0, 0.0, 0.0)
     assert not first.cross_cov.any()
     assert first.cov == pytest.approx(np.diag(SD**2) / 4.0)  # 15 s of errors of 5 s

@@ -14,7 +14,7 @@ from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import (
     HYPOTHESES,
     SCALES,
-    UNKNOWN,
+    UNKNOWN_ERRORS,
     GnssErrorBank,
     KnownGnssErrors,
     mean_at_rest,
@@ -41,9 +41,9 @@ ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 def certain() -> GnssErrorBank:
     """Bank with overwhelming evidence for one hypothesis and one scale."""
-    evidence = np.zeros_like(UNKNOWN.evidence)
+    evidence = np.zeros_like(UNKNOWN_ERRORS.evidence)
     evidence[:, HYPOTHESES.index((TIME_S, SHARE)), SCALES.tolist().index(1.0)] = 1e6
-    return replace(UNKNOWN, evidence=evidence)
+    return replace(UNKNOWN_ERRORS, evidence=evidence)
 
 
 @cache
@@ -87,7 +87,7 @@ def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
 ) -> None:
     """To a micrometre: the weights of the bank are rounded."""
     stated = navigated(ErrorKind.GAUSS_MARKOV, 1, **GIVEN).solution()
-    monkeypatch.setattr(alignment, "UNKNOWN", certain())
+    monkeypatch.setattr(alignment, "UNKNOWN_ERRORS", certain())
     certainly = navigated.__wrapped__(ErrorKind.GAUSS_MARKOV, 1).solution()
     assert stated is not None and certainly is not None
     apart = ned_from_geodetic_difference(stated.position, certainly.position)
