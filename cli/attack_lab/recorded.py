@@ -155,7 +155,7 @@ class _Gnss:
 def displacement(
     name: AttackName, parameters: Mapping[str, float], heading_rad: float, time_s: float
 ) -> tuple[Offset, Offset]:
-    """Offsets of position [m] and velocity [m/s], NED, of a climb or an attack of `OFFSET_DIRECTIONS` after a time [s]."""
+    """Offsets of position [m] and velocity [m/s], NED, of a climb or of one of `OFFSET_DIRECTIONS` after a time [s]."""
     if name is AttackName.CLIMB:
         height, speed = drift(parameters["acceleration"], parameters["speed"], time_s)
         return (0.0, 0.0, -height), (0.0, 0.0, -speed)

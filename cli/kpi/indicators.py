@@ -250,7 +250,7 @@ def _protected(one: AxisProtection, weights_s: FloatArray, usable: Mask | None) 
 
 
 def _weights_s(stamps: Stamps) -> FloatArray:
-    """Time [s] for which each true state stands: until the next one, at most `HOLD_TIME_NS`, and the last as the median."""
+    """Time [s] for which each true state stands: until the next, at most `HOLD_TIME_NS`; the last as the median."""
     if len(stamps) < 2:
         return np.zeros(len(stamps))
     steps = np.minimum(np.diff(stamps), HOLD_TIME_NS)

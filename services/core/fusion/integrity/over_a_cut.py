@@ -66,8 +66,8 @@ class RememberedConflict:
     def at(self, time_ns: int) -> Disagreement:
         """What is held at a start: as it was, with the growth since then.
 
-        A cut of unknown length, after which the clock shows an earlier time, counts as one of `MAX_DURATION_S`. What has
-        contradicted nothing does not grow.
+        A cut of unknown length, after which the clock shows an earlier time, counts as one of `MAX_DURATION_S`. What
+        has contradicted nothing does not grow.
         """
         if not self.held.is_open:
             return self.held

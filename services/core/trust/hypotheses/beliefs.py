@@ -1,8 +1,8 @@
 """Posteriors of the hypotheses, which of them survive, and which one is acted on.
 
 Posterior = prior times likelihood of all that the monitors have said, over the sum of these. A hypothesis survives
-while its posterior is above the integrity risk. One that alone survives, with more than `CERTAIN_PROBABILITY`, is acted on: its
-source is not used. Of several none is.
+while its posterior is above the integrity risk. One that alone survives, with more than `CERTAIN_PROBABILITY`, is
+acted on: its source is not used. Of several survivors all sources are used.
 """
 
 from collections.abc import Collection, Iterable, Mapping
