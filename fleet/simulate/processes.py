@@ -85,7 +85,8 @@ def _summed(pids: list[int], children: dict[int, list[int]]) -> Usage:
 def _is_of(words: list[bytes], folder: Path, part: str) -> bool:
     if part == NATS:
         return bytes(folder / "nats" / "nats.conf") in words and b"nats-server" in words[0]
-    return words[-5:-2] == [b"centre", b"run", part.encode()] and words[-1] == bytes(folder)
+    command = b" ".join((b"centre run", part.encode(), b"--folder", bytes(folder)))  # forked: one word with spaces
+    return b" ".join(words).endswith(b" " + command)
 
 
 def _all() -> Iterator[int]:

@@ -22,7 +22,7 @@ VICTIMS = ("core.toll", "monitoring.ledger")
 
 def child(demo: subprocess.Popen[str], name: str) -> psutil.Process | None:
     for process in psutil.Process(demo.pid).children(recursive=True):
-        if process.cmdline()[-2:] == ["run", name]:
+        if " ".join(process.cmdline()).strip().endswith(f" run {name}"):
             return process
     return None
 

@@ -9,6 +9,7 @@ from benchmarks.integrity import report
 from benchmarks.integrity.simulated import CASES, ErrorsAndLevels, jobs_of
 from cli import campaign
 from cli.campaign import Outcome, in_processes
+from cli.reference.wrap import wrap
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +50,6 @@ def test_the_table_has_every_case_and_exceeded_levels_fail_the_command(
     printed = capsys.readouterr().out
     assert all(case.name in printed for case in CASES) and "100 / 100" in printed
     assert f"{len(CASES)} runs; the full campaign" in printed
-    assert (tmp_path / "integrity.md").read_text() == printed
+    assert (tmp_path / "integrity.md").read_text() == wrap(printed)
     stored = json.loads((tmp_path / "integrity.json").read_text())
     assert stored["simulated"][-1]["above"] == [1.0, 1.0]

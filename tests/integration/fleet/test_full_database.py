@@ -24,8 +24,8 @@ from pathlib import Path
 import psycopg
 from fleet.database.maintenance import prepare
 from fleet.database.roles import ROLES
-from fleet.ingest.store import Store, Unusable
-from fleet.ingest.verification import Genuine
+from fleet.ingest.store import Store, DatabaseUnavailable
+from fleet.ingest.verification import VerifiedBatch
 from fleet.servers.postgres import Postgres
 from shared.fleet.sealed import chain_digest, unsealed
 from tests.support.fleet.reports import Unit
@@ -41,7 +41,7 @@ outbox, receipted = [], set()
 def send():
     try:
         _, refused = store.store(outbox[:20])
-    except Unusable as error:
+    except DatabaseUnavailable as error:
         return str(error)
     assert refused == {}, refused
     receipted.update(one.digest for one in outbox[:20])
@@ -51,7 +51,7 @@ def send():
 def make(count):
     for number in range(count):
         data = unit.events(*["trust/event"] * 50) if number % 5 == 0 else unit.positions([0] * 10)
-        outbox.append(Genuine("car-1", 1, data, chain_digest(data), unsealed(data).batch, None))
+        outbox.append(VerifiedBatch("car-1", 1, data, chain_digest(data), unsealed(data).batch, None))
 
 make(200)
 while outbox:

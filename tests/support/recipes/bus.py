@@ -17,8 +17,8 @@ SETTING: Example = (
 """),
     ),
     (
-        Edit(POWER, "> self._config.silent_after_s * NS", instead_of="> SILENT_NS"),
-        Edit(POWER, "", instead_of="SILENT_NS = 5 * NS  # readings come every second\n"),
+        Edit(POWER, "> self._config.silent_after_s * NS", instead_of="> SILENCE_TIMEOUT_NS"),
+        Edit(POWER, "", instead_of="SILENCE_TIMEOUT_NS = 5 * NS  # readings come every second\n"),
     ),
 )  # fmt: skip
 

@@ -51,7 +51,7 @@ from collections.abc import Callable
 from .framing.finder import Sums
 from .framing.framing import Framing
 from .protocol import Protocol
-from .undecoded import MOST_BYTES
+from .undecoded import MAX_BYTES
 
 
 class TsipFraming(Framing):
@@ -59,7 +59,7 @@ class TsipFraming(Framing):
 
     protocol, begins = "TSIP", ((b"\\x10", b"\\x8f"),)
     starts = rb"\\x10\\x8f[\\xa0-\\xaf]"
-    most_bytes = MOST_BYTES
+    most_bytes = MAX_BYTES
 
     def size(self, buffer: bytes | bytearray, start: int, header: int) -> int | None:
         """Up to the end of the packet."""

@@ -220,8 +220,8 @@ HYPOTHESIS: Example = (
     (
         Edit(
             "services/core/fusion/hypotheses/bank.py",
-            '    Kept(Hypothesis.TYRES, ("odometer",), _without_odometer, NEVER_S, odometer=True),\n',
-            after='    Kept(Hypothesis.ODOMETER, ("odometer",), _without_odometer, NEVER_S, odometer=True),\n',
+            '    CursorPlan(Hypothesis.TYRES, ("odometer",), _without_odometer, INFINITE_AGE_S, odometer=True),\n',
+            after='    CursorPlan(Hypothesis.ODOMETER, ("odometer",), _without_odometer, INFINITE_AGE_S, odometer=True),\n',
         ),
     ),
     (

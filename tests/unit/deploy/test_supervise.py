@@ -16,9 +16,9 @@ from tests.support.patience import HANGS_S
 SCRIPT = Path(__file__).resolve().parents[3] / "deploy" / "supervise.sh"
 BEATING = """
 import signal, sys, time
-from shared.runtime.alive import Alive
+from shared.runtime.alive import LivenessSignal
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(78))
-alive = Alive()
+alive = LivenessSignal()
 while True:
     alive.beat(connected=False)
     time.sleep(0.1)

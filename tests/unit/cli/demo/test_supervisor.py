@@ -100,8 +100,8 @@ def test_children_that_ignore_sigterm_or_are_stopped_end_all_the_same(supervisor
 
 BEATING = """
 import time
-from shared.runtime.alive import Alive
-alive = Alive()
+from shared.runtime.alive import LivenessSignal
+alive = LivenessSignal()
 while True:
     alive.beat(connected=True)
     time.sleep(0.05)
@@ -110,8 +110,8 @@ while True:
 
 CONNECTING = """
 import time
-from shared.runtime.alive import Alive
-alive = Alive()
+from shared.runtime.alive import LivenessSignal
+alive = LivenessSignal()
 began = time.monotonic()
 while True:
     alive.beat(connected=time.monotonic() - began > 0.3)

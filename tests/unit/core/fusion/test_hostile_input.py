@@ -290,8 +290,8 @@ def test_a_renamed_receiver_is_accepted_once_its_old_names_were_silent_for_an_ho
 
 
 def test_of_samples_one_nanosecond_apart_a_bounded_number_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timeline, "MOST_PENDING", 2_000)
-    monkeypatch.setattr(timeline, "MOST_SAMPLES", 5_000)
+    monkeypatch.setattr(timeline, "MAX_PENDING", 2_000)
+    monkeypatch.setattr(timeline, "MAX_SAMPLES", 5_000)
     process, sizes = deepcopy(started()), []
     for k in range(1, 30):
         send(process, sample(NOW_NS + k * 1000, count=1000, step_ns=1))
