@@ -221,7 +221,8 @@ HYPOTHESIS: Example = (
         Edit(
             "services/core/fusion/hypotheses/bank.py",
             '    CursorPlan(Hypothesis.TYRES, ("odometer",), _without_odometer, INFINITE_AGE_S, odometer=True),\n',
-            after='    CursorPlan(Hypothesis.ODOMETER, ("odometer",), _without_odometer, INFINITE_AGE_S, odometer=True),\n',
+            after='    CursorPlan(Hypothesis.ODOMETER, ("odometer",), _without_odometer, INFINITE_AGE_S, '
+            "odometer=True),\n",
         ),
     ),
     (
