@@ -5,6 +5,7 @@ import json
 from benchmarks import tables
 from benchmarks.navigation import trust
 from benchmarks.navigation.cases import DRIVES
+from cli.reference.wrap import wrap
 from cli.solve.metrics.metrics import METRICS, as_objects
 from shared.messages.trust import TrustLevel
 
@@ -34,5 +35,5 @@ def test_the_document_is_that_of_the_last_run() -> None:
         f"{tables.OLDER}`make drives-trust` measures it again.\n\n"
     )
     kept = json.loads(trust.RESULTS.read_text(encoding="utf-8"))
-    assert printed == trust.HEAD + trust.page(kept), "run `make drives-trust`"
+    assert printed == wrap(trust.HEAD + trust.page(kept)), "run `make drives-trust`"
     assert set(trust.DRIVES) <= set(DRIVES) and set(kept["drives"]) <= set(trust.DRIVES)
