@@ -14,7 +14,7 @@ CAMPAIGN = $(if $(SMOKE),--smoke,$(if $(SHORT),--short,$(if $(FULL),--full,$(if 
 # The same of measurements without jobs.
 SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 
-# Each process of a unit would compile its sources anew: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
+# Each process of a unit would compile its sources: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test quick check calculating types running slow coverage mutants up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
@@ -88,8 +88,11 @@ running:
 	@$(PYTHON) -m pytest $(LIVE) -m "whole_unit and not slow" --durations=15 $(PYTEST_ARGS)
 
 slow: | $(VENV)/.testing ## run the long tests, those of a whole unit one after the other (OBU_DATA: with recordings)
-	@$(PYTHON) -m pytest -n auto --dist loadfile -m "slow and not whole_unit and not container" --durations=30 $(PYTEST_ARGS)
-	@$(PYTHON) -m pytest $(LIVE) -m "slow and whole_unit and not container" --durations=20 $(PYTEST_ARGS)
+	@failed=; \
+	$(PYTHON) -m pytest $(LIVE:%=--ignore=%) -n auto --dist loadfile -m "slow and not container" --durations=20 $(PYTEST_ARGS) || failed=1; \
+	$(PYTHON) -m pytest $(LIVE) -n auto --dist loadfile -m "slow and not whole_unit and not container" --durations=15 $(PYTEST_ARGS) || failed=1; \
+	$(PYTHON) -m pytest $(LIVE) -m "slow and whole_unit and not container" --durations=15 $(PYTEST_ARGS) || failed=1; \
+	[ -z "$$failed" ]
 
 coverage: | $(VENV)/.testing ## measure branch coverage of tests that calculate, and which test executes which line
 	@mkdir -p .obu/coverage
@@ -114,7 +117,7 @@ docs: setup ## print docs/reference, the architecture's picture, obu.target and 
 	@$(PYTHON) -m cli reference
 	@$(PYTHON) -m benchmarks.tables
 
-lock: | $(VENV)/.testing ## write the lock files anew from what is installed
+lock: | $(VENV)/.testing ## write the lock files from what is installed
 	@$(PYTHON) deploy/lock.py
 
 wheel: $(VENV)/.dashboard ## build the wheel into dist/, with the dashboard
@@ -178,11 +181,11 @@ fleet: $(VENV)/.testing $(VENV)/.debian ## measure a centre with 10,000 vehicles
 bench-replay: $(VENV)/.testing $(VENV)/.debian ## measure a two-hour recording in the browser: opening, scrubber, memory (half an hour)
 	@$(PYTHON) -m benchmarks.replay $(if $(SMOKE),--smoke)
 
-golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
+golden: setup ## write the stored result of the golden drive (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.drives.golden
 	@$(PYTHON) -m tests.support.words
 
-picture: $(VENV)/.testing $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
+picture: $(VENV)/.testing $(VENV)/.debian ## take the pictures of every page from running demos (ten minutes)
 	@$(PYTHON) -m docs.picture
 
 clean: ## remove what set-up and runs have made

@@ -4,7 +4,7 @@
 set -u
 sudo=${1:-}
 missing=
-for pair in mosquitto:mosquitto mosquitto_pub:mosquitto-clients gpsd:gpsd gpspipe:gpsd-clients tshark:tshark gpsbabel:gpsbabel cc:gcc str2str:rtklib busybox:busybox; do
+for pair in mosquitto:mosquitto mosquitto_pub:mosquitto-clients gpsd:gpsd gpspipe:gpsd-clients tshark:tshark gpsbabel:gpsbabel cc:gcc str2str:rtklib busybox:busybox systemd-analyze:systemd; do
     program=${pair%%:*}
     command -v "$program" >/dev/null 2>&1 || [ -x "/usr/sbin/$program" ] || missing="$missing ${pair#*:}"
 done

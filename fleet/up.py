@@ -35,6 +35,7 @@ AGAIN_S, LONGEST_AGAIN_S = 1.0, 60.0  # of a part that has ended at once; twice 
 STABLE_AFTER_S = 10.0  # a part that has run for less has ended at once
 AWAY_S = 5.0  # in which NATS on another machine accepts a connection
 WAIT_S = 0.05  # between two looks at a parent that imports its modules
+WARM_S = 5.0  # for which a process waits for it: then it starts by itself
 LOGS = "logs"  # of the processes; the servers have theirs in their folders
 
 
@@ -183,7 +184,8 @@ class Process(Child):
     def start(self) -> None:
         """Start it."""
         self._process = None
-        while not (self._warm.is_ready() or self._warm.is_given_up):
+        latest_s = time.monotonic() + WARM_S
+        while not (self._warm.is_ready() or self._warm.is_given_up) and time.monotonic() < latest_s:
             time.sleep(WAIT_S)
         if self._warm.is_ready():
             with self.log.output() as output:
@@ -217,6 +219,7 @@ def run(centre: Centre, ended: threading.Event, begun: Callable[[], None]) -> No
             process = Process(name, centre.folder, warm)
             parts.append(ManagedProcess(name, process, process.start, stack))
         while not ended.wait(0.2):
+            warm.is_ready()  # a parent that has ended is replaced before it is needed
             for part in parts:
                 part.look()
 

@@ -90,8 +90,9 @@ class Copy:
             return "untested", ""
         if not run.returncode:
             return "survived", ""
-        failed = FAILED.search(run.stdout)
-        return "killed", failed[1] if failed else tests[0]
+        if (failed := FAILED.search(run.stdout)) is not None:
+            return "killed", failed[1]
+        return "crashed", tests[0]  # pytest names no test
 
     def _passes(self, test: str) -> bool:
         if test not in self._sound:

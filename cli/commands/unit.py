@@ -125,19 +125,19 @@ def _await_broker() -> str:
 
     from ..demo.local import reaches_broker, start_of_broker
 
-    told = False
+    announced = False
     while True:
         address = broker_address()  # the socket is there once the broker has made it
         try:
             reaches_broker(address)
         except OSError as error:
-            if not told:
+            if not announced:
                 reason = error.strerror or error
                 print(
                     f"no broker at {address.place} ({reason}); waiting for it: {start_of_broker(address)}",
                     file=sys.stderr,
                 )
-                told = True
+                announced = True
             time.sleep(0.5)
         else:
             return os.environ.get("OBU_BROKER") or address.url  # with its credentials

@@ -93,6 +93,8 @@ class Supervisor:
         """Start the children that are due, detect those that ended, kill those that hang; to be called often."""
         now = time.monotonic()
         late_s, self._watched = now - self._watched, now
+        if self._warm is not None:
+            self._warm.is_ready()  # a parent that has ended is replaced before it is needed
         for child in self.children.values():
             _listen(child, now)
             if late_s > UNATTENDED_S and child.seen is not None:

@@ -29,12 +29,17 @@ def each(names: str | tuple[str, ...], cases: Iterable[object]) -> Callable[[Tes
         @wraps(test)
         def with_every_case(**fixtures: object) -> None:
             failures: list[BaseException] = []
+            skips: list[BaseException] = []
             for case in listed:
                 try:
                     test(**fixtures, **case)
                 except FAILURES as error:
                     error.add_note(f"with {shortened(case)}")
                     failures.append(error)
+                except pytest.skip.Exception as skip:
+                    skips.append(skip)
+            if skips and not failures:
+                raise skips[0]
             if failures:
                 named = "; ".join(error.__notes__[-1] for error in failures[:10])
                 raise BaseExceptionGroup(f"{len(failures)} of {len(listed)} cases fail, {named}", failures)

@@ -44,6 +44,7 @@ def _state() -> dict[str, object]:
         "user": [os.getuid(), os.geteuid(), os.getgid(), os.getgroups()],
         "no_new_privileges": status["NoNewPrivs"].strip() == "1",
         "collects": gc.isenabled(),
+        "too_large_is_an_error": signal.getsignal(signal.SIGXFSZ) == signal.SIG_IGN,
         "frozen": gc.get_freeze_count() > 1000,
     }
 

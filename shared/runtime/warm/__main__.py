@@ -15,6 +15,7 @@ def main() -> None:
     """Serve until the supervisor closes the connection; in a child, be the process that was asked for."""
     descriptor, function, *modules = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # who started all may have ignored it
     from .child import become
     from .kernel import show_as
     from .parent import prepare, serve

@@ -10,19 +10,17 @@ import time
 from pathlib import Path
 
 from .kernel import end_with_parent, show_as
-from .parent import Born
-
-PAUSE_S, LONGEST_S = 0.001, 5.0  # until the process in between has ended
+from .parent import GO_AHEAD, Born
 
 
 def become(born: Born) -> None:
     """Turn a fork of the parent into a process with the rights, environment, log and seeds that are its own."""
     start = born.start
-    _close_others({born.output, born.errors, born.environment})
+    _close_others({born.output, born.errors, born.environment, born.go_ahead})
     os.setsid()
     show_as(" ".join(("python", "-m", "cli", *start.arguments)), start.name)
     _reset_signals()
-    _await_supervisor(start.supervisor)
+    _await_supervisor(born.go_ahead)
     start.rights.take()
     end_with_parent(signal.SIGTERM)  # after the rights: a change of the user cancels it
     if os.getppid() != start.supervisor:
@@ -49,17 +47,17 @@ def _reset_signals() -> None:
         if isinstance(number, signal.Signals):
             signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    for number in (signal.SIGPIPE, signal.SIGXFSZ):  # as Python does: a write fails, and does not end the process
+        signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
 
 
-def _await_supervisor(supervisor: int) -> None:
-    """Wait until the process in between has ended, and the supervisor is the parent."""
-    deadline = time.monotonic() + LONGEST_S
-    while os.getppid() != supervisor:
-        if time.monotonic() > deadline:
-            os._exit(128 + signal.SIGTERM)  # the supervisor has ended meanwhile
-        time.sleep(PAUSE_S)
+def _await_supervisor(go_ahead: int) -> None:
+    """Wait until the supervisor knows this process; one that it does not know of ends, and is started again."""
+    known = os.read(go_ahead, 1) == GO_AHEAD
+    os.close(go_ahead)
+    if not known:
+        os._exit(128 + signal.SIGTERM)
 
 
 def _take_environment(descriptor: int) -> None:

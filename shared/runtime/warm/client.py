@@ -3,6 +3,7 @@
 import array
 import json
 import logging
+import math
 import os
 import shutil
 import signal
@@ -11,19 +12,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 
 from .kernel import adopt_orphans
+from .parent import GO_AHEAD
 from .rights import Rights, Start
 
 log = logging.getLogger(__name__)
 
 ANSWER_S = 5.0  # for which the supervisor waits; a fork takes some milliseconds
 READY_S = 90.0  # in which a parent must have imported its modules
-FAILURES = 3  # of parents in a row that were never ready: from then on processes start by themselves
+FAILURES = 3  # of parents in a row that were never ready: processes start by themselves for a while
+RETRY_S = 60.0  # after so many failures, until another parent is tried: an update may have been under way
 POLL_S = 0.02
 # Of the environment, what an interpreter needs: the rest is of the children, and may hold secrets.
 KEPT = ("PATH", "HOME", "LANG", "LANGUAGE", "TZ", "VIRTUAL_ENV", "XDG_CACHE_HOME")
-KEPT_PREFIXES = ("LC_", "LD_", "PYTHON")
+KEPT_PREFIXES = ("LC_", "LD_", "PYTHON", "MALLOC_", "GLIBC_", "OPENBLAS_", "NPY_")  # read at start or at import alone
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_DISABLE_JIT": "1"}
 
 
@@ -37,7 +41,10 @@ class Forked:
     def poll(self) -> int | None:
         """Its exit code, or None while it runs."""
         if self.returncode is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            try:
+                pid, status = os.waitpid(self.pid, os.WNOHANG)
+            except ChildProcessError:  # SIGCHLD is ignored here: its exit code is lost, as for `subprocess.Popen`
+                pid, status = self.pid, 0
             if pid:
                 self.returncode = os.waitstatus_to_exitcode(status)
         return self.returncode
@@ -76,6 +83,7 @@ class WarmStart:
         self._since = 0.0
         self._ready = False
         self._failures = 0 if sys.platform == "linux" else FAILURES
+        self._retry_s = 0.0 if sys.platform == "linux" else math.inf
 
     @property
     def pid(self) -> int | None:
@@ -84,8 +92,8 @@ class WarmStart:
 
     @property
     def is_given_up(self) -> bool:
-        """Whether no parent can be made; processes then start by themselves."""
-        return self._failures >= FAILURES
+        """Whether no parent can be made now; processes then start by themselves."""
+        return self._failures >= FAILURES and time.monotonic() < self._retry_s
 
     def is_ready(self) -> bool:
         """Whether a process can be started now; makes a parent where there is none."""
@@ -115,7 +123,12 @@ class WarmStart:
         """
         if self._connection is None:
             return None
-        adopt_orphans()
+        try:
+            adopt_orphans()
+        except OSError as error:  # a kernel or a container without it
+            self._failures = FAILURES
+            self._drop(f"cannot give its processes to this one: {error}")
+            return None
         try:
             return self._start(arguments, environment, output, rights or Rights())
         finally:
@@ -130,25 +143,31 @@ class WarmStart:
     ) -> Forked | None:
         assert self._connection is not None
         request = json.dumps(Start(tuple(arguments), os.getpid(), rights).to_json()).encode()
-        variables = os.memfd_create("environment", os.MFD_CLOEXEC)
-        try:
-            os.write(variables, json.dumps(dict(environment)).encode())
-            written = (1, 2) if output is None else (output, output)
-            descriptors = array.array("i", (*written, variables))
-            self._connection.sendmsg([request], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, descriptors)])
-        except OSError as error:
-            self._drop(f"does not listen: {error.strerror}")
-            return None
-        finally:
-            os.close(variables)
-        answer = self._answer(ANSWER_S)
+        with ExitStack() as opened:
+            try:
+                variables = os.memfd_create("environment", os.MFD_CLOEXEC)
+                opened.callback(os.close, variables)
+                os.write(variables, json.dumps(dict(environment)).encode())
+                waits, go_ahead = os.pipe()
+                opened.callback(os.close, go_ahead)
+                try:
+                    written = (1, 2) if output is None else (output, output)
+                    descriptors = array.array("i", (*written, variables, waits))
+                    self._connection.sendmsg([request], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, descriptors)])
+                finally:
+                    os.close(waits)
+            except OSError as error:
+                self._drop(f"does not listen: {error}")
+                return None
+            answer = self._answer(ANSWER_S)
+            pid = answer.get("pid") if answer is not None else None
+            if isinstance(pid, int):
+                self._failures = 0
+                os.write(go_ahead, GO_AHEAD)  # without it the process ends: it is not started twice
+                return Forked(pid)
         if answer is None:
             self._drop("does not answer")
             return None
-        pid = answer.get("pid")
-        if isinstance(pid, int):
-            self._failures = 0
-            return Forked(pid)
         self._drop(str(answer.get("refused")), failed=not answer.get("stale"))
         return None
 
@@ -175,8 +194,12 @@ class WarmStart:
 
     def _drop(self, reason: str, *, failed: bool = True) -> None:
         """Give up a parent, so that the next one is made."""
-        log.warning("the parent of the processes %s; another one takes its place", reason)
         self._failures += failed
+        then = "another one takes its place"
+        if self._failures >= FAILURES:
+            self._retry_s = time.monotonic() + RETRY_S
+            then = f"processes start by themselves, and another one is tried in {RETRY_S:.0f} s"
+        log.warning("the parent of the processes %s; %s", reason, then)
         self._close()
 
     def _close(self) -> None:

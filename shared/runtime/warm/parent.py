@@ -15,7 +15,9 @@ from .kernel import threads
 from .rights import Start
 
 MOST_BYTES = 64 * 1024  # of a request
-ROOM = socket.CMSG_SPACE(3 * array.array("i").itemsize)  # for the descriptors of a request: those of `Born`
+ROOM = socket.CMSG_SPACE(4 * array.array("i").itemsize)  # for the descriptors of a request: those of `Born`
+
+GO_AHEAD = b"1"  # from the supervisor to a child, once it knows its number
 
 
 class TooManyThreads(RuntimeError):
@@ -29,27 +31,30 @@ def prepare(modules: Iterable[str]) -> None:
         import_module(name)
 
 
-def loaded_files() -> dict[Path, int]:
-    """Each file of a module that is imported, with the time of its last change [ns]."""
+def loaded_files() -> dict[Path, tuple[int, int, int]]:
+    """Each file of a module that is imported, with what changes where it is replaced."""
     files = (getattr(module, "__file__", None) for module in tuple(sys.modules.values()))
-    return {path: _changed_ns(path) for path in {Path(file) for file in files if isinstance(file, str)}}
+    return {path: _version(path) for path in {Path(file) for file in files if isinstance(file, str)}}
 
 
-def _changed_ns(path: Path) -> int:
+def _version(path: Path) -> tuple[int, int, int]:
+    """Time of the last change [ns], number of the file, and size: images may give every file the same time."""
     try:
-        return path.stat().st_mtime_ns
+        status = path.stat()
     except OSError:
-        return 0  # it is being replaced, or inside an archive
+        return 0, 0, 0  # it is being replaced, or inside an archive
+    return status.st_mtime_ns, status.st_ino, status.st_size
 
 
 @dataclass(frozen=True)
 class Born:
-    """What a child finds: its start, and the descriptors of its output, of its errors and of its environment."""
+    """What a child finds: its start, and descriptors of its output, errors and environment, and of the go-ahead."""
 
     start: Start
     output: int
     errors: int
     environment: int
+    go_ahead: int
 
 
 def serve(connection: socket.socket) -> Born | None:
@@ -60,7 +65,7 @@ def serve(connection: socket.socket) -> Born | None:
     made_of = loaded_files()
     _send(connection, {"ready": os.getpid()})
     for start, descriptors in _requests(connection):
-        if any(_changed_ns(path) != changed_ns for path, changed_ns in made_of.items()):
+        if any(_version(path) != version for path, version in made_of.items()):
             _send(connection, {"refused": "is of files that have changed", "stale": True})
             return None
         try:
@@ -85,12 +90,19 @@ def fork(start: Start) -> int | None:
         raise TooManyThreads(f"has {count} threads, and cannot fork {' '.join(start.arguments)}")
     gc.freeze()
     reading, writing = os.pipe()
-    between = os.fork()
+    try:
+        between = os.fork()
+    except OSError:
+        os.close(reading)
+        os.close(writing)
+        raise
     if between == 0:
+        child = -1
         try:
             child = os.fork()
-        except OSError:
-            os._exit(1)
+        finally:
+            if child < 0:  # whatever the error is, this process is no second parent
+                os._exit(1)
         if child == 0:
             gc.enable()
             return None  # with the pipe, which it closes with all others

@@ -9,7 +9,7 @@ from .kernel import forbid_new_privileges
 
 @dataclass(frozen=True)
 class Rights:
-    """Rights of one process; without a value it keeps those of the parent."""
+    """Rights of one process; without a value it keeps those of the parent. A user comes with group and groups."""
 
     user: int | None = None
     group: int | None = None
@@ -17,6 +17,10 @@ class Rights:
     memory_bytes: int | None = None  # of its address space
     processes: int | None = None  # of its user, threads included
     files: int | None = None  # that are open at a time
+
+    def __post_init__(self) -> None:
+        if self.user is not None and (self.group is None or self.groups is None):
+            raise ValueError(f"user {self.user} without group and groups would keep those of the parent")
 
     def take(self) -> None:
         """Give up every other right, in the order in which each step is still allowed."""

@@ -6,14 +6,19 @@ nothing (`one`, `found`). Needs libcst (`pip install libcst`), which nothing els
 """
 
 import argparse
+import os
 import re
 import subprocess
+import sys
 import tomllib
 from collections import Counter
 from pathlib import Path
 
-from tests.support.renaming.loops import VARIABLES, rename_loops
-from tests.support.renaming.symbols import SymbolRenames, in_prose
+try:
+    from tests.support.renaming.loops import VARIABLES, rename_loops
+    from tests.support.renaming.symbols import SymbolRenames, in_prose
+except ModuleNotFoundError as error:
+    sys.exit(f"{error.name} is not installed: pip install {error.name}")
 
 TABLE = Path(__file__).with_name("names.toml")
 
@@ -25,6 +30,9 @@ def main() -> None:
         "--loops", action="store_true", help="rename loop variables as well (five minutes: mypy runs first)"
     )
     arguments = parser.parse_args()
+    os.chdir(TABLE.parents[3])
+    if subprocess.run(["git", "status", "--porcelain"], check=True, capture_output=True).stdout:
+        sys.exit("there are changes that are not committed: commit them, so that `git checkout .` takes a rename back")
     files = [Path(name) for name in _tracked("*.py") if not name.startswith("tests/support/renaming/")]
     _symbols(files)
     if arguments.loops:

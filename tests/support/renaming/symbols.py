@@ -100,7 +100,8 @@ class _Change(cst.CSTTransformer):
         text = original_node.raw_value
         if re.fullmatch(r"[\w.\[\], |]+", text):
             text = re.sub(r"\w+", lambda match: self._renames.of(f"{self._module}.{match[0]}") or match[0], text)
-        return updated_node if text == original_node.raw_value else updated_node.with_changes(value=f'"{text}"')
+        unchanged = text == original_node.raw_value or original_node.prefix
+        return updated_node if unchanged else updated_node.with_changes(value=f'"{text}"')
 
     def leave_Attribute(self, original_node: cst.Attribute, updated_node: cst.Attribute) -> cst.Attribute:
         for name in self.get_metadata(QualifiedNameProvider, original_node, set()):

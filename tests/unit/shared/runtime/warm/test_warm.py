@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
-from shared.processes import Role, running
+from shared.processes import PROCESSES
 from shared.runtime.warm.client import FAILURES, Forked, WarmStart
 from shared.runtime.warm.rights import Rights, Start
 from tests.support.data import REPOSITORY
@@ -94,7 +94,7 @@ def test_a_child_is_a_process_of_its_own(children: Children) -> None:
     state = children.state("exit", "0", ONE="1")
     assert state["arguments"] == ["obu", "exit", "0"]
     assert state["session"] and state["interrupt"] and state["terminate"] and not state["blocked"]
-    assert state["no_new_privileges"]
+    assert state["no_new_privileges"] and state["too_large_is_an_error"]
     assert state["collects"] and state["frozen"]
     assert len(state["descriptors"]) == 3, "standard input, output and errors, and no descriptor of the parent"
     assert state["descriptors"][0] == "/dev/null"
@@ -148,7 +148,7 @@ def test_limits_of_a_child_are_its_own(children: Children) -> None:
     assert limited["limits"] == [4_000_000_000, 64]
     free = children.state("exit", "0")
     assert free["limits"] != limited["limits"]
-    beyond, log = children.start("sleep", rights=Rights(files=10**9))
+    beyond, log = children.start("sleep", rights=Rights(files=2**40))
     assert beyond.wait(HANGS_S) == 1 and not log.read_text(), "it ends before it does anything"
 
 
@@ -199,6 +199,30 @@ def test_a_parent_that_does_not_answer_is_replaced(children: Children, monkeypat
     children.state()
 
 
+def test_a_process_whose_number_the_supervisor_does_not_learn_ends_before_it_does_anything(
+    children: Children, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    children.state()
+    monkeypatch.setattr("shared.runtime.warm.client.ANSWER_S", 0.0)  # a millisecond: less than two forks take
+    log = tmp_path / "unknown.log"
+    with log.open("ab") as output:
+        assert children.warm.start(("sleep", "unknown"), {}, output.fileno()) is None
+    until(lambda: not [child for child in psutil.Process().children() if "unknown" in " ".join(shown(child))])
+    assert not log.read_text()
+
+
+def shown(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:  # it has ended
+        return []
+
+
+def test_a_user_without_its_groups_is_no_right() -> None:
+    with pytest.raises(ValueError, match="would keep those of the parent"):
+        Rights(user=10_101)
+
+
 def test_a_parent_of_files_that_have_changed_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = tmp_path / "replaced.py"
     module.write_text("import sys\ndef main(): sys.exit(3)\n")
@@ -227,6 +251,9 @@ def test_a_parent_with_a_second_thread_refuses_and_is_given_up_after_some_attemp
             until(warm.is_ready)
             assert warm.start(("exit", "0"), {}) is None
         assert warm.is_given_up and not warm.is_ready() and warm.pid is None
+        monkeypatch.setattr(warm, "_retry_s", 0.0)
+        assert not warm.is_given_up
+        until(warm.is_ready)  # a while later another parent is tried
     finally:
         warm.stop()
     assert "has 2 threads" in caplog.text
@@ -275,8 +302,8 @@ print(json.dumps({{
 
 
 def test_what_all_processes_import_reads_no_environment_opens_no_file_and_starts_no_thread() -> None:
-    roles = {row.name for role in Role for row in running(role, [])} | {"monitoring.uplink", "monitoring.outputs"}
-    modules = ["cli.__main__", "shared.runtime.live", *(f"services.{name}.process" for name in sorted(roles))]
+    processes = [f"services.{row.name}.process" for row in PROCESSES]
+    modules = ["cli.__main__", "shared.runtime.live", *sorted(processes)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL.format(root=str(REPOSITORY), modules=modules)],
