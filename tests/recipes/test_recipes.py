@@ -41,7 +41,7 @@ def paired(recipe: str) -> list[tuple[Step, tuple[Edit, ...]]]:
 
 
 def cases() -> list[ParameterSet]:
-    """Each file of each step, and each step that prints; of slow recipes the first step alone, unless all are wanted."""
+    """Each file of each step, and each step that prints; of slow recipes the first step, unless all are wanted."""
     found = []
     for recipe in RECIPES:
         marks = () if recipe in FAST else pytest.mark.slow
