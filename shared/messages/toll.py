@@ -23,6 +23,7 @@ from .base import (
     unit,
 )
 from .explanation import Explanation
+from .v2x import Authentication
 
 StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudonym that a CAM carries
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
@@ -149,6 +150,7 @@ class TollTrack(Message):
     delta_applied: bool = False
     registered: bool = False
     passage_id: Digest | None = None
+    authentication: Authentication = Authentication.UNSIGNED  # the least of its CAM
 
 
 class TollTracks(Message):

@@ -41,7 +41,7 @@ class CamFrames(RawBytes):
 
 
 class Authentication(StrEnum):
-    """What is known of the sender of a frame by its signature."""
+    """What is known of the sender of a frame by its signature, from the least on."""
 
     UNSIGNED = "unsigned"
     SIGNED_NOT_VERIFIED = "signed_not_verified"  # no check of signature and certificate: no more known than unsigned
