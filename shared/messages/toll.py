@@ -296,7 +296,7 @@ class TollTransaction(Message):
     tariff_version: Name
     amount_cents: Cents
     currency: Annotated[str, Field(pattern=r"^[A-Z]{3}$")]
-    authenticated: bool  # False: from unsigned CAM, which can be forged
+    authenticated: bool  # False: from CAM without a verified signature, which can be forged
     confirmed: bool = False  # True: by a pulse of the lane's detector; False: not confirmed by a detector
     evidence_digest: Digest
     attempt: Count = 1  # how often it was sent
