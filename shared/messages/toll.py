@@ -23,6 +23,7 @@ from .base import (
     unit,
 )
 from .explanation import Explanation
+from .v2x import Authentication
 
 StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudonym that a CAM carries
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
@@ -149,6 +150,7 @@ class TollTrack(Message):
     delta_applied: bool = False
     registered: bool = False
     passage_id: Digest | None = None
+    authentication: Authentication = Authentication.UNSIGNED  # the least of its CAM
 
 
 class TollTracks(Message):
@@ -294,7 +296,7 @@ class TollTransaction(Message):
     tariff_version: Name
     amount_cents: Cents
     currency: Annotated[str, Field(pattern=r"^[A-Z]{3}$")]
-    authenticated: bool  # False: from unsigned CAM, which can be forged
+    authenticated: bool  # False: from CAM without a verified signature, which can be forged
     confirmed: bool = False  # True: by a pulse of the lane's detector; False: not confirmed by a detector
     evidence_digest: Digest
     attempt: Count = 1  # how often it was sent

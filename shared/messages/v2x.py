@@ -23,6 +23,7 @@ from .base import (
 
 MAX_FRAME_BYTES = 2304  # largest MSDU of IEEE 802.11
 MAX_CAMS = 1024  # of one batch
+CertificateDigest = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # HashedId8 of IEEE 1609.2, hexadecimal
 ItsMilliseconds = Annotated[int, Field(ge=0, lt=1 << 42), unit("ms")]
 
 
@@ -37,6 +38,13 @@ class CamFrames(RawBytes):
     """Frames of at most 20 ms as records of `shared/v2x/frames.py`: each with its own stamp and length."""
 
     encapsulation: Encapsulation = Encapsulation.GEONETWORKING
+
+
+class Authentication(StrEnum):
+    """What is known of the sender of a frame by its signature, from the least on."""
+
+    UNSIGNED = "unsigned"
+    SIGNED_NOT_VERIFIED = "signed_not_verified"  # no check of signature and certificate: no more known than unsigned
 
 
 class V2xSend(RawBytes):
@@ -150,13 +158,15 @@ class CamContent(Message):
 
 
 class Cam(CamContent):
-    """One received CAM; the frame is not authenticated."""
+    """One received CAM; no signature is verified."""
 
     # Generation time on the OBU time line: reconstructed from `generation_delta_time`, correct if both clocks are.
     sampled_ns: Nanoseconds
     received_ns: Nanoseconds
     generation_delta_time: Annotated[int, Field(ge=0, lt=65536), unit("ms")]  # ITS time modulo 65536 ms
     frame: Annotated[Base64, Field(max_length=MAX_FRAME_BYTES)]  # as received, for digests and evidence
+    authentication: Authentication = Authentication.UNSIGNED
+    signer: CertificateDigest | None = None  # that a signed frame states; None: unsigned
 
 
 class CamList(Message):

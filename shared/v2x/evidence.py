@@ -5,7 +5,7 @@ from pydantic import ValidationError
 from ..errors import RejectedFrame
 from ..messages.toll import EvidenceFrame
 from ..messages.v2x import Cam
-from . import cam, geonetworking
+from . import cam, geonetworking, security
 
 
 def cam_of(frame: EvidenceFrame) -> Cam:
@@ -17,11 +17,12 @@ def cam_of(frame: EvidenceFrame) -> Cam:
         The frame is no CAM.
     """
     bare = frame.data[:1] == bytes([cam.PROTOCOL_VERSION])  # UPER without headers, else GeoNetworking
-    content, delta_time = cam.decode(frame.data if bare else geonetworking.decode_payload(frame.data))
+    packet, signed = (frame.data, None) if bare else security.without_envelope(frame.data)
+    content, delta_time = cam.decode(packet if bare else geonetworking.decode_payload(packet))
     try:
         return Cam(
             **content, sampled_ns=frame.sampled_ns, received_ns=frame.received_ns, generation_delta_time=delta_time,
-            frame=frame.data,
+            frame=frame.data, **security.provenance(signed),
         )  # fmt: skip
     except ValidationError as error:
         raise RejectedFrame("range", error) from error

@@ -56,18 +56,16 @@ def decode_payload(packet: bytes) -> bytes:
     Raises
     ------
     RejectedFrame
-        With the reason `truncated`, `geonetworking_version`, `secured`, `network_header`, `packet_type`, `transport`
-        or `port`.
+        With the reason `truncated`, `geonetworking_version`, `network_header` (also of a secured packet, which
+        `shared/v2x/security.py` unwraps), `packet_type`, `transport` or `port`.
     """
     if len(packet) < PAYLOAD_AT:
-        if len(packet) >= BASIC.size and packet[0] == VERSION << 4 | BASIC_NEXT_SECURED:
-            raise RejectedFrame("secured")
         raise RejectedFrame("truncated", len(packet))
     version, basic_next = packet[0] >> 4, packet[0] & 0xF
     if version != VERSION:
         raise RejectedFrame("geonetworking_version", version)
     if basic_next != BASIC_NEXT_COMMON:
-        raise RejectedFrame("secured" if basic_next == BASIC_NEXT_SECURED else "network_header", basic_next)
+        raise RejectedFrame("network_header", basic_next)
     next_header, packet_type, _, _, length, _, _ = COMMON.unpack_from(packet, COMMON_AT)
     if packet_type != SINGLE_HOP_BROADCAST:
         raise RejectedFrame("packet_type", hex(packet_type))

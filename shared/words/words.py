@@ -231,6 +231,13 @@ def said(text: str, code: Explanation | None, zone: tzinfo = UTC) -> str:
     return words().told(CodedText(text, code), zone) or (code.code if code else "")
 
 
+def translated(text: str, code: Explanation | None) -> dict[str, str]:
+    """Put a code into words of the languages other than English; empty for a message without a code."""
+    if code is None:
+        return {}
+    return {language: words(language).told(CodedText(text, code)) for language in LANGUAGES if language != ENGLISH}
+
+
 def reason(*explanations: Explanation) -> str:
     """Render the English details of codes of one's own, as they stand in messages."""
     return "; ".join(words().detail(explanation) or explanation.code for explanation in explanations)[:REASON_LENGTH]

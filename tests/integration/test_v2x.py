@@ -87,7 +87,7 @@ def test_a_radio_frame_is_published_as_cam_and_invalid_bytes_are_counted(
                 received.append(message)
             elif isinstance(message, ProcessHealth):
                 rejects.update(message.rejects)
-        return bool(received) and {"truncated", "secured", "geonetworking_version"} <= rejects.keys()
+        return bool(received) and {"truncated", "security_version", "geonetworking_version"} <= rejects.keys()
 
     until(exchange, "a CAM and the counted rejects")
     listener.close()

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Code(StrEnum):
-    """Why a passage is in its state, a gate is closed, or there is no delta position."""
+    """Why a passage is in its state, a gate is closed, or there is no delta position; how far a sender is known."""
 
     TURNED_BEFORE = "toll.turned_before"  # the gate line
     TURNED_BEHIND = "toll.turned_behind"
@@ -20,3 +20,5 @@ class Code(StrEnum):
     NO_FIX = "toll.no_fix"
     OLD_FIX = "toll.old_fix"
     FEW_FIXES = "toll.few_fixes"
+    UNSIGNED = "toll.unsigned"  # as the values of `Authentication`
+    SIGNED_NOT_VERIFIED = "toll.signed_not_verified"

@@ -773,6 +773,7 @@ class Core:
             delta_applied=here.delta_ns is not None,
             registered=self._is_registered(track.station_ids, track.updated_ns),
             passage_id=passage.passage_id if passage else None,
+            authentication=track.authentication,
         )
 
     def _trust(self, now_ns: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 from shared.messages.toll import FRAMES, STATION_IDS
-from shared.messages.v2x import Cam
+from shared.messages.v2x import Authentication, Cam
 from shared.toll.plaza import Plaza
 
 from .measurement import CamMeasurement, observation
@@ -47,6 +47,7 @@ class Track:
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
+    authentication: Authentication = Authentication.UNSIGNED  # least of its CAM; shown, and of no effect on a charge
 
     @property
     def station_id(self) -> int:
@@ -62,6 +63,12 @@ class Update:
     measured: CamMeasurement
     born: bool
     continues: Track | None = None  # track whose station ID is confirmed to have changed to this one's; it is deleted
+
+
+def least(*states: Authentication) -> Authentication:
+    """What is known of the sender of several CAM: as much as of the one of which the least is known."""
+    order = tuple(Authentication)
+    return min(states, key=order.index)
 
 
 def away_from_prediction(
@@ -174,7 +181,7 @@ class TrackTable:
     def restart(self, update: Update) -> None:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
-        track.since_ns = update.measured.time_ns
+        track.since_ns, track.authentication = update.measured.time_ns, update.measured.cam.authentication
         track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
@@ -280,6 +287,7 @@ class TrackTable:
             updated_ns=one.time_ns,
             received_ns=one.cam.received_ns,
             clock_offset_ns=one.clock_offset_ns,
+            authentication=one.cam.authentication,
         )
         track.predecessor, track.silent_for_ns = self._silent_here(one)
         track.born_ns = one.time_ns
@@ -314,6 +322,7 @@ class TrackTable:
     def _noted(self, track: Track, one: CamMeasurement, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
+        track.authentication = least(track.authentication, one.cam.authentication)
         track.frames.append(_received(one.cam))
         self.used.append((track.clock_offset_ns, track.frames[-1]))
         return Update(track, one, born, self._confirmed_predecessor(track))
@@ -333,6 +342,7 @@ class TrackTable:
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
         track.frames = deque([*old.frames, *track.frames], maxlen=FRAMES)
         track.since_ns = old.since_ns
+        track.authentication = least(track.authentication, old.authentication)
         track.length_m = track.length_m or old.length_m
         if owner is old:
             self._delete(old)

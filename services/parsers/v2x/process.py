@@ -15,7 +15,7 @@ from shared.messages.gnss import GnssFix
 from shared.messages.v2x import Cam, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
 from shared.runtime.config import Section
 from shared.topics import BY_NAME
-from shared.v2x import cam, frames, geonetworking, its_time
+from shared.v2x import cam, frames, geonetworking, its_time, security
 
 MAX_FRAMES = 1024  # of one batch
 LIST_BYTES = BY_NAME["v2x/cam"].most_bytes - 1_000  # of CAM in one message
@@ -38,8 +38,9 @@ class Config(Section):
         default=1.0,
         ge=0.0,
         le=32.0,
-        description="frames whose GeoNetworking time differs by more from the generation time of their CAM are "
-        "rejected: a CAM repeated after 65.536 s has the generation time of a new one, and not its header",
+        description="frames whose GeoNetworking time, or whose time of signature, differs by more from the generation "
+        "time of their CAM are rejected: a CAM repeated after 65.536 s has the generation time of a new one, and not "
+        "its header",
     )
     max_distance_m: float = Field(
         default=10_000.0, gt=0.0, description="CAM of stations further from this unit's GNSS position are rejected"
@@ -91,7 +92,8 @@ class Process:
 
     def _decode(self, frame: bytes, received_ns: int, encapsulation: Encapsulation) -> Cam:
         has_header = encapsulation is Encapsulation.GEONETWORKING
-        payload = geonetworking.decode_payload(frame) if has_header else frame
+        packet, signed = security.without_envelope(frame) if has_header else (frame, None)
+        payload = geonetworking.decode_payload(packet) if has_header else packet
         content, generation_delta_time = cam.decode(payload)
         if content["station_id"] == self._own_station:
             raise RejectedFrame("own_station")
@@ -102,7 +104,9 @@ class Process:
         if age_ms < -self._config.max_future_s * 1000:
             raise RejectedFrame("from_the_future", -age_ms)
         if has_header:
-            self._check_header(frame, received_ms - age_ms)
+            self._check_header(packet, received_ms - age_ms)
+        if signed is not None:
+            self._check_signed_time(signed.generation_time_ms, received_ms - age_ms)
         self._check_distance(content["latitude_deg"], content["longitude_deg"])
         try:
             return Cam(
@@ -111,16 +115,22 @@ class Process:
                 received_ns=received_ns,
                 generation_delta_time=generation_delta_time,
                 frame=frame,
+                **security.provenance(signed),
             )
         except ValidationError as error:
             raise RejectedFrame("range", error) from error
 
-    def _check_header(self, frame: bytes, generated_ms: int) -> None:
+    def _check_header(self, packet: bytes, generated_ms: int) -> None:
         """Compare the time in the header, known modulo 49 days, with the generation time by CAM and reception."""
         cycle_ms = geonetworking.TIME_CYCLE_MS
-        difference_ms = its_time.difference_ms(generated_ms, geonetworking.source_time_ms(frame), cycle_ms)
+        difference_ms = its_time.difference_ms(generated_ms, geonetworking.source_time_ms(packet), cycle_ms)
         if abs(difference_ms) > self._config.max_header_difference_s * 1000:
             raise RejectedFrame("header_time", difference_ms)
+
+    def _check_signed_time(self, signed_ms: int, generated_ms: int) -> None:
+        """Compare the time of the signature, which is known without a cycle, with that of the CAM by its reception."""
+        if abs(signed_ms - generated_ms) > self._config.max_header_difference_s * 1000:
+            raise RejectedFrame("generation_time", signed_ms - generated_ms)
 
     def _check_distance(self, latitude_deg: float | None, longitude_deg: float | None) -> None:
         if self._position is None or latitude_deg is None or longitude_deg is None:

@@ -19,6 +19,7 @@ from shared.messages.toll import (
     TollTrack,
     TollTracks,
 )
+from shared.messages.v2x import Authentication
 from shared.runtime.config import parse_vehicle
 from tests.support.dashboard.fake_unit import FakeBus, heartbeat
 from tests.support.v2x.tolling import PLAZA, Vehicle
@@ -88,6 +89,7 @@ class FakePlaza:
                     ellipse_major_m=1.9, ellipse_minor_m=1.1, ellipse_orientation_rad=0.4,
                     lanes=tuple(LaneProbability(lane=k, probability=p) for k, p in posterior.items()),
                     lane=None if undecided else name, delta_applied=True, registered=registered,
+                    authentication=Authentication.UNSIGNED if n == 3 else Authentication.SIGNED_NOT_VERIFIED,
                 )
             )  # fmt: skip
         yield "core.toll", TollTracks(sampled_ns=now_ns, tracks=tuple(tracks), cams=round(20 * age_s), trust="surveyed")

@@ -1,7 +1,7 @@
 // The page Toll of a road-side unit: the plaza from above, its lanes, its passages, and the account of every detection.
 import { useState } from "preact/hooks";
 import { clock, isOld as old, link, nowMs, state } from "./store.js";
-import { Age, Card, Drawer, Empty, Row, StateIcon, compass, duration, fixed, html, metres, percent, rate, timeOfDay } from "./parts.js";
+import { Age, Card, Drawer, Empty, Row, StateIcon, compass, duration, fixed, html, languageOf, metres, percent, rate, timeOfDay, told } from "./parts.js";
 import { words } from "./words.js";
 
 const w = words.tollPage;
@@ -86,9 +86,15 @@ function Picture({ t }) {
 function TracksTable({ t }) {
   const c = w.trackColumns;
   const most = (v) => Object.entries(v.lanes).sort((a, b) => b[1] - a[1])[0];
-  return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.approaching}><table class="plain"><thead><tr>${[c.track, c.lane, c.probability, c.speed, c.heading, c.ellipse, c.contract].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
+  return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.approaching}><table class="plain"><thead><tr>${[c.track, c.lane, c.probability, c.speed, c.heading, c.ellipse, c.contract, c.signature].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
     <tbody>${t.tracks.map((v) => html`<tr key=${v.track}><th scope="row">${v.track}</th><td>${v.lane ?? w.undecided(most(v)?.[0])}</td><td>${percent(most(v)?.[1])}</td>
-      <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td></tr>`)}</tbody></table></div>`;
+      <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td><td class="dim" lang=${languageOf(v)}>${told(v, v.authentication)}</td></tr>`)}</tbody></table></div>`;
+}
+
+// Of each state of signatures, a vehicle with it and the number of those. None is green: no signature is verified.
+function signatures(tracks) {
+  const vehicles = new Map(tracks.map((v) => [v.authentication, v]));
+  return [...vehicles].map(([authentication, v]) => [v, tracks.filter((track) => track.authentication === authentication).length]);
 }
 
 function PlazaCard({ t }) {
@@ -98,7 +104,7 @@ function PlazaCard({ t }) {
   return html`<${Card} title=${w.plaza(t.plaza.name)} id="plaza" class="plaza-card" note=${w.vehicles(t.tracks.length)}
     aside=${html`<${Age} topic="toll/tracks" stamp=${t.tracks_ns} /> <button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${table ? html`<${TracksTable} t=${t} />` : html`<${Picture} t=${t} />`}
-    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li></ul>
+    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li>${signatures(t.tracks).map(([v, n]) => html`<li class="dim" lang=${languageOf(v)}>${told(v, v.authentication)}: ${n}</li>`)}</ul>
   </${Card}>`;
 }
 

@@ -584,7 +584,7 @@ export const words = {
     otherRoleWhy: "Tolling runs in the role rsu: obu demo --role rsu.",
     approaching: "Vehicles tracked",
     legend: { decided: "lane decided", undecided: "lane undecided", unregistered: "not registered", bars: "bars: probability of each lane" },
-    trackColumns: { track: "Track", lane: "Lane", probability: "Probability", speed: "Speed", heading: "Heading", ellipse: "95 % ellipse", contract: "Contract" },
+    trackColumns: { track: "Track", lane: "Lane", probability: "Probability", speed: "Speed", heading: "Heading", ellipse: "95 % ellipse", contract: "Contract", signature: "Signature" },
     undecided: (lane) => (lane ? `undecided (${lane})` : "undecided"),
     registered: "registered",
     unregistered: "not registered",

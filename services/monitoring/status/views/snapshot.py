@@ -22,7 +22,7 @@ from shared.page.answers import Object
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import limits_of
 from shared.topics import TOPICS
-from shared.words.words import ENGLISH, LANGUAGES, CodedText, words
+from shared.words.words import translated, words
 
 from ..flow import TopicFlow
 from ..state import State
@@ -235,7 +235,7 @@ def problems(state: State) -> list[ProblemRow]:
             "text_code": _plain(problem.text_code),
             "since_ns": problem.since_ns,
             "affected": list(problem.affected),
-            "languages": _told(problem.text, problem.text_code),
+            "languages": translated(problem.text, problem.text_code),
         }
         for problem in state.judgement.problems
     ]
@@ -256,19 +256,12 @@ def outage_row(outage: Outage) -> OutageRow:
         "cause": outage.cause,
         "cause_code": _plain(outage.cause_code),
         "affected": list(outage.affected),
-        "languages": _told(outage.cause, outage.cause_code),
+        "languages": translated(outage.cause, outage.cause_code),
     }
 
 
 def _plain(code: Explanation | None) -> Object | None:
     return None if code is None else code.model_dump(mode="json")
-
-
-def _told(text: str, code: Explanation | None) -> dict[str, str]:
-    """What a code says in languages other than English; empty for a message without a code."""
-    if code is None:
-        return {}
-    return {language: words(language).told(CodedText(text, code)) for language in LANGUAGES if language != ENGLISH}
 
 
 def _topic(state: State, flow: TopicFlow) -> TopicShown:

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from shared.messages.explanation import explain
 from shared.messages.toll import (
     LedgerState,
     PlazaDescription,
@@ -11,10 +12,11 @@ from shared.messages.toll import (
     TollTracks,
 )
 from shared.page.answers import Object
+from shared.words.words import said, translated
 
 from .banner import Check, Trust, Verdict
 from .geometry import ground_offset
-from .models.toll import Plaza, PlazaShown, TrackShown
+from .models.toll import AuthenticationShown, Plaza, PlazaShown, TrackShown
 
 if TYPE_CHECKING:
     from ..state import State
@@ -151,11 +153,18 @@ def _tracks(message: TollTracks, description: PlazaDescription) -> list[TrackSho
             "lane": track.lane,
             "delta": track.delta_applied,
             "registered": track.registered,
+            **_authentication(track),
             "passage": track.passage_id[:8] if track.passage_id else None,
             "age_s": round((message.sampled_ns - track.updated_ns) * 1e-9, 1),
         }
         for track in message.tracks
     ]  # fmt: skip
+
+
+def _authentication(track: TollTrack) -> AuthenticationShown:
+    """Say how far the sender of a track is known, by the code of `core.toll` for it."""
+    code = explain(f"toll.{track.authentication}")
+    return {"authentication": said("", code), "languages": translated("", code)}
 
 
 def _plane(point: Position | TollTrack, description: PlazaDescription) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from shared.messages.toll import (
     UsedCam,
     UsedCams,
 )
-from shared.messages.v2x import CamList, StationType
+from shared.messages.v2x import Authentication, CamList, StationType
 from shared.topics import MANY_BYTES
 from tests.support.cases import each
 from tests.support.v2x.toll import START_NS, Plant, Vehicle, fix, lane_of, place
@@ -49,6 +49,50 @@ def test_a_registered_vehicle_is_charged_once_after_the_exit_line() -> None:
     assert charged.evidence is not None
     assert charged.evidence.track_since_ns == charged.opened_ns
     assert not charged.authenticated
+
+
+SIGNED = {"authentication": Authentication.SIGNED_NOT_VERIFIED, "signer": "6999ac931bf65e6b"}
+
+
+def test_a_signature_that_is_not_verified_changes_no_statement() -> None:
+    """Registered or not, and beside an unsigned car that uses the same station ID: as if nothing were signed."""
+    for other in (replace(CAR, lane="s1"), Vehicle(8, "n1", error=COMMON, start=-280.0)):
+        plants = []
+        for extra in ({}, SIGNED):
+            plant = Plant(COMMON)
+            plant.register(7)
+            plant.drive(replace(CAR, extra=extra), other, until=20.0)
+            plants.append(plant)
+        unsigned, signed = plants
+        assert signed.statements == unsigned.statements
+        assert not any(passage.authenticated for passage in signed.passages)
+        assert signed.core.rejected == unsigned.core.rejected
+    assert {"charged", "unregistered"} <= set(signed.states)
+
+
+@pytest.mark.parametrize(
+    ("unsigned", "authentication"), [((), "signed_not_verified"), ((30,), "unsigned"), ((0,), "unsigned")]
+)
+def test_a_track_states_the_least_that_is_known_of_the_senders_of_its_cam(
+    unsigned: tuple[int, ...], authentication: str
+) -> None:
+    plant = Plant(COMMON)
+    plain, signed = replace(CAR, start=-190.0), replace(CAR, start=-190.0, extra=SIGNED)
+    for k in range(50):
+        plant.statements += plant.core.use([(plain if k in unsigned else signed).cam(plant.plaza, k / 10.0)])
+    (track,) = plant.core.tracks(START_NS + 5 * 10**9).tracks
+    assert track.authentication == authentication
+
+
+def test_a_vehicle_that_changes_its_station_id_is_as_known_as_before() -> None:
+    plant = Plant(COMMON)
+    plant.drive(replace(CAR, start=-1000.0), until=5.0)
+    later = replace(CAR, start=-1000.0, extra=SIGNED).named(70)
+    plant.drive(later, since=5.0, until=6.0)
+    assert {track.authentication for track in plant.core.tracks(START_NS).tracks} == {"unsigned", "signed_not_verified"}
+    plant.drive(later, since=6.0, until=15.0)
+    (track,) = plant.core.tracks(START_NS).tracks
+    assert (track.station_id, track.authentication) == (70, "unsigned")
 
 
 def test_a_wrong_sign_of_the_delta_puts_the_vehicle_into_another_lane() -> None:

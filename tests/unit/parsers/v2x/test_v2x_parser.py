@@ -13,6 +13,7 @@ from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.v2x import (
     MAX_FRAME_BYTES,
+    Authentication,
     Cam,
     CamContent,
     CamFrames,
@@ -23,10 +24,12 @@ from shared.messages.v2x import (
     V2xSend,
 )
 from shared.topics import BY_NAME
-from shared.v2x import frames, geonetworking, its_time
+from shared.v2x import frames, geonetworking, its_time, security
+from tests.support.cases import each
 from tests.support.data import recording
 from tests.support.gnss.captures import packets
 from tests.support.v2x import cams
+from tests.support.v2x.signing import Ticket, signed
 
 NOW_NS = 1_795_000_000 * 10**9 + 123_456_789
 MS = 1_000_000
@@ -95,7 +98,7 @@ def test_unusable_frames_are_counted_by_reason_and_the_rest_of_the_batch_is_deco
         {
             "truncated": 2,
             "geonetworking_version": 1,
-            "secured": 1,
+            "security_version": 1,
             "protocol_version": 1,
             "message_id": 1,
             "port": 1,
@@ -264,6 +267,76 @@ def test_the_capture_of_the_test_system_is_decoded_although_its_clock_is_a_secon
     assert len(ages_s) == 10
     assert ages_s == pytest.approx([1.004] * 10, abs=0.01)
     assert process.rejects == Counter()
+
+
+TICKET = Ticket()
+
+
+@pytest.mark.parametrize("with_certificate", [True, False])
+def test_a_signed_frame_is_a_cam_that_states_its_signer_and_that_nothing_is_verified(with_certificate: bool) -> None:
+    process, generated_ms = Process(Config()), its_time.its_time_ms(NOW_NS - 40 * MS)
+    plain = cams.packet(cams.BRAKING, generated_ms)
+    frame = signed(plain, TICKET, generated_ms, with_certificate=with_certificate)
+    unsigned, found = decoded(process, cams.batch([plain, frame], NOW_NS))
+    assert (found.authentication, found.signer) == (Authentication.SIGNED_NOT_VERIFIED, TICKET.digest.hex())
+    assert (unsigned.authentication, unsigned.signer) == (Authentication.UNSIGNED, None)
+    same = {"authentication": unsigned.authentication, "signer": None, "frame": plain}
+    assert found.frame == frame and found.model_copy(update=same) == unsigned
+    assert process.rejects == Counter()
+
+
+@pytest.mark.parametrize(("signed_ms", "reason"), [(0, None), (990, None), (-990, None), (1010, "generation_time"),
+                                                   (-1010, "generation_time"), (65_536, "generation_time"),
+                                                   (1 << 32, "generation_time")])  # fmt: skip
+def test_the_time_of_a_signature_may_differ_from_the_cam_by_a_second(signed_ms: int, reason: str | None) -> None:
+    process, generated_ms = Process(Config()), its_time.its_time_ms(NOW_NS)
+    frame = signed(packet(), TICKET, generated_ms + signed_ms)
+    assert bool(decoded(process, cams.batch([frame], NOW_NS))) is (reason is None)
+    assert process.rejects == Counter({reason: 1} if reason else {})
+
+
+@each(
+    ("age_s", "reason"),
+    [(10.0, "too_old"), (-5.0, "from_the_future"), (its_time.CYCLE_MS / 1000, "header_time")],
+)  # fmt: skip
+def test_the_limits_of_age_are_those_of_unsigned_frames(age_s: float, reason: str) -> None:
+    process, generated_ns = Process(Config()), NOW_NS - round(age_s * 1e9)
+    frame = signed(packet(generated_ns=generated_ns), TICKET, its_time.its_time_ms(generated_ns))
+    assert decoded(process, cams.batch([frame], NOW_NS)) == []
+    assert process.rejects == Counter({reason: 1})
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), min_size=1, max_size=10))
+def test_damaged_signed_packets_are_valid_cams_or_counted_rejects(damage: list[tuple[int, int]]) -> None:
+    process, damaged = Process(Config()), bytearray(SIGNED)
+    for place, value in damage:
+        damaged[place % len(damaged)] = value
+    messages = list(process.handle(cams.batch([bytes(damaged)], NOW_NS)))
+    assert len(messages) + sum(process.rejects.values()) == 1
+    assert process.rejects["fault"] == 0
+    for message in messages:
+        codec.encode(message)
+
+
+SIGNED = signed(packet(), TICKET, its_time.its_time_ms(NOW_NS))
+
+
+@pytest.mark.recording
+def test_field_frames_are_too_old_at_their_capture_and_cam_at_the_time_that_they_state() -> None:
+    live, by_their_time, ages_s = Process(Config()), Process(Config()), []
+    for utc_ns, frame in packets(recording("cam_secured") / "field_secured_cam.pcapng"):
+        assert decoded(live, cams.batch([frame], utc_ns)) == []
+        _, envelope = security.without_envelope(frame)
+        assert envelope is not None
+        signed_ns = its_time.utc_ns_from_its_time(envelope.generation_time_ms)
+        ages_s.append((utc_ns - signed_ns) / 1e9)
+        (found,) = decoded(by_their_time, cams.batch([frame], signed_ns))
+        assert (found.authentication, found.station_id) == (Authentication.SIGNED_NOT_VERIFIED, 469_130_859)
+        assert found.signer == "6999ac931bf65e6b"
+    assert live.rejects == Counter({"too_old": 9})
+    assert by_their_time.rejects == Counter()
+    assert all(18.6 < age_s < 19.1 for age_s in ages_s)
 
 
 @pytest.mark.parametrize("count", [1, 24, 25, 1024])

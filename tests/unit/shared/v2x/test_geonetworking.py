@@ -32,8 +32,7 @@ def test_the_payload_of_a_packet_is_found_and_padding_behind_it_is_not_part_of_i
         (changed(9, 3), "truncated"),  # a payload that is shorter than the BTP header
         (changed(0, 0x01), "geonetworking_version"),
         (changed(0, 0x21), "geonetworking_version"),
-        (changed(0, 0x12), "secured"),
-        (bytes.fromhex("12000501") + bytes(8), "secured"),
+        (changed(0, 0x12), "network_header"),  # secured
         (changed(0, 0x10), "network_header"),
         (changed(5, 0x51), "packet_type"),  # multi-hop broadcast
         (changed(5, 0x40), "packet_type"),  # geographically scoped broadcast

@@ -34,7 +34,16 @@ class PlazaShown(TypedDict):
 
 
 @answer()
-class TrackShown(TypedDict):
+class AuthenticationShown(TypedDict):
+    """How far the sender of CAM is known."""
+
+    authentication: str
+    languages: dict[str, str]
+    """the same in languages other than English"""
+
+
+@answer()
+class TrackShown(AuthenticationShown):
     """One vehicle before the plaza."""
 
     track: int
