@@ -49,7 +49,7 @@ def first_minutes(folder: Path, out: Path, until_s: float) -> Path:
 
 
 def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -> None:
-    cut = first_minutes(recording("rtk_drive_57min") / "mems_rtk_200hz", tmp_path, 330.0)
+    cut = first_minutes(recording("rtk_drive_57min/mems_rtk_200hz"), tmp_path, 330.0)
     found = solved(imported("rtk_drive_57min", cut, tmp_path), Aiding.ODOMETER, score_from=200.0)
     assert found["fixes_recorded"] == 329 and found["filter_resets"] == 0
     assert found["horizontal_rmse_m"] <= 0.02, "two noises of a fix; over the whole drive it is 0.0137 m"
@@ -59,7 +59,7 @@ def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -
 
 def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_m(tmp_path: Path) -> None:
     name = "2014-03-26-000-Data.csv"
-    lines = (recording("balzer82_car") / name).read_text().splitlines()[:3001]
+    lines = (recording(f"balzer82_car/{name}")).read_text().splitlines()[:3001]
     (tmp_path / name).write_text("\n".join(lines) + "\n")
     found = solved(imported("balzer82_car", tmp_path, tmp_path))
     assert found["duration_s"] == pytest.approx(60.0, abs=0.1) and found["alignment_s"] < 10.0
@@ -71,7 +71,7 @@ def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_
 
 @pytest.mark.parametrize("aiding", [Aiding.FREE, Aiding.ODOMETER])
 def test_with_rtk_a_whole_drive_is_as_accurate_as_that_of_the_best_peer(aiding: Aiding, tmp_path: Path) -> None:
-    drive = imported("rtk_drive_57min", recording("rtk_drive_57min") / "mems_rtk_200hz", tmp_path)
+    drive = imported("rtk_drive_57min", recording("rtk_drive_57min/mems_rtk_200hz"), tmp_path)
     found = solved(drive, aiding, score_from=350.0)
     assert found["horizontal_rmse_m"] <= 0.0137, "the goal; KF-GINS and pyins reach 0.0134 m"
     assert degrees(found["yaw_rmse_rad"]) <= 0.065, "the goal; KF-GINS reaches 0.061 deg"
@@ -81,7 +81,7 @@ def test_with_rtk_a_whole_drive_is_as_accurate_as_that_of_the_best_peer(aiding: 
 
 
 def test_with_errors_correlated_over_a_minute_velocity_and_outages_equal_the_best_peer(tmp_path: Path) -> None:
-    drive = imported("rtk_drive_57min", recording("rtk_drive_57min") / "mems_spp_100hz", tmp_path)
+    drive = imported("rtk_drive_57min", recording("rtk_drive_57min/mems_spp_100hz"), tmp_path)
     found = solved(drive, Aiding.ODOMETER, score_from=350.0)
     assert found["velocity_horizontal_rmse_m_s"] <= 0.022, "the goal"
     assert degrees(found["yaw_rmse_rad"]) <= 0.09, "the goal; the best peer reaches 0.092 deg"

@@ -125,7 +125,7 @@ def base_station() -> Station:
     That is 318 m from the receiver whose NAV-PVT is in the same log. Without coefficients of the ionosphere, which RTCM
     does not have; it is an hour after midnight there.
     """
-    data = (recording("gpsd_receiver_logs") / "ublox-zed-f9r.log").read_bytes()
+    data = (recording("gpsd_receiver_logs/ublox-zed-f9r.log")).read_bytes()
     midnight = datetime(2025, 4, 11, 23, 14, 26) - datetime(1980, 1, 6)  # GPS time has no zone
     messages = [message for _, message in UBXReader(BytesIO(data), protfilter=4)]
     ephemerides, epochs = read_rtcm(messages, round(midnight.total_seconds()) * 10**9)
@@ -153,7 +153,7 @@ def test_the_solution_of_an_rtcm_stream_is_the_stated_position_of_its_base_stati
 
 
 def test_galileo_ephemerides_give_the_directions_that_the_receiver_states() -> None:
-    path = recording("osnma") / "ublox" / "ublox_2026_03.ubx"
+    path = recording("osnma/ublox/ublox_2026_03.ubx")
     store, model, now_ns = EphemerisStore(), ErrorModel(), 0
     here: np.ndarray | None = None
     off: list[tuple[float, float]] = []

@@ -64,7 +64,7 @@ def test_wheel_speeds_limit_the_drift_of_a_car_in_outages_of_fifteen_seconds(rtk
 
 @pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_a_car_with_a_tactical_imu_drifts_by_less_than_1_5_m(trial: str, tmp_path: Path) -> None:
-    drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
+    drive = imported("wid_car", recording(f"wid_car/trial{trial}"), tmp_path)
     whole, cut = solved(drive), solved(drive, "10/30")
     assert whole["horizontal_rmse_m"] <= 0.05 and whole["fixes_rejected"] == 0
     assert cut["outage_count"] >= 2
@@ -73,7 +73,7 @@ def test_a_car_with_a_tactical_imu_drifts_by_less_than_1_5_m(trial: str, tmp_pat
 
 @pytest.mark.parametrize("trial", ["03", "07"])
 def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: str, tmp_path: Path) -> None:
-    found = solved(imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path))
+    found = solved(imported("wid_car", recording(f"wid_car/trial{trial}"), tmp_path))
     assert 20 < found["fixes_rejected"] < 0.4 * found["fixes_used"]
     assert found["filter_resets"] <= 1
     # The fixes are used as truth and have jumps of up to 4.9 m.
@@ -81,7 +81,7 @@ def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: st
 
 
 def test_attitude_and_velocity_of_a_truck_agree_with_a_reference_of_higher_grade(tmp_path: Path) -> None:
-    found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
+    found = solved(imported("auburn_truck", recording("auburn_truck/turn"), tmp_path))
     # The IMU is rotated by several degrees against the reference, and the cab moves on its suspension.
     assert found["yaw_sd_rad"] <= radians(1.0), "the goal, another filter reached 1.3"
     assert found["roll_rmse_rad"] < 0.05 and found["pitch_rmse_rad"] < 0.05
@@ -90,6 +90,6 @@ def test_attitude_and_velocity_of_a_truck_agree_with_a_reference_of_higher_grade
 
 
 def test_a_parked_truck_has_no_heading(tmp_path: Path) -> None:
-    drive = imported("auburn_truck", recording("auburn_truck") / "static", tmp_path)
+    drive = imported("auburn_truck", recording("auburn_truck/static"), tmp_path)
     with pytest.raises(UserError, match="no heading yet"):
         solved(drive)

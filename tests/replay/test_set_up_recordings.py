@@ -41,7 +41,7 @@ FAULTS = {
 
 def test_the_checks_of_a_drive_with_wheel_speeds_and_rtk_report_only_injected_faults(tmp_path: Path) -> None:
     settings = Settings()
-    drive = messages_of("wid_car", recording("wid_car") / "trial02", tmp_path, settings)
+    drive = messages_of("wid_car", recording("wid_car/trial02"), tmp_path, settings)
     assert not contradicted(drive, Faults(), settings)
     assert contradicted(drive, Faults(odometer=1.2), settings) == {"odometer_scale"}
     for name, faults in FAULTS.items():
@@ -51,7 +51,7 @@ def test_the_checks_of_a_drive_with_wheel_speeds_and_rtk_report_only_injected_fa
 @pytest.mark.parametrize("trial", ["01", "03", "04", "07", "08", "10"])
 def test_jumps_and_gaps_of_gnss_are_no_findings_of_the_set_up(trial: str, tmp_path: Path) -> None:
     settings = Settings()
-    drive = messages_of("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, settings)
+    drive = messages_of("wid_car", recording(f"wid_car/trial{trial}"), tmp_path, settings)
     assert not contradicted(drive, Faults(), settings)
 
 

@@ -53,12 +53,12 @@ def test_smoothed_errors_in_outages_of_a_car_with_rtk_meet_the_goals(tmp_path: P
 
 @pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_smoothed_errors_in_outages_of_a_car_with_a_tactical_imu_meet_the_goals(trial: str, tmp_path: Path) -> None:
-    found = smoothed("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, "10/30")
+    found = smoothed("wid_car", recording(f"wid_car/trial{trial}"), tmp_path, "10/30")
     assert_bridged(found)
     assert found["smoothed_outage_inside_max_m"] <= 0.25 and found["smoothed_within_3_sigma_fraction"] > 0.98
 
 
 def test_the_smoothed_attitude_of_a_truck_is_closer_to_its_reference(tmp_path: Path) -> None:
-    found = smoothed("auburn_truck", recording("auburn_truck") / "turn", tmp_path)
+    found = smoothed("auburn_truck", recording("auburn_truck/turn"), tmp_path)
     for axis in ("roll", "pitch", "yaw"):
         assert found[f"smoothed_{axis}_rmse_mounted_rad"] < 0.95 * found[f"{axis}_rmse_mounted_rad"], axis

@@ -29,7 +29,7 @@ class Result:
 
 
 def table(name: str) -> FloatArray:
-    return np.loadtxt(recording("canedge_obd_gnss") / "drive164" / name, delimiter=",", skiprows=1)
+    return np.loadtxt(recording(f"canedge_obd_gnss/drive164/{name}"), delimiter=",", skiprows=1)
 
 
 def drive(*, invalid_too: bool = False, gnss: Change | None = None, odometer: Change | None = None) -> Result:

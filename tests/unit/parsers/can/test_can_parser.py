@@ -357,7 +357,7 @@ def test_any_frame_is_parsed_without_error(identifier: int, extended: bool, data
 
 @pytest.mark.recording
 def test_recorded_obd_speeds_equal_the_decoded_speeds_of_the_recording() -> None:
-    folder = recording("canedge_obd_gnss") / "drive164"
+    folder = recording("canedge_obd_gnss/drive164")
     process, found = Process(Config(vehicle_speed_delay_s=0.0)), []
     with (folder / "candump.log").open("rb") as file:
         for text in file:
@@ -404,7 +404,7 @@ def test_recorded_wheel_speeds_equal_those_decoded_by_cantools_and_python_can() 
 
 @pytest.mark.recording
 def test_a_parked_truck_has_zero_wheel_and_tachograph_speed() -> None:
-    path = recording("j1939_truck_can") / "truck_gb_tco1_gnss_stationary.log"
+    path = recording("j1939_truck_can/truck_gb_tco1_gnss_stationary.log")
     process, found, reader = Process(Config()), Counter[tuple[str, float]](), LineReader(Counter(), Kinds())
     for text in path.read_bytes().splitlines(keepends=True):
         if b"FEF1" in text or b"FE6C" in text:

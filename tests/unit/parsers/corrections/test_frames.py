@@ -92,7 +92,7 @@ def test_bytes_made_to_look_like_headers_cost_no_more_than_others(unit: bytes | 
 def test_recorded_spartn_is_read_as_pyspartn_reads_it_and_every_byte_is_accounted_for(
     name: str, frames: int, size: int
 ) -> None:
-    data = (recording("spartn_logs") / name).read_bytes()
+    data = (recording(f"spartn_logs/{name}")).read_bytes()
     found, rejects = framed(data, list(range(777, len(data), 777)))
     theirs = [raw for raw, _ in SPARTNReader(io.BytesIO(data), quitonerror=0, decode=False) if raw]
     assert [frame.data for frame in found] == theirs
@@ -103,7 +103,7 @@ def test_recorded_spartn_is_read_as_pyspartn_reads_it_and_every_byte_is_accounte
 
 @pytest.mark.recording
 def test_recorded_bytes_of_an_l_band_receiver_are_whole_frames() -> None:
-    data = (recording("spartn_logs") / "d9s_rxmpmp_data.ubx").read_bytes()
+    data = (recording("spartn_logs/d9s_rxmpmp_data.ubx")).read_bytes()
     found, rejects = framed(data, list(range(500, len(data), 500)))
     assert b"".join(frame.data for frame in found) == data and not rejects
     assert Counter(name_of(frame.protocol, frame.kind) for frame in found) == {"UBX RXM-PMP": 1678}

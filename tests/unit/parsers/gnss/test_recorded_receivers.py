@@ -71,7 +71,7 @@ def test_positions_are_those_that_gpsd_reads(name: str, least: int) -> None:
 @pytest.mark.recording
 @pytest.mark.parametrize("name", [name for name, _ in LOGS] + list(WITH_HNR))
 def test_every_byte_of_a_log_is_in_a_message_or_counted(name: str) -> None:
-    path = recording("gpsd_receiver_logs") / name
+    path = recording(f"gpsd_receiver_logs/{name}")
     process, _ = read(path)
     table = process.kinds.table()
     lines = path.read_bytes().splitlines(keepends=True)

@@ -242,7 +242,7 @@ def test_any_payload_is_parsed_or_counted(payload: bytes) -> None:
 @pytest.mark.recording
 @pytest.mark.parametrize("number", ["1", "3"])
 def test_a_recorded_tracker_at_standstill_measures_gravity_and_zero_rate(number: str) -> None:
-    process, data = Process(Config()), (recording("xsens_xbus") / number / "output.bin").read_bytes()
+    process, data = Process(Config()), (recording(f"xsens_xbus/{number}/output.bin")).read_bytes()
     messages = [m for i in range(0, len(data), 150) for m in feed(process, data[i : i + 150], i / 150 * 0.01)]
     forces = np.array([force for m in messages for force in m.specific_force_body_m_s2])
     rates = np.array([rate for m in messages for rate in m.angular_rate_body_rad_s])

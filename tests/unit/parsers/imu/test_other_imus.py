@@ -190,7 +190,7 @@ def test_wheel_ticks_and_speeds_of_a_receiver_are_speeds_of_the_vehicle() -> Non
 @pytest.mark.recording
 def test_recorded_wheel_ticks_at_standstill_are_no_speed() -> None:
     process = GnssProcess(GnssConfig(metres_per_wheel_tick=0.1))
-    data = (recording("gpsd_receiver_logs") / "ublox-neo-m8l.log").read_bytes()
+    data = (recording("gpsd_receiver_logs/ublox-neo-m8l.log")).read_bytes()
     found = list(process.handle(GnssRaw(received_ns=START_NS, source="gnss0", data=data)))
     speeds = [vehicle_speed.speed_m_s for vehicle_speed in found if isinstance(vehicle_speed, VehicleSpeed)]
     assert len(speeds) > 50 and set(speeds) == {0.0}

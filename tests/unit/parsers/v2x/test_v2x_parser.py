@@ -260,7 +260,7 @@ def test_the_cam_of_a_road_side_unit_is_marked_not_mobile() -> None:
 @pytest.mark.recording
 def test_the_capture_of_the_test_system_is_decoded_although_its_clock_is_a_second_behind() -> None:
     process, ages_s = Process(Config()), []
-    for utc_ns, data in packets(recording("etsi_cam_pcap") / "etsi-its-cam-unsecured.pcapng"):
+    for utc_ns, data in packets(recording("etsi_cam_pcap/etsi-its-cam-unsecured.pcapng")):
         (found,) = decoded(process, cams.batch([data], utc_ns))
         assert (found.station_id, found.latitude_deg, found.longitude_deg) == (10143, 43.554663, 10.30419)
         ages_s.append((found.received_ns - found.sampled_ns) / 1e9)
@@ -325,7 +325,7 @@ SIGNED = signed(packet(), TICKET, its_time.its_time_ms(NOW_NS))
 @pytest.mark.recording
 def test_field_frames_are_too_old_at_their_capture_and_cam_at_the_time_that_they_state() -> None:
     live, by_their_time, ages_s = Process(Config()), Process(Config()), []
-    for utc_ns, frame in packets(recording("cam_secured") / "field_secured_cam.pcapng"):
+    for utc_ns, frame in packets(recording("cam_secured/field_secured_cam.pcapng")):
         assert decoded(live, cams.batch([frame], utc_ns)) == []
         _, envelope = security.without_envelope(frame)
         assert envelope is not None

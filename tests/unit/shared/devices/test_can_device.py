@@ -181,7 +181,7 @@ def test_a_log_without_a_usable_line_is_an_error_that_names_the_form(text: str, 
 
 @pytest.mark.recording
 def test_a_recorded_log_is_replayed_as_parsed_by_python_can(tmp_path: Path) -> None:
-    source = recording("can_toyobaru_wheelspeed") / "can_sample.log"
+    source = recording("can_toyobaru_wheelspeed/can_sample.log")
     path = tmp_path / "part.log"
     with source.open() as file:
         path.write_text("".join(line for line, _ in zip(file, range(200), strict=False)))

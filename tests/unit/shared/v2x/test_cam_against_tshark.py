@@ -150,7 +150,7 @@ def test_tshark_dissects_encoded_headers_to_their_values(tmp_path: Path) -> None
 
 @pytest.mark.recording
 def test_the_ten_frames_of_the_test_system_decode_to_what_tshark_shows() -> None:
-    capture = recording("etsi_cam_pcap") / "etsi-its-cam-unsecured.pcapng"
+    capture = recording("etsi_cam_pcap/etsi-its-cam-unsecured.pcapng")
     seen, ours = dissect_file(capture), packets(capture)
     assert len(seen) == len(ours) == 10
     for frame, (_, packet) in zip(seen, ours, strict=True):

@@ -37,12 +37,12 @@ def reason_of(packet: bytes) -> str:
 
 
 def field_frames() -> list[bytes]:
-    return [packet for _, packet in packets(recording("cam_secured") / "field_secured_cam.pcapng")]
+    return [packet for _, packet in packets(recording("cam_secured/field_secured_cam.pcapng"))]
 
 
 def stack_frame() -> bytes:
     """The frame of a test stack: the only record of a pcap file, behind 24 + 16 bytes and an Ethernet header."""
-    return (recording("cam_secured") / "vanetza_cam_v3.pcap").read_bytes()[40 + 14 :]
+    return (recording("cam_secured/vanetza_cam_v3.pcap")).read_bytes()[40 + 14 :]
 
 
 def public_key(certificate: bytes) -> ec.EllipticCurvePublicKey:
@@ -276,7 +276,7 @@ def test_the_frame_of_a_test_stack_is_unwrapped_with_the_certificate_that_is_kno
     content, _ = cam.decode(geonetworking.decode_payload(found.packet))
     assert content["station_id"] == int.from_bytes(found.signer[-4:], "big") == 1_289_795_728
     assert found.certificate is not None
-    assert found.certificate.encoded in (recording("cam_secured") / "vanetza_cam_v3_certificate.dat").read_bytes()
+    assert found.certificate.encoded in (recording("cam_secured/vanetza_cam_v3_certificate.dat")).read_bytes()
 
 
 @pytest.mark.recording

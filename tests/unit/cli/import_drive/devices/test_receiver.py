@@ -255,7 +255,7 @@ def test_whatever_bytes_come_times_never_go_back(parts: list[bytes]) -> None:
 def test_the_parser_of_the_unit_finds_the_times_of_a_recorded_file() -> None:
     config = Config()
     parser = Process(config)
-    found = read_receiver([(recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log").read_bytes()])
+    found = read_receiver([(recording("gpsd_receiver_logs/ublox-zed-f9p-hp.log")).read_bytes()])
     fixes = [
         message
         for portion in found.portions

@@ -188,7 +188,7 @@ def test_every_recorded_nav_sig_is_decoded_as_by_pyubx2(folder: str, name: str, 
 
 @pytest.mark.recording
 def test_recorded_dop_and_high_precision_are_decoded_by_the_interface_description() -> None:
-    path = recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log"
+    path = recording("gpsd_receiver_logs/ublox-zed-f9p-hp.log")
     for payload, _ in recorded(path, "DOP"):
         dop, theirs = messages.decode_dop(payload), unpack(DOP, DOP_FIELDS, payload)
         assert (dop.pdop, dop.vdop, dop.hdop) == pytest.approx(
