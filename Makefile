@@ -17,7 +17,7 @@ SIZE = $(if $(SMOKE),--smoke,$(if $(SHORT),--short))
 # Each process of a unit would compile its sources: 0.2 to 0.5 s of some 1.5 s of processor time at its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test quick check calculating types running slow coverage mutants up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
+.PHONY: help setup demo test quick check calculating types running slow slow-calculating slow-running coverage mutants up down containers docs lock papers attack-lab alarms turns bench drives drives-trust integrity security consistency starts v2x fuzz golden picture bench-replay fleet clean wheel audit
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -87,12 +87,15 @@ running:
 	@$(PYTHON) -m pytest $(LIVE) -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=20 $(PYTEST_ARGS)
 	@$(PYTHON) -m pytest $(LIVE) -m "whole_unit and not slow" --durations=15 $(PYTEST_ARGS)
 
-slow: | $(VENV)/.testing ## run the long tests, those of a whole unit one after the other (OBU_DATA: with recordings)
-	@failed=; \
-	$(PYTHON) -m pytest $(LIVE:%=--ignore=%) -n auto --dist loadfile -m "slow and not container" --durations=20 $(PYTEST_ARGS) || failed=1; \
-	$(PYTHON) -m pytest $(LIVE) -n auto --dist loadfile -m "slow and not whole_unit and not container" --durations=15 $(PYTEST_ARGS) || failed=1; \
-	$(PYTHON) -m pytest $(LIVE) -m "slow and whole_unit and not container" --durations=15 $(PYTEST_ARGS) || failed=1; \
-	[ -z "$$failed" ]
+slow: ## run the long tests, those of a whole unit one after the other (OBU_DATA: with recordings)
+	@failed=; for part in slow-calculating slow-running; do $(MAKE) --no-print-directory $$part || failed=1; done; [ -z "$$failed" ]
+
+slow-calculating: | $(VENV)/.testing
+	@$(PYTHON) -m pytest $(LIVE:%=--ignore=%) -n auto --dist loadfile -m "slow and not container" --durations=20 $(PYTEST_ARGS)
+
+slow-running: | $(VENV)/.testing
+	@$(PYTHON) -m pytest $(LIVE) -n auto --dist loadfile -m "slow and not whole_unit and not container" --durations=15 $(PYTEST_ARGS)
+	@$(PYTHON) -m pytest $(LIVE) -m "slow and whole_unit and not container" --durations=15 $(PYTEST_ARGS)
 
 coverage: | $(VENV)/.testing ## measure branch coverage of tests that calculate, and which test executes which line
 	@mkdir -p .obu/coverage
