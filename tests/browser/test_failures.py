@@ -162,7 +162,7 @@ def pages(demo: Demo, browser: Browser) -> Iterator[tuple[Page, Page]]:
     opened = [browser.new_page(viewport={"width": 1440, "height": 900}) for _ in range(2)]
     for page, name in zip(opened, ("system", "trust"), strict=True):
         page.goto(f"http://127.0.0.1:{demo.port}/#/{name}")
-    opened[0].wait_for_selector(".banner .word:text('SAFE')", timeout=90_000)
+    opened[0].wait_for_selector(".banner .word:text('SAFE')", timeout=1000 * HANGS_S)
     yield opened[0], opened[1]
     for page in opened:
         page.close()

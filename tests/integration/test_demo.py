@@ -116,7 +116,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         short = page.locator(".recording", has=page.get_by_role("button", name=f"Delete {half_a_minute.name}"))
         short.get_by_role("button", name="Replay").click()
         opens = page.get_by_role("link", name="Open the replay")
-        expect(opens).to_be_visible(timeout=40_000)
+        expect(opens).to_be_visible(timeout=1000 * HANGS_S)
         expect(ours.get_by_role("button", name="Reprocess")).to_be_disabled()
         second = change(address, "/api/recordings", {"action": "solve", "name": broken.name})
         assert (second.status_code, second.json()["detail"]) == (409, "another job runs; stop it first")
@@ -129,7 +129,7 @@ def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
         short.get_by_role("button", name="Reprocess").click()
         expect(job).to_contain_text("runs")
         report = short.get_by_role("link", name="Report")
-        expect(report).to_be_visible(timeout=60_000)
+        expect(report).to_be_visible(timeout=1000 * HANGS_S)
         expect(job).to_contain_text(re.compile("has ended.*the next fix is predicted"))
         with page.expect_popup() as popup:
             report.click()

@@ -15,6 +15,7 @@ from tests.browser.test_pages import judge_everywhere
 from tests.support.fleet.reports import Unit
 from tests.support.fleet.watched_unit import watched_unit
 from tests.support.fleet.web import PASSWORD, RunningWeb
+from tests.support.patience import HANGS_S
 
 
 class Line:
@@ -422,5 +423,5 @@ def test_an_error_of_the_program_of_a_page_is_counted_at_the_centre(
     with page.expect_response(re.compile("/api/page-error$")) as told:
         page.evaluate("setTimeout(() => { throw new Error('a fault of the page') })")
     assert told.value.status == 202
-    expect(page.get_by_role("region", name="Audit")).to_contain_text("a fault of the page", timeout=30_000)
+    expect(page.get_by_role("region", name="Audit")).to_contain_text("a fault of the page", timeout=1000 * HANGS_S)
     assert "a fault of the page" in no_page_fails.pop()

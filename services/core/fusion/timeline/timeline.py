@@ -35,7 +35,7 @@ FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another on
 FAULT_FREE_WAIT_NS = 1_000_000_000  # for which the receiver's own fix waits for it, and the horizon with it
 # Samples that wait for the horizon, and samples in the log, two minutes at 2.5 kHz. With more, of a device whose stamps
 # hardly advance, the horizon moves on and the oldest are dropped.
-MOST_PENDING, MOST_SAMPLES = 20_000, 300_000
+MAX_PENDING, MAX_SAMPLES = 20_000, 300_000
 INFINITE_NS = 2**62
 HELD_LIMIT = 1000  # largest number of measurements that wait
 
@@ -180,7 +180,7 @@ class Timeline:
     def advance(self, received_ns: int) -> list[Outcome]:
         """Move the horizon with the first sample of each step; returns the outcomes of what it has passed."""
         step = (self.newest_ns + self._step_ns // LEAD_STEPS) // self._step_ns
-        crowded = self._pending > MOST_PENDING
+        crowded = self._pending > MAX_PENDING
         if self.log.newest is None or (step == self._step and not crowded):
             return []
         self._step = step
@@ -238,7 +238,7 @@ class Timeline:
         """Drop what is older than two minutes, and was passed by all cursors."""
         for cursor in self.verdicts.cursors:
             cursor.forget(self.newest_ns - MEMORY_NS)
-            if self.log.size > MOST_SAMPLES:
+            if self.log.size > MAX_SAMPLES:
                 cursor.forget_all()
         oldest_ns = [cursor.oldest_ns for cursor in self.verdicts.cursors if cursor.oldest_ns is not None]
         if oldest_ns:
