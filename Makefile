@@ -57,7 +57,7 @@ $(VENV)/.debian: | $(VENV)/bin/python
 demo: setup ## drive a simulated car here and print the dashboard's address (SCENARIO=urban SEED=1 PORT=8080)
 	@$(PYTHON) -m cli demo --scenario $(SCENARIO) --seed $(SEED) --port $(PORT)
 
-test: ## run every check that CI runs: all but `make slow` (CI's second step) and `make containers`
+test: ## run every check that CI runs: all but `make slow` and `make containers`
 	@$(MAKE) --no-print-directory --jobs=2 $(VENV)/.testing $(VENV)/.debian
 	@$(MAKE) --no-print-directory check
 
