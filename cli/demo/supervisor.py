@@ -3,7 +3,6 @@
 import logging
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from shared.errors import UserError
 from shared.runtime.reports import VARIABLE, read_report
-from shared.runtime.warm.client import Forked, WarmStart
+from shared.runtime.warm.client import Forked, WarmStart, end_with_this
 
 from .signs_of_life import SignsOfLife
 
@@ -159,7 +158,7 @@ class Supervisor:
         with child.log_file.open("ab") if child.log_file else nullcontext() as output:
             if warm is None or warm.is_given_up:
                 child.process = subprocess.Popen(
-                    [*_end_with_parent(), *child.command],
+                    [*end_with_this(), *child.command],
                     env=environment,
                     stdin=subprocess.DEVNULL,
                     stdout=output,
@@ -204,8 +203,3 @@ def _wait_for_end(child: Child, deadline: float) -> None:
         log.warning("%s did not end in time and was killed", child.name)
         child.process.kill()
         child.process.wait()
-
-
-def _end_with_parent() -> list[str]:
-    """Prefix with which the kernel sends SIGTERM to a child when the supervisor is killed (requires util-linux)."""
-    return ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []

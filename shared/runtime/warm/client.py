@@ -31,6 +31,11 @@ KEPT_PREFIXES = ("LC_", "LD_", "PYTHON", "MALLOC_", "GLIBC_", "OPENBLAS_", "NPY_
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_DISABLE_JIT": "1"}
 
 
+def end_with_this() -> list[str]:
+    """Prefix of a command with which the kernel sends it SIGTERM when this process is killed (requires util-linux)."""
+    return ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
+
+
 class Forked:
     """A process that the parent has forked: a child of this process, with what `subprocess.Popen` offers."""
 
@@ -82,8 +87,8 @@ class WarmStart:
         self._connection: socket.socket | None = None
         self._since = 0.0
         self._ready = False
-        self._failures = 0 if sys.platform == "linux" else FAILURES
-        self._retry_s = 0.0 if sys.platform == "linux" else math.inf
+        self._failures = 0
+        self._retry_s = 0.0 if sys.platform == "linux" else math.inf  # until then no parent is made
 
     @property
     def pid(self) -> int | None:
@@ -93,7 +98,7 @@ class WarmStart:
     @property
     def is_given_up(self) -> bool:
         """Whether no parent can be made now; processes then start by themselves."""
-        return self._failures >= FAILURES and time.monotonic() < self._retry_s
+        return time.monotonic() < self._retry_s
 
     def is_ready(self) -> bool:
         """Whether a process can be started now; makes a parent where there is none."""
@@ -174,10 +179,12 @@ class WarmStart:
     def _begin(self) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         kept = {k: v for k, v in os.environ.items() if k in KEPT or k.startswith(KEPT_PREFIXES)}
-        end_with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
         with theirs:
             self._parent = subprocess.Popen(
-                [*end_with_us, sys.executable, "-m", __package__, str(theirs.fileno()), self._entry, *self._modules],
+                [
+                    *end_with_this(), sys.executable, "-m", __package__, str(theirs.fileno()), self._entry,
+                    *self._modules,
+                ],
                 env=kept | ONE_THREAD, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()], start_new_session=True,
             )  # fmt: skip
         self._connection, self._since, self._ready = ours, time.monotonic(), False
