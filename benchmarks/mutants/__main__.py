@@ -21,7 +21,7 @@ from benchmarks.tables import publish
 
 from .covering import MOST, Covering, Selection, nearest
 from .sites import Site, draw, sites_of
-from .trial import LIMIT_S, Copy, Tried
+from .trial import LIMIT_S, Copy, MutantResult
 
 ROOT = Path(__file__).resolve().parents[2]
 WHERE = (
@@ -46,7 +46,7 @@ def equivalent(site: Site, source: str) -> str | None:
     return next((str(item["why"]) for item in known), None)
 
 
-def table(found: Sequence[Tried], seed: int, number_of_candidates: int) -> str:
+def table(found: Sequence[MutantResult], seed: int, number_of_candidates: int) -> str:
     """Page of a run."""
     counts = Counter(tried.outcome for tried in found)
     return "\n".join([
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.list:
         sys.stdout.writelines(f"{site.path}:{site.line} {site.kind}: {site.replacement}\n" for site in drawn)
         return 0
-    found: list[Tried] = []
+    found: list[MutantResult] = []
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(options.root, Path(folder))
         choose: Callable[[Site, str], Selection] = partial(nearest, options.root)
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.write("no --coverage: tests that import the file of a fault are run, or of the nearest folder\n")
         for site in drawn:
             why = equivalent(site, (options.root / site.path).read_text(encoding="utf-8"))
-            found.append(Tried(site, "equivalent", why) if why else copy.tried(site, choose))
+            found.append(MutantResult(site, "equivalent", why) if why else copy.tried(site, choose))
             sys.stdout.write(f"{len(found)} of {len(drawn)} {found[-1].row}\n")
             sys.stdout.flush()
     page = table(found, options.seed, len(places))

@@ -2,13 +2,14 @@
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+from tests.support.copied import copied_tree
 
 from .covering import Selection
 from .sites import Site
@@ -19,11 +20,11 @@ FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.+?)?)(?: - .*)?$", re.MUL
 NO_TEST = 5  # what pytest returns where every test was deselected
 
 
-class Tried(NamedTuple):
+class MutantResult(NamedTuple):
     """A fault, and what the tests said."""
 
     site: Site
-    outcome: str  # killed, time out, survived, untested, equivalent
+    outcome: str  # killed, crashed, time out, survived, untested, equivalent
     how: str  # how the tests were chosen; of an equivalent one, why it is
     test: str = ""  # that failed
 
@@ -41,15 +42,7 @@ class Copy:
 
     def __init__(self, root: Path, to: Path) -> None:
         """Copy; raises CalledProcessError where `root` is no work tree of git."""
-        command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
-        listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
-        for name in filter(None, listed.split("\0")):
-            if (root / name).is_file():
-                (to / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(root / name, to / name)
-        for folder in root.glob("services/**/node_modules"):
-            if folder.parent.is_dir() and "node_modules" not in folder.parent.parts:
-                (to / folder.relative_to(root)).symlink_to(folder)
+        copied_tree(root, to)
         (to / ".venv").symlink_to(root / ".venv")
         self._folder = to
         self._sound: dict[str, bool] = {}
@@ -59,7 +52,7 @@ class Copy:
         collected = self._pytest(["--collect-only", "-q", "tests"], limit_s=5 * LIMIT_S)
         return [line for line in collected.stdout.splitlines() if "::" in line] if collected else []
 
-    def tried(self, site: Site, choose: Callable[[Site, str], Selection]) -> Tried:
+    def tried(self, site: Site, choose: Callable[[Site, str], Selection]) -> MutantResult:
         """Put a fault in, run its tests, and take it out again.
 
         A test that fails in the copy without the fault finds nothing, and is left out.
@@ -76,11 +69,11 @@ class Copy:
                 target.write_text(source, encoding="utf-8")
                 os.utime(target, ns=(before.st_atime_ns, before.st_mtime_ns))  # or its compiled file would be old
             if outcome != "killed" or self._passes(test):
-                return Tried(site, outcome, how, test)
+                return MutantResult(site, outcome, how, test)
             left = (
                 [*left, "--deselect", test] if how in ("folder", "import") else [name for name in left if name != test]
             )
-        return Tried(site, "untested", how)
+        return MutantResult(site, "untested", how)
 
     def _outcome(self, tests: Sequence[str]) -> tuple[str, str]:
         run = self._pytest(["-x", "-q", "-m", "not slow", *tests])

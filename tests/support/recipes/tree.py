@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.support.copied import copied_tree
 from tests.support.patience import HANGS_S
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,18 +37,7 @@ class Tree:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        listed = subprocess.run(
-            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-            cwd=ROOT, capture_output=True, text=True, check=True,
-        ).stdout  # fmt: skip
-        names = [name for name in listed.split("\0") if name and (ROOT / name).is_file()]
-        for name in names:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
-        self._files = {name: (folder / name).read_bytes() for name in names}
-        modules = Path("services/monitoring/status/dashboard/node_modules")
-        if (ROOT / modules).is_dir():
-            (folder / modules).symlink_to(ROOT / modules)
+        self._files = {name: (folder / name).read_bytes() for name in copied_tree(ROOT, folder)}
         self._made: set[str] = set()
 
     def edit(self, edits: Iterable[Edit]) -> None:
