@@ -142,7 +142,7 @@ def test_a_revocation_of_which_admission_was_not_told_is_found_in_the_database(
 def test_a_revocation_that_fails_is_tried_again() -> None:
     tried: list[str] = []
 
-    class Failing(Revocation):
+    class FailingRevocation(Revocation):
         async def end(self, vehicle: str) -> None:
             tried.append(vehicle)
             if len(tried) == 1:
@@ -152,7 +152,7 @@ def test_a_revocation_that_fails_is_tried_again() -> None:
         return [("key 1", "car-1"), ("key 2", "car-1")]
 
     async def work() -> None:
-        look = Failing(Mock(), Mock(), revoked)
+        look = FailingRevocation(Mock(), Mock(), revoked)
         for _ in range(3):
             await look.look()
 

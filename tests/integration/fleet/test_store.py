@@ -375,12 +375,12 @@ def test_batches_that_the_database_does_not_take_cost_others_few_transactions(ds
         group.insert(number * 50, refused)
     tried = list[int]()
 
-    class Counting(Store):
+    class CountingStore(Store):
         def _store(self, batches: Sequence[VerifiedBatch]) -> tuple[list[Changed], dict[bytes, str]]:
             tried.append(len(batches))
             return super()._store(batches)
 
-    counting = Counting(dsn)
+    counting = CountingStore(dsn)
     assert counting.store(group)[1] == dict.fromkeys((genuine.digest for genuine in bad), "format")
     counting.close()
     assert rows(dsn, "SELECT count(*) FROM segment") == [(200,)]

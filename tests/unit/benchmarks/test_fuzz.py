@@ -44,7 +44,7 @@ def test_sound_messages_between_a_unit_and_a_centre_are_read() -> None:
 
 
 def test_a_failing_input_is_stored_and_fails_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Fragile:
+    class FragileParser:
         def __init__(self) -> None:
             self.rejects = {FAULT: 0}
 
@@ -53,11 +53,11 @@ def test_a_failing_input_is_stored_and_fails_again(tmp_path: Path, monkeypatch: 
                 raise IndexError("too short")
             return []
 
-    monkeypatch.setattr(fuzz, "parser_of", lambda name: Fragile())
+    monkeypatch.setattr(fuzz, "parser_of", lambda name: FragileParser())
     _, failures = fuzz.fuzz("can", 3, 0.1, tmp_path)
     assert failures and "IndexError: too short; input: " in failures[0]
     stored = Path(failures[0].split("input: ")[1]).read_bytes()
-    assert fuzz.failure_of(Fragile(), "can", stored, fuzz.NOW_NS) == "IndexError: too short"
+    assert fuzz.failure_of(FragileParser(), "can", stored, fuzz.NOW_NS) == "IndexError: too short"
 
 
 def test_repaired_frames_have_right_checksums() -> None:

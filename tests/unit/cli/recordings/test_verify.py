@@ -195,30 +195,30 @@ def test_another_arithmetic_of_the_inputs_is_different() -> None:
 
 
 def test_a_process_that_publishes_more_or_less_is_different() -> None:
-    class Chatty(Echo):
+    class VerboseProcess(Echo):
         def handle(self, message: Message) -> Iterator[Message]:
             yield from super().handle(message)
             if isinstance(message, VehicleSpeed) and message.received_ns == START_NS + 18 * SECOND:
                 yield speed(1.0, 1)
 
-    class Shy(Echo):
+    class ReticentProcess(Echo):
         def close(self) -> Iterator[Message]:
             yield from ()
 
-    assert echo_incarnation().repeat(Chatty()).verdict is Verdict.DIFFERENT
-    shy = echo_incarnation().repeat(Shy())
+    assert echo_incarnation().repeat(VerboseProcess()).verdict is Verdict.DIFFERENT
+    shy = echo_incarnation().repeat(ReticentProcess())
     assert shy.verdict is Verdict.DIFFERENT
     assert shy.reason == "message 282: was vehicle/speed, now nothing"
 
 
 def test_a_process_that_now_ends_by_an_error_is_reported() -> None:
-    class Mortal(Echo):
+    class EndingProcess(Echo):
         def handle(self, message: Message) -> Iterator[Message]:
             yield from super().handle(message)
             if self.total > 5.0:
                 raise ZeroDivisionError("too much")
 
-    repetition = echo_incarnation().repeat(Mortal())
+    repetition = echo_incarnation().repeat(EndingProcess())
 
     assert repetition.verdict is Verdict.DIFFERENT
     assert repetition.reason == "it now ends by ZeroDivisionError: too much"
