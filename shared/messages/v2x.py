@@ -45,6 +45,7 @@ class Authentication(StrEnum):
 
     UNSIGNED = "unsigned"
     SIGNED_NOT_VERIFIED = "signed_not_verified"  # no check of signature and certificate: no more known than unsigned
+    AUTHENTICATED = "authenticated"  # signature, chain, validity, region and permissions hold; `signer` is the ticket
 
 
 class V2xSend(RawBytes):
