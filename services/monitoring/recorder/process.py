@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 
 CONNECT_S = 2.0  # after which a recorder without a broker opens its file as well
 STATE_NS, RETRY_NS = 1_000_000_000, 5_000_000_000
+PAUSE_S = 0.02  # between two looks at the bus: most of a message's cost is to wake up for it
+BUSY = 16  # messages of one look, after which the next one follows at once
 
 
 class Config(Section):
@@ -75,12 +77,14 @@ class Process:
             self._kept_out = {topic.name for topic in TOPICS if topic.personal}
         key = KeyFile(keys_folder(bus.state_dir))
         self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener, key.signer)
-        waiting = _connect(bus)
+        waiting = envelopes = _connect(bus)
         while not bus.stopping:
             if bus.now_ns() >= self._state_ns:
                 self._state_ns = bus.now_ns() + STATE_NS
                 self._enforce_limits(bus)
                 bus.publish(self._state(bus))
+            if len(envelopes) < BUSY:
+                time.sleep(PAUSE_S)
             envelopes = [*waiting, *bus.receive(0.1)]
             waiting = []
             self._write(envelopes, bus)
