@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 SOURCES = "shared", "services/core"  # folders of all code that is compiled, and of what it calls
-MAX_VERSIONS = 4  # versions of the code whose machine code is kept
+MAX_VERSIONS = 32  # versions of the code whose machine code is kept: 1.5 MB each; several trees have one each
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -35,6 +35,7 @@ def machine_code() -> Path:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "obu" / "numba"
     try:
         (cache / version).mkdir(parents=True, exist_ok=True)
+        os.utime(cache / version)  # in use: others are dropped before it
         for old in sorted(cache.iterdir(), key=lambda path: path.stat().st_mtime_ns)[:-MAX_VERSIONS]:
             shutil.rmtree(old, ignore_errors=True)
     except OSError:  # no home, or none that can be written to: for this run alone

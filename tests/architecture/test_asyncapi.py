@@ -29,11 +29,11 @@ def test_asyncapis_own_parser_finds_no_error_but_a_reference_to_nothing() -> Non
     if node is None or not (DASHBOARD / "node_modules" / "@asyncapi" / "parser").is_dir():
         pytest.skip("node or @asyncapi/parser is missing: `python deploy/install_dashboard.py --testing`")
     document, of_centre = (CliRunner().invoke(command_line([]), ["schemas", name]).output for name in ("bus", "centre"))
-    broken = document.replace('"#/components/schemas/FixType"', '"#/$defs/FixType"')
+    broken = of_centre.replace('"#/components/messages/Live"', '"#/$defs/Nothing"', 1)
     result = subprocess.run(
         [node, "-e", SCRIPT], cwd=DASHBOARD, input=json.dumps([document, of_centre, broken]), capture_output=True,
         text=True, timeout=HANGS_S, check=True,
     )  # fmt: skip
     of_document, of_link, of_broken = json.loads(result.stdout)
     assert (of_document, of_link) == ([], [])
-    assert len(of_broken) == 1 and "'#/$defs/FixType' does not exist" in of_broken[0]
+    assert len(of_broken) == 1 and "'#/$defs/Nothing' does not exist" in of_broken[0]

@@ -18,7 +18,7 @@ from tests.support.recipes.tree import Edit, Tree
 
 ALWAYS = (PurePosixPath("tests/architecture"), PurePosixPath("tests/unit/shared/words"))  # of `make quick`
 EVERY = "OBU_EVERY_STEP"  # environment variable
-FAST = ("setting", "message")  # stand for all of them in `make test`
+FAST = ("setting",)  # stands for all of them in `make test`
 PRINTED = "test_what_is_printed_is_what_the_code_says"
 RECIPES = sorted(EXAMPLES)
 
