@@ -46,7 +46,7 @@ from services.core.cooperative.v2x.forward import (
 )
 from services.core.cooperative.v2x.monitor import CAR
 from services.sensors.simulator.gnss.navigation_words import inav_page, lnav_subframe
-from services.sensors.simulator.gnss.raw_measurements import IONOSPHERE, RangeErrors, measure
+from services.sensors.simulator.gnss.raw_measurements import IONOSPHERE, Phases, RangeErrors, measure
 from services.sensors.simulator.gnss.reception import Fix
 from services.sensors.simulator.gnss.sky import SkyModel
 from shared.maths.earth import Geodetic
@@ -73,7 +73,7 @@ def exact_epochs() -> Iterator[tuple[RawEpoch, EphemerisStore, Geometry]]:
         fix = Fix(True, "none", place, still, still, still, still)
         sky = model.at(time_s, place, mask_deg=10.0, loss_db=0.0, covered=False)
         none = np.zeros_like(sky.residual_m)
-        raw = measure(model, replace(sky, residual_m=none), fix, time_s, RangeErrors(none, none))
+        raw = measure(model, replace(sky, residual_m=none), fix, time_s, RangeErrors(none, none), Phases(place, none))
         names = [Constellation.GPS if gnss_id == 0 else Constellation.GALILEO for gnss_id in raw.gnss_id.tolist()]
         numbers = zip(names, raw.number.tolist(), strict=True)
         satellites = [SatelliteId(name, number) for name, number in numbers]

@@ -223,7 +223,7 @@ PROCESSES = (
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
         container_user=10_120,
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "mode/state"),
-        produces=("trust/monitor", "gnss/fault_free_fix", "trust/hypotheses"),
+        produces=("trust/monitor", "gnss/fault_free_fix", "gnss/carrier_displacement", "trust/hypotheses"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",

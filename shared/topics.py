@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 from .messages.base import Message, RawBytes
 from .messages.corrections import CorrectionBytes, CorrectionSources, CorrectionsState, GnssCorrection
 from .messages.gnss import (
+    CarrierDisplacement,
     FaultFreeFix,
     GnssConfiguration,
     GnssConfigure,
@@ -157,6 +158,8 @@ TOPICS = (
     Topic("gnss/signals", GnssSignals, "C/N0 and use of each signal, from receivers that send them"),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
     Topic("gnss/fault_free_fix", FaultFreeFix, "least-squares fix of an epoch without the excluded satellites"),
+    Topic("gnss/carrier_displacement", CarrierDisplacement,
+          "displacement of the antenna between two epochs, by the change of its carrier phases"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("host/clock", HostClock, "the host's clock beside the OBU time line, and whether NTP holds it"),

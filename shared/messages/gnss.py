@@ -26,6 +26,7 @@ from .base import (
     StampedMessage,
     Statistic,
     Symmetric3,
+    Vector3,
     Velocity3,
     unit,
 )
@@ -207,6 +208,19 @@ class FaultFreeFix(StampedMessage):
     velocity_ned_m_s: Velocity3 | None = None
     velocity_cov_ned_m2_s2: Symmetric3 | None = None
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=MAX_RAW_MEASUREMENTS)]
+
+
+class CarrierDisplacement(StampedMessage):
+    """Displacement of the antenna since an earlier epoch of the same receiver, by the change of its carrier phases."""
+
+    since_ns: Nanoseconds  # stamp of the earlier epoch
+    displacement_ned_m: Vector3
+    displacement_cov_ned_m2: Symmetric3
+    slow_cov_ned_m2: Symmetric3  # the part that successive displacements share: orbits, clocks, ionosphere
+    satellites_used: Count
+    redundancy: Count
+    satellites_slipped: Annotated[tuple[Name, ...], Field(max_length=MAX_RAW_MEASUREMENTS)] = ()
+    checked: bool  # one slip of half a cycle would have been found; without it nothing relies on the displacement
 
 
 class GnssNavigationBits(StampedMessage):

@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from shared.messages.base import Message, Tick
@@ -63,8 +63,9 @@ class Counted:
 
     def between(self, drive: Iterator[Message], begin_s: float, end_s: float) -> Iterator[Message]:
         """Yield the messages of a part of a drive, and count the calls that they cost."""
-        first_ns, counting = None, False
-        for message in _advanced(drive, lambda: counting, self._profile):
+        first_ns: int | None = None
+        counting = False
+        while (message := self._next(drive, counting=counting)) is not None:
             now_ns = _time_ns(message)
             first_ns = now_ns if first_ns is None else first_ns
             if now_ns is not None and first_ns is not None:
@@ -75,6 +76,14 @@ class Counted:
             if counting:
                 self._samples += len(message.sampled_ns) if isinstance(message, ImuSamples) else 0
                 yield message
+
+    def _next(self, drive: Iterator[Message], *, counting: bool) -> Message | None:
+        if counting:
+            self._profile.enable()
+        try:
+            return next(drive, None)
+        finally:
+            self._profile.disable()
 
     def publish(self, message: Message) -> None:
         """Count a message on the bus."""
@@ -90,22 +99,6 @@ class Counted:
             if not isinstance(code, str) and (folder := _folder(code.co_filename)) is not None:
                 found[folder] += entry.callcount
         return _rounded(found, self._samples)
-
-
-def _advanced(
-    drive: Iterator[Message], counting: Callable[[], bool], profile: cProfile.Profile
-) -> Iterator[Message]:
-    """Advance a drive message by message, within the profile while it counts."""
-    while True:
-        if counting():
-            profile.enable()
-        try:
-            message = next(drive, None)
-        finally:
-            profile.disable()
-        if message is None:
-            return
-        yield message
 
 
 def _time_ns(message: Message) -> int | None:
@@ -129,8 +122,8 @@ def _rounded(counts: Counter[str], over: float) -> dict[str, float]:
 
 
 def _drive_with_hypotheses() -> Iterator[Message]:
-    from services.sensors.simulator.drive import simulate  # noqa: PLC0415  # the golden drive needs no simulator
-    from tests.support.drives.chain import Chain  # noqa: PLC0415
+    from services.sensors.simulator.drive import simulate  # the golden drive needs no simulator
+    from tests.support.drives.chain import Chain
 
     return Chain(simulate("parking_lot", 1, HYPOTHESES_TO_S + 1.0)).run()
 
@@ -148,7 +141,7 @@ def measured() -> Figures:
 def main(arguments: list[str]) -> None:
     """Print the figures, or store them with the reason why they changed."""
     if arguments[:1] != ["--store"]:
-        print(json.dumps(weight()))
+        sys.stdout.write(json.dumps(weight()))
         return
     reason = " ".join(arguments[1:]).strip()
     if not reason:

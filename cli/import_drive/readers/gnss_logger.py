@@ -44,7 +44,7 @@ GAP_NS = 100 * MS  # between accelerations, over which none is interpolated
 CODE_LOCK = 1 | 1 << 10  # STATE_CODE_LOCK, STATE_GAL_E1BC_CODE_LOCK
 TIME_OF_WEEK = 1 << 3 | 1 << 14  # STATE_TOW_DECODED, STATE_TOW_KNOWN
 TIME_OF_DAY = 1 << 7 | 1 << 15  # STATE_GLO_TOD_DECODED, STATE_GLO_TOD_KNOWN
-RANGE_VALID = 1  # bit of AccumulatedDeltaRangeState
+RANGE_VALID, RANGE_INTERRUPTED, HALF_CYCLE_RESOLVED = 1, 2 | 4, 8  # bits of AccumulatedDeltaRangeState
 # Time of each system behind GPS time [ns]; GLONASS gives the time of day instead and is not read.
 SYSTEMS = {
     1: (Constellation.GPS, 0), 4: (Constellation.QZSS, 0), 5: (Constellation.BEIDOU, 14 * NS),
@@ -292,11 +292,14 @@ def _measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
         _number(row, "pseudorangerateuncertaintymeterspersecond"),
     )
     phase_state, distance = _integer(row, "accumulateddeltarangestate"), _number(row, "accumulateddeltarangemeters")
-    carrier = phase_state is not None and phase_state & RANGE_VALID and distance is not None
+    phase_state = phase_state or 0
+    carrier = phase_state & RANGE_VALID and distance is not None
     return RawMeasurement(
         constellation=constellation, number=number, signal=SIGNALS.get((constellation, int(frequency // 1e6))),
         pseudorange_m=pseudorange, pseudorange_sd_m=max(sent_sd_ns, 1.0) / NS * SPEED_OF_LIGHT,
         carrier_phase_cycles=distance / wavelength if carrier and distance is not None else None,
+        half_cycle_resolved=bool(phase_state & HALF_CYCLE_RESOLVED),
+        lock_time_s=0.0 if phase_state & RANGE_INTERRUPTED else None,  # reset, or a cycle slip
         doppler_hz=None if rate is None else -rate / wavelength,
         doppler_sd_hz=None if rate_sd is None else rate_sd / wavelength, cn0_db_hz=_number(row, "cn0dbhz"),
     )  # fmt: skip

@@ -64,6 +64,10 @@ class Measurement:
     pseudorange_m: float
     doppler_hz: float | None = None
     cn0_db_hz: float | None = None
+    carrier_cycles: float | None = None  # grows with the range
+    lock_time_s: float | None = None  # for which the carrier has been tracked without an interruption
+    half_cycle_resolved: bool = False
+    slipped: bool = False  # the receiver has lost the carrier since the epoch before
 
 
 @dataclass(frozen=True)

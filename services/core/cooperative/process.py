@@ -13,13 +13,21 @@ from shared.chosen import ChosenSource, receiver_choice
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.base import Symmetric3, Tick
 from shared.messages.explanation import Explanation, explain
-from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
+from shared.messages.gnss import (
+    CarrierDisplacement,
+    FaultFreeFix,
+    GnssFix,
+    GnssNavigationBits,
+    GnssRawEpoch,
+    RawMeasurement,
+)
 from shared.messages.neighbours import Neighbour, NeighbourStates
 from shared.messages.operation import ModeState
 from shared.messages.trust import Outcome, TrustHypotheses, TrustMonitor
 from shared.runtime.config import VehicleSettings
 
 from .broadcast.store import EphemerisStore
+from .carrier.track import CarrierTrack
 from .codes import Code
 from .fault_free import fault_free_fix
 from .hypotheses import satellite_hypotheses
@@ -33,7 +41,7 @@ from .v2x.monitor import CooperativeMonitor, CooperativeSettings
 from .v2x.neighbours import NeighbourReport
 
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | ModeState | Tick
-Out = TrustMonitor | FaultFreeFix | TrustHypotheses
+Out = TrustMonitor | FaultFreeFix | TrustHypotheses | CarrierDisplacement
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
 MAX_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
 MAX_LEAD_NS = 3_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
@@ -87,6 +95,7 @@ class Process:
         self._rate, self._risk = config.false_alarm_rate, config.integrity_risk
         model = replace(ErrorModel(), elevation_mask_rad=radians(config.elevation_mask_deg))
         self._plain = SatelliteMonitor(RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model))
+        self._carrier = CarrierTrack(model)
         self._cooperative: CooperativeMonitor | None = None
         if config.method != "plain":
             self._cooperative = CooperativeMonitor(
@@ -140,16 +149,18 @@ class Process:
             self._rejected["second_receiver"] += 1
             return
         self._gps_minus_obu_ns = message.gps_time_ns - message.sampled_ns
+        epoch = RawEpoch(message.gps_time_ns, tuple(filter(None, map(_measurement, message.measurements))))
+        displaced = self._carrier.follow(epoch, message.source, message.sampled_ns, message.received_ns, self._store)
+        if displaced is not None:
+            yield displaced
         if self._epoch_ns is not None and 0 <= message.sampled_ns - self._epoch_ns < PERIOD_NS:
             return
         self._epoch_ns = message.sampled_ns
         self._now(message.sampled_ns)
-        measurements = tuple(
-            measured for measurement in message.measurements if (measured := _measurement(measurement))
-        )
-        epoch = RawEpoch(message.gps_time_ns, measurements)
         reports = tuple(self._reports_until(message.sampled_ns))
         plain, cooperative = self._evaluate(epoch, reports)
+        if plain.solution is not None:
+            self._carrier.locate(plain.solution, epoch.gps_time_ns)
         counted = {**(cooperative.rejected if cooperative else {}), **plain.rejected}
         self._rejected.update({reason: n for reason, n in counted.items() if reason not in ORDINARY_REJECTS})
         yield self._statements.of_epoch(plain, cooperative, epoch, message.sampled_ns)
@@ -250,7 +261,10 @@ def _measurement(one: RawMeasurement) -> Measurement | None:
     if (one.constellation.value, one.signal) not in SIGNALS or one.pseudorange_m is None:
         return None
     satellite = SatelliteId(Constellation(one.constellation.value), one.number)
-    return Measurement(satellite, one.pseudorange_m, one.doppler_hz, one.cn0_db_hz)
+    return Measurement(
+        satellite, one.pseudorange_m, one.doppler_hz, one.cn0_db_hz, one.carrier_phase_cycles, one.lock_time_s,
+        one.half_cycle_resolved,
+    )  # fmt: skip
 
 
 def _report(one: Neighbour, gps_time_ns: int) -> NeighbourReport:

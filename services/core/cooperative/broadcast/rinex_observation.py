@@ -1,4 +1,4 @@
-"""Reads RINEX 2 observation files: C1 pseudoranges, D1 Doppler and S1 signal strength of GPS and Galileo.
+"""Reads RINEX 2 observation files: C1 pseudoranges, L1 phases, D1 Doppler and S1 strength of GPS and Galileo.
 
 Reference: RINEX 2.11 (W. Gurtner, L. Estey, 2007), tables A1 and A2.
 """
@@ -13,6 +13,7 @@ from .rinex import GPS_EPOCH
 
 CONSTELLATIONS = {"G": Constellation.GPS, " ": Constellation.GPS, "E": Constellation.GALILEO}
 OBSERVATIONS_PER_LINE, SATELLITES_PER_LINE = 5, 12
+LOST_LOCK, HALF_CYCLE = 1, 2  # bits of the loss-of-lock indicator
 NEW_EPOCH = "01"  # flags of epochs with observations; 2 to 5 are events with header lines, 6 are cycle slips
 
 
@@ -81,14 +82,18 @@ def _epochs(lines: list[str], start: int, types: list[str]) -> Iterator[RawEpoch
 def _measurement(name: str, block: str, types: list[str]) -> Measurement | None:
     constellation = CONSTELLATIONS.get(name[0])
     fields = {kind: block[16 * k : 16 * k + 14].strip() for k, kind in enumerate(types)}
+    flags = {kind: int(block[16 * k + 14].strip() or 0) for k, kind in enumerate(types)}
     if constellation is None or not fields.get("C1"):
         return None
-    doppler, strength = fields.get("D1"), fields.get("S1")
+    doppler, strength, phase = fields.get("D1"), fields.get("S1"), fields.get("L1")
     return Measurement(
         SatelliteId(constellation, int(name[1:])),
         float(fields["C1"]),
         float(doppler) if doppler else None,
         float(strength) if strength else None,
+        float(phase) if phase else None,
+        half_cycle_resolved=not flags.get("L1", 0) & HALF_CYCLE,
+        slipped=bool(flags.get("L1", 0) & LOST_LOCK),
     )
 
 

@@ -6,14 +6,17 @@ from math import hypot
 from statistics import fmean
 
 from shared.messages.base import Message
-from shared.messages.gnss import GnssSatellites
+from shared.messages.gnss import CarrierDisplacement, GnssSatellites
 from shared.messages.navigation import NavigationSolution, TruthState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from ..views.geometry import horizontal_sd, offset_m, vertical_sd
 
 COMPARABLE_NS = 1_000_000_000  # between the stamps of a solution and of the truth
-SOURCES = ("navigation/solution", "truth/state", "gnss/satellites", "vehicle/wheel_speed", "vehicle/speed")
+SOURCES = (
+    "navigation/solution", "truth/state", "gnss/satellites", "gnss/carrier_displacement", "vehicle/wheel_speed",
+    "vehicle/speed",
+)  # fmt: skip
 _WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
 
@@ -32,6 +35,9 @@ class DerivedSeries:
                 yield "vertical_sd_m", vertical_sd(message.position_cov_ned_m2)
                 yield "heading_sd_rad", vertical_sd(message.attitude_cov_ned_rad2)
                 yield from self._errors(message)
+            case CarrierDisplacement() if message.sampled_ns > message.since_ns:
+                way_m = hypot(*message.displacement_ned_m[:2])
+                yield "speed_carrier_m_s", way_m / ((message.sampled_ns - message.since_ns) * 1e-9)
             case TruthState():
                 self._truth = message
                 if message.velocity_ned_m_s is not None:

@@ -25,8 +25,9 @@ _LATENCIES = ("gnss/fix", "imu/sample", "vehicle/wheel_speed", "navigation/solut
 # What the page Charts draws: kept from the start, and never given up.
 STANDARD = (
     *(f"{COMPUTED}:{name}" for name in (
-        "speed_m_s", "speed_odometer_m_s", "speed_truth_m_s", "error_horizontal_m", "error_vertical_m",
-        "horizontal_sd_m", "vertical_sd_m", "heading_sd_rad", "satellites_used", "satellites_in_view",
+        "speed_m_s", "speed_odometer_m_s", "speed_carrier_m_s", "speed_truth_m_s", "error_horizontal_m",
+        "error_vertical_m", "horizontal_sd_m", "vertical_sd_m", "heading_sd_rad", "satellites_used",
+        "satellites_in_view",
         *(f"cn0_{name}_db_hz" for name in _CONSTELLATIONS),
     )),
     *(f"gnss/fix:{name}" for name in (

@@ -1,4 +1,7 @@
-"""Pseudoranges, carrier phases and Doppler of which least squares are the receiver's position and velocity."""
+"""Pseudoranges and Doppler of which least squares are the receiver's fix, and carrier phases of the antenna's path.
+
+The errors of a fix are those of pseudoranges: metres. A phase follows the antenna itself, with millimetres of noise.
+"""
 
 from dataclasses import dataclass
 
@@ -34,6 +37,7 @@ CLOCK_RANGE_S = 1e-3  # the receiver keeps its clock within half of it of GPS ti
 GALILEO_OFFSET_M = 6.0  # of Galileo system time and the receiver's delays
 WAVELENGTH = SPEED_OF_LIGHT / L1_FREQUENCY  # [m]
 FLIGHT_S, FLIGHT_ROUNDS = 0.075, 4
+PHASE_NOISE_M, MIN_SINE = 0.0015, 0.1  # standard deviation at the zenith; it grows as 1/sin(elevation)
 HALF_STEP_S = 0.5  # of the difference quotient that is the range-rate: right to 1e-6 m/s
 
 
@@ -57,6 +61,14 @@ def clock_bias_s(gps_s: float) -> float:
 
 
 @dataclass(frozen=True)
+class Phases:
+    """What the carrier phases follow."""
+
+    antenna: Geodetic  # of the signals: the antenna's own place, or where an attack says that it is
+    noise: FloatArray  # shape (n,) of unit variance, one for each satellite of a sky
+
+
+@dataclass(frozen=True)
 class RangeErrors:
     """What attacks add to the pseudoranges of the n satellites of a sky."""
 
@@ -64,7 +76,7 @@ class RangeErrors:
     rate_m_s: FloatArray  # shape (n,) its derivative
 
 
-def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float, added: RangeErrors) -> RawMeasurements:
+def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float, added: RangeErrors, phases: Phases) -> RawMeasurements:
     """Measure all satellites of GPS and Galileo that are used; none where there is no fix.
 
     Parameters
@@ -79,11 +91,13 @@ def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float, added: RangeError
         [s] GPS time of the measurement, as the signals state it.
     added : RangeErrors
         Errors of attacks.
+    phases : Phases
+        What the carrier phases follow.
 
     Returns
     -------
     RawMeasurements
-        Ranges are those to the reported position, and their rates those of the reported velocity. Residuals are
+        Pseudoranges are those to the reported position, and their rates those of the reported velocity. Residuals are
         orthogonal to position and clock (`sky.residuals`), so that least squares return the fix.
     """
     used = sky.used & np.isin(sky.system, model.navigation_systems) & fix.valid
@@ -105,13 +119,16 @@ def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float, added: RangeError
     clock += np.where(sky.system[used] == model.names.index("gps"), 0.0, GALILEO_OFFSET_M)
     clock += added.error_m[used]
     rate = (later - earlier) / (2.0 * HALF_STEP_S) + SPEED_OF_LIGHT * CLOCK_DRIFT + added.rate_m_s[used]
+    at_antenna = _line_of_sight(model.orbits, of, satellite, after_s, np.array(ecef_from_geodetic(phases.antenna)))
+    sine = np.maximum(np.sin(np.radians(sky.elevation_deg[used])), MIN_SINE)
+    phase_range = np.linalg.norm(at_antenna, axis=1) + PHASE_NOISE_M * phases.noise[used] / sine
     return RawMeasurements(
         gps_s + bias_s,
         satellite,
         np.array([row.gnss_id for row in model.rows])[sky.system[used]],
         sky.number[used],
         distance + clock + troposphere + ionosphere + sky.residual_m[used],
-        (distance + clock + troposphere - ionosphere) / WAVELENGTH + 1000.0 * satellite,  # any whole number does
+        (phase_range + clock + troposphere - ionosphere) / WAVELENGTH + 1000.0 * satellite,  # any whole number does
         -rate / WAVELENGTH,
         sky.cn0_db_hz[used],
     )

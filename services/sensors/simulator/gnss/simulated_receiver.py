@@ -17,7 +17,7 @@ from ..scenarios import Scenario
 from ..vehicle import AntennaState, Stream
 from . import nmea_encoder, ubx_encoder
 from .navigation_words import galileo_words, gps_words
-from .raw_measurements import IONOSPHERE, RangeErrors, measure
+from .raw_measurements import IONOSPHERE, Phases, RangeErrors, measure
 from .receiver_settings import Settings
 from .reception import Fix, Reception
 from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms, signal_under
@@ -57,6 +57,7 @@ class Receiver:
         self._chunks = np.random.default_rng((seed, Stream.SATELLITES, 1))
         self._second_antenna_m = second_antenna_m  # distance ahead of the first; 0: single antenna
         self._headings = np.random.default_rng((seed, Stream.SATELLITES, 2))
+        self._phase_noise = np.random.default_rng((seed, Stream.SATELLITES, 3))
         self._free_ns = 0  # time at which the serial line has sent all queued bytes
         self._period_ms = self.settings.period_ms
         self._reception = Reception(scenario, seed, self._period_ms * 1e-3)
@@ -96,9 +97,9 @@ class Receiver:
         covered = source.covered or bool(sky.used.sum() < MIN_SATELLITES)
         true_fix = self._reception.fix(index, replace(source, covered=covered))
         errors, rates = self._faults(signals.faults, sky)
-        raw = measure(
-            self._sky, sky, true_fix, gps_s, RangeErrors(errors + signals.path_m, rates + signals.path_rate_m_s)
-        )
+        phases = Phases(source.position, self._phase_noise.standard_normal(len(sky.satellite)))
+        added = RangeErrors(errors + signals.path_m, rates + signals.path_rate_m_s)
+        raw = measure(self._sky, sky, true_fix, gps_s, added, phases)
         fix, sky = self._faulty_fix(true_fix, sky, errors, rates)
         if signals.held and self._fix is not None:
             fix = self._fix

@@ -26,6 +26,7 @@ export const chartWords = {
   fused: "Fused",
   gnss: "GNSS",
   odometer: "Odometer",
+  carrier: "Carrier phases",
   truth: "Truth",
   error: "Error",
   sigma: (n) => `${n} σ`,

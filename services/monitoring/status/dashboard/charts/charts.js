@@ -25,7 +25,7 @@ const errorLines = (axis, limit, level) => [
 const axes = (field) => ["forward", "right", "down"].map((axis, i) => line(`${field}.${i}`, w.axis[axis]));
 
 const CHARTS = [
-  { id: "speed", unit: "km/h", factor: KMH, lines: [line("computed:speed_m_s", w.fused), line("gnss/fix:ground_speed_m_s", w.gnss), line("computed:speed_odometer_m_s", w.odometer), line("computed:speed_truth_m_s", w.truth)] },
+  { id: "speed", unit: "km/h", factor: KMH, lines: [line("computed:speed_m_s", w.fused), line("gnss/fix:ground_speed_m_s", w.gnss), line("computed:speed_odometer_m_s", w.odometer), line("computed:speed_carrier_m_s", w.carrier), line("computed:speed_truth_m_s", w.truth)] },
   { id: "height", unit: "m", lines: [line("navigation/solution:height_ellipsoid_m", w.fused), line("gnss/fix:height_ellipsoid_m", w.gnss), line("truth/state:height_ellipsoid_m", w.truth, { style: STYLES[3] })] },
   { id: "horizontal", unit: "m", lines: errorLines("horizontal", "trust/state:alert_limit_horizontal_m", "navigation/solution:protection_level_horizontal_m") },
   { id: "vertical", unit: "m", lines: errorLines("vertical", "trust/state:alert_limit_vertical_m", "navigation/solution:protection_level_vertical_m") },

@@ -17,6 +17,7 @@ from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.gnss import Constellation, GnssFix, GnssRawEpoch, GnssSatellites
 from shared.messages.imu import ImuSamples
 from shared.recording import Recording
+from tests.support.cases import each
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -250,6 +251,22 @@ def test_a_time_of_week_that_is_known_counts_as_one_that_is_decoded(
 )
 def test_a_signal_without_its_time_of_transmission_is_rejected(state: int, system: int, reason: str) -> None:
     assert converted(RAW, raw(state, system)) == ([], {reason: 1})
+
+
+@each(
+    ("state", "cycles", "locked", "resolved"),
+    [(0, None, True, False), (1, 100.0, True, False), (1 | 8, 100.0, True, True), (1 | 2, 100.0, False, False),
+     (1 | 4 | 8, 100.0, False, True), (16, None, True, False)],
+)  # fmt: skip
+def test_a_phase_that_was_reset_or_has_slipped_is_not_locked(
+    state: int, cycles: float | None, locked: bool, resolved: bool
+) -> None:
+    header = f"{RAW},AccumulatedDeltaRangeState,AccumulatedDeltaRangeMeters"
+    (one,), _ = converted(header, f"{raw(1 | 8, 1)},{state},{100.0 * SPEED_OF_LIGHT / 1.57542e9}")
+    assert isinstance(one, GnssRawEpoch)
+    found = one.measurements[0]
+    assert found.carrier_phase_cycles == (None if cycles is None else pytest.approx(cycles))
+    assert (found.lock_time_s != 0.0, found.half_cycle_resolved) == (locked, resolved)
 
 
 def test_a_log_of_which_nothing_can_be_used_says_what_it_holds_and_what_is_missing(tmp_path: Path) -> None:

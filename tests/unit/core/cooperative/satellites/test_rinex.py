@@ -101,6 +101,13 @@ def test_observations_are_read_past_events_and_without_what_is_not_there() -> No
     assert second.measurements == ()
 
 
+def test_phases_have_the_flags_of_a_lost_lock_and_of_a_half_cycle() -> None:
+    for flag, slipped, resolved in ((" ", False, True), ("1", True, True), ("2", False, False), ("3", True, False)):
+        text = OBSERVATION.replace("  55923622.160    24767686.375", f"  55923622.160{flag}   24767686.375")
+        (one,) = read_rinex_observations(text)[0][0].measurements
+        assert (one.carrier_cycles, one.slipped, one.half_cycle_resolved) == (55923622.16, slipped, resolved)
+
+
 @pytest.mark.parametrize(
     "text", ["", "nonsense", OBSERVATION.replace("END OF HEADER", ""), OBSERVATION.replace("0  2G", "0 xxG")]
 )

@@ -8,7 +8,7 @@ import pytest
 from services.monitoring.status.page import DASHBOARD
 from services.monitoring.status.series import fields, past, rings, store
 from services.monitoring.status.series.store import Series, SeriesFull
-from shared.messages.gnss import Constellation, FixType, GnssFix, GnssSatellites, Satellite
+from shared.messages.gnss import CarrierDisplacement, Constellation, FixType, GnssFix, GnssSatellites, Satellite
 from shared.messages.navigation import AidingKind, AidingUpdate, TruthState
 from tests.support.cases import each
 from tests.support.dashboard.status_world import solution
@@ -116,6 +116,18 @@ def test_errors_against_the_truth_are_computed_at_the_moment_of_the_solution() -
     assert isinstance(values, dict)
     assert values[names[0]] == [pytest.approx(2.5, rel=1e-6)]  # half a second at 5 m/s
     assert values[names[1]] == [pytest.approx(1.5, rel=1e-6)]  # 2 m above, less half a second of falling
+
+
+def test_the_speed_by_carrier_phases_is_the_displacement_over_its_time() -> None:
+    series = Series()
+    message = CarrierDisplacement(
+        sampled_ns=NOW_NS, received_ns=NOW_NS, source="gnss0", since_ns=NOW_NS - NS // 5,
+        displacement_ned_m=(0.6, -0.8, 0.1), displacement_cov_ned_m2=(1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
+        slow_cov_ned_m2=(1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), satellites_used=9, redundancy=5, checked=True,
+    )  # fmt: skip
+    series.take("gnss/carrier_displacement", message, NOW_NS)
+    name = "computed:speed_carrier_m_s"
+    assert series.columns([name], NOW_NS, NOW_NS, fine=False)["values"] == {name: [pytest.approx(5.0)]}
 
 
 def test_the_number_of_fields_and_their_memory_are_bounded_and_a_refusal_is_counted() -> None:

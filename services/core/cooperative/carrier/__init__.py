@@ -1,0 +1,1 @@
+"""Displacement of the antenna from carrier phases."""
