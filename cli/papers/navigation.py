@@ -317,7 +317,7 @@ def print_table(results: Sequence[Result], runs: int, console: Console) -> None:
         table.add_column(
             heading,
             justify="right" if heading else "left",
-            no_wrap=True,
+            overflow="fold",
             min_width=14 if heading in ("GNSS", "fused") else None,
         )
     for result in results:

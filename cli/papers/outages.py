@@ -105,7 +105,7 @@ def print_table(rows: Sequence[Outages], runs: int, console: Console) -> None:
     table = Table(title=title, box=SIMPLE_HEAD)
     table.add_column("")
     for length in LENGTHS_S:
-        table.add_column(f"{length} s", justify="right", no_wrap=True)
+        table.add_column(f"{length} s", justify="right", overflow="fold")
     for row in rows:
         table.add_row(row.aids.name, *(f"{m:.2f} {p:.2f}" for m, p in zip(row.median, row.p95, strict=True)))
     console.print(table)

@@ -99,12 +99,13 @@ def _write(paper: Paper, out: Path) -> None:
 
 
 def printed(table: Table) -> RichTable:
-    """Lay out a table for the terminal."""
+    """Lay out a table for the terminal: where that is too narrow, cells go on in another line, and nothing is cut."""
     rich = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD)
     rich.pad_edge = rich.show_edge = False
     rich.padding = (0, 1, 0, 0)
     for number, heading in enumerate(table.columns):
-        rich.add_column(escape(heading), justify="right" if number else "left", no_wrap=True)
+        longest = max(len(word) for row in (table.columns, *table.rows) for word in row[number].split() or ("",))
+        rich.add_column(escape(heading), justify="right" if number else "left", overflow="fold", min_width=longest)
     for row in table.rows:
         rich.add_row(*map(escape, row))
     return rich

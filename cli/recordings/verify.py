@@ -256,7 +256,7 @@ def _print(repeated: RepetitionReport, console: Console) -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("process", "started (UTC)", "consumed", "compared", "unrecorded", "verdict"):
         right = title in ("consumed", "compared", "unrecorded")
-        table.add_column(title, justify="right" if right else "left", no_wrap=True)
+        table.add_column(title, justify="right" if right else "left", overflow="fold")
     for finding in repeated.findings:
         started = datetime.fromtimestamp(finding.incarnation // 1_000_000_000, UTC)
         numbers = (str(number) for number in (finding.consumed, finding.compared, finding.unrecorded))

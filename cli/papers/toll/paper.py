@@ -39,7 +39,7 @@ FITTED = (
 )
 NOT_REPRODUCED = (
     "KF CA 37.74 and EKF CTRV 37.76, which is no gain over GPS at all: correct filters gain 5 to 7 % with that error.",
-    "Computing times: the paper's are those of another language and processor. Ours are per step of a batch.",
+    "Computing times: the paper states none. Ours are per step of a batch.",
     "Lane decisions with delta position: the paper proposes the delta and does not evaluate it. That table is ours.",
 )
 
