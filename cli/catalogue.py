@@ -37,6 +37,7 @@ ENTRIES = (
         "Send a command to the unit that runs on this computer, and print whether it is accepted, done or failed.",
     ),
     Entry(RUN, "calibrate", "Learn settings of the unit from recorded drives."),
+    Entry(RUN, "config", "List, read and change the settings of a vehicle's file, and take changes back."),
     Entry(RUN, "migrate", "Rewrite a vehicle's file of an earlier version; comments and order stay."),
     Entry(
         LOOK, "doctor", "Check this machine, its configuration and a running unit, and name the remedy of each fault."
@@ -121,6 +122,13 @@ COMMANDS = {
     "verify": ("recordings.verify", "verify"),
     "verify-toll": ("verify_toll", "verify_toll"),
     "migrate": ("migrate", "migrate"),
+    "config list": ("config.config", "list_settings"),
+    "config get": ("config.config", "get"),
+    "config set": ("config.config", "set_values"),
+    "config unset": ("config.config", "unset"),
+    "config diff": ("config.config", "diff"),
+    "config history": ("config.config", "history"),
+    "config undo": ("config.config", "undo"),
     "enrol": ("enrol", "enrol"),
     "centre up": ("centre.centre", "up"),
     "centre run": ("centre.centre", "run"),
@@ -167,6 +175,9 @@ COMMANDS = {
 # What the help of a group says after its summary; without one the group is a command as well.
 GROUPS = {
     "papers": "Example: [bold]obu papers navigation --runs 2[/]",
+    "config": "Each setting has a name of its section and its key; docs/reference/configuration.md lists them.\n\n"
+    "Examples:\n[bold]obu config list --changed[/]\n[bold]obu config set core.fusion.gnss.delay_s=0.08[/]\n"
+    "[bold]obu config undo[/]",
     "calibrate": "Example: [bold]obu calibrate spoofing drive.mcap -o profile.json[/]",
     "evidence-key": "Example: [bold]obu evidence-key export -o car.pub[/]",
     "token": "A token is shown once, when it is made; the unit keeps its hash only. A running unit sees changes at "

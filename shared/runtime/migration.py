@@ -64,13 +64,13 @@ def migrated(text: str, path: str) -> tuple[str, list[str]]:
             again = value_at(document, key)
             changes.append(f"{in_section(key)} = {again} is left out; {in_section(new)} is that of all processes")
         elif new != MOUNTING:
-            _table(file, new.split(".")[:-1])[new.rpartition(".")[2]] = value
+            table_at(file, new.split(".")[:-1])[new.rpartition(".")[2]] = value
             changes.append(f"{in_section(key)} -> {in_section(new)}")
     if mounting is not None:
-        _table(file, ["vehicle", "imu"])["body_from_sensor"] = _rows(mounting)
+        table_at(file, ["vehicle", "imu"])["body_from_sensor"] = _rows(mounting)
         olds = [in_section(key) for key in found if PRESENT_KEYS.get(key) == MOUNTING]
         changes.append(f"{' and '.join(olds)} -> {in_section(MOUNTING)}")
-    if emptied and not _table(file, EMPTIED.split(".")):
+    if emptied and not table_at(file, EMPTIED.split(".")):
         _removed(file, EMPTIED)
         changes.append(f"[{EMPTIED}] is empty and removed")
     return tomlkit.dumps(cast(tomlkit.TOMLDocument, file)), changes
@@ -117,10 +117,10 @@ def _matrix(document: Mapping[str, object], key: str, path: str, default: Matrix
 
 def _removed(file: MutableMapping[str, object], key: str) -> object:
     *sections, name = key.split(".")
-    return _table(file, sections).pop(name)
+    return table_at(file, sections).pop(name)
 
 
-def _table(file: MutableMapping[str, object], sections: list[str]) -> MutableMapping[str, object]:
+def table_at(file: MutableMapping[str, object], sections: list[str]) -> MutableMapping[str, object]:
     """The table of a section, made where it is missing."""
     table = file
     for depth, section in enumerate(sections):

@@ -1,0 +1,1 @@
+"""`obu config`: settings of a vehicle's file, by their names."""
