@@ -10,11 +10,13 @@ import tempfile
 from collections.abc import Callable
 from hashlib import sha256
 from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, TypeVar
 
 SOURCES = "shared", "services/core"  # folders of all code that is compiled, and of what it calls
 MAX_VERSIONS = 32  # versions of the code whose machine code is kept: 1.5 MB each; several trees have one each
+EXTERNAL_STATES = "obu.aid_states"  # entry points of packages that make the state of the filter longer
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -26,12 +28,13 @@ def machine_code() -> Path:
     """Folder for the machine code of this version of the sources.
 
     Numba looks at the file of a function alone: code that calls one of another file, or takes a type of it, would stay
-    as it was when that file changes.
+    as it was when that file changes. Packages with states of their own make another version of the same sources.
     """
     root = Path(__file__).resolve().parents[2]
     files = sorted(path for folder in SOURCES for path in (root / folder).rglob("*.py"))
     stamps = ((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
-    version = sha256(repr(list(stamps)).encode()).hexdigest()[:16]
+    states = sorted(f"{point.name} {point.value}" for point in entry_points(group=EXTERNAL_STATES))
+    version = sha256(repr([*stamps, *states]).encode()).hexdigest()[:16]
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "obu" / "numba"
     try:
         (cache / version).mkdir(parents=True, exist_ok=True)

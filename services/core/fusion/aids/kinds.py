@@ -12,6 +12,7 @@ from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from ..settings import Settings
 from . import barometer, dual_antenna, magnetometer, odometer
 from .base import Measurement
+from .external import external_kinds
 from .gnss import epoch
 
 KINDS: Mapping[type[Message], tuple[Callable[[Any, Settings], Iterable[Measurement]], ...]] = {
@@ -25,4 +26,6 @@ KINDS: Mapping[type[Message], tuple[Callable[[Any, Settings], Iterable[Measureme
 
 def measurements_of(message: Message, settings: Settings) -> list[Measurement]:
     """Measurements that a message holds; none of a message that is no aid."""
-    return list(chain.from_iterable(convert(message, settings) for convert in KINDS.get(type(message), ())))
+    kind = type(message)
+    converters = (*KINDS.get(kind, ()), *external_kinds().get(kind, ()))
+    return list(chain.from_iterable(convert(message, settings) for convert in converters))

@@ -22,24 +22,26 @@ from shared.maths.compiled import compilable, compiled
 from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Quaternion, Vector
 
+from ..states import LAYOUT
+
 FloatArray = npt.NDArray[np.float64]
 
-ATTITUDE = slice(0, 3)  # [rad, NED]
-VELOCITY = slice(3, 6)  # [m/s, NED]
-POSITION = slice(6, 9)  # [m, NED]
-ACCELEROMETER_BIAS = slice(9, 12)  # [m/s², body]
-GYROSCOPE_BIAS = slice(12, 15)  # [rad/s, body]
-ACCELEROMETER_SCALE = slice(15, 18)  # [-]
-GYROSCOPE_SCALE = slice(18, 21)  # [-]
-SCALES = slice(15, 21)  # accelerometers and gyroscopes
-ODOMETER_SCALE = 21  # [-]
-MOUNTING = slice(22, 24)  # [rad] pitch, yaw
-GNSS_ERROR = slice(24, 27)  # [-] time-correlated error of GNSS positions over its standard deviation
-BAROMETER_OFFSET = 27  # [m] of barometric height
-GNSS_VELOCITY_ERROR = slice(28, 31)  # [m/s, NED] time-correlated error of GNSS velocities
-SIZE = 31
-MOVING = 9  # number of states whose derivative F gives: attitude, velocity, position
-DRIVING = 21  # number of states on which that derivative depends: these and the errors of the IMU
+ATTITUDE = LAYOUT.place("attitude")  # [rad, NED]
+VELOCITY = LAYOUT.place("velocity")  # [m/s, NED]
+POSITION = LAYOUT.place("position")  # [m, NED]
+ACCELEROMETER_BIAS = LAYOUT.place("accelerometer_bias")  # [m/s², body]
+GYROSCOPE_BIAS = LAYOUT.place("gyroscope_bias")  # [rad/s, body]
+ACCELEROMETER_SCALE = LAYOUT.place("accelerometer_scale")  # [-]
+GYROSCOPE_SCALE = LAYOUT.place("gyroscope_scale")  # [-]
+SCALES = slice(ACCELEROMETER_SCALE.start, GYROSCOPE_SCALE.stop)  # accelerometers and gyroscopes
+ODOMETER_SCALE = LAYOUT.index("odometer_scale")  # [-]
+MOUNTING = LAYOUT.place("mounting")  # [rad] pitch, yaw
+GNSS_ERROR = LAYOUT.place("gnss_error")  # [-] time-correlated error of GNSS positions over its standard deviation
+BAROMETER_OFFSET = LAYOUT.index("barometer_offset")  # [m] of barometric height
+GNSS_VELOCITY_ERROR = LAYOUT.place("gnss_velocity_error")  # [m/s, NED] time-correlated error of GNSS velocities
+SIZE = LAYOUT.size
+MOVING = POSITION.stop  # number of states whose derivative F gives: attitude, velocity, position
+DRIVING = SCALES.stop  # number of states on which that derivative depends: these and the errors of the IMU
 PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
 UNIT = np.eye(3)
 

@@ -18,6 +18,7 @@ from ..aids.gnss import velocity_errors as gnss_velocity_errors
 from ..aids.gnss.position_errors import UNKNOWN_ERRORS, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
+from ..states import LAYOUT
 from . import error_model as em
 from .propagation import (
     ZERO,
@@ -34,8 +35,6 @@ from .standstill import Limits
 
 FloatArray = npt.NDArray[np.float64]
 
-SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
-MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 SCATTER = 0.25  # [-] of delays that are found
 UNCERTAIN_SHARE = 0.5  # [-] of the way in a delay that has just been found
 NO_ERRORS = ImuErrors()
@@ -116,18 +115,7 @@ class ErrorStateFilter:
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
         self._has_sample = False
-        self._noise_psd = em.process_noise_psd(
-            (em.ATTITUDE, settings.imu.angle_random_walk_rad_sqrt_s**2),
-            (em.VELOCITY, settings.imu.velocity_random_walk_m_s_sqrt_s**2),
-            (em.ACCELEROMETER_BIAS, settings.imu.accelerometer_bias_psd_m2_s5),
-            (em.GYROSCOPE_BIAS, settings.imu.gyroscope_bias_psd_rad2_s3),
-            (em.ODOMETER_SCALE, SCALE_PSD),
-            (em.MOUNTING, MOUNTING_PSD),
-            (
-                em.BAROMETER_OFFSET,
-                settings.barometer.offset_random_walk_m_sqrt_s**2 if settings.barometer.enabled else 0.0,
-            ),
-        )
+        self._noise_psd = em.process_noise_psd(*((LAYOUT.place(b.name), b.psd(settings)) for b in LAYOUT.blocks))
 
     def unrecorded(self) -> "ErrorStateFilter":
         """Independent copy without a history for the smoother."""

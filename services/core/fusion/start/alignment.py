@@ -23,6 +23,7 @@ from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.propagation import ImuErrors
 from ..inertial.standstill import STANDSTILL_RATE_SD
 from ..settings import Settings
+from ..states import LAYOUT
 from .heading import (
     Heading,
     Motion,
@@ -46,7 +47,6 @@ TRACK_S = 5.0  # longest span of the positions that give a course
 MOTION_AGE_S = 0.5  # largest age of a velocity that is used with a fix
 STANDSTILL_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] error of the rate that makes the lever-arm velocity
-UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
 KEPT_SD_LIMIT = radians(30.0)  # largest standard deviation of a heading from before with which a filter starts
 BASELINE_AGE_S = 2.0  # largest age of a two-antenna heading that is used with a fix
 
@@ -303,10 +303,7 @@ class Alignment:
     def _parameters_cov(self) -> FloatArray:
         if self._lost is not None:
             return self._lost.P[em.PARAMETERS, em.PARAMETERS]
-        sd = np.zeros(em.SIZE)
-        sd[em.ODOMETER_SCALE] = self._settings.odometer.scale_sd
-        sd[em.MOUNTING] = self._settings.non_holonomic.mounting_sd_rad
-        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer.enabled else 0.0
+        sd = np.concatenate([np.full(block.size, block.sd(self._settings)) for block in LAYOUT.blocks])
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:

@@ -25,11 +25,12 @@ from ..inertial.propagation import ZERO, ImuErrors, Intervals, implausible, init
 from ..inertial.standstill import CERTAIN_LIMITS, UNSETTLED
 from ..integrity.disagreement import NO_DISAGREEMENT, Disagreement
 from ..settings import Settings
+from ..states import LAYOUT
 from .alignment import gnss_error_model
 
 FloatArray = npt.NDArray[np.float64]
 
-LAYOUT = 4  # version of the saved state; increased when the meaning of its elements changes
+VERSION = 5  # version of the saved state; increased when the meaning of its elements changes
 MAX_GAP_S = 5.0
 STEP_S = 0.05  # of the propagation over the gap
 # Unmeasured motion: power spectral densities of the noise that drives the random walks,
@@ -62,7 +63,7 @@ class SavedState(NamedTuple):
 
 def fingerprint(settings: Settings) -> str:
     """Hash of the settings and the layout; a saved state is used only if both are the same."""
-    text = f"{LAYOUT} {em.SIZE} {settings.model_dump_json()}"
+    text = f"{VERSION} {LAYOUT.text} {settings.model_dump_json()}"
     return sha256(text.encode()).hexdigest()[:16]
 
 

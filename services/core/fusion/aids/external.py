@@ -1,0 +1,33 @@
+"""Aids of packages that are installed beside the unit.
+
+An entry point of the group `obu.aids` is a module with a mapping `KINDS`, as in `kinds.py`: of a class of message, the
+functions that make measurements of it. Their classes are a `Kind` of `base.py`, and what they observe is of
+`AidingKind.EXTERNAL`. States of their own are entry points of another group (`states.py`), which are read before any of
+this, and found by name: `LAYOUT.place(name)`.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from shared.messages.base import Message
+from shared.messages.navigation import AidingKind
+
+from ..settings import Settings
+from .base import Measurement
+
+GROUP = "obu.aids"
+KIND = AidingKind.EXTERNAL
+Converter = Callable[[Any, Settings], Iterable[Measurement]]
+
+
+@cache
+def external_kinds() -> Mapping[type[Message], tuple[Converter, ...]]:
+    """Functions of all installed packages, by the class of message; read once a process."""
+    found: dict[type[Message], tuple[Converter, ...]] = defaultdict(tuple)
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        for message, converters in point.load().KINDS.items():
+            found[message] += tuple(converters)
+    return dict(found)
