@@ -12,7 +12,7 @@ PACKAGE = "services.core.fusion"
 ROOMS = ("inertial", "aids", "start", "timeline", "hypotheses")  # each may import those before it
 # What a room may import of fusion beside the rooms. Every entry is in use, or this test fails.
 BESIDE = {
-    "inertial": {"settings", "states", "smoothing.history"},  # the filter reads its noise, and records what the smoother needs
+    "inertial": {"settings", "states", "smoothing.history"},  # noise, states, and what the smoother needs
     "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
     "start": {"settings", "states", "codes", "integrity.disagreement"},  # a saved state has what the level holds
     # of two solutions: what they contradict each other by, and what is left of it
