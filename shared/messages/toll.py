@@ -23,7 +23,7 @@ from .base import (
     unit,
 )
 from .explanation import Explanation
-from .v2x import Authentication
+from .v2x import Authentication, CertificateDigest, Unverified
 
 StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudonym that a CAM carries
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
@@ -151,6 +151,8 @@ class TollTrack(Message):
     registered: bool = False
     passage_id: Digest | None = None
     authentication: Authentication = Authentication.UNSIGNED  # the least of its CAM
+    unverified: Unverified | None = None  # why it is signed and not authenticated, of its newest CAM
+    ticket: CertificateDigest | None = None  # by which it is authenticated
 
 
 class TollTracks(Message):
@@ -188,6 +190,7 @@ class EvidenceFrame(Message):
     sampled_ns: Nanoseconds  # generation time on the unit's clock, as it was used
     received_ns: Nanoseconds
     data: Base64
+    authentication: Authentication = Authentication.UNSIGNED  # what `parsers.v2x` found of its sender
 
 
 class LanePosterior(Message):

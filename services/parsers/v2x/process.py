@@ -1,82 +1,105 @@
 """Decodes received CAM, and encodes those of this unit."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from math import hypot, radians
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from shared.errors import RejectedFrame
 from shared.faults import Faults
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.messages.base import Message
+from shared.messages.base import Message, Tick
 from shared.messages.fitting import parts
 from shared.messages.gnss import GnssFix
-from shared.messages.v2x import Cam, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
-from shared.runtime.config import Section
+from shared.messages.v2x import (
+    Authentication,
+    Cam,
+    CamFrames,
+    CamList,
+    Encapsulation,
+    OwnCam,
+    StationType,
+    V2xSend,
+)
 from shared.topics import BY_NAME
-from shared.v2x import cam, frames, geonetworking, its_time, security
+from shared.v2x import cam, frames, geonetworking, its_time
+from shared.v2x.security.envelope import SignedPacket, without_envelope
+from shared.v2x.security.verifier import Stated, Verdict
+
+from .settings import Settings
+from .trusted import Trusted
 
 MAX_FRAMES = 1024  # of one batch
 LIST_BYTES = BY_NAME["v2x/cam"].most_bytes - 1_000  # of CAM in one message
 CERTAIN_CAMS = LIST_BYTES // 10_000  # so many fit, also with the longest frames and paths
 PAI_INTERVAL_M = 80.0  # itsGnPaiInterval: EN 302 636-4-1, annex H
 NS_PER_MS = 1_000_000
+UNSIGNED = Verdict(Authentication.UNSIGNED)
 
 
-class Config(Section):
+class Config(Settings):
     """Settings of the V2X parser."""
 
-    max_age_s: float = Field(default=5.0, ge=0.0, le=32.0, description="largest age of a CAM; older ones are rejected")
-    max_future_s: float = Field(
-        default=2.0,
-        ge=0.0,
-        le=32.0,
-        description="CAM whose generation time is further ahead of this unit's are rejected",
-    )
-    max_header_difference_s: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=32.0,
-        description="frames whose GeoNetworking time, or whose time of signature, differs by more from the generation "
-        "time of their CAM are rejected: a CAM repeated after 65.536 s has the generation time of a new one, and not "
-        "its header",
-    )
-    max_distance_m: float = Field(
-        default=10_000.0, gt=0.0, description="CAM of stations further from this unit's GNSS position are rejected"
-    )
+
+@dataclass(frozen=True)
+class Decoded:
+    """A frame of which everything but the signature is checked."""
+
+    frame: bytes
+    received_ns: int
+    generated_ns: int
+    generation_delta_time: int
+    content: cam.Record
+    permissions: int
+    signed: SignedPacket | None
 
 
 class Process:
-    """Decodes each frame of a batch by itself; of earlier messages only the latest fix and the own station matter."""
+    """Decodes each frame of a batch by itself; of earlier ones, tickets and frames that wait for theirs are kept."""
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
         self._faults = Faults(self.rejects)
         self._config = config
+        self._trusted = Trusted[Decoded](config, self.rejects)
         self._utc_offset_ns = 0  # UTC - OBU time line; the line begins at the host's UTC
         self._position: Geodetic | None = None
         self._own_station: int | None = None
+        self._source = ""  # of the newest batch
 
     def handle(self, message: Message) -> Iterator[CamList | V2xSend]:
         """Process a batch of frames, a CAM to be sent, or a fix."""
         match message:
             case CamFrames():
-                cams = tuple(self._decode_batch(message))
-                for part in [cams] if 0 < len(cams) <= CERTAIN_CAMS else parts(cams, LIST_BYTES):
-                    yield CamList(received_ns=message.received_ns, source=message.source, cams=tuple(part))
+                self._source = message.source
+                yield from self._listed(list(self._decode_batch(message)), message.received_ns)
             case OwnCam():
                 yield from self._encode(message)
             case GnssFix(utc_ns=int(utc_ns)):
                 self._utc_offset_ns = utc_ns - message.sampled_ns
                 if message.latitude_deg is not None and message.longitude_deg is not None:
                     self._position = _geodetic(message.latitude_deg, message.longitude_deg)
+            case Tick():
+                waited = [*self._trusted.expire(message.now_ns), *self._trusted.reload(message.now_ns)]
+                yield from self._listed([cam for item in waited if (cam := self._judged(*item))], message.now_ns)
+
+    def _listed(self, cams: Sequence[Cam], received_ns: int) -> Iterator[CamList]:
+        for part in [cams] if 0 < len(cams) <= CERTAIN_CAMS else parts(cams, LIST_BYTES):
+            yield CamList(received_ns=received_ns, source=self._source, cams=tuple(part))
 
     def _decode_batch(self, batch: CamFrames) -> Iterator[Cam]:
+        for item in self._trusted.expire(batch.received_ns):
+            if waited := self._judged(*item):
+                yield waited
         for received_ns, frame in self._unpacked(batch.data):
             with self._faults.decoding(batch.received_ns):
                 try:
-                    yield self._decode(frame, received_ns, batch.encapsulation)
+                    decoded = self._decode(frame, received_ns, batch.encapsulation)
+                    for item in self._verified(decoded):
+                        if cam_of_frame := self._judged(*item):
+                            yield cam_of_frame
                 except RejectedFrame as error:
                     self.rejects[error.reason] += 1
 
@@ -90,14 +113,15 @@ class Process:
         except ValueError:
             self.rejects["batch"] += 1
 
-    def _decode(self, frame: bytes, received_ns: int, encapsulation: Encapsulation) -> Cam:
+    def _decode(self, frame: bytes, received_ns: int, encapsulation: Encapsulation) -> Decoded:
+        """Decode a frame and make the checks that cost little."""
         has_header = encapsulation is Encapsulation.GEONETWORKING
-        packet, signed = security.without_envelope(frame) if has_header else (frame, None)
+        packet, signed = without_envelope(frame, self._trusted.take) if has_header else (frame, None)
+        received_ms = its_time.its_time_ms(received_ns + self._utc_offset_ns)
         payload = geonetworking.decode_payload(packet) if has_header else packet
-        content, generation_delta_time = cam.decode(payload)
+        content, generation_delta_time, permissions = cam.decode_with_permissions(payload)
         if content["station_id"] == self._own_station:
             raise RejectedFrame("own_station")
-        received_ms = its_time.its_time_ms(received_ns + self._utc_offset_ns)
         age_ms = its_time.generation_age_ms(generation_delta_time, received_ms)
         if age_ms > self._config.max_age_s * 1000:
             raise RejectedFrame("too_old", age_ms)
@@ -107,18 +131,43 @@ class Process:
             self._check_header(packet, received_ms - age_ms)
         if signed is not None:
             self._check_signed_time(signed.generation_time_ms, received_ms - age_ms)
+            self._check_age_of_signature(signed.generation_time_ms, received_ms)
         self._check_distance(content["latitude_deg"], content["longitude_deg"])
+        generated_ns = its_time.utc_ns_from_its_time(received_ms - age_ms) - self._utc_offset_ns
+        return Decoded(frame, received_ns, generated_ns, generation_delta_time, content, permissions, signed)
+
+    def _verified(self, decoded: Decoded) -> Iterator[tuple[Decoded, Verdict]]:
+        """Verify a signed frame; it may have to wait, and may release others."""
+        if decoded.signed is None:
+            yield decoded, UNSIGNED
+            return
+        content = decoded.content
+        stated = Stated(content["latitude_deg"], content["longitude_deg"], decoded.permissions)
+        yield from self._trusted.submit(decoded, decoded.signed, stated, decoded.received_ns)
+
+    def _judged(self, decoded: Decoded, verdict: Verdict) -> Cam | None:
+        """Make the CAM of a frame; one that is refused is counted by its reason."""
+        if verdict.refused is not None:
+            self.rejects[verdict.refused] += 1
+            return None
         try:
             return Cam(
-                **content,
-                sampled_ns=its_time.utc_ns_from_its_time(received_ms - age_ms) - self._utc_offset_ns,
-                received_ns=received_ns,
-                generation_delta_time=generation_delta_time,
-                frame=frame,
-                **security.provenance(signed),
+                **decoded.content,
+                sampled_ns=decoded.generated_ns,
+                received_ns=decoded.received_ns,
+                generation_delta_time=decoded.generation_delta_time,
+                frame=decoded.frame,
+                authentication=verdict.authentication,
+                signer=decoded.signed.signer.hex() if decoded.signed else None,
+                unverified=verdict.unverified,
             )
-        except ValidationError as error:
-            raise RejectedFrame("range", error) from error
+        except ValidationError:
+            self.rejects["range"] += 1
+            return None
+
+    def _check_age_of_signature(self, signed_ms: int, received_ms: int) -> None:
+        if abs(received_ms - signed_ms) > self._config.security.max_age_s * 1000:
+            raise RejectedFrame("too_old" if received_ms > signed_ms else "from_the_future", received_ms - signed_ms)
 
     def _check_header(self, packet: bytes, generated_ms: int) -> None:
         """Compare the time in the header, known modulo 49 days, with the generation time by CAM and reception."""
