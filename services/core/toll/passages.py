@@ -111,6 +111,9 @@ class Passage:
     crossing: Crossing | None = None
     exit_ns: int | None = None
     registered: bool = False
+    tickets: list[str] = field(default_factory=list)  # of its authenticated CAM, in the order of use
+    authenticated: bool = False  # all of its CAM are
+    identity: CodedText | None = None  # why it is reviewed if no contract is known
     track: int | None = None  # number of the track; None: no track has it
     stated_ns: int = 0  # time of the newest statement; a checkpoint follows a second later
     overlaps: list[str] = field(default_factory=list)  # IDs of passages at the gate line within its vehicle's length
@@ -163,12 +166,22 @@ class Passage:
             return False
         self.exit_ns = self.here.time_ns
         if not self.registered:
-            self._end(PassageState.UNREGISTERED, explain(Code.UNREGISTERED))
+            self._end_unregistered()
         elif self.crossing is None or self.crossing.lane is None:
             self._end(PassageState.UNDECIDED, explain(Code.UNDECIDED, decided_probability=settings.decided))
         else:
             self._end(PassageState.CHARGED, explain(Code.PASSED))
         return True
+
+    def _end_unregistered(self) -> None:
+        if self.identity:
+            self.state, self.why = PassageState.SUSPECT, self.identity
+        else:
+            self._end(PassageState.UNREGISTERED, explain(Code.UNREGISTERED))
+
+    def identify(self, other: "Passage") -> None:
+        """Note that another passage has the same station ID under another ticket."""
+        self.identity = stated(explain(Code.IDENTITY, passage=reference_of(other.passage_id)))
 
     def contradict(self, other: "Passage") -> None:
         """Note that another passage has the same station ID, and that they cannot be of one vehicle."""
@@ -184,9 +197,19 @@ class Passage:
             self.state, self.why = PassageState.SUSPECT, self.doubt
 
     def lose(self) -> None:
-        """End the passage of a vehicle that fell silent."""
-        is_before = self.state is PassageState.OPEN
-        self._end(PassageState.VOID, explain(Code.SILENT_BEFORE if is_before else Code.SILENT_BETWEEN))
+        """End the passage of a vehicle that fell silent.
+
+        Behind the gate line it has passed, whatever it says or does not say afterwards: a switch must be no free ride.
+        The ledger charges it if a detector confirms it, and leaves it to a person otherwise.
+        """
+        if self.state is PassageState.OPEN:
+            self._end(PassageState.VOID, explain(Code.SILENT_BEFORE))
+        elif not self.registered:
+            self._end_unregistered()
+        elif self.crossing is None or self.crossing.lane is None:
+            self._end(PassageState.SUSPECT, explain(Code.SILENT_BETWEEN))
+        else:
+            self._end(PassageState.CHARGED, explain(Code.SILENT_BETWEEN))
 
     def give_way(self, older: "Passage") -> None:
         """End the passage because the vehicle's older one is continued."""
