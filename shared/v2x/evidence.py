@@ -21,11 +21,15 @@ def cam_of(frame: EvidenceFrame) -> Cam:
     """
     payload, signed = _opened(frame.data)
     content, delta_time = cam.decode(payload)
+    authentication, signer = Authentication.UNSIGNED, None
+    if frame.authentication is Authentication.AUTHENTICATED:  # by certificates and lists that were there then
+        authentication, signer = frame.authentication, frame.signer
+    elif signed is not None:
+        authentication, signer = Authentication.SIGNED_NOT_VERIFIED, signed.signer.hex()
     try:
         return Cam(
             **content, sampled_ns=frame.sampled_ns, received_ns=frame.received_ns, generation_delta_time=delta_time,
-            frame=frame.data, authentication=frame.authentication if signed else Authentication.UNSIGNED,
-            signer=signed.signer.hex() if signed else None,
+            frame=frame.data, authentication=authentication, signer=signer,
         )  # fmt: skip
     except ValidationError as error:
         raise RejectedFrame("range", error) from error
