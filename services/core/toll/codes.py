@@ -24,3 +24,10 @@ class Code(StrEnum):
     UNSIGNED = "toll.unsigned"  # as the values of `Authentication`
     SIGNED_NOT_VERIFIED = "toll.signed_not_verified"
     AUTHENTICATED = "toll.authenticated"
+    NO_TRUST = "toll.no_trust"  # signed, not verified: as the values of `Unverified`
+    NO_CERTIFICATE = "toll.no_certificate"
+    UNKNOWN_ISSUER = "toll.unknown_issuer"
+    TEST_ROOT = "toll.test_root"
+    NO_REVOCATIONS = "toll.no_revocations"
+    LISTS_EXPIRED = "toll.lists_expired"
+    TOO_MANY = "toll.too_many"

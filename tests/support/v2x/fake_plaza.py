@@ -19,12 +19,19 @@ from shared.messages.toll import (
     TollTrack,
     TollTracks,
 )
-from shared.messages.v2x import Authentication
+from shared.messages.v2x import Authentication, Unverified
 from shared.runtime.config import parse_vehicle
 from tests.support.dashboard.fake_unit import FakeBus, heartbeat
 from tests.support.v2x.tolling import PLAZA, Vehicle
 from tests.support.watchdog import Watchdog
 
+# What is known of the senders of the tracks.
+SENDERS: tuple[tuple[Authentication, Unverified | None], ...] = (
+    (Authentication.AUTHENTICATED, None),
+    (Authentication.SIGNED_NOT_VERIFIED, Unverified.UNKNOWN_ISSUER),
+    (Authentication.SIGNED_NOT_VERIFIED, None),
+    (Authentication.UNSIGNED, None),
+)
 VEHICLE_TOML = '[vehicle]\nname = "plaza-1"\nrole = "rsu"\n[sensors.traffic]\n[sensors.v2x]\n[parsers.v2x]\n'
 PROCESSES = parse_vehicle(VEHICLE_TOML).processes
 NS = 1_000_000_000
@@ -89,7 +96,7 @@ class FakePlaza:
                     ellipse_major_m=1.9, ellipse_minor_m=1.1, ellipse_orientation_rad=0.4,
                     lanes=tuple(LaneProbability(lane=k, probability=p) for k, p in posterior.items()),
                     lane=None if undecided else name, delta_applied=True, registered=registered,
-                    authentication=Authentication.UNSIGNED if n == 3 else Authentication.SIGNED_NOT_VERIFIED,
+                    authentication=SENDERS[n][0], unverified=SENDERS[n][1],
                 )
             )  # fmt: skip
         yield "core.toll", TollTracks(sampled_ns=now_ns, tracks=tuple(tracks), cams=round(20 * age_s), trust="surveyed")

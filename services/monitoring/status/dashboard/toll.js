@@ -88,10 +88,16 @@ function TracksTable({ t }) {
   const most = (v) => Object.entries(v.lanes).sort((a, b) => b[1] - a[1])[0];
   return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.approaching}><table class="plain"><thead><tr>${[c.track, c.lane, c.probability, c.speed, c.heading, c.ellipse, c.contract, c.signature].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
     <tbody>${t.tracks.map((v) => html`<tr key=${v.track}><th scope="row">${v.track}</th><td>${v.lane ?? w.undecided(most(v)?.[0])}</td><td>${percent(most(v)?.[1])}</td>
-      <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td><td class="dim" lang=${languageOf(v)}>${told(v, v.authentication)}</td></tr>`)}</tbody></table></div>`;
+      <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td><td><${Signature} v=${v} /></td></tr>`)}</tbody></table></div>`;
 }
 
-// Of each state of signatures, a vehicle with it and the number of those. None is green: no signature is verified.
+// What was checked of a sender. Green is only what is verified whole; without a signature there is nothing to check.
+function Signature({ v }) {
+  const shown = html`<span class=${v.verified ? "" : "dim"} lang=${languageOf(v)}>${told(v, v.authentication)}</span>`;
+  return v.verified ? html`<${StateIcon} state="safe" word="" /> ${shown}` : shown;
+}
+
+// Of each state of signatures, a vehicle with it and the number of those.
 function signatures(tracks) {
   const vehicles = new Map(tracks.map((v) => [v.authentication, v]));
   return [...vehicles].map(([authentication, v]) => [v, tracks.filter((track) => track.authentication === authentication).length]);
@@ -104,7 +110,7 @@ function PlazaCard({ t }) {
   return html`<${Card} title=${w.plaza(t.plaza.name)} id="plaza" class="plaza-card" note=${w.vehicles(t.tracks.length)}
     aside=${html`<${Age} topic="toll/tracks" stamp=${t.tracks_ns} /> <button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${table ? html`<${TracksTable} t=${t} />` : html`<${Picture} t=${t} />`}
-    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li>${signatures(t.tracks).map(([v, n]) => html`<li class="dim" lang=${languageOf(v)}>${told(v, v.authentication)}: ${n}</li>`)}</ul>
+    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li>${signatures(t.tracks).map(([v, n]) => html`<li><${Signature} v=${v} />: ${n}</li>`)}</ul>
   </${Card}>`;
 }
 

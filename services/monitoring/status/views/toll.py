@@ -11,6 +11,7 @@ from shared.messages.toll import (
     TollTrack,
     TollTracks,
 )
+from shared.messages.v2x import Authentication
 from shared.page.answers import Object
 from shared.words.words import said, translated
 
@@ -162,9 +163,11 @@ def _tracks(message: TollTracks, description: PlazaDescription) -> list[TrackSho
 
 
 def _authentication(track: TollTrack) -> AuthenticationShown:
-    """Say how far the sender of a track is known, by the code of `core.toll` for it."""
-    code = explain(f"toll.{track.authentication}")
-    return {"authentication": said("", code), "languages": translated("", code)}
+    """Say what was checked of the sender of a track, by the code of `core.toll` for it."""
+    why = track.unverified if track.authentication is Authentication.SIGNED_NOT_VERIFIED else None
+    code = explain(f"toll.{why or track.authentication}")
+    verified = track.authentication is Authentication.AUTHENTICATED
+    return {"authentication": said("", code), "verified": verified, "languages": translated("", code)}
 
 
 def _plane(point: Position | TollTrack, description: PlazaDescription) -> tuple[float, float]:
