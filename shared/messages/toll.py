@@ -275,9 +275,9 @@ class EvidenceFrame(Message):
     received_ns: Nanoseconds
     data: Base64
     # As its parser had found.
-    authentication: Annotated[
-        Authentication, Field(exclude_if=lambda value: value is Authentication.UNSIGNED)
-    ] = Authentication.UNSIGNED
+    authentication: Annotated[Authentication, Field(exclude_if=lambda value: value is Authentication.UNSIGNED)] = (
+        Authentication.UNSIGNED
+    )
     signer: CertificateDigest | None = None
 
 

@@ -1,6 +1,6 @@
 """Closed hours of the lanes: each account has the hash of the one before, and the newest is in the ledger's signature.
 
-    link = SHA-256(link of the account before, JSON of number, hour, lane and counts)
+link = SHA-256(link of the account before, JSON of number, hour, lane and counts)
 """
 
 import hashlib

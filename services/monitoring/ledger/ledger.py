@@ -120,7 +120,9 @@ class Settings(Section):
         description="time after which a passage that its lane's detector does not confirm goes to review",
     )
     drive_round_s: float = Field(
-        default=60.0, ge=0, le=280.0,
+        default=60.0,
+        ge=0,
+        le=280.0,
         description="shortest time in which a vehicle can pass the plaza twice; a contract that does it in less goes "
         "to review",
     )
@@ -128,7 +130,9 @@ class Settings(Section):
         default=600.0, gt=0, le=3600.0, description="time after which a camera deletes a picture without a decision"
     )
     picture_kept_days: float = Field(
-        default=7.0, gt=0, le=90.0,
+        default=7.0,
+        gt=0,
+        le=90.0,
         description="time for which the picture of a review, or of a vehicle without contract, is kept",
     )
     resend_first_s: float = Field(
@@ -489,9 +493,7 @@ class Ledger:
         why = stated(explain(Code.GHOST, passage=passage_of(there)))
         self._change(row["passage_id"], state=PassageState.SUSPECT, reason=why.text, reason_code=why.code)
         self._store.execute("DELETE FROM crossing WHERE number = ?", row["number"])
-        self.alarms.ghost(
-            row["passage_id"], row["lane"], row["crossing_ns"], json.loads(row["tickets"]), now_ns
-        )
+        self.alarms.ghost(row["passage_id"], row["lane"], row["crossing_ns"], json.loads(row["tickets"]), now_ns)
 
     def _judge_turned(self, row: Row, pulse: Row | None, now_ns: int) -> None:
         """Decide on a vehicle that says it has turned around behind the gate line.
