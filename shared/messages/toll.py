@@ -110,16 +110,6 @@ class TollRegistration(Message):
     countersignature: Ed25519Signature | None = None  # of the operator, over the rest
 
 
-class SealedRegistration(Message):
-    """A registration as the ledger has accepted it: what was stored cannot be exchanged for another one."""
-
-    registration: TollRegistration
-    received_ns: Nanoseconds
-    key: KeyName | None = None  # of the ledger; None: it had none
-    public_key: Digest | None = None
-    signature: Ed25519Signature | None = None
-
-
 class TollPayment(Message):
     """Statement of the operator: the vehicle at the gate line of a mixed lane at a time has paid otherwise."""
 
@@ -287,9 +277,9 @@ class EvidenceFrame(Message):
     received_ns: Nanoseconds
     data: Base64
     # As its parser had found.
-    authentication: Annotated[
-        Authentication, Field(exclude_if=lambda value: value is Authentication.UNSIGNED)
-    ] = Authentication.UNSIGNED
+    authentication: Annotated[Authentication, Field(exclude_if=lambda value: value is Authentication.UNSIGNED)] = (
+        Authentication.UNSIGNED
+    )
     signer: CertificateDigest | None = None
 
 
@@ -478,7 +468,7 @@ class EvidencePack(Message):
     charged: TollPassage  # the final statement
     # Packs of earlier releases end here: 1.
     form: Count = 1
-    registrations: Annotated[tuple[SealedRegistration, ...], Field(max_length=CONTRACTS)] = ()
+    registrations: Annotated[tuple[TollRegistration, ...], Field(max_length=CONTRACTS)] = ()  # as they were signed
     pulses: Annotated[tuple[PulseEvidence, ...], Field(max_length=PULSES)] = ()  # that confirm it
     match_gate_s: Seconds | None = None  # between pulse and crossing, by the ledger's settings then
     verdict: Explanation | None = None  # why it was charged, or went to review, by what was known then

@@ -10,11 +10,11 @@ from collections.abc import Callable, Collection
 from ..errors import RejectedFrame
 from ..evidence.signer import Signer, is_signature, key_id_of
 from ..evidence.statement import canonical
-from ..messages.toll import SealedRegistration, TollRegistration
+from ..messages.toll import TollRegistration
 from ..v2x.security.certificates import Certificate, take_certificate
 from ..v2x.security.reader import Reader
 
-POSSESSION, REGISTRATION, ACCEPTED = "toll possession", "toll registration", "toll registration accepted"
+POSSESSION, REGISTRATION = "toll possession", "toll registration"
 MAX_VALID_NS = 600 * 1_000_000_000  # the time of one passage, with the approach
 
 
@@ -95,31 +95,6 @@ def fault_of(
     if not _is_countersigned(registration, operator_keys):
         return "registration_not_countersigned"
     return None
-
-
-def seal(registration: TollRegistration, received_ns: int, ledger: Signer | None) -> SealedRegistration:
-    """Sign a registration that was accepted, so that what is stored of it cannot be changed."""
-    accepted = SealedRegistration(registration=registration, received_ns=received_ns)
-    if ledger is None:
-        return accepted
-    named = accepted.model_copy(update={"key": ledger.key_id, "public_key": ledger.public_key.hex()})
-    return named.model_copy(update={"signature": ledger.sign(_accepted_bytes(named)).hex()})
-
-
-def is_sealed(sealed: SealedRegistration) -> bool:
-    """Whether the signature of a sealed registration fits it; whose key that is, the ring of keys says."""
-    if sealed.key is None or sealed.public_key is None or sealed.signature is None:
-        return False
-    public = bytes.fromhex(sealed.public_key)
-    return key_id_of(public) == sealed.key and is_signature(
-        public, bytes.fromhex(sealed.signature), _accepted_bytes(sealed)
-    )
-
-
-def _accepted_bytes(sealed: SealedRegistration) -> bytes:
-    fields = {"registration": sealed.registration.model_dump_json(exclude_none=True),
-              "received_ns": str(sealed.received_ns), "key": sealed.key or ""}  # fmt: skip
-    return canonical(ACCEPTED, fields)
 
 
 def _fields(registration: TollRegistration) -> dict[str, str]:

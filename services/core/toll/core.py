@@ -226,8 +226,12 @@ class Core:
             self._taken.popleft()
         return tuple(
             UsedCam(
-                sampled_ns=sampled_ns, received_ns=received_ns, data=data, clock_offset_ns=offset_ns,
-                authentication=Authentication(authentication), signer=signer,
+                sampled_ns=sampled_ns,
+                received_ns=received_ns,
+                data=data,
+                clock_offset_ns=offset_ns,
+                authentication=Authentication(authentication),
+                signer=signer,
             )
             for offset_ns, (sampled_ns, received_ns, data, authentication, signer) in taken
         )
@@ -804,8 +808,11 @@ class Core:
             track_since_ns=track.since_ns,
             frames=tuple(
                 EvidenceFrame(
-                    sampled_ns=sampled_ns, received_ns=received_ns, data=data,
-                    authentication=Authentication(authentication), signer=signer,
+                    sampled_ns=sampled_ns,
+                    received_ns=received_ns,
+                    data=data,
+                    authentication=Authentication(authentication),
+                    signer=signer,
                 )
                 for sampled_ns, received_ns, data, authentication, signer in frames
             ),
@@ -837,7 +844,8 @@ class Core:
             delta_applied=here.delta_ns is not None,
             registered=self._contracts.get(
                 f"ticket {track.ticket}" if track.ticket else f"station {track.station_id}", 0
-            ) > track.updated_ns,
+            )
+            > track.updated_ns,
             passage_id=passage.passage_id if passage else None,
             authentication=track.authentication,
             unverified=track.unverified,

@@ -303,7 +303,9 @@ class TrackTable:
         """Distance [m] of a CAM from where its track was or will be, at constant speed."""
         east, north, heading, speed = self.estimates([track]).mean[0, :4].tolist()
         dt = (one.cam.sampled_ns + track.clock_offset_ns - one.clock_offset_ns - track.updated_ns) * 1e-9
-        return float(hypot(one.east - east - speed * dt * np.cos(heading), one.north - north - speed * dt * np.sin(heading)))
+        return float(
+            hypot(one.east - east - speed * dt * np.cos(heading), one.north - north - speed * dt * np.sin(heading))
+        )
 
     def _is_elsewhere(self, track: Track, one: CamMeasurement) -> bool:
         """Whether a CAM that is no newer than its track's last one cannot be an older one of the same vehicle."""

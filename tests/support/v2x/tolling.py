@@ -50,7 +50,7 @@ class Vehicle:
         return hashlib.sha256(self.name.encode()).hexdigest()
 
     def registration(self, contract: str = "", tariff_class: str = "car", **changes: int) -> TollRegistration:
-        contract = contract or ("contract-1" if self.name == "a" else f"contract of {self.name}")
+        contract = contract or ("contract-1" if self.name.split()[0] == "a" else f"contract of {self.name}")
         values = {"sampled_ns": self.opened_ns, "valid_until_ns": self.opened_ns + 300 * NS,
                   "station_id": self.station_ids[-1], **changes}  # fmt: skip
         return TollRegistration(contract=contract, tariff_class=tariff_class, **values)

@@ -73,7 +73,7 @@ def test_every_detection_has_one_outcome_and_the_hour_adds_up(tmp_path: Path) ->
         ledger.detect(vehicle.pulse(n), START_NS + 60 * NS)
     found = balance(ledger)
     assert (found.detections, found.charged, found.unregistered) == (5, 1, 1)
-    assert (found.suspect, found.undecided, found.missed) == (1, 1, 1)
+    assert (found.review, found.undecided, found.missed, found.suspect) == (1, 1, 1, 0)
     assert found.agrees and identity(found)
     store.close()
 
