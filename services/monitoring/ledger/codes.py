@@ -30,6 +30,7 @@ class Code(StrEnum):
     SILENT = "ledger.silent"  # behind the gate line
     ELSEWHERE = "ledger.elsewhere"
     DRIVE_ROUND = "ledger.drive_round"
+    REPLAYED = "ledger.replayed"
     TURNED_COUNTED = "ledger.turned_counted"
     GHOST = "ledger.ghost"
     ALONE = "ledger.alone"  # explains the only pulse of its group

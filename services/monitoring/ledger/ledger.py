@@ -64,6 +64,7 @@ from .confirmation import TIGHT_SD, Claim, Judgement, Verdict, groups, judge
 from .pictures import Pictures
 from .reconciliation import Crossing, Pulse, match
 from .registrations import Contract, Registrations, contracts_of, identities_of
+from .replays import Replays
 from .store import Row, Store
 
 NS = 1_000_000_000
@@ -178,6 +179,7 @@ class Ledger:
             store, plaza, undecided_s=settings.picture_undecided_s, kept_days=settings.picture_kept_days
         )
         self.alarms = Alarms(store, plaza)
+        self._replays = Replays(store, key)
         self._started_ns = now_ns
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
@@ -339,6 +341,7 @@ class Ledger:
         evidence_ns = now_ns - round(self._settings.evidence_kept_days * DAY_NS)
         if self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns):
             self.chain.evidence_deleted(evidence_ns, now_ns)
+            self._replays.expire(evidence_ns)
         self.chain.refresh(now_ns)
         self._forget_reviews("since_ns < ?", evidence_ns)
 
@@ -827,8 +830,8 @@ class Ledger:
             self.rejects["tariff class"] += 1
             why = stated(explain(Code.NO_CLASS, tariff_class=_quoted(min(contracts)[1])))
             self._settle(message, PassageState.SUSPECT, why, now_ns, contracts)
-        elif (round_ := self._driven_round(message, contracts)) is not None:
-            self._settle(message, PassageState.SUSPECT, stated(round_), now_ns, contracts)
+        elif again := self._replays.found(message.passage_id, proof.evidence) or self._driven_round(message, contracts):
+            self._settle(message, PassageState.SUSPECT, stated(again), now_ns, contracts)
         else:
             self._hold(message, proof, registrations, now_ns)
             if message.lane not in self._detectors and proof.derivable and not message.overlaps:
@@ -974,6 +977,9 @@ class Ledger:
             "INSERT INTO evidence (passage_id, digest, stored_ns, pack, seal) VALUES (?, ?, ?, ?, ?)",
             passage_id, digest, now_ns, zlib.compress(_encoded(pack)), self.chain.pack_seal(passage_id, digest, now_ns),
         )  # fmt: skip
+        for statement in (pack.crossed, pack.charged):
+            if statement.evidence is not None:
+                self._replays.keep(passage_id, statement.evidence, now_ns)
 
     def _review(self, passage_id: str, explanation: Explanation, others: list[str], now_ns: int) -> None:
         """Leave a passage to a person: what is held is not booked, what is booked is reversed."""

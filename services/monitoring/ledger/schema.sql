@@ -98,3 +98,7 @@ CREATE INDEX IF NOT EXISTS picture_waiting ON picture (pulse_ns) WHERE NOT sent;
 CREATE INDEX IF NOT EXISTS picture_kept ON picture (action, pulse_ns);
 CREATE INDEX IF NOT EXISTS alarm_since ON alarm (since_ns);
 CREATE INDEX IF NOT EXISTS balance_hour ON balance (hour_ns);
+-- Keyed digests of the CAM of charged passages, as long as their evidence.
+CREATE TABLE IF NOT EXISTS replay (
+    digest BLOB PRIMARY KEY, passage_id TEXT NOT NULL, stored_ns INTEGER NOT NULL
+) WITHOUT ROWID;

@@ -69,12 +69,23 @@ class Role:
     def start_ledger(self) -> None:
         self.ledger = Ledger(self.store, self.plaza, self.file.read_text(), Settings(), stamp(self.now_s))
 
+    def frame(self, vehicle: Vehicle, t: float) -> bytes:
+        """Make the frame that a vehicle sends at a time [s]."""
+        return packet(vehicle, t)
+
+    def registration(self, station: int, t: float) -> TollRegistration:
+        """Make the registration of a station ID at a time [s]."""
+        return TollRegistration(
+            sampled_ns=stamp(t), contract=f"contract of {station % 10}", tariff_class="car", station_id=station,
+            valid_until_ns=stamp(t + 60.0), plaza=PLAZA.name,
+        )  # fmt: skip
+
     def drive(self, until: float) -> None:
         for tenth in range(round(self.now_s * 10), round(until * 10)):
             self.now_s = t = tenth / 10.0
             if tenth % 10 == 0:
                 self._second(t)
-            sent = [packet(vehicle, t) for vehicle in self.vehicles if t >= 0.0 and not self.is_lost(t, vehicle)]
+            sent = [self.frame(vehicle, t) for vehicle in self.vehicles if t >= 0.0 and not self.is_lost(t, vehicle)]
             sent += [frame for arrival_s, frame in self.injected if t <= arrival_s < t + 0.1]
             if sent:
                 received = [(stamp(t + LATENCY_S), frame) for frame in sent]
@@ -103,10 +114,7 @@ class Role:
 
     def _second(self, t: float) -> None:
         for station in self.registered:
-            registration = TollRegistration(
-                sampled_ns=stamp(t), contract=f"contract of {station % 10}", tariff_class="car", station_id=station,
-                valid_until_ns=stamp(t + 60.0),
-            )  # fmt: skip
+            registration = self.registration(station, t)
             self.ledger.register(registration, stamp(t))
             self._tell(registration)
         self._tell(fix(PLAZA, t - self.fixes_late_s, *COMMON))

@@ -267,8 +267,10 @@ def test_a_ticket_is_authenticated_in_its_region(region: object, tmp_path: Path)
 @each("region", [FAR_CIRCLE, FAR_RECTANGLE, FAR_POLYGON, GERMANY])
 @pytest.mark.parametrize("of", ["ticket", "authority", "root"])
 def test_a_position_outside_a_region_of_the_chain_is_refused(of: str, region: object, tmp_path: Path) -> None:
-    pki = Pki.make(NOW_S, **({of: {"region": region}} if of != "ticket" else {}))  # type: ignore[arg-type]
-    ticket = pki.ticket(**({"region": region} if of == "ticket" else {}))
+    above: dict[str, Any] = {of: {"region": region}} if of != "ticket" else {}
+    pki = Pki.make(NOW_S, **above)
+    members: dict[str, Any] = {"region": region} if of == "ticket" else {}
+    ticket = pki.ticket(**members)
     process = unit(tmp_path, pki, countries=(250,))
     assert received(process, frame(ticket)) == []
     assert process.rejects == Counter({"wrong_region": 1})
