@@ -180,12 +180,7 @@ class Cam(CamContent):
     frame: Annotated[Base64, Field(max_length=MAX_FRAME_BYTES)]  # as received, for digests and evidence
     authentication: Authentication = Authentication.UNSIGNED
     signer: CertificateDigest | None = None  # that a signed frame states; None: unsigned
-    unverified: Unverified | None = None  # why a signed frame is not authenticated; None: it is, is not signed, or is of evidence
-
-    @property
-    def ticket(self) -> CertificateDigest | None:
-        """Ticket that the sender is known by; None: not authenticated."""
-        return self.signer if self.authentication is Authentication.AUTHENTICATED else None
+    unverified: Unverified | None = None  # why a signed frame is not authenticated; None as well in evidence
 
 
 class CamList(Message):

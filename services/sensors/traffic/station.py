@@ -9,8 +9,8 @@ from shared.messages.toll import TollRegistration
 from shared.toll.registration import countersign, sign_possession
 from shared.toll.simulated import operator
 from shared.v2x import its_time
-from shared.v2x.security.signing import HASHES, Holder, sign_packet
-from shared.v2x.security.simulated import ticket
+from shared.v2x.security.issuing.signing import HASHES, Holder, sign_packet
+from shared.v2x.security.issuing.simulated import ticket
 
 CERTIFICATE_NS = 1_000_000_000  # period in which a station sends its certificate: TS 103 097, 7.1.1
 US_PER_MS = 1_000

@@ -10,7 +10,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import Prehashed, decode_dss_signature, encode_dss_signature
 
 from shared.v2x.geonetworking import BASIC, BASIC_NEXT_SECURED, VERSION
-from shared.v2x.security import certificates, signing
+from shared.v2x.security import certificates
+from shared.v2x.security.issuing import signing
 from shared.v2x.security.reader import encoded
 
 SSP = bytes.fromhex("010000")

@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from services.parsers.v2x import trusted
 from services.parsers.v2x.process import Config, Process
 from shared.errors import ConfigError
 from shared.messages.base import Tick
 from shared.messages.v2x import Authentication, Cam, CamContent, CamList, Unverified
 from shared.runtime.config import parse_vehicle
 from shared.v2x import cam, geonetworking, its_time
-from shared.v2x.security import signing, verifier
+from shared.v2x.security import trusted, verifier
+from shared.v2x.security.issuing import signing
 from tests.support.cases import each
 from tests.support.v2x import cams
 from tests.support.v2x.signing import Pki, Ticket, signed
@@ -63,14 +63,14 @@ def test_a_frame_whose_chain_and_signature_hold_is_authenticated_on_every_curve(
     process = unit(tmp_path, pki)
     (found,) = received(process, frame(ticket))
     assert (found.authentication, found.unverified) == (AUTHENTICATED, None)
-    assert found.ticket == found.signer == ticket.certificate.digest.hex()
+    assert found.signer == ticket.certificate.digest.hex()
     assert process.rejects == Counter()
 
 
 def test_the_same_frame_without_trusted_certificates_is_signed_and_not_verified() -> None:
     (found,) = received(Process(Config()), frame())
     assert states([found]) == [(NOT_VERIFIED, Unverified.NO_TRUST)]
-    assert found.ticket is None and found.signer == TICKET.certificate.digest.hex()
+    assert found.signer == TICKET.certificate.digest.hex()
 
 
 def test_frames_with_the_digest_alone_wait_for_the_certificate_and_keep_their_order(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_a_chain_to_an_unknown_root_counts_as_unsigned(made_by: Pki | None, reas
     packet = frame(ticket) if ticket else signed(cams.packet(cams.BRAKING, time_ms), Ticket(), time_ms)
     process = unit(tmp_path)
     (found,) = received(process, packet)
-    assert states([found]) == [(NOT_VERIFIED, Unverified(reason))] and found.ticket is None
+    assert states([found]) == [(NOT_VERIFIED, Unverified(reason))]
 
 
 def test_a_replay_under_another_hop_limit_or_with_the_other_signature_is_the_same_message(tmp_path: Path) -> None:
@@ -172,7 +172,8 @@ def test_another_cars_valid_ticket_with_the_victims_station_id_is_authenticated_
     thief = PKI.ticket("thief")
     victim_cam, thief_cam = received(unit(tmp_path), frame(), frame(thief))
     assert victim_cam.station_id == thief_cam.station_id
-    assert {victim_cam.ticket, thief_cam.ticket} == {TICKET.certificate.digest.hex(), thief.certificate.digest.hex()}
+    assert victim_cam.authentication is thief_cam.authentication is AUTHENTICATED
+    assert {victim_cam.signer, thief_cam.signer} == {TICKET.certificate.digest.hex(), thief.certificate.digest.hex()}
 
 
 def hours(since_s: int, count: int) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The PKI of simulated traffic: a test root, whose key everybody can compute, and the tickets of its vehicles.
 
-Run as a program, this writes the files of the test root: `python -m shared.v2x.security.simulated deploy/trust/test`.
+Run as a program, this writes the files of the test root:
+`python -m shared.v2x.security.issuing.simulated deploy/trust/test`.
 """
 
 import sys

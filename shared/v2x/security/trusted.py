@@ -6,28 +6,33 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from shared import shipped
-from shared.v2x.security import trust
-from shared.v2x.security.certificates import Certificate
-from shared.v2x.security.envelope import SignedPacket
-from shared.v2x.security.reader import Reader
-from shared.v2x.security.verifier import Stated, Verdict, Verifier
-
-from .settings import Settings
+from ... import shipped
+from . import trust
+from .certificates import Certificate
+from .envelope import SignedPacket
+from .reader import Reader
+from .verifier import Stated, Verdict, Verifier
 
 log = logging.getLogger(__name__)
 Frame = TypeVar("Frame")
 LOOKED_NS = 10_000_000_000  # period in which changes of the folder are looked for
-S_PER_H = 3600.0
 
 
 class Trusted(Generic[Frame]):
     """Verifies packets by what the folder held when it was last read."""
 
-    def __init__(self, config: Settings, rejects: Counter[str]) -> None:
-        self._config, self._rejects = config, rejects
-        folder = config.security.trust_folder
-        self._folder: Path | None = shipped(folder) if folder else None
+    def __init__(
+        self,
+        folder: Path | None,
+        rejects: Counter[str],
+        *,
+        countries: tuple[int, ...] = (),
+        grace_s: float = 0.0,
+        is_simulated: bool = False,
+    ) -> None:
+        self._folder = shipped(folder) if folder else None
+        self._rejects = rejects
+        self._countries, self._grace_s, self._is_simulated = countries, grace_s, is_simulated
         self._looked_ns = 0
         self._fingerprint = b""
         self._verifier = self._read()
@@ -56,7 +61,6 @@ class Trusted(Generic[Frame]):
             yield from before.release()
 
     def _read(self) -> Verifier[Frame]:
-        security = self._config.security
         store = trust.TrustStore()
         if self._folder is not None:
             self._fingerprint = trust.fingerprint(self._folder)
@@ -65,9 +69,4 @@ class Trusted(Generic[Frame]):
         for fault in store.faults:
             self._rejects["trust_file"] += 1
             log.warning("%s: %s", self._folder, fault)
-        return Verifier(
-            store,
-            countries=security.countries,
-            grace_s=security.list_grace_h * S_PER_H,
-            is_simulated=self._config.simulated,
-        )
+        return Verifier(store, countries=self._countries, grace_s=self._grace_s, is_simulated=self._is_simulated)

@@ -11,12 +11,12 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import Prehashed, decode_dss_signature
 
-from ..geonetworking import BASIC, BASIC_NEXT_SECURED, VERSION
-from .certificates import CAM_PSID, CRL_PSID, CTL_PSID, Certificate, hash_of, take_certificate
-from .certificates import VERSION as SECURITY_VERSION
-from .envelope import DIGEST, ONE_CERTIFICATE, SIGNED_DATA
-from .reader import Reader, Record, encoded
-from .signatures import CURVES, NO_SIGNER, signed_hash
+from ...geonetworking import BASIC, BASIC_NEXT_SECURED, VERSION
+from ..certificates import CAM_PSID, CRL_PSID, CTL_PSID, Certificate, hash_of, take_certificate
+from ..certificates import VERSION as SECURITY_VERSION
+from ..envelope import DIGEST, ONE_CERTIFICATE, SIGNED_DATA
+from ..reader import Reader, Record, encoded
+from ..signatures import CURVES, NO_SIGNER, signed_hash
 
 HASHES: dict[str, hashes.HashAlgorithm] = {"sha256": hashes.SHA256(), "sha384": hashes.SHA384()}
 NAMES = {curve.name: name for name, curve in CURVES.items()}
