@@ -50,8 +50,8 @@ TITLE = """# Receiving signed CAM: cost and latency
 
 By `python -m benchmarks.v2x.signed`: vehicles at 10 Hz, a certificate in every fifth frame, each of a ticket of its
 own, over UDP on this machine ({cores} cores, {broker}, {priority} priority). Latency is from the arrival of a frame at
-the kernel to that of its CAM at a subscriber of v2x/cam; the first second, in which frames wait for certificates, is not
-in it. The flood is of 20,000 tickets that name the trusted authority and that it has not signed, beside 40 vehicles.
+the kernel to that of its CAM at a subscriber of v2x/cam, without the first second, in which frames wait for
+certificates. The flood is of 20,000 tickets that name the trusted authority and that it has not signed, beside 40 vehicles.
 
 | quantity | {columns} |
 | --- |{rule}
@@ -141,8 +141,8 @@ class Sender:
         return found
 
     @classmethod
-    def send(cls, port: int) -> float:
-        """Send each frame at its time; return the largest delay [s]."""
+    def send(cls, port: int) -> int:
+        """Send each frame at its time; return the largest delay [ns]."""
         late_ns = 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
             for utc_ns, frame in cls.frames:
@@ -150,7 +150,7 @@ class Sender:
                     time.sleep(min((utc_ns - now_ns) * 1e-9, 0.001))
                 late_ns = max(late_ns, now_ns - utc_ns)
                 radio.sendto(frame, ("127.0.0.1", port))
-        return late_ns * 1e-9
+        return late_ns
 
 
 def stamped(packet: bytes, utc_ns: int) -> bytes:
@@ -203,7 +203,7 @@ def measure(load: Load, seconds: float, broker: str) -> Result:
             listener.restart()
             listener.settled_ns = start_ns + SETTLED_NS
             before = {host: sum(process.cpu_times()[:2]) for host, process in hosts.items()}
-            sending: Future[float] = pool.submit(Sender.send, port)
+            sending: Future[int] = pool.submit(Sender.send, port)
             listener.listen(sending)
             cpu = {
                 host: round(100 * (sum(process.cpu_times()[:2]) - before[host]) / seconds, 1)
