@@ -53,7 +53,7 @@ class Vehicle:
         contract = contract or ("contract-1" if self.name.split()[0] == "a" else f"contract of {self.name}")
         values = {"sampled_ns": self.opened_ns, "valid_until_ns": self.opened_ns + 300 * NS,
                   "station_id": self.station_ids[-1], **changes}  # fmt: skip
-        return TollRegistration(contract=contract, tariff_class=tariff_class, **values)
+        return TollRegistration.model_validate({"contract": contract, "tariff_class": tariff_class, **values})
 
     def says(self, state: PassageState, sampled_ns: int | None = None, **changes: object) -> TollPassage:
         """Make a statement; the crossing and its evidence are there from CROSSED on."""
