@@ -9,7 +9,7 @@ import json
 import zlib
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TypeVar
 
@@ -266,10 +266,16 @@ class Ledger:
         if (message.plaza, message.plaza_digest) != (self._plaza.name, self._plaza.digest):
             self.rejects["another plaza"] += 1
         elif self._store.execute("UPDATE settled SET final_ns = ? WHERE passage_id = ?", now_ns, message.passage_id):
-            if message.state in (PassageState.VOID, PassageState.SUSPECT):
+            if message.state in (PassageState.VOID, PassageState.SUSPECT) and not self._is_turned(message):
                 self._withdraw(message.passage_id, message.state, _why(message), now_ns)
         else:
             self._follow(message, now_ns)
+
+    def _is_turned(self, message: TollPassage) -> bool:
+        """Whether a statement repeats that a vehicle has turned around, and the detector has not decided yet."""
+        row = self._store.row("SELECT charged FROM held WHERE passage_id = ?", message.passage_id)
+        held = row and self._read(TollPassage, row["charged"], message.passage_id)
+        return bool(held) and held.state is PassageState.VOID
 
     def receipt(self, message: TollReceipt, now_ns: int) -> None:
         """Take a transaction out of the outbox; what the operator does not accept is reversed."""
@@ -447,6 +453,7 @@ class Ledger:
             passage_id: self._claim(row, pulse_of.get(row["number"]), matched.pulses, now_ns)
             for passage_id, row in rows.items() if passage_id not in turned
         }  # fmt: skip
+        claims = self._with_links(claims)
         for group in groups(claims):
             is_held = any(rows[claim.passage_id]["state"] == PassageState.HELD for claim in group)
             if not is_held and not any(claim.overlaps for claim in group):
@@ -454,6 +461,22 @@ class Ledger:
             judgement = judge(group, {claim.passage_id for claim in group})
             if judgement.verdict is not Verdict.WAITS:
                 self._carry_out(judgement, group, rows, matched, now_ns)
+
+    def _with_links(self, claims: dict[str, Claim]) -> dict[str, Claim]:
+        """Link what is not authenticated to the authenticated vehicles that it overlaps, not the other way round."""
+        linked = dict(claims)
+        for claim in claims.values():
+            if not claim.authenticated:
+                continue
+            others = {other for other in claim.overlaps if other in claims and not claims[other].authenticated}
+            linked[claim.passage_id] = replace(claim, overlaps=claim.overlaps - others)
+            for other in others:
+                linked[other] = replace(linked[other], overlaps=linked[other].overlaps | {claim.passage_id})
+                self._store.execute(
+                    "UPDATE crossing SET overlaps = ? WHERE passage_id = ?", json.dumps(sorted(linked[other].overlaps)),
+                    other,
+                )  # fmt: skip
+        return linked
 
     def _carry_out(
         self, judgement: Judgement, group: list[Claim], rows: Mapping[str, Row], matched: PulseMatches, now_ns: int
@@ -744,7 +767,7 @@ class Ledger:
         crossed = (
             self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
         )
-        if len(contracts) > 1 and message.state not in UNCHARGED:
+        if len(contracts) > 1 and message.state.is_final and message.state not in UNCHARGED:
             code = Code.TWO_CONTRACTS if len({name for name, _ in contracts}) > 1 else Code.TWO_CLASSES
             self._settle(message, PassageState.SUSPECT, stated(explain(code)), now_ns, contracts)
             return
