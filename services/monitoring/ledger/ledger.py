@@ -846,11 +846,26 @@ class Ledger:
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, stated(explain(Code.NO_CONTRACT)), now_ns)
         elif (doubt := self._doubt(message, proof, contracts, is_covered=is_covered)) is not None:
-            self._settle(message, PassageState.SUSPECT, stated(doubt), now_ns, contracts)
+            self._leave_to_person(message, proof, registrations, doubt, now_ns)
         else:
             self._hold(message, proof, registrations, now_ns)
             if message.lane not in self._detectors and proof.derivable and not message.overlaps:
                 self._charge_held(message.passage_id, now_ns)
+
+    def _leave_to_person(
+        self,
+        message: TollPassage,
+        crossed: TollPassage,
+        registrations: list[TollRegistration],
+        why: Explanation,
+        now_ns: int,
+    ) -> None:
+        """Review a passage of a contract, with its evidence where there is any: a charge may follow."""
+        if crossed.evidence is None or message.crossing_ns is None:
+            self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
+            return
+        self._hold(message, crossed, registrations, now_ns)
+        self._review(message.passage_id, why, [], now_ns)
 
     def _doubt(
         self, message: TollPassage, proof: TollPassage, contracts: set[Contract], *, is_covered: bool
