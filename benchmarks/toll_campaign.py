@@ -269,6 +269,7 @@ class Campaign:
                         list(self.v2x.handle(fix))
                         self._publish(self._answers(fix), now_ns)
             case TollRegistration():
+                assert item.station_id is not None, "the simulated traffic registers station IDs"
                 self.contract_of[item.station_id] = item.contract
                 self._publish(self._answers(item), now_ns)
                 self.inbox.append(item)

@@ -82,12 +82,11 @@ def fault_of(
     require_ticket : bool
         Whether a registration of a station ID, which proves nothing, is refused.
     """
-    if not 0 < registration.valid_until_ns - registration.sampled_ns <= MAX_VALID_NS and require_ticket:
-        return "registration_validity"
     if registration.ticket is None:
-        if require_ticket:
-            return "registration_without_ticket"
-        return "registration_of_nothing" if registration.station_id is None else None
+        is_allowed = not require_ticket and registration.station_id is not None
+        return None if is_allowed else "registration_without_ticket"
+    if not 0 < registration.valid_until_ns - registration.sampled_ns <= MAX_VALID_NS:
+        return "registration_validity"
     if registration.plaza != plaza:
         return "registration_of_another_plaza"
     if not _is_possessed(registration):

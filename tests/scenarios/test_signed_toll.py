@@ -29,7 +29,7 @@ def reasons(reviews: list[TollReview]) -> list[str]:
 
 def test_a_signed_vehicle_is_charged_as_authenticated(tmp_path: Path) -> None:
     own = station("car")
-    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S,), stations=(own,), registrants={7: own})
+    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S,), signers=(own,), registrants={7: own})
     role.drive(50.0)
     assert list(role.outcomes().values()) == [CHARGED]
     (transaction,) = role.ledger.due(10**18)
@@ -43,7 +43,7 @@ def test_an_unsigned_vehicle_is_charged_nowhere_by_the_ticket_of_a_contract(tmp_
     """Its contract is registered by a ticket, which its CAM do not show, wherever authentication is required."""
     for required in (True, False):
         own = station("car")
-        role = SignedRole(tmp_path / str(required), (CAR,), pulses_s=(CROSSING_S,), stations=(None,),
+        role = SignedRole(tmp_path / str(required), (CAR,), pulses_s=(CROSSING_S,), signers=(None,),
                           registrants={7: own}, require_authenticated=required)  # fmt: skip
         role.drive(50.0)
         assert (role.state().transactions, [*role.outcomes().values()]) == (0, [SUSPECT])
@@ -54,7 +54,7 @@ def test_an_unsigned_vehicle_is_charged_nowhere_by_the_ticket_of_a_contract(tmp_
 def test_a_station_id_is_no_contract_where_authentication_is_required(tmp_path: Path) -> None:
     """Where the plaza allows it the same registration is enough, and the charge says so."""
     for required, state in ((True, PassageState.UNREGISTERED), (False, CHARGED)):
-        role = SignedRole(tmp_path / str(required), (CAR,), pulses_s=(CROSSING_S,), stations=(None,),
+        role = SignedRole(tmp_path / str(required), (CAR,), pulses_s=(CROSSING_S,), signers=(None,),
                           require_authenticated=required)  # fmt: skip
         role.drive(50.0)
         assert [*role.outcomes().values()] == [state]
@@ -68,7 +68,7 @@ def test_a_stranger_with_the_victims_station_id_changes_nothing_of_the_victims_p
     """He sends it first, from the other carriageway: the victim is tracked, charged once, in his lane."""
     victim, thief = station("victim"), station("thief")
     stranger = replace(CAR, lane="s1", start=-300.0)
-    role = SignedRole(tmp_path, (stranger, CAR), pulses_s=(CROSSING_S,), stations=(thief if signs else None, victim),
+    role = SignedRole(tmp_path, (stranger, CAR), pulses_s=(CROSSING_S,), signers=(thief if signs else None, victim),
                       registrants={7: victim})  # fmt: skip
     role.drive(50.0)
     (transaction,) = role.ledger.due(10**18)
@@ -79,7 +79,7 @@ def test_a_stranger_with_the_victims_station_id_changes_nothing_of_the_victims_p
 def test_a_copy_of_every_frame_with_other_signatures_charges_nobody_again(tmp_path: Path) -> None:
     """At once, after 131 s as received, and after 131 s with the times rewritten; a pulse is there for each."""
     own, later_s = station("car"), 131.072
-    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S, CROSSING_S + later_s), stations=(own,),
+    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S, CROSSING_S + later_s), signers=(own,),
                       registrants={7: own})  # fmt: skip
     copier = station("car")  # the same key and ticket: what the car will send
     role.is_lost = lambda t, _vehicle: t > 20.0
@@ -100,7 +100,7 @@ def test_a_chain_of_a_root_of_his_own_counts_as_unsigned(tmp_path: Path) -> None
     own = station("thief")
     foreign = Pki.make(its_time.its_time_ms(utc_ns(0.0)) // 1000, name="own root")
     own.holder = foreign.ticket("thief")
-    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S,), stations=(own,), registrants={7: victim})
+    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S,), signers=(own,), registrants={7: victim})
     role.drive(50.0)
     assert (role.state().transactions, [*role.outcomes().values()]) == (0, [SUSPECT])
     assert reasons(role.reviews()) == ["ledger.identity"]
@@ -110,7 +110,7 @@ def test_a_chain_of_a_root_of_his_own_counts_as_unsigned(tmp_path: Path) -> None
 def test_a_cam_that_was_charged_unsigned_is_recognised_under_another_header(tmp_path: Path) -> None:
     """The plaza allows unsigned CAM; 131.072 s later its frames come again under new headers, with a pulse."""
     later_s = 131.072
-    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S, CROSSING_S + later_s), stations=(None,),
+    role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S, CROSSING_S + later_s), signers=(None,),
                       require_authenticated=False)  # fmt: skip
     role.is_lost = lambda t, _vehicle: t > 20.0
     for k in range(200):

@@ -7,8 +7,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 
-from shared.messages.toll import LaneBalance
-
 from .store import Store
 
 HOUR_NS = 3_600_000_000_000
@@ -34,15 +32,18 @@ def is_closed(store: Store, hour_ns: int) -> bool:
     return store.row("SELECT 1 FROM account WHERE hour_ns >= ?", hour_ns) is not None
 
 
-def close(store: Store, balances: tuple[LaneBalance, ...]) -> None:
-    """Append the accounts of hours that are over; each lane and hour is closed once."""
-    for balance in balances:
-        if store.row("SELECT 1 FROM account WHERE hour_ns = ? AND lane = ?", balance.hour_ns, balance.lane):
-            continue
-        last = store.row("SELECT number, link FROM account ORDER BY number DESC LIMIT 1")
-        number, previous = (last["number"] + 1, last["link"]) if last else (1, "")
-        counts = counts_of(balance.model_dump())
-        store.execute(
-            "INSERT INTO account VALUES (?, ?, ?, ?, ?)", number, balance.hour_ns, balance.lane, counts,
-            account_link(previous, number, balance.hour_ns, balance.lane, counts),
-        )  # fmt: skip
+def close(store: Store, before_ns: int) -> None:
+    """Append the accounts of the hours before a time; each lane and hour is closed once."""
+    newest = store.row("SELECT MAX(hour_ns) AS hour_ns FROM account")
+    since_ns = (newest["hour_ns"] if newest else None) or 0
+    hours: dict[tuple[int, str], dict[str, int]] = {}
+    for row in store.rows(
+        "SELECT * FROM balance WHERE hour_ns > ? AND hour_ns < ? ORDER BY hour_ns, lane", since_ns, before_ns
+    ):
+        hours.setdefault((row["hour_ns"], row["lane"]), {})[row["outcome"]] = row["n"]
+    last = store.row("SELECT number, link FROM account ORDER BY number DESC LIMIT 1")
+    number, previous = (last["number"], last["link"]) if last else (0, "")
+    for (hour_ns, lane), values in hours.items():
+        number, counts = number + 1, counts_of(values)
+        previous = account_link(previous, number, hour_ns, lane, counts)
+        store.execute("INSERT INTO account VALUES (?, ?, ?, ?, ?)", number, hour_ns, lane, counts, previous)

@@ -1,8 +1,9 @@
 """Stations without a vehicle: a few are faults, many are an attack, and an authenticated one is misbehaviour."""
 
 from collections import deque
+from typing import TypedDict
 
-from shared.messages.explanation import Explanation, explain
+from shared.messages.explanation import explain
 from shared.messages.explanation import passage as passage_of
 from shared.messages.toll import AlarmKind, TollAlarm, TollPassage
 from shared.toll.plaza import Plaza
@@ -13,6 +14,15 @@ from .store import Store
 NS = 1_000_000_000
 WINDOW_NS = 60 * NS
 MANY_GHOSTS = 3  # in a lane within the window
+
+
+class AlarmPlace(TypedDict):
+    """Fields of an alarm that say where it is."""
+
+    plaza: str
+    lane: str | None
+    latitude_deg: float
+    longitude_deg: float
 
 
 class Alarms:
@@ -27,8 +37,11 @@ class Alarms:
         """Note a station that no detector has counted at the place of another vehicle."""
         if tickets:
             self._raise(
-                AlarmKind.MISBEHAVIOUR, lane, crossing_ns, crossing_ns, now_ns, ticket=tickets[-1],
-                passage_id=passage_id, why=explain(Code.MISBEHAVIOUR, passage=passage_of(passage_id)),
+                TollAlarm(
+                    **self._place(lane), sampled_ns=now_ns, kind=AlarmKind.MISBEHAVIOUR, since_ns=crossing_ns,
+                    until_ns=crossing_ns, ticket=tickets[-1], passage_id=passage_id,
+                    reason_code=explain(Code.MISBEHAVIOUR, passage=passage_of(passage_id)),
+                )
             )  # fmt: skip
         times = self._ghosts.get(lane or "")
         if lane is None or times is None:
@@ -38,8 +51,11 @@ class Alarms:
         if len(recent) >= MANY_GHOSTS and now_ns - self._raised_ns.get(lane, 0) >= WINDOW_NS:
             self._raised_ns[lane] = now_ns
             self._raise(
-                AlarmKind.GHOSTS, lane, min(recent), max(recent), now_ns, ghosts=len(recent),
-                why=explain(Code.GHOSTS, ghost_count=len(recent)),
+                TollAlarm(
+                    **self._place(lane), sampled_ns=now_ns, kind=AlarmKind.GHOSTS, since_ns=min(recent),
+                    until_ns=max(recent), ghosts=len(recent),
+                    reason_code=explain(Code.GHOSTS, ghost_count=len(recent)),
+                )
             )  # fmt: skip
 
     def due(self) -> list[tuple[int, TollAlarm]]:
@@ -65,20 +81,20 @@ class Alarms:
         row = self._store.row("SELECT COUNT(*) AS n FROM alarm WHERE since_ns >= ?", since_ns)
         return int(row["n"]) if row else 0
 
-    def _raise(
-        self, kind: AlarmKind, lane: str | None, since_ns: int, until_ns: int, now_ns: int, *, why: Explanation,
-        ghosts: int = 1, ticket: str | None = None, passage_id: str | None = None,
-    ) -> None:  # fmt: skip
+    def _place(self, lane: str | None) -> AlarmPlace:
+        """Where an alarm is: the middle of the gate line of its lane."""
         gates = [each.gate.mean(axis=0) for each in self._plaza.lanes if lane in (None, each.name)]
         place = self._plaza.position(*(gates[0].tolist() if gates else (0.0, 0.0)))
-        alarm = TollAlarm(
-            sampled_ns=now_ns, plaza=self._plaza.name, kind=kind, lane=lane, since_ns=since_ns, until_ns=until_ns,
-            ghosts=ghosts, ticket=ticket, passage_id=passage_id, latitude_deg=place.latitude_deg,
-            longitude_deg=place.longitude_deg, reason_code=why,
-        )  # fmt: skip
+        return {
+            "plaza": self._plaza.name, "lane": lane, "latitude_deg": place.latitude_deg,
+            "longitude_deg": place.longitude_deg,
+        }  # fmt: skip
+
+    def _raise(self, alarm: TollAlarm) -> None:
         self._store.execute(
-            "INSERT INTO alarm (since_ns, content) VALUES (?, ?)", since_ns, alarm.model_dump_json(exclude_none=True)
-        )
+            "INSERT INTO alarm (since_ns, content) VALUES (?, ?)",
+            alarm.since_ns, alarm.model_dump_json(exclude_none=True),
+        )  # fmt: skip
 
 
 def tickets_of(passage: TollPassage) -> list[str]:

@@ -9,7 +9,7 @@ import json
 import zlib
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TypeVar
 
@@ -268,10 +268,16 @@ class Ledger:
         if (message.plaza, message.plaza_digest) != (self._plaza.name, self._plaza.digest):
             self.rejects["another plaza"] += 1
         elif self._store.execute("UPDATE settled SET final_ns = ? WHERE passage_id = ?", now_ns, message.passage_id):
-            if message.state in (PassageState.VOID, PassageState.SUSPECT):
+            if message.state in (PassageState.VOID, PassageState.SUSPECT) and not self._is_turned(message):
                 self._withdraw(message.passage_id, message.state, _why(message), now_ns)
         else:
             self._follow(message, now_ns)
+
+    def _is_turned(self, message: TollPassage) -> bool:
+        """Whether a statement repeats that a vehicle has turned around, and the detector has not decided yet."""
+        row = self._store.row("SELECT charged FROM held WHERE passage_id = ?", message.passage_id)
+        held = row and self._read(TollPassage, row["charged"], message.passage_id)
+        return bool(held) and held.state is PassageState.VOID
 
     def receipt(self, message: TollReceipt, now_ns: int) -> None:
         """Take a transaction out of the outbox; what the operator does not accept is reversed."""
@@ -406,12 +412,14 @@ class Ledger:
         """Close the accounts of hours that are over, once no outcome of them can change any more."""
         settings = self._settings
         late_ns = round((settings.match_after_s + settings.match_gate_s + settings.silence_limit_s) * NS)
-        over_ns = min(now_ns - late_ns, self._started_ns + now_ns - self._started_ns - late_ns) // HOUR_NS * HOUR_NS
+        over_ns = (now_ns - late_ns) // HOUR_NS * HOUR_NS
         if now_ns - self._started_ns < late_ns:  # pulses of an outage come with the next ones
             return
-        last = self._store.row("SELECT MAX(hour_ns) AS hour_ns FROM account")
-        since_ns = (last["hour_ns"] if last else None) or 0
-        close(self._store, tuple(b for b in self.balances(since_ns) if b.hour_ns < over_ns))
+        waits = (
+            "SELECT 1 FROM pulse WHERE NOT done AND sampled_ns < ?", "SELECT 1 FROM crossing WHERE crossing_ns < ?"
+        )  # fmt: skip
+        if not any(self._store.row(f"{query} LIMIT 1", over_ns) for query in waits):
+            close(self._store, over_ns)
 
     def _matched(self) -> PulseMatches:
         """Assign the pulses and crossings that are not accounted for yet.
@@ -448,6 +456,7 @@ class Ledger:
             passage_id: self._claim(row, pulse_of.get(row["number"]), matched.pulses, now_ns)
             for passage_id, row in rows.items() if passage_id not in turned
         }  # fmt: skip
+        claims = self._with_links(claims)
         for group in groups(claims):
             is_held = any(rows[claim.passage_id]["state"] == PassageState.HELD for claim in group)
             if not is_held and not any(claim.overlaps for claim in group):
@@ -455,6 +464,22 @@ class Ledger:
             judgement = judge(group, {claim.passage_id for claim in group})
             if judgement.verdict is not Verdict.WAITS:
                 self._carry_out(judgement, group, rows, matched, now_ns)
+
+    def _with_links(self, claims: dict[str, Claim]) -> dict[str, Claim]:
+        """Link what is not authenticated to the authenticated vehicles that it overlaps, not the other way round."""
+        linked = dict(claims)
+        for claim in claims.values():
+            if not claim.authenticated:
+                continue
+            others = {other for other in claim.overlaps if other in claims and not claims[other].authenticated}
+            linked[claim.passage_id] = replace(claim, overlaps=claim.overlaps - others)
+            for other in others:
+                linked[other] = replace(linked[other], overlaps=linked[other].overlaps | {claim.passage_id})
+                self._store.execute(
+                    "UPDATE crossing SET overlaps = ? WHERE passage_id = ?", json.dumps(sorted(linked[other].overlaps)),
+                    other,
+                )  # fmt: skip
+        return linked
 
     def _carry_out(
         self, judgement: Judgement, group: list[Claim], rows: Mapping[str, Row], matched: PulseMatches, now_ns: int
@@ -490,7 +515,7 @@ class Ledger:
             )  # fmt: skip
 
     def _drop_ghost(self, row: Row, charged: str | None, now_ns: int) -> None:
-        """Settle a station that no detector has counted, with its evidence in the pack of the vehicle that was there."""
+        """Settle a station that no detector has counted; the pack of the vehicle that was there names it."""
         others = json.loads(row["overlaps"])
         there = charged or (others[0] if others else row["passage_id"])
         why = stated(explain(Code.GHOST, passage=passage_of(there)))
@@ -745,21 +770,14 @@ class Ledger:
         crossed = (
             self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
         )
-        if len(contracts) > 1 and message.state not in UNCHARGED:
+        if len(contracts) > 1 and message.state.is_final and message.state not in UNCHARGED:
             code = Code.TWO_CONTRACTS if len({name for name, _ in contracts}) > 1 else Code.TWO_CLASSES
             self._settle(message, PassageState.SUSPECT, stated(explain(code)), now_ns, contracts)
             return
         if message.state.is_final and self._merge(message, contracts, now_ns):
             return
-        at_ns = message.crossing_ns or message.sampled_ns
-        if message.state is PassageState.CHARGED:
-            self._charge(message, crossed, registrations, now_ns)
-        elif message.state is PassageState.VOID and contracts and crossed and message.lane in self._detectors:
-            self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
-        elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
-            self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
-        elif message.state.is_final:
-            self._settle(message, message.state, _why(message), now_ns, contracts)
+        if message.state.is_final:
+            self._end(message, crossed, registrations, now_ns)
         elif not contracts:
             newest = self._unregistered.get(message.passage_id, message)
             if message.sampled_ns >= newest.sampled_ns:
@@ -775,6 +793,20 @@ class Ledger:
                 "INSERT OR REPLACE INTO passage VALUES (?, ?, ?, ?, ?, ?)",
                 message.passage_id, *content, self.chain.row_seal("passage", message.passage_id, *content),
             )  # fmt: skip
+
+    def _end(
+        self, message: TollPassage, crossed: TollPassage | None, registrations: list[TollRegistration], now_ns: int
+    ) -> None:
+        """Use the final statement on a passage."""
+        contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
+        if message.state is PassageState.CHARGED:
+            self._charge(message, crossed, registrations, now_ns)
+        elif message.state is PassageState.VOID and contracts and crossed and message.lane in self._detectors:
+            self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
+        elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
+            self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
+        else:
+            self._settle(message, message.state, _why(message), now_ns, contracts)
 
     def _registered(self, message: TollPassage, stored: str) -> list[TollRegistration]:
         """Registrations of a passage: those that held when they were stored with it, and those that hold now.
@@ -811,31 +843,52 @@ class Ledger:
         is_covered = {identity_of(each) for each in registrations} >= set(identities_of(message))
         if not is_covered and waited_ns < self._settings.registration_wait_s * NS:
             return
-        is_silent = message.reason_code is not None and message.reason_code.code == SILENT_BETWEEN
         if message.lane is None:
             why = _why(message) if message.reason else stated(explain(Code.NO_LANE))
             self._settle(message, PassageState.UNDECIDED, why, now_ns)
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, stated(explain(Code.NO_CONTRACT)), now_ns)
-        elif not is_covered or (message.tickets and not message.authenticated):
-            code = Code.NOT_AUTHENTICATED if is_covered else Code.NEW_TICKET
-            self._settle(message, PassageState.SUSPECT, stated(explain(code)), now_ns, contracts)
-        elif self._plaza.require_authenticated and not message.authenticated:
-            self._settle(message, PassageState.SUSPECT, stated(explain(Code.NOT_AUTHENTICATED)), now_ns, contracts)
-        elif is_silent and message.lane not in self._detectors:
-            self._settle(message, PassageState.SUSPECT, stated(explain(Code.SILENT)), now_ns, contracts)
-        elif message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
-            self._settle(message, PassageState.SUSPECT, stated(explain(Code.NO_EVIDENCE)), now_ns, contracts)
-        elif min(contracts)[1] not in self._plaza.tariff.classes:  # the file has changed since
-            self.rejects["tariff class"] += 1
-            why = stated(explain(Code.NO_CLASS, tariff_class=_quoted(min(contracts)[1])))
-            self._settle(message, PassageState.SUSPECT, why, now_ns, contracts)
-        elif again := self._replays.found(message.passage_id, proof.evidence) or self._driven_round(message, contracts):
-            self._settle(message, PassageState.SUSPECT, stated(again), now_ns, contracts)
+        elif (doubt := self._doubt(message, proof, contracts, is_covered=is_covered)) is not None:
+            self._leave_to_person(message, proof, registrations, doubt, now_ns)
         else:
             self._hold(message, proof, registrations, now_ns)
             if message.lane not in self._detectors and proof.derivable and not message.overlaps:
                 self._charge_held(message.passage_id, now_ns)
+
+    def _leave_to_person(
+        self,
+        message: TollPassage,
+        crossed: TollPassage,
+        registrations: list[TollRegistration],
+        why: Explanation,
+        now_ns: int,
+    ) -> None:
+        """Review a passage of a contract, with its evidence where there is any: a charge may follow."""
+        if crossed.evidence is None or message.crossing_ns is None:
+            self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
+            return
+        self._hold(message, crossed, registrations, now_ns)
+        self._review(message.passage_id, why, [], now_ns)
+
+    def _doubt(
+        self, message: TollPassage, proof: TollPassage, contracts: set[Contract], *, is_covered: bool
+    ) -> Explanation | None:
+        """Say why a complete passage of a contract is left to a person; None: it is charged, if a detector agrees."""
+        tariff_class = min(contracts)[1]
+        is_silent = message.reason_code is not None and message.reason_code.code == SILENT_BETWEEN
+        needs_ticket = self._plaza.require_authenticated or bool(message.tickets)
+        if not is_covered:
+            return explain(Code.NEW_TICKET)
+        if needs_ticket and not message.authenticated:
+            return explain(Code.NOT_AUTHENTICATED)
+        if is_silent and message.lane not in self._detectors:
+            return explain(Code.SILENT)
+        if message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
+            return explain(Code.NO_EVIDENCE)
+        if tariff_class not in self._plaza.tariff.classes:  # the file has changed since
+            self.rejects["tariff class"] += 1
+            return explain(Code.NO_CLASS, tariff_class=_quoted(tariff_class))
+        return self._replays.found(message.passage_id, proof.evidence) or self._driven_round(message, contracts)
 
     def _driven_round(self, message: TollPassage, contracts: set[Contract]) -> Explanation | None:
         """Say that a contract has just passed, in less time than it takes to come back; None if it has not."""
@@ -896,6 +949,9 @@ class Ledger:
         if held is not None and not self._is_as_sealed("held", held):
             self._review(passage_id, explain(Code.CHANGED), [], now_ns)
             return
+        if held is not None and len(self._contracts_of_held(held)) > 1:
+            self._review(passage_id, explain(Code.TWO_CONTRACTS), [], now_ns)
+            return
         confirmed_by = verdict or explain(Code.CONFIRMED if pulses else Code.UNCONFIRMED)
         pack = self._pack_of_held(passage_id, pulses=pulses, verdict=confirmed_by, ghosts=ghosts)
         if pack is None:  # the plaza's file has changed while it was held
@@ -936,6 +992,11 @@ class Ledger:
             amount_cents=pack.amount_cents, currency=tariff.currency, confirmed=is_confirmed,
             authenticated=message.authenticated, ghosts=len(ghosts), evidence_digest=transaction.evidence_digest,
         )  # fmt: skip
+
+    def _contracts_of_held(self, row: Row) -> set[Contract]:
+        """Contracts of a held passage: another one may have registered its ticket meanwhile."""
+        charged = self._read(TollPassage, row["charged"], row["passage_id"])
+        return contracts_of(self._registered(charged, row["registrations"]))
 
     def _pack_of_held(
         self,
@@ -1160,6 +1221,10 @@ class Ledger:
         return found
 
     def _count(self, lane: str, time_ns: int, outcome: str) -> None:
+        """Count an outcome of a lane and hour; a closed hour stays as it is."""
+        if is_closed(self._store, time_ns // HOUR_NS * HOUR_NS):
+            self.rejects["outcome of a closed hour"] += 1
+            return
         self._store.execute(
             "INSERT INTO balance VALUES (?, ?, ?, 1) ON CONFLICT (lane, hour_ns, outcome) DO UPDATE SET n = n + 1",
             lane, time_ns // HOUR_NS * HOUR_NS, outcome,
@@ -1221,7 +1286,8 @@ def _is_same_crossing(message: TollPassage, row: Row) -> bool:
     if message.crossing_ns is None or row["crossing_ns"] is None:
         return True
     sd_s = hypot(message.crossing_sd_s or 1.0, row["sd_s"])
-    return abs(message.crossing_ns - row["crossing_ns"]) * 1e-9 <= max(SAME_CROSSING_S, TIGHT_SD * sd_s)
+    away_s = abs(message.crossing_ns - int(row["crossing_ns"])) * 1e-9
+    return away_s <= max(SAME_CROSSING_S, TIGHT_SD * sd_s)
 
 
 def _state_of(crossing: Row) -> str:

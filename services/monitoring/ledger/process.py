@@ -138,17 +138,7 @@ class Process:
             with store.transaction():
                 for review in reviews:
                     ledger.reviewed(review)
-        orders, alarms = ledger.pictures.due(now_ns), ledger.alarms.due()
-        for order in orders:
-            bus.publish(order)
-        for _, alarm in alarms:
-            bus.publish(alarm)
-        if orders or alarms:
-            with store.transaction():
-                for order in orders:
-                    ledger.pictures.sent(order)
-                for row, _ in alarms:
-                    ledger.alarms.sent(row)
+        self._publish_orders(bus, store, ledger, now_ns)
         if (head := ledger.head(now_ns)) is not None:
             bus.publish(head)
             self._keep_seal(bus, head.statement)
@@ -158,6 +148,18 @@ class Process:
             self._state_ns = now_ns + PERIOD_NS
             bus.publish(ledger.open_passages(now_ns))
             bus.publish(ledger.state(now_ns))
+
+    def _publish_orders(self, bus: Bus, store: Store, ledger: Ledger, now_ns: int) -> None:
+        """Publish orders to the cameras, and alarms."""
+        orders, alarms = ledger.pictures.due(now_ns), ledger.alarms.due()
+        for message in (*orders, *(alarm for _, alarm in alarms)):
+            bus.publish(message)
+        if orders or alarms:
+            with store.transaction():
+                for order in orders:
+                    ledger.pictures.sent(order)
+                for row, _ in alarms:
+                    ledger.alarms.sent(row)
 
     def _keep_seal(self, bus: Bus, statement: str) -> None:
         """Write the newest signed entry where the ledger's own disk is not."""

@@ -112,9 +112,9 @@ class Registrations:
         """Forget what does not hold any more."""
         self._store.execute("DELETE FROM registration WHERE valid_until_ns < ?", now_ns)
         for identity, contracts in list(self._known.items()):
-            kept = {contract: pair for contract, pair in contracts.items() if pair[1] >= now_ns}
-            if kept:
-                self._known[identity] = kept
+            valid = {contract: pair for contract, pair in contracts.items() if pair[1] >= now_ns}
+            if valid:
+                self._known[identity] = valid
             else:
                 del self._known[identity]
         self._stations = {

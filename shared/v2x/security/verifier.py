@@ -23,7 +23,10 @@ HELD_NS = NS_PER_S  # a station sends its certificate once a second (TS 103 097,
 MOST_HELD, MOST_HELD_OF_TICKET = 2_000, 12
 MOST_TICKETS = 4_096  # valid ones
 MOST_REFUSED = 32_768  # digests of tickets that are refused or of unknown issuers
-TICKETS_S, TICKETS_BURST = 200.0, 200.0  # new tickets whose signature is checked, a second and at once
+# New tickets whose signature is checked, a second and at once; as many again of those that name a ticket by which
+# frames wait: a station sends several with the digest between two with the certificate, and a flood would have to.
+TICKETS_S = 100.0
+WAITING = 3
 MOST_PACKETS = 4_096  # verified ones that are recognised when they are received again
 SIGNATURE_ENDS = (66, 98)  # bytes behind a certificate: a signature with x-only r, of 256 or 384 bits
 SSP_VERSION = 1
@@ -77,7 +80,8 @@ class Verifier(Generic[Frame]):
         self._held: OrderedDict[bytes, list[_Held[Frame]]] = OrderedDict()  # by digest of the ticket
         self._known: OrderedDict[bytes, Certificate] = OrderedDict()  # of `_tickets`, by their bytes
         self._packets: OrderedDict[bytes, None] = OrderedDict()  # digests of verified packets
-        self._tokens, self._tokens_ns = TICKETS_BURST, 0
+        self._tokens = {False: TICKETS_S, True: TICKETS_S}  # by whether frames wait for the ticket
+        self._tokens_ns = 0
         self.held = 0  # frames that wait for a certificate
         self.counts: Counter[str] = Counter()  # of costly operations
 
@@ -162,7 +166,7 @@ class Verifier(Generic[Frame]):
             self._set_aside(certificate.digest, Verdict(refused=refused))
         elif refused := issuer.refusal(time_s) or _expired(certificate, time_s):
             return  # by each packet again: time goes on
-        elif not self._may_check(now_ns):
+        elif not self._may_check(now_ns, waiting=len(self._held.get(certificate.digest, ())) >= WAITING):
             return
         elif signatures.is_issued_by(certificate, issuer.certificate):
             self._tickets[certificate.digest] = certificate, issuer
@@ -178,13 +182,15 @@ class Verifier(Generic[Frame]):
         if len(self._others) > MOST_REFUSED:
             self._others.popitem(last=False)
 
-    def _may_check(self, now_ns: int) -> bool:
+    def _may_check(self, now_ns: int, *, waiting: bool) -> bool:
         """Take a token for the signature of a new ticket."""
-        elapsed_s = max(now_ns - self._tokens_ns, 0) / NS_PER_S
-        self._tokens, self._tokens_ns = min(self._tokens + TICKETS_S * elapsed_s, TICKETS_BURST), now_ns
-        if self._tokens < 1.0:
+        earned = TICKETS_S * max(now_ns - self._tokens_ns, 0) / NS_PER_S
+        self._tokens = {kind: min(tokens + earned, TICKETS_S) for kind, tokens in self._tokens.items()}
+        self._tokens_ns = now_ns
+        kind = waiting and self._tokens[True] >= 1.0
+        if self._tokens[kind] < 1.0:
             return False
-        self._tokens -= 1.0
+        self._tokens[kind] -= 1.0
         self.counts["tickets checked"] += 1
         return True
 

@@ -37,7 +37,7 @@ def plain_packet(vehicle: Vehicle, t: float, later_s: float = 0.0) -> bytes:
 class SignedRole(Role):
     """Vehicles that sign by their place in `vehicles`, and tickets that are registered by station ID."""
 
-    stations: tuple[Station | None, ...] = ()  # of each vehicle; None: it signs nothing
+    signers: tuple[Station | None, ...] = ()  # of each vehicle; None: it signs nothing
     registrants: dict[int, Station] = field(default_factory=dict)  # of each registered station ID
     require_authenticated: bool = True
 
@@ -62,12 +62,12 @@ class SignedRole(Role):
         self.start_core()
 
     def frame(self, vehicle: Vehicle, t: float) -> bytes:
-        station = dict(zip(map(id, self.vehicles), self.stations, strict=True))[id(vehicle)]
+        station = dict(zip(map(id, self.vehicles), self.signers, strict=True))[id(vehicle)]
         packet = plain_packet(vehicle, t)
         return station.sign(packet, utc_ns(t)) if station else packet
 
-    def registration(self, station: int, t: float) -> TollRegistration:
-        unsigned = super().registration(station, t)
+    def registration(self, station: int, contract: str, t: float) -> TollRegistration:
+        unsigned = super().registration(station, contract, t)
         return self.registrants[station].register(unsigned) if station in self.registrants else unsigned
 
 

@@ -74,7 +74,7 @@ def test_a_further_user_reads_everything_and_is_kept(tmp_path: Path) -> None:
     assert known.matches("gateway", secret)
     assert parse(rules).may_read("gateway", "obu/car/navigation/solution")
     assert not parse(rules).may_write("gateway", "obu/car/navigation/solution")
-    keys.remove_reader(tmp_path / "credentials", "gateway")
+    keys.remove_program(tmp_path / "credentials", "gateway")
     assert not made_again(tmp_path)[1].matches("gateway", secret)
 
 

@@ -21,7 +21,10 @@ def balance(ledger: Ledger, lane: str = "n2", now_ns: int = RIPE_NS) -> LaneBala
 
 
 def identity(found: LaneBalance) -> bool:
-    outcomes = (found.charged, found.undecided, found.unregistered, found.suspect, found.void, found.missed, found.held)
+    outcomes = (
+        found.charged, found.review, found.undecided, found.unregistered, found.paid_otherwise, found.suspect,
+        found.void, found.missed, found.held,
+    )  # fmt: skip
     return found.detections == sum(outcomes) + found.pending
 
 

@@ -341,11 +341,21 @@ def test_a_flood_of_new_tickets_is_bounded_and_known_vehicles_stay_authenticated
     flood = [frame(forged.ticket(f"flood {k}")) for k in range(400)]
     found = received(process, *flood, frame(sent_ns=NOW_NS + MS, whole=False))
     checked = process._trusted._verifier.counts["tickets checked"]
-    assert checked <= verifier.TICKETS_BURST
+    assert checked <= verifier.TICKETS_S
     assert process.rejects["bad_signature"] == checked - 1
     *others, known = found
     assert set(states(others)) == {(NOT_VERIFIED, Unverified.TOO_MANY)}
     assert known.authentication is AUTHENTICATED
+
+
+def test_a_new_vehicle_is_authenticated_during_a_flood_once_frames_wait_for_its_certificate(tmp_path: Path) -> None:
+    process = unit(tmp_path)
+    forged = replace(PKI, authority=replace(PKI.authority, key=signing.key_of(b"forger")))
+    flood = [frame(forged.ticket(f"flood {k}")) for k in range(110)]
+    assert received(process, *flood, frame())[-1].unverified is Unverified.TOO_MANY
+    waiting = [frame(sent_ns=NOW_NS + k * MS, whole=False) for k in range(verifier.WAITING)]
+    found = received(process, *waiting, frame(sent_ns=NOW_NS + 9 * MS))
+    assert states(found) == [(AUTHENTICATED, None)] * (verifier.WAITING + 1)
 
 
 def test_a_known_ticket_is_not_verified_again(tmp_path: Path) -> None:

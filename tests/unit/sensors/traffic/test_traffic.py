@@ -181,6 +181,7 @@ def test_a_new_station_id_is_registered_with_the_same_contract() -> None:
     stations: dict[str, set[int]] = {}
     for _, item in events:
         if isinstance(item, TollRegistration):
+            assert item.station_id is not None
             stations.setdefault(item.contract, set()).add(item.station_id)
     assert sum(len(ids) == 2 for ids in stations.values()) > 15
 
