@@ -91,3 +91,11 @@ def test_checkpoints_come_once_a_second_with_the_cam_and_not_with_the_tick() -> 
                 by_tick[isinstance(message, Tick)] += 1
     assert by_tick[True] == 0
     assert 4 <= by_tick[False] <= 9
+
+
+def test_a_real_plaza_does_not_trust_the_operator_of_the_simulation() -> None:
+    """The example's file names its key, which everybody can compute."""
+    text = '[vehicle]\nrole = "rsu"\n[core.toll]\nplaza_file = "deploy/plazas/example.geojson"\n'
+    with pytest.raises(ConfigError, match="everybody can countersign"):
+        parse_vehicle(text).section("core.toll", Config)
+    assert parse_vehicle(text + "[sensors.traffic]\n").section("core.toll", Config)
