@@ -5,9 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from services.core.toll.process import Config, In, Out, Process
+from shared.errors import ConfigError
 from shared.messages.base import Tick
 from shared.messages.toll import OpenPassages, RegisteredStation, TollDelta, TollPassage, TollTracks
 from shared.messages.v2x import CamList
+from shared.runtime.config import parse_vehicle
 from tests.support.v2x.toll import FAR_NS, SECOND_NS, START_NS, Vehicle, example_plaza, fix, nothing_open
 
 COMMON = (2.5, -1.5)  # [m, north and east] error that all receivers have in common
