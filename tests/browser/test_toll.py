@@ -120,3 +120,17 @@ def test_a_lost_ledger_is_named_as_the_reason(plazas: dict[str, RunningServer], 
     page = open_page(plazas["alarm"].address, path="toll")
     expect(page.locator(".banner .sentence")).to_contain_text("Nothing is charged: the ledger cannot be used")
     expect(page.locator(".account-card")).to_contain_text("make room on its disk")
+
+
+def test_reviews_say_what_decides_them_and_the_camera_queue_says_why_it_keeps(
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(plazas["normal"].address, path="toll")
+    review = page.locator("#reviews tbody tr")
+    expect(review).to_have_count(1)
+    expect(review).to_contain_text("the lane's detector has not counted it")
+    expect(review).to_contain_text("the picture of the lane at the time of the crossing")
+    expect(review).to_contain_text("not authenticated")
+    expect(page.locator("#pictures")).to_contain_text("1 kept, 2 not decided yet")
+    expect(page.locator("#pictures tbody tr")).to_contain_text("no contract explains the vehicle")
+    expect(page.locator("#account")).to_contain_text("the plaza allows them")

@@ -40,6 +40,9 @@ class SimulatedCamera:
         for picture in [name for name, order in self.pictures.items() if order.until_ns <= now_ns]:
             del self.pictures[picture]
 
+    def close(self) -> None:
+        """Nothing is open."""
+
 
 @dataclass
 class WaitingOrder:
@@ -87,6 +90,10 @@ class UdpCamera:
             except OSError:
                 self.failed += waiting.attempts == ATTEMPTS
         self.held = {picture: order for picture, order in self.held.items() if order.until_ns > now_ns}
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
 
     def _read_answers(self) -> None:
         for _ in range(MAX_WAITING):

@@ -113,6 +113,8 @@ class Process:
                 self._repeat(bus)
         for link in links:
             link.close()
+        if self._camera is not None:
+            self._camera.close()
 
     def _read(self, bus: Bus, link: Connection[Detector], since_ns: int) -> None:
         try:
