@@ -50,11 +50,12 @@ class Config(Settings):
     )
 
     def model_post_init(self, context: object) -> None:
-        """Raise `ConfigError` for a real plaza that trusts the operator of the simulation."""
+        """Raise `ConfigError` for a real plaza that requires signatures, and trusts the operator of the simulation."""
         vehicle = vehicle_in(context)
         if vehicle is None or SIMULATOR in vehicle.tables:
             return
-        if operator().public_key.hex() in load_plaza(self.plaza_file).operator_keys:
+        plaza = load_plaza(self.plaza_file)
+        if plaza.require_authenticated and operator().public_key.hex() in plaza.operator_keys:
             raise ConfigError(
                 f"{self.plaza_file}: operator_keys holds the key of the simulated operator, with which everybody can "
                 f"countersign registrations; put that of the operator in its place, or run [{SIMULATOR}]"
