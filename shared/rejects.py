@@ -60,8 +60,10 @@ OF_V2X = {
     "expired": Reason("a signed frame whose ticket, or an issuer of it, is not valid now", "check the unit's clock"),
     "revoked": Reason("a signed frame of an authority that its root has revoked", _NONE),
     "wrong_permission": Reason("a signed frame with what its ticket, or an issuer of it, may not say", _NONE),
-    "wrong_region": Reason("a signed frame from outside the region of its ticket, or of an issuer of it",
-                           "state the country in `[parsers.v2x.security] countries`"),
+    "wrong_region": Reason(
+        "a signed frame from outside the region of its ticket, or of an issuer of it",
+        "state the country in `[parsers.v2x.security] countries`",
+    ),
     "trust_file": Reason("a file of the trust folder that is not used; the log says why", "replace or remove the file"),
     "security_signer": Reason("a signed frame with neither a digest nor one explicit certificate", _NONE),
     "generation_time": Reason("a signed frame without time, or whose time contradicts its CAM", _NONE),

@@ -51,7 +51,8 @@ TITLE = """# Receiving signed CAM: cost and latency
 By `python -m benchmarks.v2x.signed`: vehicles at 10 Hz, a certificate in every fifth frame, each of a ticket of its
 own, over UDP on this machine ({cores} cores, {broker}, {priority} priority). Latency is from the arrival of a frame at
 the kernel to that of its CAM at a subscriber of v2x/cam, without the first second, in which frames wait for
-certificates. The flood is of 20,000 tickets that name the trusted authority and that it has not signed, beside 40 vehicles.
+certificates. The flood is of 20,000 tickets that name the trusted authority and that it has not signed, beside 40
+vehicles.
 
 | quantity | {columns} |
 | --- |{rule}

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import hypot, radians
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
@@ -37,7 +38,8 @@ CERTAIN_CAMS = LIST_BYTES // 10_000  # so many fit, also with the longest frames
 PAI_INTERVAL_M = 80.0  # itsGnPaiInterval: EN 302 636-4-1, annex H
 NS_PER_MS = 1_000_000
 SIMULATED_TRUST = Path("deploy/trust")  # with the root of the simulated traffic, which is a test root
-TRAFFIC = "sensors.traffic"
+TRAFFIC, RADIO = "sensors.traffic", "sensors.v2x"
+LOOPBACK = ("", "127.0.0.1", "::1", "localhost")  # hosts of frames that no radio has received; none: the default
 S_PER_H = 3600.0
 UNSIGNED = Verdict(Authentication.UNSIGNED)
 
@@ -95,8 +97,8 @@ class Config(Section):
     security: SecuritySettings = SecuritySettings()
     simulated: bool = Field(
         default=False,
-        description="the unit runs beside sensors.traffic, where test roots are trusted; follows from the vehicle's "
-        "file, and cannot be set to true without that section",
+        description="the unit runs beside sensors.traffic, and its radio is simulated: test roots are trusted; follows "
+        "from the vehicle's file, and cannot be set to true without that section, or with a radio of another computer",
     )
 
     @model_validator(mode="before")
@@ -106,9 +108,11 @@ class Config(Section):
         vehicle = vehicle_in(info.context)
         if not isinstance(given, dict) or vehicle is None:
             return given
-        is_simulated = TRAFFIC in vehicle.tables
+        is_simulated = TRAFFIC in vehicle.processes and _is_here(vehicle.tables.get(RADIO, {}).get("device", ""))
         if given.get("simulated") and not is_simulated:
-            raise ValueError(f"simulated = true needs [{TRAFFIC}]: test roots are refused on the road")
+            raise ValueError(
+                f"simulated = true needs [{TRAFFIC}] and a radio of this computer: test roots are refused on the road"
+            )
         security = given.get("security", {})
         if is_simulated and isinstance(security, dict):
             security = {"trust_folder": SIMULATED_TRUST, **security}
@@ -282,6 +286,12 @@ class Process:
         mobile = own.station_type is not StationType.ROAD_SIDE_UNIT
         packet = geonetworking.encode_packet(payload, sender, mobile=mobile)
         yield V2xSend(received_ns=own.sampled_ns, source=str(own.station_id), data=packet)
+
+
+def _is_here(device: object) -> bool:
+    """Whether frames from a device come from this computer, by UDP."""
+    parts = urlsplit(str(device))
+    return parts.scheme in ("", "udp") and (parts.hostname or "") in LOOPBACK
 
 
 def _is_accurate(own: OwnCam) -> bool:

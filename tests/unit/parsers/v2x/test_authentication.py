@@ -374,7 +374,13 @@ RSU = '[vehicle]\nrole = "rsu"\n[parsers.v2x.security]\ntrust_folder = "{}"\n'
 def test_a_test_root_is_refused_where_the_traffic_is_not_simulated(tmp_path: Path) -> None:
     PKI.write(tmp_path / "test")
     text = RSU.format(tmp_path)
-    for sections, expected in (("", Unverified.TEST_ROOT), ("[sensors.traffic]\n", None)):
+    for sections, expected in (
+        ("", Unverified.TEST_ROOT),
+        ("[sensors.traffic]\n", None),
+        ('[sensors.traffic]\n[sensors.v2x]\ndevice = "udp://127.0.0.1:5000"\n', None),
+        ('[sensors.traffic]\n[sensors.v2x]\ndevice = "udp://192.168.7.1:5000"\n', Unverified.TEST_ROOT),
+        ('[sensors.traffic]\n[sensors.v2x]\ndevice = "mqtt://127.0.0.1:1883/radio"\n', Unverified.TEST_ROOT),
+    ):
         config = parse_vehicle(text + sections).section("parsers.v2x", Config)
         (found,) = received(Process(config), frame())
         assert found.unverified is expected
