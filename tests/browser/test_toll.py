@@ -58,14 +58,19 @@ def test_vehicles_lanes_passages_and_accounts_are_shown(
     plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address, path="toll")
-    expect(page.locator(".plaza-card .legend")).to_contain_text("signed, not verified: 3")
+    legend = page.locator(".plaza-card .legend")
+    for sender in ("authenticated: signature, ticket", "issued by an authority that is not trusted: 1", "unsigned: 1"):
+        expect(legend).to_contain_text(sender)
     picture = page.get_by_role("img", name="Plaza example from above with 4 tracked vehicles")
     expect(picture.locator(".track")).to_have_count(4)
     expect(picture.locator(".track.undecided")).to_have_count(1)
     expect(picture.locator(".track.unregistered")).to_have_count(1)
     page.get_by_role("region", name="Plaza example").get_by_role("button", name="Table").click()
     expect(page.get_by_role("cell", name="undecided (n2)")).to_be_visible()
-    expect(page.get_by_role("cell", name="signed, not verified")).to_have_count(3)
+    expect(page.get_by_role("cell", name="signed, not verified")).to_have_count(2)
+    senders = page.locator(".plaza-card tbody td:last-child")
+    expect(senders.locator(".state")).to_have_count(1)  # nothing is green that was not verified
+    expect(senders.filter(has=page.locator(".state.safe"))).to_contain_text("chain to a trusted root")
     expect(page.locator(".lanes-card tr", has_text="n3")).to_contain_text("opens")
     expect(page.locator(".account-card tbody tr")).to_contain_text("n1")
     expect(page.locator(".delta-card")).to_contain_text("-2.10 m")
