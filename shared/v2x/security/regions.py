@@ -62,10 +62,20 @@ def _corner(point: Any) -> tuple[int, int]:
 
 
 def _in_polygon(corners: Sequence[tuple[int, int]], latitude: int, longitude: int) -> bool:
-    """Count the sides that a ray to the east of the place crosses, in a plane of latitude and longitude."""
-    relative = [(y - latitude, (x - longitude + HALF_TURN) % TURN - HALF_TURN) for y, x in corners]
+    """Count the sides that a ray to the east of the place crosses, in a plane of latitude and longitude.
+
+    Longitudes are relative to the first corner, from which the others are less than half a turn away.
+    """
+    first = corners[0][1]
+    y, x = latitude, _wrapped(longitude - first)
+    relative = [(corner_y - y, _wrapped(corner_x - first) - x) for corner_y, corner_x in corners]
     inside = False
     for (y_0, x_0), (y_1, x_1) in zip(relative, [*relative[1:], relative[0]], strict=True):
         if (y_0 > 0) != (y_1 > 0) and (x_0 * (y_1 - y_0) - y_0 * (x_1 - x_0) > 0) == (y_1 > y_0):
             inside = not inside
     return inside
+
+
+def _wrapped(longitude: int) -> int:
+    """Longitude in [-180, 180) degrees."""
+    return (longitude + HALF_TURN) % TURN - HALF_TURN
