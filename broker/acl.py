@@ -3,38 +3,15 @@
 import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from shared.processes import PROCESSES, Kind, ProcessRow
+from shared.programs import ROLES
 from shared.runtime.credentials import CHECK, OBSERVERS
 from shared.topics import BROKER_LOG, BY_NAME, REPLAY, Topic, measurements, on_request, publications, subscriptions
 
 ANY_VEHICLE = "+"
 
 
-@dataclass(frozen=True)
-class ProgramRights:
-    """Topics that a program which is no part of the unit may read and write; `reads` empty: all of them."""
-
-    purpose: str
-    reads: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-
-
-READER = "reader"
-ROLES = {
-    READER: ProgramRights("reads every topic"),
-    "operator": ProgramRights(
-        "registers vehicles, answers transactions, and states who has paid otherwise",
-        ("plaza/description", "toll/transaction", "toll/review", "toll/alarm", "toll/seal", "ledger/state"),
-        ("toll/registration", "toll/receipt", "toll/paid_otherwise"),
-    ),
-    "detector": ProgramRights(
-        "publishes the pulses of detectors, and takes pictures",
-        ("plaza/description", "plaza/picture_order"),
-        ("plaza/detector", "plaza/pictures"),
-    ),
-}
 HEAD = """\
 # Access list: rights to read and write topics. Printed by `python -m broker.acl`; do not edit.
 # The user name of a process is its own name. Programs that listen are one of the observers, the health check of the

@@ -18,12 +18,13 @@ from pathlib import Path
 from shared.errors import UserError
 from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.processes import PROCESSES, Kind, ProcessRow, running
+from shared.programs import READER, ROLES
 from shared.runtime.config import VehicleFile
 from shared.runtime.credentials import ADDRESS, CHECK, OBSERVER, OBSERVERS, READERS, WATCH
 from shared.runtime.private import PAGE, UPLINK
 from shared.topics import REPLAY
 
-from .acl import READER, ROLES, access_list
+from .acl import access_list
 from .passwords import password_file
 
 SECRET_BYTES = 32

@@ -7,8 +7,8 @@ import shutil
 from pathlib import Path
 
 from broker import keys
-from broker.acl import READER, ROLES
 from shared.errors import UserError
+from shared.programs import READER, ROLES
 from shared.runtime.config import VehicleFile, load_vehicle, state_dir
 from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, folder_of
 from shared.runtime.private import private_folder

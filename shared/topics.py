@@ -88,6 +88,7 @@ from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
+from .programs import ROLES
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
 ONE_BYTES, MANY_BYTES = 131_072, 245_760  # with topic and header below `max_packet_size` of the broker
@@ -297,6 +298,9 @@ def may_send(process: str, name: str) -> bool:
         return False
     if topic.per_process:
         return name == topic.name[:-1] + process and process in PROCESS_ROWS
+    program = ROLES.get(process)
+    if program is not None:
+        return topic.name in program.writes
     return process in topic.producers or (process == REPLAY and (topic in measurements() or name == "origin/state"))
 
 

@@ -138,7 +138,7 @@ class PlazaDetector(Message):
 class PictureAction(StrEnum):
     """What a camera does with a picture."""
 
-    TAKE = "take"  # it is deleted at `until_ns` unless told otherwise
+    TAKE = "take"  # it is deleted at `until_ns` unless an order to keep it follows
     KEEP = "keep"
     DELETE = "delete"
 
@@ -152,7 +152,7 @@ class PictureOrder(Message):
     picture: Digest  # of plaza, lane and number of the pulse
     pulse_ns: Nanoseconds
     action: PictureAction
-    until_ns: Nanoseconds  # the camera deletes the picture then, whatever it hears
+    until_ns: Nanoseconds  # the camera deletes the picture then, with or without an order
     reason_code: Explanation | None = None
 
 

@@ -1,7 +1,7 @@
 """Registrations: a contract is bound to an authorization ticket by two signatures.
 
-The vehicle signs with the key of the ticket, so that nobody can register the ticket of another one; the operator signs
-the whole with its own key, so that nobody can name the contract of another one. Both sign statements in the canonical
+The vehicle signs with the key of the ticket: the ticket of another vehicle cannot be registered. The operator signs the
+whole with its own key: the contract of another holder cannot be named. Both sign statements in the canonical
 form of `shared/evidence/statement.py`, of the kinds "toll possession" and "toll registration".
 """
 

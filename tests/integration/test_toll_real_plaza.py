@@ -57,6 +57,7 @@ class Program:
     """A program at the broker with the user and secret of `obu keys add`."""
 
     name: str
+    role: str
     secret: str
     port: int
     received: list[tuple[str, bytes]] = field(default_factory=list)
@@ -78,7 +79,7 @@ class Program:
         self._client.subscribe(f"obu/plaza/{topic}", qos=1)
 
     def publish(self, message: Message) -> None:
-        sender = Sender(process=self.name, incarnation=1, sequence=self.number)
+        sender = Sender(process=self.role, incarnation=1, sequence=self.number)
         self.number += 1
         topic = BY_MESSAGE[type(message)].name
         self._client.publish(f"obu/plaza/{topic}", signed(encode(message), sender), qos=1)
@@ -144,8 +145,8 @@ def test_a_car_is_registered_counted_charged_and_answered_without_a_simulator(si
     car = replace(CAR, since=0.0)
     gate_s = -car.start / car.speed
     with contextlib.ExitStack() as stack:
-        office = stack.enter_context(Program("back-office", site.secrets["back-office"], site.port))
-        loops = stack.enter_context(Program("loops", site.secrets["loops"], site.port))
+        office = stack.enter_context(Program("back-office", "operator", site.secrets["back-office"], site.port))
+        loops = stack.enter_context(Program("loops", "detector", site.secrets["loops"], site.port))
         air = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         for topic in ("toll/transaction", "ledger/state", "toll/seal"):
             office.follow(topic)

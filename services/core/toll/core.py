@@ -142,11 +142,11 @@ class Core:
             return
         self._contracts[identity] = valid_until_ns
 
-    def _take_registered(self, stations: Sequence[RegisteredStation], *, anew: bool = False) -> None:
+    def _take_registered(self, stations: Sequence[RegisteredStation], *, replace_known: bool = False) -> None:
         """Note what the ledger has verified."""
         for station in stations:
             identity = f"ticket {station.ticket}" if station.ticket is not None else f"station {station.station_id}"
-            if anew or identity not in self._contracts:
+            if replace_known or identity not in self._contracts:
                 self._cover(identity, station.valid_until_ns)
 
     def fix(self, fix: GnssFix) -> None:
@@ -265,7 +265,7 @@ class Core:
         list of TollPassage
             Final statements that the ledger may not have received.
         """
-        self._take_registered(message.registered, anew=True)
+        self._take_registered(message.registered, replace_known=True)
         for delta in deltas:
             self.use_delta(delta)
         open_ids = {

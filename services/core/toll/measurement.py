@@ -19,7 +19,7 @@ MIN_POSITION_SD = 0.02  # [m]
 
 
 def ticket_of(cam: Cam) -> str | None:
-    """Give the authorization ticket of an authenticated CAM; None: whoever sent it, it is not known."""
+    """Give the authorization ticket of an authenticated CAM; None: its sender is not known."""
     return cam.signer if cam.authentication is Authentication.AUTHENTICATED else None
 
 

@@ -13,7 +13,7 @@ from .store import Row, Store
 NS = 1_000_000_000
 ORDERS_AT_ONCE = 100
 LISTED = 50
-# Outcomes of a pulse that say that its vehicle owes something and nobody knows who; in a mixed lane it may pay there.
+# Outcomes of a pulse that say that an unknown vehicle owes something; in a mixed lane it may pay there.
 OWES = {"missed", "unregistered", "undecided"}
 DISPUTED = {"review", "suspect"}
 

@@ -13,7 +13,7 @@ const OUTCOMES = ["charged", "review", "held", "undecided", "unregistered", "pai
 const stateOf = (p) => (p.reversed && p.state === "charged" ? w.reversed : w.states[p.state]);
 function iconOf(p) {
   if (p.state !== "charged") return STATE_ICON[p.state];
-  // Final, but no detector has seen it, or nobody knows who sent its CAM.
+  // Final, but no detector has seen it, or the sender of its CAM is not authenticated.
   return p.reversed ? "off" : p.confirmed === false || !p.authenticated ? "info" : STATE_ICON.charged;
 }
 const outcomeName = (name) => w.outcomes[name] ?? w.states[name];
@@ -182,7 +182,7 @@ function ReviewsCard({ t, onOpen }) {
   </${Card}>`;
 }
 
-// What the cameras were told to keep, and until when; pictures themselves are not here.
+// Which pictures the cameras keep, and until when; the pictures themselves are not here.
 function PicturesCard({ t }) {
   const l = t.ledger;
   const rows = l?.pictures ?? [];

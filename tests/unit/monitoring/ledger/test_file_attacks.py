@@ -1,4 +1,4 @@
-"""Whoever writes into the ledger's file makes nobody else pay: it has no effect, or verification names it."""
+"""A change of the ledger's file makes no other contract pay: it has no effect, or verification names it."""
 
 import sqlite3
 from collections.abc import Callable
