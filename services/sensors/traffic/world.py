@@ -15,7 +15,16 @@ from pyubx2.ubxmessage import UBXMessage
 from shared.messages.base import Message
 from shared.messages.gnss import GnssRaw
 from shared.messages.operation import Origin, OriginKind
-from shared.messages.toll import GateMode, PlazaDetector, PlazaTruth, TollRegistration, TrafficPassage, TrafficVehicle
+from shared.messages.toll import (
+    GateMode,
+    LaneTraffic,
+    PlazaDetector,
+    PlazaTruth,
+    TollPayment,
+    TollRegistration,
+    TrafficPassage,
+    TrafficVehicle,
+)
 from shared.runtime.config import Section
 from shared.toll.plaza import Lane, Plaza
 
@@ -232,6 +241,12 @@ class World:
             TrafficPassage(vehicle=vehicle.number, lane=lane, crossing_ns=crossing_ns, equipped=vehicle.equipped,
                            registered=vehicle.registered, contract=vehicle.contract)
         )  # fmt: skip
+        if vehicle.lane.traffic is LaneTraffic.MIXED and not vehicle.registered:
+            self._push(
+                crossing_ns + 3 * NS,
+                TollPayment(sampled_ns=crossing_ns, plaza=self.plaza.name, lane=lane,
+                            payment=f"payment-{self._seed}-{vehicle.number}"),
+            )  # fmt: skip
         self._pulses[lane].appendleft(crossing_ns)
         self._pulse_numbers[lane] += 1
         self._push(crossing_ns + STEP_NS, self._pulse(lane))
