@@ -388,7 +388,18 @@ class Campaign:
         balances = self.ledger.balances(0)
         outcomes: Counter[str] = Counter()
         for lane in balances:
-            for name in ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held", "pending"):
+            for name in (
+                "charged",
+                "review",
+                "undecided",
+                "unregistered",
+                "paid_otherwise",
+                "suspect",
+                "void",
+                "missed",
+                "held",
+                "pending",
+            ):
                 outcomes[name] += getattr(lane, name)
         detections = sum(lane.detections for lane in balances)
         return Result(

@@ -31,6 +31,7 @@ Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and 
 # Station ID, authorization ticket of an authenticated station, and place: a station ID that is used at two places at
 # once is followed at both, so that who uses it first does not hide the other one.
 Sender = tuple[int, str | None, int]
+MAX_SPEED = 70.0  # [m/s]
 PLACES = 4  # at which one station is followed
 
 
@@ -47,7 +48,6 @@ class Track:
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
     frames: deque[Received] = field(default_factory=lambda: deque(maxlen=FRAMES))  # the last used, in the order of use
-    jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
@@ -151,6 +151,7 @@ class TrackTable:
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[Sender, Track] = {}
+        self._strays: dict[tuple[int, str | None], tuple[int, CamMeasurement]] = {}  # how many in a row, and the last
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
         self.repetitions = Repetitions()
@@ -254,7 +255,7 @@ class TrackTable:
             if track is None:
                 new_tracks.append(item)
             elif item.time_ns <= track.updated_ns and self._is_elsewhere(track, item):
-                self._stray(track, item, new_tracks)
+                self._stray(item, new_tracks)
             elif item.time_ns <= track.updated_ns:
                 self.rejected["late_or_repeated"] += 1
             elif item.time_ns - track.updated_ns > self._settings.deleted_after_s * 1e9:
@@ -278,11 +279,9 @@ class TrackTable:
         away = predicted.mean[:, :2] - np.array([[measured.east, measured.north] for _, measured in known])
         variance = np.trace(predicted.cov[:, :2, :2], axis1=1, axis2=2)
         inside = np.hypot(away[:, 0], away[:, 1]) <= self._settings.gate_m + 5.0 * np.sqrt(variance)
-        for (track, item), is_inside in zip(known, inside, strict=True):
-            if is_inside:
-                track.jumps = 0
-            else:
-                self._stray(track, item, new_tracks)
+        for (_, item), is_inside in zip(known, inside, strict=True):
+            if not is_inside:
+                self._stray(item, new_tracks)
         used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
         if used:
             seen = observation([measured for _, measured in used], self._white_sd)
@@ -312,13 +311,22 @@ class TrackTable:
         dt = (one.time_ns - track.updated_ns) * 1e-9
         return self._distance(track, one) > self._settings.gate_m + 0.5 * LINK_ACCELERATION * dt**2
 
-    def _stray(self, track: Track, one: CamMeasurement, new_tracks: list[CamMeasurement]) -> None:
-        """Count a CAM outside its track's gate; after several the station is followed at another place too."""
+    def _stray(self, one: CamMeasurement, new_tracks: list[CamMeasurement]) -> None:
+        """Count a CAM outside its track's gate; after several of one vehicle the station is followed there too.
+
+        CAM inside the gate between them do not matter: two vehicles that use one station ID alternate.
+        """
         self.rejected["outside_gate"] += 1
-        track.jumps += 1
-        if track.jumps < self._settings.jumps:
+        number, last = self._strays.pop(one.station, (0, one))
+        elapsed_s = abs(one.cam.received_ns - last.cam.received_ns) * 1e-9
+        away = hypot(one.east - last.east, one.north - last.north)
+        is_same = elapsed_s < self._settings.deleted_after_s and away <= self._settings.gate_m + MAX_SPEED * elapsed_s
+        number = number + 1 if is_same else 1
+        if number < self._settings.jumps:
+            self._strays[one.station] = number, one
+            while len(self._strays) > self._settings.max_tracks:
+                del self._strays[next(iter(self._strays))]
             return
-        track.jumps = 0
         station, ticket = one.station
         free = [place for place in range(PLACES) if (station, ticket, place) not in self.by_station]
         if not free:

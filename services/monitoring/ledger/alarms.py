@@ -33,13 +33,13 @@ class Alarms:
         self._ghosts: dict[str, deque[int]] = {lane.name: deque(maxlen=1000) for lane in plaza.lanes}
         self._raised_ns: dict[str, int] = {}
 
-    def ghost(self, passage_id: str, lane: str | None, crossing_ns: int, tickets: list[str], now_ns: int) -> None:
+    def ghost(self, passage_id: str, lane: str | None, crossing_ns: int, ticket: str | None, now_ns: int) -> None:
         """Note a station that no detector has counted at the place of another vehicle."""
-        if tickets:
+        if ticket is not None:
             self._raise(
                 TollAlarm(
                     **self._place(lane), sampled_ns=now_ns, kind=AlarmKind.MISBEHAVIOUR, since_ns=crossing_ns,
-                    until_ns=crossing_ns, ticket=tickets[-1], passage_id=passage_id,
+                    until_ns=crossing_ns, ticket=ticket, passage_id=passage_id,
                     reason_code=explain(Code.MISBEHAVIOUR, passage=passage_of(passage_id)),
                 )
             )  # fmt: skip

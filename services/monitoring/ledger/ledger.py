@@ -80,6 +80,7 @@ OUTCOMES = (
     "charged", REVIEW, "undecided", "unregistered", PAID_OTHERWISE, "suspect", "void", "missed", "held",
 )  # fmt: skip
 SHOWN_REVIEWS = 50
+MAX_TICKETS = 2000
 FORM = 2  # of evidence packs: with registrations, pulses and verdict
 SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
@@ -183,6 +184,7 @@ class Ledger:
         self._started_ns = now_ns
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
+        self._tickets: dict[str, str] = {}  # of authenticated passages that have ended; in memory only
         # What `core.toll` has used, this process and the one before: time, start of the process, message as JSON.
         self._used: deque[tuple[int, int, str]] = deque()
         self._core_since_ns: int | None = None
@@ -521,7 +523,9 @@ class Ledger:
         why = stated(explain(Code.GHOST, passage=passage_of(there)))
         self._change(row["passage_id"], state=PassageState.SUSPECT, reason=why.text, reason_code=why.code)
         self._store.execute("DELETE FROM crossing WHERE number = ?", row["number"])
-        self.alarms.ghost(row["passage_id"], row["lane"], row["crossing_ns"], json.loads(row["tickets"]), now_ns)
+        self.alarms.ghost(
+            row["passage_id"], row["lane"], row["crossing_ns"], self._tickets.get(row["passage_id"]), now_ns
+        )
 
     def _judge_turned(self, row: Row, pulse: Row | None, now_ns: int) -> None:
         """Decide on a vehicle that says it has turned around behind the gate line.
@@ -1194,10 +1198,14 @@ class Ledger:
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
                 "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns, "
-                "authenticated, tickets) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                "authenticated) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 message.crossing_ns, message.crossing_sd_s or 1.0, state, message.lane, lanes, message.passage_id,
-                json.dumps(message.overlaps), now_ns, message.authenticated, json.dumps(tickets_of(message)),
+                json.dumps(message.overlaps), now_ns, message.authenticated,
             )  # fmt: skip
+            if tickets := tickets_of(message):
+                self._tickets[message.passage_id] = tickets[-1]
+                while len(self._tickets) > MAX_TICKETS:
+                    del self._tickets[next(iter(self._tickets))]
         if state is PassageState.SUSPECT:
             names = sorted({name for name, _ in contracts})
             self._ask(

@@ -291,3 +291,47 @@ def test_a_pack_is_judged_by_what_is_in_it(unit: Unit, change: Change, fault: st
     assert list(pack_faults(pack, SIGNED)) == []
     assert pack.verdict == explain("ledger.confirmed") and len(pack.pulses) == 1
     assert fault in list(pack_faults(pack.model_copy(update=change(pack)), SIGNED))
+
+
+VERSION_3 = """
+CREATE TABLE registration (station_id INTEGER PRIMARY KEY, contract TEXT NOT NULL, tariff_class TEXT NOT NULL,
+    sampled_ns INTEGER NOT NULL, valid_until_ns INTEGER NOT NULL);
+CREATE TABLE passage (passage_id TEXT PRIMARY KEY, sampled_ns INTEGER NOT NULL, contract TEXT NOT NULL,
+    tariff_class TEXT NOT NULL, statement TEXT NOT NULL, crossed TEXT);
+CREATE TABLE held (passage_id TEXT PRIMARY KEY, contract TEXT NOT NULL, tariff_class TEXT NOT NULL,
+    charged TEXT NOT NULL, crossed TEXT NOT NULL);
+CREATE TABLE settled (passage_id TEXT PRIMARY KEY, final_ns INTEGER NOT NULL, summary TEXT NOT NULL);
+CREATE TABLE pulse (lane TEXT NOT NULL, since_ns INTEGER NOT NULL, number INTEGER NOT NULL,
+    sampled_ns INTEGER NOT NULL, done INTEGER NOT NULL DEFAULT 0, PRIMARY KEY (lane, since_ns, number));
+CREATE TABLE crossing (number INTEGER PRIMARY KEY, crossing_ns INTEGER NOT NULL, sd_s REAL NOT NULL,
+    state TEXT NOT NULL, lane TEXT, lanes TEXT NOT NULL, passage_id TEXT, overlaps TEXT NOT NULL DEFAULT '[]',
+    settled_ns INTEGER NOT NULL DEFAULT 0);
+CREATE TABLE chain (name TEXT NOT NULL, passage_id TEXT NOT NULL, from_ns INTEGER NOT NULL, to_ns INTEGER NOT NULL,
+    PRIMARY KEY (name, passage_id, from_ns));
+INSERT INTO registration VALUES (7, 'contract-1', 'car', 1, 2);
+PRAGMA user_version = 3;
+"""
+
+
+def test_a_file_of_version_3_is_migrated_and_what_is_held_without_a_registration_is_reviewed(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.sqlite"
+    charged, crossed = (CAR.says(state).model_dump_json(exclude_none=True) for state in (CHARGED, CROSSED))
+    with sqlite3.connect(path) as database:
+        database.executescript(VERSION_3)
+        database.execute("INSERT INTO held VALUES (?, 'contract-1', 'car', ?, ?)", (CAR.passage_id, charged, crossed))
+        database.execute(
+            "INSERT INTO settled VALUES (?, ?, ?)",
+            (CAR.passage_id, START_NS, f'{{"passage_id": "{CAR.passage_id}", "state": "held"}}'),
+        )
+        database.execute(
+            "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id) VALUES (?, 0.1, 'held', 'n2', "
+            "'{\"n2\": 1.0}', ?)", (CAR.crossing_ns, CAR.passage_id),
+        )  # fmt: skip
+    database.close()
+    unit = Unit(tmp_path)
+    unit.pulse()
+    unit.ledger.reconcile(LATER_NS)
+    assert unit.contracts() == []
+    assert [review.passage_id for review in unit.ledger.reviews()] == [CAR.passage_id]
+    columns = {row["name"] for row in unit.store.rows("PRAGMA table_info(held)")}
+    assert columns == {"passage_id", "charged", "crossed", "registrations", "seal"}
