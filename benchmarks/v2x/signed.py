@@ -127,7 +127,7 @@ class Sender:
     def _flood(
         load: Load, pki: Pki, start: tuple[object, float], start_ns: int, seconds: int
     ) -> list[tuple[int, bytes]]:
-        """Frames with tickets that nobody has signed: random bytes in the place of the authority's signature."""
+        """Frames with tickets that no authority has signed: random bytes in the place of the authority's signature."""
         chance = random.Random(1)
         ticket = pki.ticket("flood", load.curve)
         real = ticket.certificate.encoded

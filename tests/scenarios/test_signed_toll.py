@@ -76,7 +76,7 @@ def test_a_stranger_with_the_victims_station_id_changes_nothing_of_the_victims_p
     assert role.statements and {s.authenticated for s in role.statements if s.state is CHARGED} == {True}
 
 
-def test_a_copy_of_every_frame_with_other_signatures_charges_nobody_again(tmp_path: Path) -> None:
+def test_a_copy_of_every_frame_with_other_signatures_makes_no_second_charge(tmp_path: Path) -> None:
     """At once, after 131 s as received, and after 131 s with the times rewritten; a pulse is there for each."""
     own, later_s = station("car"), 131.072
     role = SignedRole(tmp_path, (CAR,), pulses_s=(CROSSING_S, CROSSING_S + later_s), signers=(own,),
@@ -95,7 +95,7 @@ def test_a_copy_of_every_frame_with_other_signatures_charges_nobody_again(tmp_pa
 
 
 def test_a_chain_of_a_root_of_his_own_counts_as_unsigned(tmp_path: Path) -> None:
-    """Signed, with the victim's station ID and a chain that nobody trusts: no passage of the victim's contract."""
+    """Signed, with the victim's station ID and a chain that is not trusted: no passage of the victim's contract."""
     victim = station("victim")
     own = station("thief")
     foreign = Pki.make(its_time.its_time_ms(utc_ns(0.0)) // 1000, name="own root")

@@ -50,7 +50,7 @@ class SecuritySettings(Section):
     trust_folder: Path | None = Field(
         default=None,
         description="folder with the certificates and lists that are trusted; test roots lie in its sub-folder `test`. "
-        "If not given, nobody is authenticated; beside sensors.traffic it is deploy/trust, with the simulation's root",
+        "If not given, no sender is authenticated; beside sensors.traffic it is deploy/trust, with the simulation's root",
     )
     countries: tuple[int, ...] = Field(
         default=(),
@@ -62,8 +62,8 @@ class SecuritySettings(Section):
         default=24.0,
         ge=0.0,
         le=2160.0,
-        description="time after which trust lists whose next one is overdue count no more: nobody is authenticated "
-        "then by what they hold",
+        description="time after which trust lists whose next one is overdue count no more: no sender is "
+        "authenticated then by what they hold",
     )
     max_age_s: float = Field(
         default=2.0,

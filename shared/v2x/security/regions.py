@@ -23,7 +23,7 @@ def holds(  # noqa: PLR0911 - a return for each kind of region
         The place; an unknown one is in no region.
     countries : collection of int
         Codes of the countries and unions in which this unit is, by which regions named by code are judged: ISO 3166-1
-        numeric. Parts of a country are not judged: the place is in none of them.
+        numeric. Parts of a country are not judged: the place is outside all of them.
     """
     if region is None:
         return True

@@ -70,7 +70,7 @@ class Issuer:
         return None
 
     def doubt(self, time_s: float, grace_s: float, *, is_simulated: bool) -> Unverified | None:
-        """Why nobody can be authenticated by it at an ITS time [s], though nothing is refused.
+        """Why it cannot authenticate a sender at an ITS time [s], though nothing is refused.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ def _may_list(certificate: Certificate, what: int) -> bool:
 def _newest(
     files: _Files, kind: bytes, signers: Sequence[Certificate], psid: int
 ) -> dict[bytes, TrustList]:  # fmt: skip
-    """Newest list of a kind of each signer, by its HashedId8; lists that nobody of them has signed are faults."""
+    """Newest list of a kind of each signer, by its HashedId8; lists that no signer among them has signed are faults."""
     by_digest = {certificate.digest: certificate for certificate in signers}
     found: dict[bytes, TrustList] = {}
     for name, trusted in files.lists:

@@ -76,7 +76,7 @@ class Verifier(Generic[Frame]):
         self._store, self._countries = store, frozenset(countries)
         self._grace_s, self._is_simulated = grace_s, is_simulated
         self._tickets: OrderedDict[bytes, Ticket] = OrderedDict()  # by digest, the last used at the end
-        self._others: OrderedDict[bytes, Verdict] = OrderedDict()  # tickets that authenticate nobody
+        self._others: OrderedDict[bytes, Verdict] = OrderedDict()  # tickets without a trusted chain, or refused
         self._held: OrderedDict[bytes, list[_Held[Frame]]] = OrderedDict()  # by digest of the ticket
         self._known: OrderedDict[bytes, Certificate] = OrderedDict()  # of `_tickets`, by their bytes
         self._packets: OrderedDict[bytes, None] = OrderedDict()  # digests of verified packets

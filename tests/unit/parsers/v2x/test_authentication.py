@@ -236,7 +236,7 @@ def test_an_overdue_list_of_revocations_counts_until_its_grace_ends(
     assert process.rejects == Counter()
 
 
-def test_without_a_list_of_revocations_nobody_is_authenticated(tmp_path: Path) -> None:
+def test_without_a_list_of_revocations_no_sender_is_authenticated(tmp_path: Path) -> None:
     process = unit(tmp_path)
     (tmp_path / "crl").unlink()
     list(process.handle(Tick(now_ns=NOW_NS)))

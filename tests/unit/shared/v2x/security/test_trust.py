@@ -164,7 +164,7 @@ def test_damaged_files_are_read_or_rejected(whole: bytes, damage: list[tuple[int
 
 @pytest.mark.recording
 def test_the_chain_and_the_lists_of_european_pkis_are_read_and_their_signatures_hold() -> None:
-    """Certificates of the L0 level of the European PKI and of a French one, none of which our code has made."""
+    """Certificates of the L0 level of the European PKI and of a French one, which our code has not made."""
 
     def certificate(name: str) -> Any:
         return take_certificate(Reader((recording("cits_trust") / name).read_bytes()))
