@@ -215,7 +215,7 @@ def _may_list(certificate: Certificate, what: int) -> bool:
 def _newest(
     files: _Files, kind: bytes, signers: Sequence[Certificate], psid: int
 ) -> dict[bytes, TrustList]:  # fmt: skip
-    """Newest list of a kind of each signer, by its HashedId8; lists that no signer among them has signed are faults."""
+    """Newest list of a kind of each signer, by its HashedId8; lists of other signers are faults."""
     by_digest = {certificate.digest: certificate for certificate in signers}
     found: dict[bytes, TrustList] = {}
     for name, trusted in files.lists:
