@@ -50,7 +50,7 @@ class SecuritySettings(Section):
     trust_folder: Path | None = Field(
         default=None,
         description="folder with the certificates and lists that are trusted; test roots lie in its sub-folder `test`. "
-        "If not given, no sender is authenticated; beside sensors.traffic it is deploy/trust, with the simulation's root",
+        "If not given, no sender is authenticated; beside sensors.traffic it is deploy/trust, of the simulation's root",
     )
     countries: tuple[int, ...] = Field(
         default=(),
