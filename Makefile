@@ -175,8 +175,9 @@ fuzz: setup ## feed damaged bytes to parsers, readers of files and the link to a
 	@$(PYTHON) -m benchmarks.fuzz_files --seed $(SEED) --seconds $(SECONDS)
 	@$(PYTHON) -m benchmarks.fuzz_fleet --seed $(SEED) --seconds $(SECONDS)
 
-v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
+v2x: setup ## measure cost and latency of receiving 2,000 CAM a second, and signed ones (five minutes)
 	@$(PYTHON) -m benchmarks.v2x $(if $(SMOKE),--smoke)
+	@$(PYTHON) -m benchmarks.v2x.signed $(if $(SMOKE),--smoke)
 
 fleet: $(VENV)/.testing $(VENV)/.debian ## measure a centre with 10,000 vehicles, and kill every part of one (9 minutes)
 	@$(PYTHON) -m benchmarks.fleet $(SIZE)

@@ -30,6 +30,8 @@ from shared.messages.vehicle import CanRaw
 from shared.runtime.config import load_vehicle
 from shared.v2x import frames
 from shared.v2x.its_time import its_time_ms
+from shared.v2x.security.issuing.signing import sign_packet
+from shared.v2x.security.issuing.simulated import ticket
 from tests.support.data import REPOSITORY, data_folder
 from tests.support.gnss.captures import read_pcapng
 from tests.support.gnss.frames import rtcm
@@ -46,7 +48,8 @@ FRAME = re.compile(
     re.S,
 )
 REPAIRED = 0.5  # share of the inputs whose checksums are right
-VEHICLE = REPOSITORY / "deploy" / "vehicles" / "simulated.toml"
+VEHICLES = REPOSITORY / "deploy" / "vehicles"
+YOUNG_NS = 1_500_000_000
 SEED_BYTES = 4_000_000  # of the recordings, of each file
 GROWTH_INPUTS = 200  # through one process: its buffers must have found their bounds
 MAX_HELD_BYTES = 4_000_000  # in all containers of a parser
@@ -65,6 +68,7 @@ class Target:
     recordings: tuple[str, ...]  # patterns of files below OBU_DATA
     simulated: Callable[[], list[bytes]]  # where there are none
     is_packets: bool = False  # the recordings are captures, of which each packet is a seed
+    vehicle: str = "simulated.toml"  # of deploy/vehicles, with the parser's settings
 
     def seeds(self) -> list[bytes]:
         """Bytes of the recordings, else of the simulator; packets of both, since those of captures are old."""
@@ -83,10 +87,19 @@ def _stream(kind: type[RawBytes]) -> Callable[[bytes, int], Message]:
 
 
 def _packets(data: bytes, at_ns: int) -> Message:
-    """A batch of one frame of the radio."""
+    """A batch of one frame of the radio, while the seeds of our own are young enough to be verified."""
+    at_ns = NOW_NS + (at_ns - NOW_NS) % YOUNG_NS
     return CamFrames(
         received_ns=at_ns, source="fuzz", encapsulation=Encapsulation.GEONETWORKING, data=frames.pack([(at_ns, data)])
     )
+
+
+def _cams() -> list[bytes]:
+    """A CAM without a signature, and signed by a ticket that is trusted, with its certificate and with its digest."""
+    time_ms = its_time_ms(NOW_NS)
+    plain = cams.packet(cams.BRAKING, time_ms)
+    holder = ticket(b"fuzz", time_ms // 1000)
+    return [plain, *(sign_packet(plain, holder, time_ms * 1000, with_certificate=whole) for whole in (True, False))]
 
 
 def _golden(name: str) -> Callable[[], list[bytes]]:
@@ -108,8 +121,7 @@ TARGETS = {
         lambda: [b"".join(rtcm(number) for number in (1005, 1077, 1087, 1097, 1230))],
     ),
     "v2x": Target(
-        _packets, ("cam_secured/*.pcapng", "etsi_cam_pcap/*.pcapng"),
-        lambda: [cams.packet(cams.BRAKING, its_time_ms(NOW_NS))], is_packets=True,
+        _packets, ("cam_secured/*.pcapng", "etsi_cam_pcap/*.pcapng"), _cams, is_packets=True, vehicle="rsu.toml",
     ),
 }  # fmt: skip
 
@@ -169,9 +181,10 @@ def _closed(data: bytearray, end: int, checksum: bytes, place: int) -> int:
 
 
 def parser_of(name: str) -> Any:
-    """A new process of a parser, as in the simulated vehicle; `rejects` and `handle` are all that is used of it."""
+    """A new process of a parser, as in a simulated unit; `rejects` and `handle` are all that is used of it."""
     module = importlib.import_module(f"services.parsers.{name}.process")
-    return module.Process(load_vehicle(VEHICLE).section(f"parsers.{name}", module.Config))
+    file = load_vehicle(VEHICLES / TARGETS[name].vehicle)
+    return module.Process(file.section(f"parsers.{name}", module.Config))
 
 
 def held_bytes(thing: object, seen: set[int] | None = None, depth: int = 12) -> int:

@@ -41,6 +41,7 @@ TABLES = {
     "benchmarks/results/toll_campaign.md": Table("benchmarks.toll_campaign", "python -m benchmarks.toll_campaign"),
     "benchmarks/results/tracking.md": Table("benchmarks.tracking", "python -m benchmarks.tracking"),
     "benchmarks/results/v2x.md": Table("benchmarks.v2x.report", "make v2x"),
+    "benchmarks/results/v2x_signed.md": Table("benchmarks.v2x.signed", "make v2x"),
     "benchmarks/results/viewers.md": Table("benchmarks.viewers", "python -m benchmarks.viewers"),
     "docs/reference/drives.md": Table("benchmarks.navigation.report", "make drives"),
     "docs/reference/trust-on-drives.md": Table("benchmarks.navigation.trust", "make drives-trust"),

@@ -269,6 +269,7 @@ class Campaign:
                         list(self.v2x.handle(fix))
                         self._publish(self._answers(fix), now_ns)
             case TollRegistration():
+                assert item.station_id is not None, "the simulated traffic registers station IDs"
                 self.contract_of[item.station_id] = item.contract
                 self._publish(self._answers(item), now_ns)
                 self.inbox.append(item)
@@ -387,7 +388,18 @@ class Campaign:
         balances = self.ledger.balances(0)
         outcomes: Counter[str] = Counter()
         for lane in balances:
-            for name in ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held", "pending"):
+            for name in (
+                "charged",
+                "review",
+                "undecided",
+                "unregistered",
+                "paid_otherwise",
+                "suspect",
+                "void",
+                "missed",
+                "held",
+                "pending",
+            ):
                 outcomes[name] += getattr(lane, name)
         detections = sum(lane.detections for lane in balances)
         return Result(

@@ -2,13 +2,16 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from shared.processes import PROCESSES, Kind, ProcessRow
+from shared.programs import ROLES
 from shared.runtime.credentials import CHECK, OBSERVERS
 from shared.topics import BROKER_LOG, BY_NAME, REPLAY, Topic, measurements, on_request, publications, subscriptions
 
 ANY_VEHICLE = "+"
+
+
 HEAD = """\
 # Access list: rights to read and write topics. Printed by `python -m broker.acl`; do not edit.
 # The user name of a process is its own name. Programs that listen are one of the observers, the health check of the
@@ -22,13 +25,15 @@ def access_list(
     *,
     rows: Sequence[ProcessRow] = PROCESSES,
     readers: Sequence[str] = (),
+    programs: Mapping[str, str] | None = None,
     nameless_read: bool = False,
     replay: bool = False,
     replayed: bool = True,
 ) -> str:
     """Print the access list in the format of Mosquitto's `acl_file`.
 
-    It holds for one vehicle or for any, for the processes `rows` and further users that only read; clients without a
+    It holds for one vehicle or for any, for the processes `rows`, further users that only read, and `programs`: names
+    with their role of `ROLES`; clients without a
     name may read everything or, ordinarily, nothing. On the broker of a replay `sensors.replay` publishes in place of
     every process; `obu replay --broker` publishes in place of the sensors where `replayed` allows it.
     """
@@ -36,11 +41,18 @@ def access_list(
     everything = f"topic read {prefix}#\n"
     nameless = f"\n# Clients without a name may read.\n{everything}" if nameless_read else NOBODY_ELSE
     observers = "".join(f"\nuser {name}\n{everything}" for name in (*OBSERVERS, *readers))
+    observers += "".join(f"\nuser {name}\n{_program(role, prefix)}" for name, role in (programs or {}).items())
     users = (
         f"\nuser {row.name}\n" + ("topic write obu/#\n" if replay and row.kind is Kind.REPLAY else "")
         + "".join(_lines(row, prefix)) for row in rows
     )  # fmt: skip
     return f"{HEAD}{nameless}{observers}\n{_check(prefix)}{_replay(prefix) if replayed else ''}{''.join(users)}"
+
+
+def _program(role: str, prefix: str) -> str:
+    rights = ROLES[role]
+    reads = (f"topic read {prefix}{name}\n" for name in rights.reads or ("#",))
+    return "".join((*reads, *(f"topic write {prefix}{name}\n" for name in rights.writes)))
 
 
 def _check(prefix: str) -> str:

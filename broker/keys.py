@@ -18,6 +18,7 @@ from pathlib import Path
 from shared.errors import UserError
 from shared.evidence import EvidenceError, KeyFile, keys_folder
 from shared.processes import PROCESSES, Kind, ProcessRow, running
+from shared.programs import READER, ROLES
 from shared.runtime.config import VehicleFile
 from shared.runtime.credentials import ADDRESS, CHECK, OBSERVER, OBSERVERS, READERS, WATCH
 from shared.runtime.private import PAGE, UPLINK
@@ -74,7 +75,8 @@ def make(folder: Path, vehicle: VehicleFile, made: KeyFileOwners) -> tuple[Path,
     rows = rows_of(vehicle, replay=made.replay)
     names = (*(row.name for row in rows), *OBSERVERS, *((REPLAY,) if may_be_replayed(rows) else ()))
     secret_of = {name: _secret(folder / name) for name in names}
-    readers = {name: _secret(folder / READERS / name) for name in readers_of(folder)}
+    programs = programs_of(folder)
+    outside = {name: _secret(_place(folder, role) / name) for name, role in programs.items()}
     if made.containers:
         for name in names:
             os.chown(folder / name, _container_user(name), CONTAINER_GROUP)
@@ -86,10 +88,8 @@ def make(folder: Path, vehicle: VehicleFile, made: KeyFileOwners) -> tuple[Path,
     write_file(folder / MADE, json.dumps(asdict(made)).encode())
     passwords, rules = files / PASSWORDS, files / ACCESS_LIST
     before = passwords.read_text(encoding="ascii") if passwords.exists() else ""
-    write_file(passwords, password_file(secret_of | readers, before).encode(), made.owner)
-    rights = access_list(
-        vehicle.name, rows=rows, readers=tuple(readers), replay=made.replay, replayed=may_be_replayed(rows)
-    )
+    write_file(passwords, password_file(secret_of | outside, before).encode(), made.owner)
+    rights = access_list(vehicle.name, rows=rows, programs=programs, replay=made.replay, replayed=may_be_replayed(rows))
     write_file(rules, rights.encode(), made.owner)
     return passwords, rules
 
@@ -188,9 +188,20 @@ def made_in(folder: Path) -> KeyFileOwners:
         raise UserError(f"cannot read {folder / MADE}: {error}; run `obu keys make` with its options again") from error
 
 
-def readers_of(folder: Path) -> list[str]:
-    """Names of the further users that may read everything."""
-    return sorted(path.name for path in (folder / READERS).glob("*") if READER_NAME.fullmatch(path.name))
+def programs_of(folder: Path) -> dict[str, str]:
+    """Names of the further users, with the role of each, in the order of their names."""
+    found = {
+        path.name: role
+        for role in ROLES
+        for path in _place(folder, role).glob("*")
+        if READER_NAME.fullmatch(path.name)
+    }  # fmt: skip
+    return dict(sorted(found.items()))
+
+
+def _place(folder: Path, role: str) -> Path:
+    """Folder of the secrets of a role."""
+    return folder / (READERS if role == READER else f"{role}s")
 
 
 def processes_of(folder: Path) -> list[str]:
@@ -199,19 +210,22 @@ def processes_of(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir() if p.is_file() and p.name[0] != "." and p.name not in others)
 
 
-def add_reader(folder: Path, name: str) -> str:
-    """Make the secret of a further user that may read everything, and give it; raises `UserError` for no such name."""
+def add_program(folder: Path, name: str, role: str = READER) -> str:
+    """Make the secret of a further user with a role, and give it; raises `UserError` for no such name."""
     if not READER_NAME.fullmatch(name) or name in RESERVED:
         raise UserError(f"{name!r} is no name of a reader: a letter, then up to 47 letters, digits, - or _, lower case")
-    (folder / READERS).mkdir(mode=0o700, exist_ok=True)
-    return _secret(folder / READERS / name)
+    if (other := programs_of(folder).get(name, role)) != role:
+        raise UserError(f"{name!r} has the role {other!r} already; remove it first, or take another name")
+    _place(folder, role).mkdir(mode=0o700, exist_ok=True)
+    return _secret(_place(folder, role) / name)
 
 
-def remove_reader(folder: Path, name: str) -> None:
+def remove_program(folder: Path, name: str) -> None:
     """Delete the secret of a further user; raises `UserError` if there is none."""
-    if name not in readers_of(folder):
+    role = programs_of(folder).get(name)
+    if role is None:
         raise UserError(f"there is no user {name!r}; `obu keys list` lists them")
-    (folder / READERS / name).unlink()
+    (_place(folder, role) / name).unlink()
 
 
 def forget(folder: Path, name: str) -> None:

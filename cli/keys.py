@@ -8,6 +8,7 @@ from pathlib import Path
 
 from broker import keys
 from shared.errors import UserError
+from shared.programs import READER, ROLES
 from shared.runtime.config import VehicleFile, load_vehicle, state_dir
 from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, folder_of
 from shared.runtime.private import private_folder
@@ -104,18 +105,20 @@ def show() -> int:
     keys.made_in(where)
     for name in keys.processes_of(where):
         print(f"{name:24} {'listens' if name in OBSERVERS else 'process or program of the unit'}")
-    for name in keys.readers_of(where):
-        print(f"{name:24} listens (obu keys add)")
+    for name, role in keys.programs_of(where).items():
+        print(f"{name:24} {'listens' if role == READER else role} (obu keys add)")
     return 0
 
 
-def add(name: str) -> int:
-    """Make a user that may read everything, and print the address that holds its secret."""
+def add(name: str, role: str = READER) -> int:
+    """Make a user with the rights of a role, and print the address that holds its secret."""
     where = folder()
     made = keys.made_in(where)
-    if len(set(keys.readers_of(where)) - {name}) >= MAX_READERS:
+    if role not in ROLES:
+        raise UserError(f"there is no role {role!r}; the roles are {', '.join(ROLES)}")
+    if len(set(keys.programs_of(where)) - {name}) >= MAX_READERS:
         raise UserError(f"there are {MAX_READERS} users already; remove one with `obu keys remove NAME`")
-    _tell(name, keys.add_reader(where, name))
+    _tell(name, keys.add_program(where, name, role))
     _write_rules(where, made)
     return 0
 
@@ -124,7 +127,7 @@ def remove(name: str) -> int:
     """Delete a user of `obu keys add`."""
     where = folder()
     made = keys.made_in(where)
-    keys.remove_reader(where, name)
+    keys.remove_program(where, name)
     _write_rules(where, made)
     print(TAKE_EFFECT)
     return 0
@@ -134,13 +137,13 @@ def rotate(name: str | None) -> int:
     """Replace one secret, or all; processes read theirs when they start."""
     where = folder()
     made = keys.made_in(where)
-    readers, processes = keys.readers_of(where), keys.processes_of(where)
-    if name is not None and name not in (*readers, *processes):
+    programs, processes = keys.programs_of(where), keys.processes_of(where)
+    if name is not None and name not in (*programs, *processes):
         raise UserError(f"there is no secret of {name!r}; `obu keys list` lists them")
-    for reader in readers:
-        if name in (None, reader):
-            keys.remove_reader(where, reader)
-            _tell(reader, keys.add_reader(where, reader))
+    for program, role in programs.items():
+        if name in (None, program):
+            keys.remove_program(where, program)
+            _tell(program, keys.add_program(where, program, role))
     replaced = [process for process in processes if name in (None, process)]
     for process in replaced:
         keys.forget(where, process)

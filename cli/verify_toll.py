@@ -14,6 +14,7 @@ from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
+from services.monitoring.ledger.pack import pack_faults
 from services.monitoring.ledger.proof import pack_fault, prove_ledger
 from shared.bounded import SizeExceeded, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
@@ -27,7 +28,10 @@ from shared.v2x.evidence import cam_of
 from .evidence_key import KeyOption, accepted_keys
 from .progress import progress_on
 
-COMPARED = ("passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns")
+COMPARED = (
+    "passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns", "tickets",
+    "authenticated",
+)  # fmt: skip
 SQLITE = b"SQLite format 3\0"
 SEAL_FIELD = b',"signature":'
 
@@ -52,13 +56,18 @@ def verify_toll(
         Path | None, typer.Option(metavar="FOLDER", help="Also write each pack into this folder, as JSON.")
     ] = None,
     key: KeyOption = None,
+    seal: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Signed entries that the operator has kept (`toll/seal`, `seal_file`)."),
+    ] = None,
 ) -> int:
     """Derive each charge again from its evidence, compare it bit for bit, and check chain and signatures.
 
     Lane, probabilities, crossing time, passage ID, tariff and digest are computed from the received frames, the delta
-    positions, the plaza's file and the settings in the evidence pack. Of a ledger every booking is compared with the
-    signed chain. Ends with 1 if a charge does not follow from its evidence, 3 unsigned, 5 edited, 6 signed by an
-    unknown key. The graver one counts: 5, 6, 1, 3.
+    positions, the plaza's file and the settings in the evidence pack; the contract follows from the registrations in
+    it, the confirmation from the pulse in it. Of a ledger every booking is compared with the signed chain. Ends with 1
+    if a charge does not follow from its evidence, 3 unsigned, 5 edited, 6 signed by an unknown key. The graver one
+    counts: 5, 6, 1, 3.
 
     Examples:
     [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
@@ -66,10 +75,11 @@ def verify_toll(
     [bold]obu verify-toll packs/3f9a.json --key plaza.pub[/]
     """
     ring = accepted_keys(key)
+    seals = [text for path in seal or () for text in _bytes(path).decode(errors="replace").splitlines() if text.strip()]
     wrong = number = 0
     outcomes: list[Outcome] = []
     with progress_on(Console(stderr=True)) as progress:
-        packs = (each for path in evidence for each in _checked(path, ring, outcomes))
+        packs = (each for path in evidence for each in _checked(path, ring, outcomes, seals))
         total = sum(map(count, evidence))
         for item, outcome, text in progress.track(packs, total=total, description="verifying"):
             pack = None if item.damage else parse(item)
@@ -100,14 +110,16 @@ def _print(passage_id: str, pack: EvidencePack | None, problems: list[str], sign
     print(f"{passage_id}  lane {pack.lane}  {'; '.join(said)}")
 
 
-def _checked(path: Path, ring: KeyRing, outcomes: list[Outcome]) -> Iterator[tuple[Evidence, Outcome, str]]:
+def _checked(
+    path: Path, ring: KeyRing, outcomes: list[Outcome], seals: Sequence[str]
+) -> Iterator[tuple[Evidence, Outcome, str]]:
     """Read the packs of a file, with what their signatures say; what concerns a whole ledger goes to `outcomes`."""
     if not _is_ledger(path):
         (found,) = read(path)
         yield found, *_signature(found, ring)
         return
     try:
-        proof = prove_ledger(path, ring)
+        proof = prove_ledger(path, ring, seals)
     except sqlite3.Error as error:
         raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error
     if proof.outcome is not Outcome.UNSIGNED:  # of which each charge says whether it is one
@@ -242,6 +254,7 @@ def _derivation(pack: EvidencePack) -> Iterator[str]:
         yield "the plaza's file is not the one of the passage"
     if plaza.tariff.version != pack.tariff_version or plaza.tariff.classes.get(pack.tariff_class) != pack.amount_cents:
         yield "the amount is not that of the tariff"
+    yield from pack_faults(pack, plaza)
     evidence = pack.crossed.evidence
     if evidence is None:
         yield "the crossing has no evidence"

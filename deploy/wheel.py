@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 from shared.page import assets  # noqa: E402 the repository is not on the path of a script
 
 DASHBOARD = Path("services/monitoring/status/dashboard")
-FOLDERS = ("cli", "services", "shared", "broker", "deploy/vehicles", "deploy/plazas")
+FOLDERS = ("cli", "services", "shared", "broker", "deploy/vehicles", "deploy/plazas", "deploy/trust")
 FILES = ("pyproject.toml", "README.md", "LICENSE")
 LICENCES = "LICENSES.txt"  # beside the libraries, in node_modules
 LEFT_OUT = shutil.ignore_patterns("node_modules", "__pycache__", "*.pyc", ".*")

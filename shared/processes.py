@@ -118,7 +118,15 @@ PROCESSES = (
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
         container_user=10_107,
         consumes=("toll/transaction",),
-        produces=("gnss/raw", "origin/state", "toll/registration", "plaza/detector", "toll/receipt", "plaza/truth"),
+        produces=("gnss/raw", "origin/state", "toll/registration", "plaza/detector", "toll/paid_otherwise",
+                  "toll/receipt", "plaza/truth"),
+        roles=(Role.RSU,),
+    ),
+    ProcessRow(
+        "sensors.plaza", Kind.DEVICE_DRIVER, "receives the pulses of a toll plaza's detectors, and directs its cameras",
+        container_user=10_130,
+        consumes=("plaza/picture_order",),
+        produces=("plaza/detector", "plaza/pictures"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
@@ -250,9 +258,10 @@ PROCESSES = (
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
         container_user=10_124,
-        consumes=("toll/registration", "toll/passage", "toll/used_cam", "plaza/detector", "toll/receipt",
-                  "origin/state"),
-        produces=("toll/open_passages", "toll/restored_cam", "toll/transaction", "toll/review", "ledger/state"),
+        consumes=("toll/registration", "toll/passage", "toll/used_cam", "plaza/detector", "toll/paid_otherwise",
+                  "toll/receipt", "origin/state"),
+        produces=("toll/open_passages", "toll/restored_cam", "toll/transaction", "toll/review", "plaza/picture_order",
+                  "toll/alarm", "toll/seal", "ledger/state"),
         roles=(Role.RSU,),
     ),
     ProcessRow(

@@ -38,6 +38,9 @@ OF_DEVICES = {
     "power_overflow": Reason("a current beyond the range of the UPS's sensor", "check its wiring"),
     "power_range": Reason("a voltage beyond the range of the battery", "check wiring, cells and the configured type"),
     "power_step": Reason("a step of the voltage that the next readings do not confirm", "check its wiring"),
+    "detector_line": Reason("a line of a detector that has another form", "compare the form in sensors.plaza"),
+    "detector_lane": Reason("a pulse of a lane that the plaza does not have", "correct the lane's name"),
+    "detector_rate": Reason("pulses of a lane faster than vehicles can pass", "check the detector"),
     "frame_rate": Reason("V2X frames beyond what a radio delivers", "check the link to the radio"),
     "frame_length": Reason("a V2X frame without content, or longer than a frame can be", "check the link to the radio"),
     "queue_full": Reason("V2X frames that came faster than they are taken", "check the load of this computer"),
@@ -55,6 +58,16 @@ OF_V2X = {
     "security_content": Reason("a secured frame that is encrypted, or without signed content", _NONE),
     "security_encoding": Reason("a security header that is not encoded as its standard says", _NONE),
     "security_psid": Reason("a signed message of another service than CAM", _NONE),
+    "security_header": Reason("a signed CAM with a member in its header that its profile excludes", _NONE),
+    "bad_signature": Reason("a frame, or the ticket in it, that its stated key has not signed", _NONE),
+    "expired": Reason("a signed frame whose ticket, or an issuer of it, is not valid now", "check the unit's clock"),
+    "revoked": Reason("a signed frame of an authority that its root has revoked", _NONE),
+    "wrong_permission": Reason("a signed frame with what its ticket, or an issuer of it, may not say", _NONE),
+    "wrong_region": Reason(
+        "a signed frame from outside the region of its ticket, or of an issuer of it",
+        "state the country in `[parsers.v2x.security] countries`",
+    ),
+    "trust_file": Reason("a file of the trust folder that is not used; the log says why", "replace or remove the file"),
     "security_signer": Reason("a signed frame with neither a digest nor one explicit certificate", _NONE),
     "generation_time": Reason("a signed frame without time, or whose time contradicts its CAM", _NONE),
     "truncated": Reason("a frame that ends within its headers", "check the link to the radio"),
@@ -101,6 +114,25 @@ OF_CORE = {
 }
 OF_MONITORING = {
     "tariff class": Reason("a passage of a class without a tariff", "complete the tariff of the plaza"),
+    "registration_without_ticket": Reason(
+        "a registration of a station ID, which this plaza does not accept", "register the vehicle's ticket"
+    ),
+    "registration_validity": Reason("a registration for longer than one passage", "register for 10 minutes at most"),
+    "registration_of_another_plaza": Reason("a registration for another plaza", "name this plaza in it"),
+    "registration_not_possessed": Reason(
+        "a registration without a good signature of the ticket's key", "sign with the key of the ticket; else a forgery"
+    ),
+    "registration_not_countersigned": Reason(
+        "a registration without a good signature of the operator", "compare `operator_keys` in the plaza's file"
+    ),
+    "registration_changed": Reason("a stored registration that was changed beside the ledger", "see who has the disk"),
+    "too many registrations": Reason("registrations beyond what the ledger keeps", "see who registers"),
+    "pulse of a closed hour": Reason(
+        "a pulse that came after its hour was closed", "look at the detector's connection"
+    ),
+    "outcome of a closed hour": Reason("an outcome that came after its hour was closed", _NONE),
+    "payment in a lane for C-ITS only": Reason("a payment of a lane that is not mixed", "correct the plaza's file"),
+    "seal_file": Reason("a signed entry that could not be written", "check the folder of `seal_file`"),
     "passages left out": Reason("the oldest of more open passages than one message holds", _NONE),
     "outages left out": Reason("outages of a replay beyond what one message holds", _NONE),
     "another plaza": Reason("a passage of another plaza", "give the road-side unit the file of its plaza"),

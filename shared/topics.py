@@ -55,14 +55,19 @@ from .messages.replay import ReplayControl, ReplayEvents, ReplayState
 from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
+    LedgerHead,
     LedgerState,
     OpenPassages,
+    PictureOrder,
+    PictureState,
     PlazaDescription,
     PlazaDetector,
     PlazaTruth,
     RestoredCams,
+    TollAlarm,
     TollDelta,
     TollPassage,
+    TollPayment,
     TollReceipt,
     TollRegistration,
     TollReview,
@@ -84,6 +89,7 @@ from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSignal, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
+from .programs import ROLES
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
 ONE_BYTES, MANY_BYTES = 131_072, 245_760  # with topic and header below `max_packet_size` of the broker
@@ -223,6 +229,13 @@ TOPICS = (
     Topic("plaza/description", PlazaDescription, "lanes and lines of the toll plaza", qos=1, retain=True),
     Topic("toll/registration", TollRegistration, "contract and present station ID of a vehicle", qos=1, personal=True),
     Topic("plaza/detector", PlazaDetector, "a vehicle at the gate line of a lane, by its detector", qos=1),
+    Topic("plaza/picture_order", PictureOrder, "orders to the lanes' cameras: take, keep or delete a picture", qos=1),
+    Topic("plaza/pictures", PictureState, "how many pictures the cameras hold, and since when"),
+    Topic("toll/paid_otherwise", TollPayment, "vehicles of mixed lanes that have paid the operator otherwise", qos=1,
+          personal=True),
+    Topic("toll/alarm", TollAlarm, "attacks on the plaza, and tickets that misbehave", qos=1, personal=True),
+    Topic("toll/seal", LedgerHead, "the newest signed entry of the ledger, for the operator to keep", qos=1,
+          retain=True),
     Topic("toll/delta", TollDelta, "common GNSS error at the plaza", rate_hz=1.0, silent_after_s=10.0, qos=1,
           retain=True),
     Topic("toll/tracks", TollTracks, "vehicles tracked at the plaza", rate_hz=2.0, silent_after_s=5.0, personal=True),
@@ -288,6 +301,9 @@ def may_send(process: str, name: str) -> bool:
         return False
     if topic.per_process:
         return name == topic.name[:-1] + process and process in PROCESS_ROWS
+    program = ROLES.get(process)
+    if program is not None:
+        return topic.name in program.writes
     return process in topic.producers or (process == REPLAY and (topic in measurements() or name == "origin/state"))
 
 

@@ -48,6 +48,7 @@ PATH_POINTS = 10  # in each CAM with a low-frequency container: two of the ten C
 HEADER_TIME_AT = geonetworking.POSITION_AT + 8  # behind the address
 DELTA_TIME_AT = geonetworking.PAYLOAD_AT + 6  # of generationDeltaTime in a packet: behind the 48 bits of the header
 SETTLING_S = 5.0
+SECTIONS = "[sensors.traffic]\n"  # the plaza is simulated; the process does not run
 TITLE = """# Receiving and tracking CAM: cost and latency
 
 By `make v2x`: {vehicles} vehicles at {rate} Hz, two of ten CAM with a path of {points} points, over UDP on this machine
@@ -160,11 +161,12 @@ class Sender:
 
 
 @contextmanager
-def running(folder: Path, port: int, broker: str) -> Iterator[dict[str, psutil.Process]]:
-    """Run a broker and the measured processes, each a process of its own."""
+def running(folder: Path, port: int, broker: str, sections: str = SECTIONS) -> Iterator[dict[str, psutil.Process]]:
+    """Run a broker and the measured processes, each a process of its own; `sections` are of the vehicle's file."""
     broker_port = free_port()
     file = folder / "vehicle.toml"
-    file.write_text(f'[vehicle]\nname = "bench"\nrole = "rsu"\n\n[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\n')
+    device = f'[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\n'
+    file.write_text(f'[vehicle]\nname = "bench"\nrole = "rsu"\n\n{device}{sections}')
     started = local_broker(folder, broker_port, broker, load_vehicle(file))
     environment = os.environ | {
         "OBU_VEHICLE": str(file), "OBU_BROKER": started.address.url, "OBU_STATE": str(folder)
@@ -263,13 +265,17 @@ class Listener:
             found |= {key: count - before.get(key, 0) for key, count in health.rejects.items()}
         return {key: count for key, count in found.items() if count}
 
+    def note(self, message: CamList, received_ns: int) -> None:
+        """Use a list of CAM."""
+        self.ages_ns += [received_ns - cam.received_ns for cam in message.cams]
+
     def _take(self) -> None:
         for envelope in self._bus.receive(0.05):
             started = time.process_time()
             message = envelope.decode()
             if isinstance(message, CamList):
                 self.decoding_s += time.process_time() - started
-                self.ages_ns += [envelope.received_ns - cam.received_ns for cam in message.cams]
+                self.note(message, envelope.received_ns)
             elif isinstance(message, TollTracks):
                 self.tracks = len(message.tracks)
                 self.track_ages_ns.append(envelope.received_ns - message.sampled_ns)

@@ -58,16 +58,22 @@ def list_users() -> int:
 def add(
     name: Annotated[str, typer.Argument(help="Name of the new user, such as fleet-gateway.")],
     read: Annotated[bool, typer.Option("--read", help="It may read every topic, and write none.")] = False,
+    role: Annotated[
+        str | None,
+        typer.Option(help="At a toll plaza: `operator` registers vehicles and answers, `detector` counts them."),
+    ] = None,
 ) -> int:
     """Add a user of the bus that is no part of the unit, and print its secret.
 
-    Example: [bold]obu keys add fleet-gateway --read[/]
+    Examples:
+    [bold]obu keys add fleet-gateway --read[/]
+    [bold]obu keys add back-office --role operator[/]
     """
     from .. import keys
 
-    if not read:
-        raise UserError("a further user may only read: add --read")
-    return keys.add(name)
+    if read == (role is not None):
+        raise UserError("what may the user do? Add --read, --role operator or --role detector")
+    return keys.add(name, role or "reader")
 
 
 def remove(name: Annotated[str, typer.Argument(help="Name of the user.")]) -> int:

@@ -23,7 +23,7 @@ from .base import (
     unit,
 )
 from .explanation import Explanation
-from .v2x import Authentication
+from .v2x import Authentication, CertificateDigest, Unverified
 
 StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudonym that a CAM carries
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
@@ -36,6 +36,10 @@ MAX_USED = 2000  # CAM in one message
 OVERLAPS = 16  # of one passage with others in its lane
 LANES = 500  # of a plaza
 FRAMES, DELTAS, POSTERIORS = 3000, 1800, 600  # of one passage, as evidence
+CONTRACTS = 16  # registrations of one passage
+PULSES = 16  # in an evidence pack
+KeyName = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # the first digits of the SHA-256 of an Ed25519 key
+Ed25519Signature = Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
 
 
 class Position(Message):
@@ -52,6 +56,13 @@ class GateMode(StrEnum):
     FREE_FLOW = "free_flow"
 
 
+class LaneTraffic(StrEnum):
+    """Who may use a lane."""
+
+    CITS_ONLY = "cits_only"  # vehicles with CAM and contract; what its detector counts beside them keeps its picture
+    MIXED = "mixed"  # also who pays otherwise; only a review keeps a picture
+
+
 class LaneDescription(Message):
     """One lane: its centre line in driving direction, and the lines that its vehicles cross one after the other."""
 
@@ -59,6 +70,8 @@ class LaneDescription(Message):
     direction: Name  # of the carriageway
     mode: GateMode
     detector: bool = False  # counts the lane's vehicles: a charge needs its pulse
+    detector_direction: bool = False  # its pulses state whether the vehicle drove backwards
+    traffic: LaneTraffic = LaneTraffic.CITS_ONLY
     width_m: Deviation
     centre: Annotated[tuple[Position, ...], Field(max_length=500)]
     approach_line: tuple[Position, Position]
@@ -78,16 +91,32 @@ class PlazaDescription(Message):
 
 
 class TollRegistration(Message):
-    """A contract and the station ID that its vehicle uses now, from the vehicle's application or the operator.
+    """A contract and the authorization ticket of its vehicle, signed by the ticket's key and by the operator.
 
-    Repeated every few seconds on the approach and after each change of the station ID.
+    Repeated every few seconds on the approach and after each change of the ticket; valid for the time of one passage.
+    Without a ticket it names a station ID: accepted only by a plaza that allows CAM that are not authenticated.
     """
 
     sampled_ns: Nanoseconds
     contract: Name  # token, no name and no number plate
     tariff_class: Name
-    station_id: StationId
+    station_id: StationId | None = None  # that the vehicle uses now
     valid_until_ns: Nanoseconds
+    plaza: Name = ""  # where it is valid
+    ticket: CertificateDigest | None = None
+    certificate: Annotated[Base64, Field(max_length=2000)] | None = None  # the ticket, in its canonical form (OER)
+    possession: Annotated[str, Field(pattern=r"^([0-9a-f]{128}|[0-9a-f]{192})$")] | None = None  # ECDSA, r and s
+    operator_key: KeyName | None = None
+    countersignature: Ed25519Signature | None = None  # of the operator, over the rest
+
+
+class TollPayment(Message):
+    """Statement of the operator: the vehicle at the gate line of a mixed lane at a time has paid otherwise."""
+
+    sampled_ns: Nanoseconds  # of the vehicle at the gate line
+    plaza: Name
+    lane: Name
+    payment: Name  # number of the operator, so that a repeated one settles no second pulse
 
 
 class PlazaDetector(Message):
@@ -102,6 +131,63 @@ class PlazaDetector(Message):
     since_ns: Nanoseconds  # when the detector began to count
     pulse: Count  # running number since then, from 0
     earlier_ns: Annotated[tuple[Nanoseconds, ...], Field(max_length=100)] = ()  # the pulses before it, newest first
+    # Those of them at which the vehicle drove backwards; used only where the plaza's file says that it states this.
+    backward_ns: Annotated[tuple[Nanoseconds, ...], Field(max_length=101)] = ()
+
+
+class PictureAction(StrEnum):
+    """What a camera does with a picture."""
+
+    TAKE = "take"  # it is deleted at `until_ns` unless an order to keep it follows
+    KEEP = "keep"
+    DELETE = "delete"
+
+
+class PictureOrder(Message):
+    """Order to the camera of a lane; the same one again changes nothing."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    lane: Name
+    picture: Digest  # of plaza, lane and number of the pulse
+    pulse_ns: Nanoseconds
+    action: PictureAction
+    until_ns: Nanoseconds  # the camera deletes the picture then, with or without an order
+    reason_code: Explanation | None = None
+
+
+class PictureState(Message):
+    """Pictures that the cameras of a plaza hold."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    pictures: Count = 0
+    oldest_ns: Nanoseconds | None = None
+    failed: Count = 0  # orders that no camera has taken
+
+
+class AlarmKind(StrEnum):
+    """What an operator has to look at besides single passages."""
+
+    GHOSTS = "ghosts"  # more stations without a vehicle than a fault explains
+    MISBEHAVIOUR = "misbehaviour"  # a valid ticket states a vehicle that is not there
+
+
+class TollAlarm(Message):
+    """An attack on the plaza, or a misbehaviour report for the authority that has issued a ticket."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    kind: AlarmKind
+    lane: Name | None = None
+    since_ns: Nanoseconds
+    until_ns: Nanoseconds
+    ghosts: Count = 1
+    ticket: CertificateDigest | None = None
+    passage_id: Digest | None = None
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    reason_code: Explanation | None = None
 
 
 class TollDelta(Message):
@@ -151,6 +237,8 @@ class TollTrack(Message):
     registered: bool = False
     passage_id: Digest | None = None
     authentication: Authentication = Authentication.UNSIGNED  # the least of its CAM
+    unverified: Unverified | None = None  # why it is signed and not authenticated, of its newest CAM
+    ticket: CertificateDigest | None = None  # by which it is authenticated
 
 
 class TollTracks(Message):
@@ -188,6 +276,11 @@ class EvidenceFrame(Message):
     sampled_ns: Nanoseconds  # generation time on the unit's clock, as it was used
     received_ns: Nanoseconds
     data: Base64
+    # As its parser had found.
+    authentication: Annotated[Authentication, Field(exclude_if=lambda value: value is Authentication.UNSIGNED)] = (
+        Authentication.UNSIGNED
+    )
+    signer: CertificateDigest | None = None
 
 
 class LanePosterior(Message):
@@ -238,7 +331,9 @@ class TollPassage(Message):
     position_sd_m: Deviation
     delta_ns: Nanoseconds | None = None  # stamp of the delta that was applied; None: none was
     trust: Reason = ""  # state of the surveyed antenna and its receiver
-    authenticated: bool = False  # whether signatures of its CAM were verified
+    authenticated: bool = False  # whether signature, chain and permissions of all its CAM were verified
+    # Authorization tickets of an authenticated passage, in the order of their use.
+    tickets: Annotated[tuple[CertificateDigest, ...], Field(max_length=STATION_IDS)] = ()
     # Passages whose vehicles were at the gate line of the same lane within this vehicle's length: detectors count them.
     overlaps: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()
     derivable: bool = True  # whether lane and crossing follow from the evidence; False: it begins behind the gate line
@@ -274,9 +369,18 @@ class LedgerSeal(Message):
     ledger: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]  # random name of the ledger
     number: Count  # from 1
     link: Digest  # hash of this entry and all before it
-    key: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    key: KeyName
     public_key: Digest  # Ed25519, 32 bytes
-    signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
+    signature: Ed25519Signature
+
+
+class LedgerHead(Message):
+    """The newest entry of a ledger, signed; the operator keeps it, so that a ledger that was put back is recognised."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    # The signed statement: names and values as text, in the form that `obu verify-toll --seal` reads.
+    statement: Annotated[str, Field(max_length=4000)]
 
 
 class TollTransaction(Message):
@@ -297,6 +401,8 @@ class TollTransaction(Message):
     amount_cents: Cents
     currency: Annotated[str, Field(pattern=r"^[A-Z]{3}$")]
     authenticated: bool  # False: from CAM without a verified signature, which can be forged
+    ticket: CertificateDigest | None = None  # the one of the crossing; None: not authenticated
+    ghosts: Count = 0  # stations at the same place that no detector has counted
     confirmed: bool = False  # True: by a pulse of the lane's detector; False: not confirmed by a detector
     evidence_digest: Digest
     attempt: Count = 1  # how often it was sent
@@ -335,6 +441,18 @@ class TollReview(Message):
     currency: Name | None = None
     reversed: bool = False  # it was charged, and the charge is reversed
     evidence_digest: Digest | None = None
+    authenticated: bool = False
+    decided_by: Explanation | None = None  # what decides it: a picture, the operator's contracts, the detector
+
+
+class PulseEvidence(Message):
+    """A detector pulse as it was stored."""
+
+    lane: Name
+    since_ns: Nanoseconds
+    pulse: Count
+    sampled_ns: Nanoseconds
+    backward: bool = False
 
 
 class EvidencePack(Message):
@@ -348,12 +466,21 @@ class EvidencePack(Message):
     amount_cents: Cents
     crossed: TollPassage  # the statement of the crossing, with its evidence
     charged: TollPassage  # the final statement
+    # Packs of earlier releases end here: 1.
+    form: Count = 1
+    registrations: Annotated[tuple[TollRegistration, ...], Field(max_length=CONTRACTS)] = ()  # as they were signed
+    pulses: Annotated[tuple[PulseEvidence, ...], Field(max_length=PULSES)] = ()  # that confirm it
+    match_gate_s: Seconds | None = None  # between pulse and crossing, by the ledger's settings then
+    verdict: Explanation | None = None  # why it was charged, or went to review, by what was known then
+    # Passages at the same place that no detector has counted.
+    ghosts: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()
 
 
 class RegisteredStation(Message):
-    """A station ID that a contract covers."""
+    """A ticket, or a station ID, that a contract covers."""
 
-    station_id: StationId
+    station_id: StationId | None = None
+    ticket: CertificateDigest | None = None
     valid_until_ns: Nanoseconds
 
 
@@ -396,18 +523,21 @@ class OpenPassages(Message):
 
 
 class LaneBalance(Message):
-    """One hour of a lane: detections = charged + undecided + unregistered + suspect + void + missed + held + pending.
+    """One hour of a lane: detections are the sum of its outcomes, and of those held and pending.
 
-    Outcomes are counted as soon as a passage explains a detection.
+    Outcomes are charged, review, undecided, unregistered, paid otherwise, suspect, void and missed; they are counted
+    as soon as a passage or a payment explains a detection.
     """
 
     lane: Name
     hour_ns: Nanoseconds  # its begin
     detections: Count = 0
     charged: Count = 0
+    review: Count = 0  # of a contract: a person has to judge
     undecided: Count = 0
     unregistered: Count = 0
-    suspect: Count = 0
+    paid_otherwise: Count = 0
+    suspect: Count = 0  # contradictory, and of no contract
     void: Count = 0
     missed: Count = 0
     held: Count = 0  # complete passages that wait for a pulse of their own, or for the count of an overlap
@@ -432,9 +562,38 @@ class PassageSummary(Message):
     receipt: bool = False
     confirmed: bool | None = None  # of a charge: by a detector; None: not charged
     reversed: bool = False  # a reversal is booked
+    in_review: bool = False  # a person has to judge it
+    authenticated: bool = False
+    ghosts: Count = 0  # stations at the same place that no detector has counted
     evidence_digest: Digest | None = None
     reason: Reason = ""
     reason_code: Explanation | None = None  # which `reason` says
+
+
+class ReviewSummary(Message):
+    """One passage that a person has to judge, and what decides it: no station ID, no contract."""
+
+    passage_id: Digest
+    since_ns: Nanoseconds
+    lane: Name | None = None
+    crossing_ns: Nanoseconds | None = None
+    contracts: Count = 0
+    authenticated: bool = False
+    reversed: bool = False
+    reason: Reason = ""
+    reason_code: Explanation | None = None
+    decided_by: Reason = ""
+    decided_by_code: Explanation | None = None
+
+
+class PictureSummary(Message):
+    """One picture that is kept, and why."""
+
+    lane: Name
+    pulse_ns: Nanoseconds
+    until_ns: Nanoseconds
+    reason: Reason = ""
+    reason_code: Explanation | None = None
 
 
 class LedgerState(Message):
@@ -453,6 +612,14 @@ class LedgerState(Message):
     last_receipt_ns: Nanoseconds | None = None
     lanes: Annotated[tuple[LaneBalance, ...], Field(max_length=2 * LANES + 2)] = ()  # of this hour and the last
     recent: Annotated[tuple[PassageSummary, ...], Field(max_length=PASSAGES)] = ()
+    require_authenticated: bool | None = None  # None: of an earlier release
+    not_authenticated: Count = 0  # charges that rest on CAM without a verified signature
+    reviews: Annotated[tuple[ReviewSummary, ...], Field(max_length=50)] = ()  # the newest
+    pictures: Annotated[tuple[PictureSummary, ...], Field(max_length=50)] = ()  # the newest that are kept
+    pictures_kept: Count = 0
+    pictures_waiting: Count = 0  # taken, and neither kept nor deleted yet
+    alarms: Count = 0  # of this hour and the last
+    newest_alarm: TollAlarm | None = None
 
 
 class TrafficVehicle(Message):

@@ -48,6 +48,18 @@ class Authentication(StrEnum):
     AUTHENTICATED = "authenticated"  # signature, chain, validity, region and permissions hold; `signer` is the ticket
 
 
+class Unverified(StrEnum):
+    """Why the sender of a signed frame is not authenticated, though nothing of it is refused."""
+
+    NO_TRUST = "no_trust"  # this unit has no trusted certificates
+    NO_CERTIFICATE = "no_certificate"  # only its digest was received
+    UNKNOWN_ISSUER = "unknown_issuer"  # no trusted authority has issued the ticket
+    TEST_ROOT = "test_root"  # and the traffic is not simulated
+    NO_REVOCATIONS = "no_revocations"  # there is no list of what the root has revoked
+    LISTS_EXPIRED = "lists_expired"  # the next trust list is overdue
+    TOO_MANY = "too_many"  # more new tickets, or frames without certificate, than are examined
+
+
 class V2xSend(RawBytes):
     """One frame to be sent by the V2X radio."""
 
@@ -159,7 +171,7 @@ class CamContent(Message):
 
 
 class Cam(CamContent):
-    """One received CAM; no signature is verified."""
+    """One received CAM, and what is known of its sender."""
 
     # Generation time on the OBU time line: reconstructed from `generation_delta_time`, correct if both clocks are.
     sampled_ns: Nanoseconds
@@ -168,6 +180,7 @@ class Cam(CamContent):
     frame: Annotated[Base64, Field(max_length=MAX_FRAME_BYTES)]  # as received, for digests and evidence
     authentication: Authentication = Authentication.UNSIGNED
     signer: CertificateDigest | None = None  # that a signed frame states; None: unsigned
+    unverified: Unverified | None = None  # why a signed frame is not authenticated; None as well in evidence
 
 
 class CamList(Message):

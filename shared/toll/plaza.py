@@ -2,8 +2,11 @@
 
 The foreign members `plaza` (name) and `tariff` (version, currency, classes in 1/100 of the currency) stand
 beside `features`. A feature's property `kind` is `antenna` (a point with height), `lane` (its centre line in driving
-direction; `lane`, `direction`, `width_m`, `mode`, and `detector`: whether the lane's pulses are published), or
-`approach`, `gate`, `exit` (a line across a `direction`).
+direction; `lane`, `direction`, `width_m`, `mode`, `detector`: whether the lane's pulses are published,
+`detector_direction`: whether they state the direction, and `traffic`: `cits_only` or `mixed`), or `approach`, `gate`,
+`exit` (a line across a `direction`).
+`require_authenticated` (true unless the file says false) refuses to charge by CAM that are not authenticated, and
+`operator_keys` are the Ed25519 public keys, 64 hexadecimal digits each, with which the operator signs registrations.
 Coordinates are longitude and latitude in degrees, WGS-84.
 """
 
@@ -24,7 +27,7 @@ from ..bounded import SizeExceeded, load_json, read_bytes
 from ..errors import ConfigError
 from ..maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from ..messages.fitting import size
-from ..messages.toll import GateMode, LaneDescription, PlazaDescription, Position
+from ..messages.toll import GateMode, LaneDescription, LaneTraffic, PlazaDescription, Position
 from ..topics import BY_NAME
 
 FloatArray = npt.NDArray[np.float64]
@@ -34,6 +37,8 @@ MAXIMUM_EXTENT_M = 5_000.0  # within it the tangent plane is accurate to a few c
 Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 Coordinates = tuple[Longitude, Latitude]
+OperatorKey = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+MAXIMUM_KEYS = 16
 
 
 class _Part(BaseModel):
@@ -69,6 +74,8 @@ class _LaneProperties(_Part):
     width_m: Annotated[float, Field(gt=1.0, lt=20.0)]
     mode: GateMode = GateMode.FREE_FLOW
     detector: bool = False
+    detector_direction: bool = False
+    traffic: LaneTraffic = LaneTraffic.CITS_ONLY
 
 
 class _LineProperties(_Part):
@@ -108,6 +115,8 @@ class _Document(_Part):
     type: Literal["FeatureCollection"]
     plaza: Annotated[str, Field(min_length=1, max_length=64)]
     tariff: Tariff
+    require_authenticated: bool = True
+    operator_keys: Annotated[tuple[OperatorKey, ...], Field(max_length=MAXIMUM_KEYS)] = ()
     features: Annotated[tuple[_Feature, ...], Field(max_length=500)]
 
     @model_validator(mode="after")
@@ -116,6 +125,11 @@ class _Document(_Part):
         across = [(f.properties.direction, f.properties.kind) for f in self.features if isinstance(f, _Across)]
         if sum(isinstance(f, _Antenna) for f in self.features) != 1:
             raise ValueError("exactly one feature of kind 'antenna' is required")
+        if self.require_authenticated and not self.operator_keys:
+            raise ValueError(
+                "operator_keys is empty: name the public key with which the operator signs registrations, or allow CAM "
+                "that are not authenticated by require_authenticated: false"
+            )
         if not lanes or len({lane.lane for lane in lanes}) != len(lanes):
             raise ValueError("at least one feature of kind 'lane' is required, each with a name of its own")
         for direction in {lane.direction for lane in lanes}:
@@ -134,6 +148,8 @@ class Lane(_Part):
     direction: str
     mode: GateMode
     detector: bool
+    detector_direction: bool
+    traffic: LaneTraffic
     width_m: float
     centre: FloatArray  # shape (n, 2), in driving direction
     approach: FloatArray  # shape (2, 2): the ends of the line
@@ -150,6 +166,8 @@ class Plaza(_Part):
     digest: str  # SHA-256 of the file's bytes, hexadecimal
     antenna: Geodetic
     tariff: Tariff
+    require_authenticated: bool
+    operator_keys: tuple[str, ...]
     lanes: tuple[Lane, ...]
 
     def plane(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
@@ -176,6 +194,8 @@ class Plaza(_Part):
                     direction=lane.direction,
                     mode=lane.mode,
                     detector=lane.detector,
+                    detector_direction=lane.detector_direction,
+                    traffic=lane.traffic,
                     width_m=lane.width_m,
                     centre=self._positions(lane.centre),
                     approach_line=self._ends(lane.approach),
@@ -227,6 +247,8 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
             direction=f.properties.direction,
             mode=f.properties.mode,
             detector=f.properties.detector,
+            detector_direction=f.properties.detector_direction,
+            traffic=f.properties.traffic,
             width_m=f.properties.width_m,
             centre=_plane(f.geometry.coordinates, antenna, path),
             approach=across[f.properties.direction, "approach"],
@@ -239,7 +261,10 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
     for lane in lanes:
         _insist_on_order(lane, path)
     digest = hashlib.sha256(text).hexdigest()
-    return Plaza(name=document.plaza, digest=digest, antenna=antenna, tariff=document.tariff, lanes=lanes)
+    return Plaza(
+        name=document.plaza, digest=digest, antenna=antenna, tariff=document.tariff, lanes=lanes,
+        require_authenticated=document.require_authenticated, operator_keys=document.operator_keys,
+    )  # fmt: skip
 
 
 def plaza_path(path: Path) -> Path:

@@ -115,6 +115,26 @@ VEHICLE_ROLES = {
 VEHICLE_ROLE_CODES = {role: code for code, role in VEHICLE_ROLES.items()}
 
 
+# Service-specific permissions of a CAM (EN 302 637-2, 6.2.2), as bits of the two octets behind the version.
+ZONES_PERMISSION = 0x8000
+CONTAINER_PERMISSIONS = {
+    "publicTransportContainer": 0x4000,
+    "specialTransportContainer": 0x2000,
+    "dangerousGoodsContainer": 0x1000,
+    "roadWorksContainerBasic": 0x0800,
+    "rescueContainer": 0x0400,
+    "emergencyContainer": 0x0200,
+    "safetyCarContainer": 0x0100,
+}
+MEMBER_PERMISSIONS = {  # of a container, with this value; None: with any
+    ("roadWorksContainerBasic", "closedLanes", None): 0x0080,
+    ("safetyCarContainer", "trafficRule", "noPassing"): 0x0010,
+    ("safetyCarContainer", "trafficRule", "noPassingForTrucks"): 0x0008,
+    ("safetyCarContainer", "speedLimit", None): 0x0004,
+}
+PRIORITY_PERMISSIONS = {0x80: 0x0040, 0x40: 0x0020}  # of emergencyPriority: right of way, free crossing
+
+
 @cache
 def specification() -> Specification:
     """Compile the ASN.1 module, once a process (0.2 s)."""
@@ -136,6 +156,20 @@ def decode(payload: bytes) -> tuple[Record, int]:
     RejectedFrame
         With the reason `truncated`, `protocol_version`, `message_id` or `uper`.
     """
+    return decode_with_permissions(payload)[:2]
+
+
+def decode_with_permissions(payload: bytes) -> tuple[Record, int, int]:
+    """Decode a CAM as `decode` does, and find the permissions that its containers need.
+
+    Returns
+    -------
+    dict, int
+        As of `decode`.
+    int
+        Bits of the service-specific permissions behind their version, of the tables of EN 302 637-2, 6.2.2: 16, the
+        first one the most significant.
+    """
     if len(payload) < 2:
         raise RejectedFrame("truncated", len(payload))
     if payload[0] != PROTOCOL_VERSION:
@@ -144,7 +178,7 @@ def decode(payload: bytes) -> tuple[Record, int]:
         raise RejectedFrame("message_id", payload[1])
     try:
         record = specification().decode("CAM", payload, check_constraints=True)
-        return _content(record), record["cam"]["generationDeltaTime"]
+        return _content(record), record["cam"]["generationDeltaTime"], _permissions(record["cam"]["camParameters"])
     except (Error, *FOREIGN) as error:
         raise RejectedFrame("uper", error) from error
 
@@ -188,6 +222,23 @@ def _content(record: Record) -> Record:
     if low is not None and low[0] == "basicVehicleContainerLowFrequency":
         content["low_frequency"] = _low_frequency(low[1])
     return content
+
+
+def _permissions(parameters: Record) -> int:
+    """Bits that a sender's SSP must have for the special containers, and for members of them."""
+    container, motion = parameters["highFrequencyContainer"]
+    needed = 0
+    if container == "rsuContainerHighFrequency" and motion.get("protectedCommunicationZonesRSU"):
+        needed |= ZONES_PERMISSION
+    kind, special = parameters.get("specialVehicleContainer", (None, {}))
+    needed |= CONTAINER_PERMISSIONS.get(kind, 0)
+    for (of_kind, member, value), bit in MEMBER_PERMISSIONS.items():
+        if kind == of_kind and member in special and (value is None or special[member] == value):
+            needed |= bit
+    if kind == "emergencyContainer" and "emergencyPriority" in special:
+        bits = special["emergencyPriority"][0][0]
+        needed |= sum(bit for place, bit in PRIORITY_PERMISSIONS.items() if bits & place)
+    return needed
 
 
 def _position(position: Record) -> Record:

@@ -57,7 +57,7 @@ def decode_payload(packet: bytes) -> bytes:
     ------
     RejectedFrame
         With the reason `truncated`, `geonetworking_version`, `network_header` (also of a secured packet, which
-        `shared/v2x/security.py` unwraps), `packet_type`, `transport` or `port`.
+        `shared/v2x/security/envelope.py` unwraps), `packet_type`, `transport` or `port`.
     """
     if len(packet) < PAYLOAD_AT:
         raise RejectedFrame("truncated", len(packet))

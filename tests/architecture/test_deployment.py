@@ -40,6 +40,7 @@ USERS = {
     "sensors.corrections": 10_104,
     "sensors.power": 10_105,
     "sensors.simulator": 10_106,
+    "sensors.plaza": 10_130,
     "sensors.traffic": 10_107,
     "sensors.replay": 10_108,
     "parsers.gnss": 10_109,

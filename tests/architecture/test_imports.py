@@ -31,6 +31,7 @@ PURE_SHARED = {
 }
 PURE_SHARED |= {"shared.faults"}  # what one item of the input may cost
 PURE_SHARED |= {"shared.v2x.generation", "shared.v2x.its_time"}
+PURE_SHARED |= {"shared.v2x.evidence"}  # decodes bytes that it is given
 PURE_SHARED |= {"shared.runtime.config", "shared.runtime.old_keys"}  # `Section`, the base of settings; names of keys
 PURE_SHARED |= {"shared.chosen"}  # which of several devices is used
 PURE_SHARED |= {"shared.missing_sensors"}  # words of the verdict without a sensor

@@ -58,14 +58,19 @@ def test_vehicles_lanes_passages_and_accounts_are_shown(
     plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address, path="toll")
-    expect(page.locator(".plaza-card .legend")).to_contain_text("signed, not verified: 3")
+    legend = page.locator(".plaza-card .legend")
+    for sender in ("authenticated: signature, ticket", "issued by an authority that is not trusted: 1", "unsigned: 1"):
+        expect(legend).to_contain_text(sender)
     picture = page.get_by_role("img", name="Plaza example from above with 4 tracked vehicles")
     expect(picture.locator(".track")).to_have_count(4)
     expect(picture.locator(".track.undecided")).to_have_count(1)
     expect(picture.locator(".track.unregistered")).to_have_count(1)
     page.get_by_role("region", name="Plaza example").get_by_role("button", name="Table").click()
     expect(page.get_by_role("cell", name="undecided (n2)")).to_be_visible()
-    expect(page.get_by_role("cell", name="signed, not verified")).to_have_count(3)
+    expect(page.get_by_role("cell", name="signed, not verified")).to_have_count(2)
+    senders = page.locator(".plaza-card tbody td:last-child")
+    expect(senders.locator(".state")).to_have_count(1)  # nothing is green that was not verified
+    expect(senders.filter(has=page.locator(".state.safe"))).to_contain_text("chain to a trusted root")
     expect(page.locator(".lanes-card tr", has_text="n3")).to_contain_text("opens")
     expect(page.locator(".account-card tbody tr")).to_contain_text("n1")
     expect(page.locator(".delta-card")).to_contain_text("-2.10 m")
@@ -120,3 +125,17 @@ def test_a_lost_ledger_is_named_as_the_reason(plazas: dict[str, RunningServer], 
     page = open_page(plazas["alarm"].address, path="toll")
     expect(page.locator(".banner .sentence")).to_contain_text("Nothing is charged: the ledger cannot be used")
     expect(page.locator(".account-card")).to_contain_text("make room on its disk")
+
+
+def test_reviews_say_what_decides_them_and_the_camera_queue_says_why_it_keeps(
+    plazas: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(plazas["normal"].address, path="toll")
+    review = page.locator("#reviews tbody tr")
+    expect(review).to_have_count(1)
+    expect(review).to_contain_text("the lane's detector has not counted it")
+    expect(review).to_contain_text("the picture of the lane at the time of the crossing")
+    expect(review).to_contain_text("not authenticated")
+    expect(page.locator("#pictures")).to_contain_text("1 kept, 2 not decided yet")
+    expect(page.locator("#pictures tbody tr")).to_contain_text("no contract explains the vehicle")
+    expect(page.locator("#account")).to_contain_text("the plaza allows them")

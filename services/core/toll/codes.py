@@ -14,6 +14,7 @@ class Code(StrEnum):
     SAME_STATION = "toll.same_station"
     SILENT_BEFORE = "toll.silent_before"  # the gate line
     SILENT_BETWEEN = "toll.silent_between"  # gate line and exit line
+    IDENTITY = "toll.identity"  # one station ID, two tickets
     CONTINUES = "toll.continues"
     NO_CONTRACT = "toll.no_contract"
     QUEUED = "toll.queued"
@@ -22,3 +23,11 @@ class Code(StrEnum):
     FEW_FIXES = "toll.few_fixes"
     UNSIGNED = "toll.unsigned"  # as the values of `Authentication`
     SIGNED_NOT_VERIFIED = "toll.signed_not_verified"
+    AUTHENTICATED = "toll.authenticated"
+    NO_TRUST = "toll.no_trust"  # signed, not verified: as the values of `Unverified`
+    NO_CERTIFICATE = "toll.no_certificate"
+    UNKNOWN_ISSUER = "toll.unknown_issuer"
+    TEST_ROOT = "toll.test_root"
+    NO_REVOCATIONS = "toll.no_revocations"
+    LISTS_EXPIRED = "toll.lists_expired"
+    TOO_MANY = "toll.too_many"

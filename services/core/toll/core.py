@@ -33,15 +33,16 @@ from shared.messages.toll import (
     TollTracks,
     UsedCam,
 )
-from shared.messages.v2x import Cam, StationType
+from shared.messages.v2x import Authentication, Cam, StationType
 from shared.toll.plaza import Plaza, along
+from shared.toll.registration import fault_of, identity_of
 from shared.words.words import CodedText, reason
 
 from .delta import DeltaEstimator
 from .gates import Arrival, is_near, refusal
 from .lanes import LaneGeometry
 from .location import COMMON, Fixes, Location, locate
-from .measurement import ELLIPSE_95
+from .measurement import ELLIPSE_95, ticket_of
 from .passages import Crossing, Here, Passage, can_reach, crossing_between, overlap, passage_id
 from .settings import Settings
 from .tracks import REMEMBERED_NS, Received, Track, TrackTable, Update, away_from_prediction
@@ -56,7 +57,7 @@ REPEATED = 50  # of them a second
 GATE_VALID_S = 5  # after the predicted crossing
 MIN_PROBABILITY = 1e-9  # that is published
 # Bytes in one message (`Topic.most_bytes`); UsedCams holds so many deltas of at most 700 bytes as well.
-EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 160, 150
+EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 240, 150
 DELTA_ROUNDING = 4  # decimals of metres
 NO_VEHICLE = {StationType.ROAD_SIDE_UNIT, StationType.PEDESTRIAN, StationType.CYCLIST, StationType.TRAM}
 
@@ -97,7 +98,7 @@ class Core:
         self._journeys: dict[int, Journey] = {}
         self._passages: dict[str, Passage] = {}  # of a track, or continued from the ledger
         self._unsettled: dict[str, TollPassage] = {}  # last statements of ended passages
-        self._contracts: dict[int, int] = {}  # station ID: end of its registration
+        self._contracts: dict[str, int] = {}  # ticket or station ID: end of its registration
         self._gates: dict[str, tuple[Command, int]] = {}  # passage: content and time of its newest gate command
         self._taken: deque[tuple[int, Received]] = deque()  # clock offset and CAM, as `used` has returned them
         self._rejected: Counter[str] = Counter()
@@ -112,12 +113,41 @@ class Core:
         """Rejected messages by reason."""
         return self._rejected + self._table.rejected
 
-    def register(self, message: TollRegistration | RegisteredStation) -> None:
-        """Note that a contract covers a station ID."""
-        if message.station_id not in self._contracts and len(self._contracts) >= MAX_REGISTRATIONS:
+    def register(self, message: TollRegistration) -> None:
+        """Note that a contract covers a ticket, or a station ID where the plaza allows it; bad signatures are counted.
+
+        A repetition of what is known is not verified again: the ledger verifies each.
+        """
+        identity = identity_of(message)
+        if self._contracts.get(identity, 0) >= message.valid_until_ns:
+            return
+        fault = fault_of(
+            message, plaza=self._plaza.name, operator_keys=self._plaza.operator_keys,
+            require_ticket=self._plaza.require_authenticated,
+        )  # fmt: skip
+        if fault:
+            self._rejected[fault] += 1
+        else:
+            self._cover(identity, message.valid_until_ns)
+
+    def cover_all(self, cams: Sequence[Cam]) -> None:
+        """Take every station of some CAM as registered, to derive a charge from its evidence."""
+        for cam in cams:
+            ticket = ticket_of(cam)
+            self._cover(f"ticket {ticket}" if ticket else f"station {cam.station_id}", END_DATE_NS - 1)
+
+    def _cover(self, identity: str, valid_until_ns: int) -> None:
+        if identity not in self._contracts and len(self._contracts) >= MAX_REGISTRATIONS:
             self._rejected["too_many_registrations"] += 1
             return
-        self._contracts[message.station_id] = message.valid_until_ns
+        self._contracts[identity] = valid_until_ns
+
+    def _take_registered(self, stations: Sequence[RegisteredStation], *, replace_known: bool = False) -> None:
+        """Note what the ledger has verified."""
+        for station in stations:
+            identity = f"ticket {station.ticket}" if station.ticket is not None else f"station {station.station_id}"
+            if replace_known or identity not in self._contracts:
+                self._cover(identity, station.valid_until_ns)
 
     def fix(self, fix: GnssFix) -> None:
         """Use a fix of the unit's own receiver."""
@@ -170,9 +200,7 @@ class Core:
 
     def continue_passages(self, message: OpenPassages) -> Iterator[Statement]:
         """Take over what the ledger holds and this process does not; forget passages that are settled."""
-        for station in message.registered:
-            if station.station_id not in self._contracts:
-                self.register(station)
+        self._take_registered(message.registered)
         self._ready_ns = min(message.sampled_ns, self._ready_ns or message.sampled_ns)
         for settled in message.settled:
             self._unsettled.pop(settled, None)
@@ -187,7 +215,7 @@ class Core:
     def used(self) -> tuple[UsedCam, ...]:
         """Take what was used since the last call, at most as many as a message holds."""
         count, left = 0, USED_BYTES
-        for _, (_, _, data) in self._table.used[:MAX_USED]:
+        for _, (_, _, data, *_) in self._table.used[:MAX_USED]:
             left -= USED_OVERHEAD + 4 * (len(data) + 2) // 3
             if left < 0:
                 break
@@ -197,8 +225,15 @@ class Core:
         while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
             self._taken.popleft()
         return tuple(
-            UsedCam(sampled_ns=sampled_ns, received_ns=received_ns, data=data, clock_offset_ns=offset_ns)
-            for offset_ns, (sampled_ns, received_ns, data) in taken
+            UsedCam(
+                sampled_ns=sampled_ns,
+                received_ns=received_ns,
+                data=data,
+                clock_offset_ns=offset_ns,
+                authentication=Authentication(authentication),
+                signer=signer,
+            )
+            for offset_ns, (sampled_ns, received_ns, data, authentication, signer) in taken
         )
 
     def recall(self) -> tuple[TollDelta, ...]:
@@ -230,8 +265,7 @@ class Core:
         list of TollPassage
             Final statements that the ledger may not have received.
         """
-        for station in message.registered:
-            self.register(station)
+        self._take_registered(message.registered, replace_known=True)
         for delta in deltas:
             self.use_delta(delta)
         open_ids = {
@@ -239,21 +273,25 @@ class Core:
         }
         stations: set[int] = set()  # of the passages that have begun
         self._ready_ns, self._table.on_time, said = 0, True, list[Statement]()
-        batch: dict[int, Cam] = {}
+        batch: dict[tuple[int, str | None], Cam] = {}
         for cam, _ in cams:
             stations |= open_ids.get(passage_id(self._plaza.name, cam.frame), set())
             if cam.station_id not in stations:
                 self._table.repetitions.add(cam)
                 continue
-            if cam.station_id in batch:
+            station = cam.station_id, ticket_of(cam)
+            if station in batch:
                 said += self.use(list(batch.values()))
                 batch.clear()
-            batch[cam.station_id] = cam
+            batch[station] = cam
         said += self.use(list(batch.values()))
         self._ready_ns, self._first_cam_ns, self._table.on_time, self._table.used = None, None, False, []
-        self._taken += [(offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame)) for cam, offset_ns in cams]
+        self._taken += [
+            (offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame, cam.authentication.value, cam.signer))
+            for cam, offset_ns in cams
+        ]
         for cam, offset_ns in cams:
-            self._table.continue_clock(cam.station_id, offset_ns)
+            self._table.continue_clock(cam, offset_ns)
         return [
             toll_passage
             for toll_passage in said
@@ -277,10 +315,11 @@ class Core:
         if self._ready_ns is None:
             self._ready_ns = now_ns + round(self._settings.passage.resume_wait_s * SECOND_NS)
         self._delete_silent(now_ns)
-        self._contracts = {station: until for station, until in self._contracts.items() if until > now_ns}
+        self._contracts = {identity: until for identity, until in self._contracts.items() if until > now_ns}
         repeated = list(self._unsettled.values())[:REPEATED]
         for passage in [item for item in self._passages.values() if not item.state.is_final]:
             if now_ns - passage.here.time_ns > self._settings.passage.lost_after_s * SECOND_NS:
+                passage.registered = passage.registered or self._is_registered(passage, passage.here.time_ns)
                 passage.lose()
                 yield self._ended(passage, now_ns)
                 self._forget(passage)
@@ -409,7 +448,7 @@ class Core:
         passage = journey.passage
         if passage is None:
             return
-        passage.registered = passage.registered or self._is_registered(passage.station_ids, here.time_ns)
+        passage.registered = passage.registered or self._is_registered(passage, here.time_ns)
         settings, exit_line = self._settings.passage, float(self._geometry.exit[here.lane])
         if passage.advance(here, journey.crossing, settings):
             yield self._changed(passage, track, here)
@@ -453,20 +492,29 @@ class Core:
             direction=here.direction,
             station_ids=[update.track.station_id],
             here=here,
+            tickets=[ticket] if (ticket := update.track.ticket) else [],
+            authenticated=ticket is not None,
             track=update.track.number,
         )
         for other in list(self._passages.values()):
             if update.track.station_id in other.station_ids and not other.state.is_final:
                 yield self._contradiction(passage, other)
-        passage.registered = self._is_registered(passage.station_ids, here.time_ns)
+        passage.registered = self._is_registered(passage, here.time_ns)
         journey.passage, journey.before, journey.crossing = passage, None, None
         self._passages[passage.passage_id] = passage
         yield self._statement(passage, here.time_ns)
 
     def _contradiction(self, younger: Passage, older: Passage) -> TollPassage:
-        """Note that two passages with one station ID are of two vehicles; return the statement on the older one."""
-        younger.contradict(older)
-        older.contradict(younger)
+        """Note that two passages with one station ID are of two vehicles; return the statement on the older one.
+
+        What is not authenticated is no doubt about what is, and two tickets are two stations: who has no contract is
+        reviewed.
+        """
+        for one, other in ((younger, older), (older, younger)):
+            if one.tickets and other.tickets and one.tickets[-1] != other.tickets[-1]:
+                one.identify(other)
+            elif not one.tickets or other.tickets:
+                one.contradict(other)
         return self._statement(older, older.here.time_ns, checkpoint=True)
 
     def _changed(self, passage: Passage, track: Track, here: Here) -> TollPassage:
@@ -498,8 +546,8 @@ class Core:
         return found
 
     def _length_of(self, passage: Passage) -> float:
-        track = self._table.by_station.get(passage.station_ids[-1])
-        return (track.length_m if track else None) or self._settings.passage.vehicle_length_m
+        tracks = [track for track in self._table.tracks_of(passage.station_ids[-1]) if track.number == passage.track]
+        return next((track.length_m for track in tracks if track.length_m), self._settings.passage.vehicle_length_m)
 
     def _inherit(self, journey: Journey, old: Journey | None, track: Track) -> None:
         """Continue the passage of the track that this one continues under a new station ID."""
@@ -520,7 +568,10 @@ class Core:
             Whether the track waits, since it may continue a passage whose station is not silent for long enough.
         """
         idle = [passage for passage in self._passages.values() if not passage.doubt and self._is_idle(passage)]
-        own = [passage for passage in idle if track.station_id in passage.station_ids and self._reaches(passage, here)]
+        own = [
+            passage for passage in idle
+            if track.station_id in passage.station_ids and _is_of(passage, track) and self._reaches(passage, here)
+        ]  # fmt: skip
         away = [self._away(passage, here) for passage in idle]
         nearest = idle[int(np.argmin(away))] if away and np.isfinite(min(away)) else None
         found = own[0] if own else nearest
@@ -538,7 +589,7 @@ class Core:
     def _away(self, passage: Passage, here: Here) -> float:
         """Distance [m] from where the vehicle of an idle passage must be now; infinite if it cannot be that one."""
         last = passage.here
-        if not here.aligned or passage.station_ids[-1] in self._table.by_station:
+        if not here.aligned or self._table.tracks_of(passage.station_ids[-1]):
             return np.inf
         elapsed_s = (here.time_ns - last.time_ns) * 1e-9
         if not 0.0 < elapsed_s <= self._settings.track.deleted_after_s:
@@ -549,8 +600,7 @@ class Core:
         return float(away_from_prediction(moved, dt, heading, speed, now, gate_m)[0])
 
     def _is_idle(self, passage: Passage) -> bool:
-        track = self._table.by_station.get(passage.station_ids[-1])
-        return track is None or track.number != passage.track
+        return all(track.number != passage.track for track in self._table.tracks_of(passage.station_ids[-1]))
 
     def _reaches(self, passage: Passage, here: Here) -> bool:
         """Whether the vehicle of a passage can be here: a CAM is not signed, and anybody can use its station ID."""
@@ -563,6 +613,10 @@ class Core:
             self._rejected["too_many_station_ids"] += 1
             return
         passage.station_ids = [*others, track.station_id]
+        if track.ticket is None:
+            passage.authenticated = False
+        elif track.ticket not in passage.tickets:
+            passage.tickets = [*passage.tickets, track.ticket][-STATION_IDS:]
         journey.passage, passage.track = passage, track.number
 
     def _continued(self, statement: TollPassage) -> Passage:
@@ -601,6 +655,8 @@ class Core:
             opened_ns=statement.opened_ns,
             direction=here.direction,
             station_ids=list(statement.station_ids),
+            tickets=list(statement.tickets),
+            authenticated=statement.authenticated,
             here=here,
             state=statement.state,
             doubt=CodedText(statement.reason, statement.reason_code) if statement.reason else None,
@@ -611,9 +667,12 @@ class Core:
 
     def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
         """Continue the older passage of a station ID with the track that opened a younger one."""
-        track = self._table.by_station.get(passage.station_ids[-1])
-        journey = self._journeys.get(track.number) if track else None
-        if track is None or journey is None or journey.here is None:
+        for track in self._table.tracks_of(passage.station_ids[-1]):
+            yield from self._take_over_with(passage, track)
+
+    def _take_over_with(self, passage: Passage, track: Track) -> Iterator[TollPassage]:
+        journey = self._journeys.get(track.number)
+        if journey is None or journey.here is None or not _is_of(passage, track):
             return
         younger = journey.passage
         if younger is None or younger.state.is_final or younger.opened_ns <= passage.opened_ns:
@@ -626,8 +685,12 @@ class Core:
         self._forget(younger)
         self._attach(journey, passage, track)
 
-    def _is_registered(self, station_ids: Sequence[int], now_ns: int) -> bool:
-        return any(self._contracts.get(station, 0) > now_ns for station in station_ids)
+    def _is_registered(self, passage: Passage, now_ns: int) -> bool:
+        """Whether a contract covers a ticket of an authenticated passage, or a station ID of another one."""
+        identities = [f"ticket {ticket}" for ticket in passage.tickets] or [
+            f"station {station}" for station in passage.station_ids
+        ]
+        return any(self._contracts.get(identity, 0) > now_ns for identity in identities)
 
     def _forget(self, passage: Passage) -> None:
         self._passages.pop(passage.passage_id, None)
@@ -715,6 +778,8 @@ class Core:
             position_sd_m=here.sd,
             delta_ns=crossing.delta_ns if crossing else here.delta_ns,
             trust=self._trust(here.time_ns),
+            authenticated=passage.authenticated,
+            tickets=tuple(passage.tickets),
             overlaps=tuple(passage.overlaps),
             evidence=evidence,
         )
@@ -742,8 +807,14 @@ class Core:
             settings=self._settings.model_dump_json(),
             track_since_ns=track.since_ns,
             frames=tuple(
-                EvidenceFrame(sampled_ns=sampled_ns, received_ns=received_ns, data=data)
-                for sampled_ns, received_ns, data in frames
+                EvidenceFrame(
+                    sampled_ns=sampled_ns,
+                    received_ns=received_ns,
+                    data=data,
+                    authentication=Authentication(authentication),
+                    signer=signer,
+                )
+                for sampled_ns, received_ns, data, authentication, signer in frames
             ),
             deltas=tuple(d for d in self._deltas if first_ns - before_ns <= d.sampled_ns <= last_ns),
             lanes=tuple(
@@ -771,9 +842,14 @@ class Core:
             lanes=self._probabilities(here.lanes),
             lane=None if lane is None else self._plaza.lanes[lane].name,
             delta_applied=here.delta_ns is not None,
-            registered=self._is_registered(track.station_ids, track.updated_ns),
+            registered=self._contracts.get(
+                f"ticket {track.ticket}" if track.ticket else f"station {track.station_id}", 0
+            )
+            > track.updated_ns,
             passage_id=passage.passage_id if passage else None,
             authentication=track.authentication,
+            unverified=track.unverified,
+            ticket=track.ticket,
         )
 
     def _trust(self, now_ns: int) -> str:
@@ -791,19 +867,15 @@ def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequen
     """Derive the statements on a registered vehicle's passage again from its CAM and the deltas, in their order."""
     core = Core(plaza, settings, on_time=True)
     list(core.continue_passages(OpenPassages(sampled_ns=0, passages=(), settled=())))
-    for station_id in {cam.station_id for cam in cams}:
-        core.register(
-            TollRegistration(
-                sampled_ns=0,
-                contract="evidence",
-                tariff_class="",
-                station_id=station_id,
-                valid_until_ns=END_DATE_NS - 1,
-            )
-        )
+    core.cover_all(cams)
     for delta in deltas:
         core.use_delta(delta)
     return [toll_passage for cam in cams for toll_passage in core.use([cam]) if isinstance(toll_passage, TollPassage)]
+
+
+def _is_of(passage: Passage, track: Track) -> bool:
+    """Whether a track with a station ID of a passage may be its vehicle: its ticket, or neither is authenticated."""
+    return track.ticket in passage.tickets if passage.tickets else track.ticket is None
 
 
 def _row(location: Location, k: int) -> Location:

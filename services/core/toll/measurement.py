@@ -6,7 +6,7 @@ from math import pi, radians
 
 import numpy as np
 
-from shared.messages.v2x import Cam
+from shared.messages.v2x import Authentication, Cam
 
 from .trackers.observation import SIZE, Observation
 
@@ -18,6 +18,11 @@ MIN_SD = (radians(0.2), 0.03, 0.05, radians(0.1))
 MIN_POSITION_SD = 0.02  # [m]
 
 
+def ticket_of(cam: Cam) -> str | None:
+    """Give the authorization ticket of an authenticated CAM; None: its sender is not known."""
+    return cam.signer if cam.authentication is Authentication.AUTHENTICATED else None
+
+
 @dataclass(frozen=True)
 class CamMeasurement:
     """One CAM with its place in the plane, its time corrected to the unit's clock."""
@@ -26,6 +31,17 @@ class CamMeasurement:
     clock_offset_ns: int  # was added to the CAM's time
     east: float  # [m]
     north: float  # [m]
+    place: int = 0  # of a station that is used at several places at once
+
+    @property
+    def station(self) -> tuple[int, str | None]:
+        """Station ID, and the ticket of an authenticated station."""
+        return self.cam.station_id, ticket_of(self.cam)
+
+    @property
+    def sender(self) -> tuple[int, str | None, int]:
+        """The station at its place: one vehicle."""
+        return (*self.station, self.place)
 
     @property
     def time_ns(self) -> int:

@@ -8,6 +8,7 @@ from math import hypot, sqrt
 from shared.messages.explanation import Explanation, explain
 from shared.messages.explanation import passage as reference_of
 from shared.messages.toll import OVERLAPS, POSTERIORS, PassageState
+from shared.v2x.evidence import message_digest
 from shared.words.words import CodedText, stated
 
 from .codes import Code
@@ -92,8 +93,12 @@ def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
 
 
 def passage_id(plaza: str, frame: bytes) -> str:
-    """Hash the plaza's name and the digest of the first CAM at the approach line: a replay makes the same."""
-    return hashlib.sha256(plaza.encode() + b"\0" + hashlib.sha256(frame).digest()).hexdigest()
+    """Hash the plaza's name and the digest of the first CAM at the approach line: a replay makes the same.
+
+    The digest of a signed CAM is that of what is signed and by whom: a replay may have another hop limit, or the other
+    signature of the same, (r, n - s).
+    """
+    return hashlib.sha256(plaza.encode() + b"\0" + message_digest(frame)).hexdigest()
 
 
 @dataclass
@@ -111,6 +116,9 @@ class Passage:
     crossing: Crossing | None = None
     exit_ns: int | None = None
     registered: bool = False
+    tickets: list[str] = field(default_factory=list)  # of its authenticated CAM, in the order of use
+    authenticated: bool = False  # all of its CAM are
+    identity: CodedText | None = None  # why it is reviewed if no contract is known
     track: int | None = None  # number of the track; None: no track has it
     stated_ns: int = 0  # time of the newest statement; a checkpoint follows a second later
     overlaps: list[str] = field(default_factory=list)  # IDs of passages at the gate line within its vehicle's length
@@ -163,12 +171,22 @@ class Passage:
             return False
         self.exit_ns = self.here.time_ns
         if not self.registered:
-            self._end(PassageState.UNREGISTERED, explain(Code.UNREGISTERED))
+            self._end_unregistered()
         elif self.crossing is None or self.crossing.lane is None:
             self._end(PassageState.UNDECIDED, explain(Code.UNDECIDED, decided_probability=settings.decided))
         else:
             self._end(PassageState.CHARGED, explain(Code.PASSED))
         return True
+
+    def _end_unregistered(self) -> None:
+        if self.identity:
+            self.state, self.why = PassageState.SUSPECT, self.identity
+        else:
+            self._end(PassageState.UNREGISTERED, explain(Code.UNREGISTERED))
+
+    def identify(self, other: "Passage") -> None:
+        """Note that another passage has the same station ID under another ticket."""
+        self.identity = stated(explain(Code.IDENTITY, passage=reference_of(other.passage_id)))
 
     def contradict(self, other: "Passage") -> None:
         """Note that another passage has the same station ID, and that they cannot be of one vehicle."""
@@ -184,9 +202,19 @@ class Passage:
             self.state, self.why = PassageState.SUSPECT, self.doubt
 
     def lose(self) -> None:
-        """End the passage of a vehicle that fell silent."""
-        is_before = self.state is PassageState.OPEN
-        self._end(PassageState.VOID, explain(Code.SILENT_BEFORE if is_before else Code.SILENT_BETWEEN))
+        """End the passage of a vehicle that fell silent.
+
+        Behind the gate line it has passed, whatever it says or does not say afterwards: a switch must be no free ride.
+        The ledger charges it if a detector confirms it, and leaves it to a person otherwise.
+        """
+        if self.state is PassageState.OPEN:
+            self._end(PassageState.VOID, explain(Code.SILENT_BEFORE))
+        elif not self.registered:
+            self._end_unregistered()
+        elif self.crossing is None or self.crossing.lane is None:
+            self._end(PassageState.SUSPECT, explain(Code.SILENT_BETWEEN))
+        else:
+            self._end(PassageState.CHARGED, explain(Code.SILENT_BETWEEN))
 
     def give_way(self, older: "Passage") -> None:
         """End the passage because the vehicle's older one is continued."""

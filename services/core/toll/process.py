@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from shared.errors import RejectedFrame
+from shared.errors import ConfigError, RejectedFrame
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.toll import (
@@ -23,7 +23,9 @@ from shared.messages.toll import (
     UsedCams,
 )
 from shared.messages.v2x import Cam, CamList
+from shared.runtime.config import vehicle_in
 from shared.toll.plaza import load_plaza
+from shared.toll.simulated import operator
 from shared.v2x.evidence import cam_of
 
 from .core import DELTAS_AT_ONCE, SECOND_NS, Core, derive
@@ -32,6 +34,7 @@ from .settings import Settings
 
 In = CamList | GnssFix | TollRegistration | OpenPassages | RestoredCams | TollDelta | Tick
 Out = PlazaDescription | TollDelta | TollTracks | TollPassage | GateCommand | UsedCams
+SIMULATOR = "sensors.traffic"
 TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
 USED_CAM_PERIOD_NS = 500_000_000  # period of `toll/used_cam`
 DELTA_NS = 900_000_000  # least distance of two deltas; receivers send one fix a second, or more
@@ -45,6 +48,18 @@ class Config(Settings):
         default=Path("deploy/plazas/example.geojson"),
         description="GeoJSON file of the plaza, relative to the working folder or repository",
     )
+
+    def model_post_init(self, context: object) -> None:
+        """Raise `ConfigError` for a real plaza that requires signatures, and trusts the operator of the simulation."""
+        vehicle = vehicle_in(context)
+        if vehicle is None or SIMULATOR in vehicle.tables:
+            return
+        plaza = load_plaza(self.plaza_file)
+        if plaza.require_authenticated and operator().public_key.hex() in plaza.operator_keys:
+            raise ConfigError(
+                f"{self.plaza_file}: operator_keys holds the key of the simulated operator, with which everybody can "
+                f"countersign registrations; put that of the operator in its place, or run [{SIMULATOR}]"
+            )
 
 
 class Process:

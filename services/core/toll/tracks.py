@@ -10,10 +10,10 @@ import numpy as np
 
 from shared.maths.earth import FloatArray
 from shared.messages.toll import FRAMES, STATION_IDS
-from shared.messages.v2x import Authentication, Cam
+from shared.messages.v2x import Authentication, Cam, Unverified
 from shared.toll.plaza import Plaza
 
-from .measurement import CamMeasurement, observation
+from .measurement import CamMeasurement, observation, ticket_of
 from .settings import Settings
 from .trackers.filters import Estimates, imm
 
@@ -27,7 +27,12 @@ LINK_SPEED_M_S = 1.0  # by which its speed may differ, beside what it has accele
 
 # sampled_ns, received_ns and bytes of a frame, for evidence. The garbage collector does not follow such a tuple;
 # a minute of CAM of 200 vehicles, kept as messages, stops the process for 0.35 s in each search.
-Received = tuple[int, int, bytes]
+Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and the ticket
+# Station ID, authorization ticket of an authenticated station, and place: a station ID that is used at two places at
+# once is followed at both, so that who uses it first does not hide the other one.
+Sender = tuple[int, str | None, int]
+MAX_SPEED = 70.0  # [m/s]
+PLACES = 4  # at which one station is followed
 
 
 @dataclass
@@ -43,11 +48,17 @@ class Track:
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
     frames: deque[Received] = field(default_factory=lambda: deque(maxlen=FRAMES))  # the last used, in the order of use
-    jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
-    authentication: Authentication = Authentication.UNSIGNED  # least of its CAM; shown, and of no effect on a charge
+    authentication: Authentication = Authentication.UNSIGNED  # least of its CAM
+    unverified: Unverified | None = None  # why its newest CAM is signed and not authenticated
+    sender: Sender = (0, None, 0)
+
+    @property
+    def ticket(self) -> str | None:
+        """Authorization ticket, if its CAM are authenticated."""
+        return self.sender[1]
 
     @property
     def station_id(self) -> int:
@@ -139,7 +150,8 @@ class TrackTable:
         self._white_sd = settings.errors.white_sd_m
         self._imm = imm()
         self._numbers = count(1)
-        self.by_station: dict[int, Track] = {}
+        self.by_station: dict[Sender, Track] = {}
+        self._strays: dict[tuple[int, str | None], tuple[int, CamMeasurement]] = {}  # how many in a row, and the last
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
         self.repetitions = Repetitions()
@@ -163,16 +175,16 @@ class TrackTable:
         return Estimates(self._x[rows], self._P[rows], self._probability[rows], self._heading)
 
     def use(self, cams: Sequence[Cam]) -> Iterator[list[Update]]:
-        """Use a batch of CAM in rounds, in each of which a vehicle occurs once.
+        """Use a batch of CAM in rounds, in each of which a station occurs once.
 
         A round is computed when the one before is dealt with: the estimates are then those of its own CAM.
         """
         waiting = [measured for cam in cams if (measured := self._measured(cam))]
         while waiting:
-            first: dict[int, CamMeasurement] = {}
+            first: dict[tuple[int, str | None], CamMeasurement] = {}
             later = []
             for item in waiting:
-                if first.setdefault(item.cam.station_id, item) is not item:
+                if first.setdefault(item.station, item) is not item:
                     later.append(item)
             if updates := self._round(list(first.values())):
                 yield updates
@@ -185,10 +197,15 @@ class TrackTable:
         track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
-    def continue_clock(self, station_id: int, clock_offset_ns: int) -> None:
+    def continue_clock(self, cam: Cam, clock_offset_ns: int) -> None:
         """Correct the times of a station from here on as before a restart; its CAM so far were corrected already."""
-        if track := self.by_station.get(station_id):
-            track.clock_offset_ns = clock_offset_ns
+        for track in self.tracks_of(cam.station_id):
+            if track.ticket == ticket_of(cam):
+                track.clock_offset_ns = clock_offset_ns
+
+    def tracks_of(self, station_id: int) -> list[Track]:
+        """Tracks that use a station ID now, under any ticket and at any place."""
+        return [track for sender, track in self.by_station.items() if sender[0] == station_id]
 
     def delete_silent(self, now_ns: int) -> list[Track]:
         """Delete the tracks that have been silent for too long; return them."""
@@ -217,7 +234,7 @@ class TrackTable:
 
     def _on_unit_time(self, one: CamMeasurement) -> CamMeasurement:
         """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM."""
-        track, cam = self.by_station.get(one.cam.station_id), one.cam
+        track, cam = self.by_station.get(one.sender), one.cam
         age_ns = cam.received_ns - cam.sampled_ns
         offset_ns = 0
         if track is not None:
@@ -231,12 +248,14 @@ class TrackTable:
 
     def _round(self, measured: Sequence[CamMeasurement]) -> list[Update]:
         """Use one CAM of each of several stations."""
-        known, new_tracks = [], []
+        known, new_tracks = list[tuple[Track, CamMeasurement]](), list[CamMeasurement]()
         self._busy.clear()
-        for item in map(self._on_unit_time, measured):
-            track = self.by_station.get(item.cam.station_id)
+        for item in map(self._on_unit_time, map(self._placed, measured)):
+            track = self.by_station.get(item.sender)
             if track is None:
                 new_tracks.append(item)
+            elif item.time_ns <= track.updated_ns and self._is_elsewhere(track, item):
+                self._stray(item, new_tracks)
             elif item.time_ns <= track.updated_ns:
                 self.rejected["late_or_repeated"] += 1
             elif item.time_ns - track.updated_ns > self._settings.deleted_after_s * 1e9:
@@ -252,27 +271,69 @@ class TrackTable:
     ) -> list[Update]:
         """Use the CAM of existing tracks inside their gates.
 
-        A station ID whose CAM are outside the gate several times is used by another vehicle now: its track is deleted,
-        and the CAM is added to `new_tracks`.
+        A station ID whose CAM are outside the gate several times is used by another vehicle as well: the CAM is added
+        to `new_tracks`.
         """
         dt = np.array([(measured.time_ns - track.updated_ns) * 1e-9 for track, measured in known])
         predicted = self._imm.predict(self.estimates([track for track, _ in known]), dt)
         away = predicted.mean[:, :2] - np.array([[measured.east, measured.north] for _, measured in known])
         variance = np.trace(predicted.cov[:, :2, :2], axis1=1, axis2=2)
         inside = np.hypot(away[:, 0], away[:, 1]) <= self._settings.gate_m + 5.0 * np.sqrt(variance)
-        for (track, item), is_inside in zip(known, inside, strict=True):
-            track.jumps = 0 if is_inside else track.jumps + 1
+        for (_, item), is_inside in zip(known, inside, strict=True):
             if not is_inside:
-                self.rejected["outside_gate"] += 1
-                if track.jumps >= self._settings.jumps:
-                    self._delete(track)
-                    new_tracks.append(item)
+                self._stray(item, new_tracks)
         used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
         if used:
             seen = observation([measured for _, measured in used], self._white_sd)
             self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
         self._busy.update(track.number for track, _ in used)
         return [self._noted(track, measured, born=False) for track, measured in used]
+
+    def _placed(self, one: CamMeasurement) -> CamMeasurement:
+        """Choose the place of a CAM of a station that is followed at several: the nearest prediction."""
+        station, ticket = one.station
+        senders = [(station, ticket, place) for place in range(PLACES)]
+        tracks = [track for sender in senders if (track := self.by_station.get(sender))]
+        if not tracks:
+            return one
+        return replace(one, place=min(tracks, key=lambda track: self._distance(track, one)).sender[2])
+
+    def _distance(self, track: Track, one: CamMeasurement) -> float:
+        """Distance [m] of a CAM from where its track was or will be, at constant speed."""
+        east, north, heading, speed = self.estimates([track]).mean[0, :4].tolist()
+        dt = (one.cam.sampled_ns + track.clock_offset_ns - one.clock_offset_ns - track.updated_ns) * 1e-9
+        return float(
+            hypot(one.east - east - speed * dt * np.cos(heading), one.north - north - speed * dt * np.sin(heading))
+        )
+
+    def _is_elsewhere(self, track: Track, one: CamMeasurement) -> bool:
+        """Whether a CAM that is no newer than its track's last one cannot be an older one of the same vehicle."""
+        dt = (one.time_ns - track.updated_ns) * 1e-9
+        return self._distance(track, one) > self._settings.gate_m + 0.5 * LINK_ACCELERATION * dt**2
+
+    def _stray(self, one: CamMeasurement, new_tracks: list[CamMeasurement]) -> None:
+        """Count a CAM outside its track's gate; after several of one vehicle the station is followed there too.
+
+        CAM inside the gate between them do not matter: two vehicles that use one station ID alternate.
+        """
+        self.rejected["outside_gate"] += 1
+        number, last = self._strays.pop(one.station, (0, one))
+        elapsed_s = abs(one.cam.received_ns - last.cam.received_ns) * 1e-9
+        away = hypot(one.east - last.east, one.north - last.north)
+        is_same = elapsed_s < self._settings.deleted_after_s and away <= self._settings.gate_m + MAX_SPEED * elapsed_s
+        number = number + 1 if is_same else 1
+        if number < self._settings.jumps:
+            self._strays[one.station] = number, one
+            while len(self._strays) > self._settings.max_tracks:
+                del self._strays[next(iter(self._strays))]
+            return
+        station, ticket = one.station
+        free = [place for place in range(PLACES) if (station, ticket, place) not in self.by_station]
+        if not free:
+            self.rejected["too_many_places"] += 1
+            return
+        stated = one.cam.model_copy(update={"sampled_ns": one.cam.sampled_ns - one.clock_offset_ns})
+        new_tracks.append(self._on_unit_time(replace(one, cam=stated, clock_offset_ns=0, place=free[0])))
 
     def _start_track(self, one: CamMeasurement) -> Update | None:
         """Begin a track with a CAM of an unknown station."""
@@ -288,10 +349,11 @@ class TrackTable:
             received_ns=one.cam.received_ns,
             clock_offset_ns=one.clock_offset_ns,
             authentication=one.cam.authentication,
+            sender=one.sender,
         )
         track.predecessor, track.silent_for_ns = self._silent_here(one)
         track.born_ns = one.time_ns
-        self.by_station[one.cam.station_id] = track
+        self.by_station[one.sender] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
@@ -323,6 +385,7 @@ class TrackTable:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
         track.authentication = least(track.authentication, one.cam.authentication)
+        track.unverified = one.cam.unverified
         track.frames.append(_received(one.cam))
         self.used.append((track.clock_offset_ns, track.frames[-1]))
         return Update(track, one, born, self._confirmed_predecessor(track))
@@ -332,7 +395,7 @@ class TrackTable:
         old = track.predecessor
         if old is None:
             return None
-        owner = self.by_station.get(old.station_id)
+        owner = self.by_station.get(old.sender)
         if old.updated_ns >= track.born_ns or owner not in (None, old):  # both station IDs are in use
             track.predecessor = None
             return None
@@ -353,9 +416,9 @@ class TrackTable:
         self._x[rows], self._P[rows], self._probability[rows] = estimates.x, estimates.P, estimates.probability
 
     def _delete(self, track: Track) -> None:
-        del self.by_station[track.station_id]
+        del self.by_station[track.sender]
         self._free.append(track.slot)
 
 
 def _received(cam: Cam) -> Received:
-    return cam.sampled_ns, cam.received_ns, cam.frame
+    return cam.sampled_ns, cam.received_ns, cam.frame, cam.authentication.value, cam.signer

@@ -3,7 +3,8 @@
     link = SHA-256(link of the entry before, JSON of number and booking)
 
 Links alone prove nothing to somebody who computes them anew. The signature does: of the newest entry with each booking
-and each hour (`current`), of the newest entry of each day, of each entry in the message that sends it, and of each
+and each hour (`current`), which also states the newest closed account and how many detections there were, of the newest
+entry of each day, of each entry in the message that sends it, and of each
 evidence pack. They are of different kinds, so that none can stand in for the current one, which is stored once and
 overwritten.
 """
@@ -24,7 +25,9 @@ from .store import Row, Store
 log = logging.getLogger(__name__)
 
 CURRENT, DAY, ENTRY, PACK = "ledger current", "ledger day", "ledger entry", "evidence pack"
+ROW = "ledger row"
 CURRENT_ROW = "current"  # name of its row; those of the days are dates
+MAX_UNSEALED = 10_000
 REFRESH_NS = 3600 * 1_000_000_000
 BOOKING_COLUMNS = ("transaction_id", "passage_id", "kind", "booked_ns", "amount_cents", "content")
 
@@ -46,12 +49,19 @@ def genuine(kind: str, text: object) -> dict[str, str] | None:
     return fields if is_genuine(kind, fields) else None
 
 
+def _digest(content: tuple[object, ...]) -> str:
+    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+
+
 class Chain:
     """Writes entries and signatures; every method that changes something runs inside a transaction of the store."""
 
     def __init__(self, store: Store, key: KeyFile | None, plaza: str) -> None:
         self._store, self._key, self._plaza = store, key, plaza
         self._refreshed_ns = 0
+        self.detections = 0  # since the ledger began
+        self._unsealed: set[tuple[str, str, str]] = set()  # rows stored while the key could not be used
+        self._head: str | None = None  # the newest signed statement, until it is published
         self.problem: str | None = None  # why nothing is signed now
 
     def begin(self) -> None:
@@ -60,6 +70,9 @@ class Chain:
         Runs a transaction of its own. Where there is a chain already, bookings outside it are left: nobody but the
         ledger adds any.
         """
+        newest = self._newest() or {}
+        counted = self._store.row("SELECT SUM(n) AS n FROM balance WHERE outcome = 'detections'")
+        self.detections = max(int(newest.get("detections", "0")), (counted["n"] if counted else 0) or 0)
         if self._last() is not None or self._newest() is not None:
             return
         if not (rows := self._store.rows("SELECT * FROM booking ORDER BY rowid")):
@@ -92,8 +105,29 @@ class Chain:
             return
         self._refreshed_ns = now_ns
         fields = self._fields()
-        if int(fields["number"]):
-            self._sign(fields, now_ns, day=True)
+        if int(fields["number"]) or self.detections:
+            self._sign(fields, now_ns, day=bool(int(fields["number"])))
+
+    def head(self) -> str | None:
+        """Take the newest signed statement for the operator, once."""
+        taken, self._head = self._head, None
+        return taken
+
+    def row_seal(self, table: str, key: str, *content: object) -> str | None:
+        """Sign a row of what is in progress; None without a key."""
+        made = self._statement(ROW, {"table": table, "row": key, "digest": _digest(content)})
+        if made is None and self._key is not None and len(self._unsealed) < MAX_UNSEALED:
+            self._unsealed.add((table, key, _digest(content)))
+        return None if made is None else json.dumps(made)
+
+    def is_row(self, seal: str | None, table: str, key: str, *content: object) -> bool:
+        """Whether a row is as it was signed; without a key every row is."""
+        if self._key is None or (table, key, _digest(content)) in self._unsealed:
+            return True
+        fields = genuine(ROW, seal) if seal is not None else None
+        if fields is None or not self._is_ours(fields):
+            return False
+        return (fields.get("table"), fields.get("row"), fields.get("digest")) == (table, key, _digest(content))
 
     def seal(self, transaction_id: str) -> LedgerSeal | None:
         """Sign an entry for the message that sends it; None without a key."""
@@ -144,10 +178,11 @@ class Chain:
         number, link = (last["number"], last["link"]) if last else (0, "")
         fields = {
             "ledger": secrets.token_hex(16), "plaza": self._plaza, "unsigned": "", "broken": "",
-            "evidence_from_ns": "0",
+            "evidence_from_ns": "0", "accounts": "0", "accounts_link": "",
         }  # fmt: skip
         fields |= {name: value for name, value in (newest or {}).items() if name in fields}
-        fields |= {"number": str(number), "link": link}
+        fields |= {"number": str(number), "link": link, "detections": str(self.detections)}
+        self._note_accounts(fields)
         if newest is None:
             fields |= self._before_signatures(number)
         elif not newest:
@@ -163,6 +198,16 @@ class Chain:
             self._tell(f"the chain of bookings is broken: {fields['broken']}; compare it with the operator's copies")
         return fields
 
+    def _note_accounts(self, fields: dict[str, str]) -> None:
+        """State the newest closed account; one that was signed and is not there any more breaks the chain."""
+        signed_number, signed_link = int(fields["accounts"]), fields["accounts_link"]
+        row = self._store.row("SELECT link FROM account WHERE number = ?", signed_number)
+        if signed_number and (row is None or row["link"] != signed_link):
+            fields["broken"] = fields["broken"] or f"account {signed_number} was not as it had been signed"
+            return
+        if (last := self._store.row("SELECT number, link FROM account ORDER BY number DESC LIMIT 1")) is not None:
+            fields |= {"accounts": str(last["number"]), "accounts_link": last["link"]}
+
     def _before_signatures(self, number: int) -> dict[str, str]:
         """What the first signature says of the entries before it: unsigned, and their evidence may be deleted."""
         if self._key is None or not number:
@@ -174,7 +219,8 @@ class Chain:
         fields = {**fields, "signed_ns": str(now_ns)}
         if (made := self._statement(CURRENT, fields)) is None:
             return
-        self._store.execute("INSERT OR REPLACE INTO head VALUES (?, ?)", CURRENT_ROW, json.dumps(made))
+        self._head = json.dumps(made)
+        self._store.execute("INSERT OR REPLACE INTO head VALUES (?, ?)", CURRENT_ROW, self._head)
         if day:
             name = f"{datetime.fromtimestamp(now_ns // 1_000_000_000, UTC):%Y-%m-%d}"
             if (of_day := self._statement(DAY, {**fields, "day": name})) is not None:

@@ -23,3 +23,39 @@ class Code(StrEnum):
     NOT_COUNTED = "ledger.not_counted"
     UNCONFIRMED = "ledger.unconfirmed"
     MISSED = "ledger.missed"
+    CHANGED = "ledger.changed"  # in the file, beside the ledger
+    IDENTITY = "ledger.identity"
+    NEW_TICKET = "ledger.new_ticket"
+    NOT_AUTHENTICATED = "ledger.not_authenticated"
+    SILENT = "ledger.silent"  # behind the gate line
+    ELSEWHERE = "ledger.elsewhere"
+    DRIVE_ROUND = "ledger.drive_round"
+    REPLAYED = "ledger.replayed"
+    TURNED_COUNTED = "ledger.turned_counted"
+    GHOST = "ledger.ghost"
+    ALONE = "ledger.alone"  # explains the only pulse of its group
+    CONFIRMED = "ledger.confirmed"
+    GHOSTS = "ledger.ghosts"
+    MISBEHAVIOUR = "ledger.misbehaviour"
+    BY_PICTURE = "ledger.by_picture"
+    BY_CONTRACT = "ledger.by_contract"
+    BY_COPY = "ledger.by_copy"
+    PICTURE_CHARGED = "ledger.picture_charged"
+    PICTURE_REVIEW = "ledger.picture_review"
+    PICTURE_OWES = "ledger.picture_owes"
+    PICTURE_SETTLED = "ledger.picture_settled"
+
+
+# What decides a review: of those that are not named, the picture of the lane's camera.
+DECIDED_BY = {
+    Code.TWO_CONTRACTS: Code.BY_CONTRACT,
+    Code.TWO_CLASSES: Code.BY_CONTRACT,
+    Code.NO_CLASS: Code.BY_CONTRACT,
+    Code.LOST_CLASS: Code.BY_CONTRACT,
+    Code.IDENTITY: Code.BY_CONTRACT,
+    Code.NEW_TICKET: Code.BY_CONTRACT,
+    Code.NOT_AUTHENTICATED: Code.BY_CONTRACT,
+    Code.ELSEWHERE: Code.BY_CONTRACT,
+    Code.DRIVE_ROUND: Code.BY_CONTRACT,
+    Code.CHANGED: Code.BY_COPY,
+}

@@ -17,6 +17,8 @@ class Verdict(Enum):
     STANDS = "stands"  # each keeps its outcome; what waits for it is charged
     WAITS = "waits"
     REVIEW = "review"
+    ALONE = "alone"  # one is charged, the others are ghosts
+    GHOSTS = "ghosts"  # no contract among them, and no vehicle
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,9 @@ class Claim:
     is_derivable: bool
     pulse_sds: float | None  # distance of its pulse in standard deviations; None: no pulse is left for it
     waited: bool  # long enough for the pulses and passages around it
+    authenticated: bool = False
+    pulse: int | None = None  # key of its pulse
+    explains: frozenset[int] = frozenset()  # pulses of its lane within three standard deviations of its crossing
 
     @property
     def is_confirmed(self) -> bool:
@@ -37,18 +42,32 @@ class Claim:
         return self.pulse_sds is not None and (self.waited or self.pulse_sds <= TIGHT_SD)
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What follows for a group, why, and which passage is charged where the others are ghosts."""
+
+    verdict: Verdict
+    why: Explanation | None = None
+    charged: str | None = None
+
+
 def groups(claims: Mapping[str, Claim]) -> list[list[Claim]]:
-    """Join the passages that overlap each other, directly or by another one; a passage alone is a group."""
+    """Join the passages that overlap each other, directly or by another one; a passage alone is a group.
+
+    What is not authenticated is in no group of what is.
+    """
     group_of = {passage_id: {passage_id} for passage_id in claims}
     for claim in claims.values():
         for other in claim.overlaps & claims.keys():
+            if claims[other].authenticated != claim.authenticated:
+                continue
             joined = group_of[claim.passage_id] | group_of[other]
             group_of.update(dict.fromkeys(joined, joined))
     unique = {min(members): members for members in group_of.values()}
     return [[claims[passage_id] for passage_id in sorted(members)] for _, members in sorted(unique.items())]
 
 
-def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, Explanation | None]:
+def judge(group: Iterable[Claim], known: Set[str]) -> Judgement:
     """Decide on passages that overlap one another, or on one alone.
 
     Parameters
@@ -60,26 +79,39 @@ def judge(group: Iterable[Claim], known: Set[str]) -> tuple[Verdict, Explanation
 
     Returns
     -------
-    Verdict, Explanation or None
-        And why there is a review.
+    Judgement
+        The verdict, and why there is a review.
 
     Notes
     -----
     Detectors count vehicles. As many pulses as passages: all stand. Fewer: one of them is not there, and which one no
-    CAM can say, so that none is dropped and none is charged. Without detectors a group stands if at most one of it is
-    charged: a vehicle without contract ahead must not make the passage behind it free.
+    CAM can say, so that none is dropped and none is charged, but for one case: there is one contract, it is
+    authenticated, and it explains the only pulse. Then it is charged, and the others are ghosts. Without detectors a
+    group stands if at most one of it is charged: a vehicle without contract ahead must not make the passage behind it
+    free.
     """
     claims = list(group)
     charges = [claim for claim in claims if claim.is_charge]
     if any(not claim.is_derivable for claim in charges):
-        return Verdict.REVIEW, explain(Code.NOT_DERIVABLE)
+        return Judgement(Verdict.REVIEW, explain(Code.NOT_DERIVABLE))
     is_complete = all(claim.overlaps <= known or claim.waited for claim in claims)
     counted = all(claim.has_detector for claim in claims)
     if is_complete and (all(claim.is_confirmed for claim in claims) if counted else len(charges) <= 1):
-        return Verdict.STANDS, None
+        return Judgement(Verdict.STANDS)
     if not (all(claim.waited for claim in claims) if counted else is_complete):
-        return Verdict.WAITS, None
-    return Verdict.REVIEW, _doubt(claims, len(charges), counted=counted)
+        return Judgement(Verdict.WAITS)
+    if counted and not charges and all(claim.overlaps for claim in claims):
+        return Judgement(Verdict.GHOSTS)
+    if counted and len(charges) == 1 and _is_alone(charges[0], claims):
+        why = explain(Code.ALONE, ghost_count=len(claims) - 1)
+        return Judgement(Verdict.ALONE, why, charges[0].passage_id)
+    return Judgement(Verdict.REVIEW, _doubt(claims, len(charges), counted=counted))
+
+
+def _is_alone(charge: Claim, claims: list[Claim]) -> bool:
+    """Whether an authenticated contract explains the only pulse of its group."""
+    pulses = {claim.pulse for claim in claims if claim.pulse is not None}
+    return charge.authenticated and len(claims) > 1 and len(pulses) == 1 and pulses <= charge.explains
 
 
 def _doubt(claims: list[Claim], charges: int, *, counted: bool) -> Explanation:

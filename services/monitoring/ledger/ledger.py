@@ -8,8 +8,8 @@ import hashlib
 import json
 import zlib
 from collections import Counter, deque
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TypeVar
 
@@ -21,21 +21,28 @@ from shared.messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, 
 from shared.messages.explanation import passage as passage_of
 from shared.messages.fitting import fitting
 from shared.messages.toll import (
+    CONTRACTS,
     MAX_SETTLED,
     OVERLAPS,
     PASSAGES,
+    PULSES,
     STATION_IDS,
     STATIONS,
     EvidencePack,
     LaneBalance,
+    LaneTraffic,
+    LedgerHead,
     LedgerState,
     OpenPassages,
     PassageState,
     PassageSummary,
+    PictureAction,
     PlazaDetector,
-    RegisteredStation,
+    PulseEvidence,
     RestoredCams,
+    ReviewSummary,
     TollPassage,
+    TollPayment,
     TollReceipt,
     TollRegistration,
     TollReview,
@@ -45,25 +52,39 @@ from shared.messages.toll import (
 )
 from shared.runtime.config import Section
 from shared.toll.plaza import Plaza
+from shared.toll.registration import identity_of
 from shared.unpacked import MIN_LIMIT_BYTES, BadPack, unpacked
 from shared.words.words import CodedText, reason, stated
 
+from .accounts import close, is_closed
+from .alarms import Alarms, tickets_of
 from .chain import Chain
-from .codes import Code
-from .confirmation import Claim, Verdict, groups, judge
+from .codes import DECIDED_BY, Code
+from .confirmation import TIGHT_SD, Claim, Judgement, Verdict, groups, judge
+from .pictures import Pictures
 from .reconciliation import Crossing, Pulse, match
+from .registrations import Contract, Registrations, contracts_of, identities_of
+from .replays import Replays
 from .store import Row, Store
 
 NS = 1_000_000_000
 HOUR_NS = 3600 * NS
 DAY_NS = 24 * HOUR_NS
+SAME_CROSSING_S = 1.0  # within it two crossings of one vehicle in one lane are one
 DOUBTFUL_NS = 30 * DAY_NS  # since the newest evidence, after which a date at the start is not believed at once
 PASSAGES_BYTES = 120_000  # in one message, beside 50 kB of settled ones and 70 kB of stations
 RECENT_PASSAGES = 50
 USED_RETENTION_NS = 70 * NS
-OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed", "held")
+REVIEW, PAID_OTHERWISE = "review", "paid_otherwise"  # outcomes that are no states of a passage
+OUTCOMES = (
+    "charged", REVIEW, "undecided", "unregistered", PAID_OTHERWISE, "suspect", "void", "missed", "held",
+)  # fmt: skip
+SHOWN_REVIEWS = 50
+MAX_TICKETS = 2000
+FORM = 2  # of evidence packs: with registrations, pulses and verdict
+SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
-UNCONFIRMED = "unconfirmed"  # count
+UNCONFIRMED, NOT_AUTHENTICATED = "unconfirmed", "not authenticated"  # counts
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 
@@ -99,6 +120,22 @@ class Settings(Section):
         gt=0,
         le=120.0,
         description="time after which a passage that its lane's detector does not confirm goes to review",
+    )
+    drive_round_s: float = Field(
+        default=60.0,
+        ge=0,
+        le=280.0,
+        description="shortest time in which a vehicle can pass the plaza twice; a contract that does it in less goes "
+        "to review",
+    )
+    picture_undecided_s: float = Field(
+        default=600.0, gt=0, le=3600.0, description="time after which a camera deletes a picture without a decision"
+    )
+    picture_kept_days: float = Field(
+        default=7.0,
+        gt=0,
+        le=90.0,
+        description="time for which the picture of a review, or of a vehicle without contract, is kept",
     )
     resend_first_s: float = Field(
         default=1.0, gt=0, description="time until a transaction without receipt is sent again; it doubles each time"
@@ -138,9 +175,16 @@ class Ledger:
         self._store, self._plaza, self._plaza_file, self._settings = store, plaza, plaza_file, settings
         self.chain = Chain(store, key, plaza.name)
         self.chain.begin()
+        self.registrations = Registrations(store, plaza, self.chain)
+        self.pictures = Pictures(
+            store, plaza, undecided_s=settings.picture_undecided_s, kept_days=settings.picture_kept_days
+        )
+        self.alarms = Alarms(store, plaza)
+        self._replays = Replays(store, key)
         self._started_ns = now_ns
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
+        self._tickets: dict[str, str] = {}  # of authenticated passages that have ended; in memory only
         # What `core.toll` has used, this process and the one before: time, start of the process, message as JSON.
         self._used: deque[tuple[int, int, str]] = deque()
         self._core_since_ns: int | None = None
@@ -148,6 +192,8 @@ class Ledger:
         self._next_send: dict[str, tuple[int, int]] = {}  # attempts and time of the next, by transaction
         self._numbers: Counter[str] = Counter()  # bookings by kind, up to the row `_summed`: none is ever changed
         self._detectors = {lane.name for lane in plaza.lanes if lane.detector}
+        self._directed = {lane.name for lane in plaza.lanes if lane.detector and lane.detector_direction}
+        self._lanes = {lane.name: lane for lane in plaza.lanes}
         self._amount_cents = self._summed = 0
         newest = store.row("SELECT max(stored_ns) AS stored_ns FROM evidence")
         newest_ns = newest["stored_ns"] if newest is not None else None
@@ -168,48 +214,72 @@ class Ledger:
                 self.passage(message, now_ns)
             case TollReceipt():
                 self.receipt(message, now_ns)
+            case TollPayment():
+                self.pay(message, now_ns)
             case UsedCams():
                 self.remember(message)
             case _:
                 pass
 
     def register(self, message: TollRegistration, now_ns: int) -> None:
-        """Store which contract uses a station ID now; the newest statement counts."""
-        if message.tariff_class not in self._plaza.tariff.classes:
-            self.rejects["tariff class"] += 1
-            return
+        """Store which contract a ticket or a station ID belongs to now, if its signatures hold."""
         until_ns = min(message.valid_until_ns, now_ns + round(self._settings.registration_limit_s * NS))
-        self._store.execute(
-            "INSERT INTO registration VALUES (?, ?, ?, ?, ?) ON CONFLICT (station_id) DO UPDATE SET contract = "
-            "excluded.contract, tariff_class = excluded.tariff_class, sampled_ns = excluded.sampled_ns, "
-            "valid_until_ns = excluded.valid_until_ns WHERE excluded.sampled_ns > registration.sampled_ns",
-            message.station_id, message.contract, message.tariff_class, message.sampled_ns, until_ns,
-        )  # fmt: skip
+        if (fault := self.registrations.accept(message, until_ns)) is not None:
+            self.rejects[fault] += 1
+
+    def pay(self, message: TollPayment, now_ns: int) -> None:
+        """Store that the vehicle at the gate line of a mixed lane has paid otherwise."""
+        lane = self._lanes.get(message.lane)
+        if message.plaza != self._plaza.name or lane is None:
+            self.rejects["another plaza"] += 1
+        elif lane.traffic is not LaneTraffic.MIXED:
+            self.rejects["payment in a lane for C-ITS only"] += 1
+        elif now_ns - DAY_NS < message.sampled_ns < now_ns + HOUR_NS:
+            self._store.execute(
+                "INSERT OR IGNORE INTO payment (payment, lane, sampled_ns) VALUES (?, ?, ?)",
+                message.payment, message.lane, message.sampled_ns,
+            )  # fmt: skip
 
     def detect(self, message: PlazaDetector, now_ns: int) -> None:
         """Store a pulse, and the earlier ones of the message that were lost on the way."""
-        if message.plaza != self._plaza.name or message.lane not in {lane.name for lane in self._plaza.lanes}:
+        if message.plaza != self._plaza.name or message.lane not in self._lanes:
             self.rejects["another plaza"] += 1
             return
+        backward = set(message.backward_ns) if message.lane in self._directed else set()
         for number, sampled_ns in enumerate((message.sampled_ns, *message.earlier_ns)):
             if message.pulse < number or not now_ns - DAY_NS < sampled_ns < now_ns + HOUR_NS:
                 continue
+            if is_closed(self._store, sampled_ns // HOUR_NS * HOUR_NS):
+                known = self._store.row(
+                    "SELECT 1 FROM pulse WHERE lane = ? AND since_ns = ? AND number = ?",
+                    message.lane, message.since_ns, message.pulse - number,
+                )  # fmt: skip
+                self.rejects["pulse of a closed hour"] += known is None
+                continue
             new = self._store.execute(
-                "INSERT OR IGNORE INTO pulse (lane, since_ns, number, sampled_ns) VALUES (?, ?, ?, ?)",
-                message.lane, message.since_ns, message.pulse - number, sampled_ns,
+                "INSERT OR IGNORE INTO pulse (lane, since_ns, number, sampled_ns, backward) VALUES (?, ?, ?, ?, ?)",
+                message.lane, message.since_ns, message.pulse - number, sampled_ns, sampled_ns in backward,
             )  # fmt: skip
             if new:
                 self._count(message.lane, sampled_ns, "detections")
+                self.chain.detections += 1
+                self.pictures.take(message.lane, message.since_ns, message.pulse - number, sampled_ns)
 
     def passage(self, message: TollPassage, now_ns: int) -> None:
         """Follow a passage, and settle it when its state is final."""
         if (message.plaza, message.plaza_digest) != (self._plaza.name, self._plaza.digest):
             self.rejects["another plaza"] += 1
         elif self._store.execute("UPDATE settled SET final_ns = ? WHERE passage_id = ?", now_ns, message.passage_id):
-            if message.state in (PassageState.VOID, PassageState.SUSPECT):
+            if message.state in (PassageState.VOID, PassageState.SUSPECT) and not self._is_turned(message):
                 self._withdraw(message.passage_id, message.state, _why(message), now_ns)
         else:
             self._follow(message, now_ns)
+
+    def _is_turned(self, message: TollPassage) -> bool:
+        """Whether a statement repeats that a vehicle has turned around, and the detector has not decided yet."""
+        row = self._store.row("SELECT charged FROM held WHERE passage_id = ?", message.passage_id)
+        held = row and self._read(TollPassage, row["charged"], message.passage_id)
+        return bool(held) and held.state is PassageState.VOID
 
     def receipt(self, message: TollReceipt, now_ns: int) -> None:
         """Take a transaction out of the outbox; what the operator does not accept is reversed."""
@@ -257,7 +327,11 @@ class Ledger:
                 state = PassageState.VOID if passage.crossing_ns is None else PassageState.UNDECIDED
                 self._settle(passage, state, stated(explain(Code.NO_STATEMENT)), now_ns)
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
-        self._store.execute("DELETE FROM registration WHERE valid_until_ns < ?", now_ns)
+        self.registrations.expire(now_ns)
+        self.pictures.expire(now_ns)
+        self.alarms.expire(kept_ns)
+        self._store.execute("DELETE FROM payment WHERE sampled_ns < ?", now_ns - DAY_NS)
+        self._close_hours(now_ns)
         self._forget_used(now_ns)
         self._store.execute("DELETE FROM chain WHERE to_ns < ?", kept_ns)
         self._forget_reviews("since_ns >= ? AND since_ns < ? AND NOT EXISTS (SELECT 1 FROM evidence "
@@ -275,6 +349,7 @@ class Ledger:
         evidence_ns = now_ns - round(self._settings.evidence_kept_days * DAY_NS)
         if self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns):
             self.chain.evidence_deleted(evidence_ns, now_ns)
+            self._replays.expire(evidence_ns)
         self.chain.refresh(now_ns)
         self._forget_reviews("since_ns < ?", evidence_ns)
 
@@ -300,8 +375,11 @@ class Ledger:
             if row["sampled_ns"] >= ripe_ns:
                 continue
             crossing = crossings.pop(found[row["rowid"]], None) if row["rowid"] in found else None
-            self._count(row["lane"], row["sampled_ns"], crossing["state"] if crossing else PassageState.MISSED)
-            self._store.execute("UPDATE pulse SET done = ? WHERE rowid = ?", 1 if crossing else 2, row["rowid"])
+            outcome = self._outcome(row, crossing)
+            self._count(row["lane"], row["sampled_ns"], outcome)
+            self.pictures.settle(row, outcome)
+            is_missed = outcome == PassageState.MISSED
+            self._store.execute("UPDATE pulse SET done = ? WHERE rowid = ?", 2 if is_missed else 1, row["rowid"])
             if crossing:
                 self._store.execute("DELETE FROM crossing WHERE number = ?", crossing["number"])
         waiting = set(found.values())
@@ -312,18 +390,57 @@ class Ledger:
                     self._count(row["lane"], row["crossing_ns"], self._without_detection(row["lane"]))
                 self._store.execute("DELETE FROM crossing WHERE number = ?", number)
 
+    def _outcome(self, pulse: Row, crossing: Row | None) -> str:
+        """Name what came of a pulse: of its passage, of a payment, or nothing known."""
+        if pulse["backward"]:
+            return PassageState.VOID
+        outcome = PassageState.MISSED if crossing is None else _state_of(crossing)
+        if outcome in (PassageState.MISSED, PassageState.UNREGISTERED) and self._is_paid(pulse):
+            return PAID_OTHERWISE
+        return outcome
+
+    def _is_paid(self, pulse: Row) -> bool:
+        """Whether a payment of the lane is that of a pulse; the nearest one settles it, and no other pulse."""
+        gate_ns = round(self._settings.match_gate_s * NS)
+        row = self._store.row(
+            "SELECT payment FROM payment WHERE lane = ? AND NOT done AND abs(sampled_ns - ?) <= ? "
+            "ORDER BY abs(sampled_ns - ?) LIMIT 1", pulse["lane"], pulse["sampled_ns"], gate_ns, pulse["sampled_ns"],
+        )  # fmt: skip
+        if row is not None:
+            self._store.execute("UPDATE payment SET done = 1 WHERE payment = ?", row["payment"])
+        return row is not None
+
+    def _close_hours(self, now_ns: int) -> None:
+        """Close the accounts of hours that are over, once no outcome of them can change any more."""
+        settings = self._settings
+        late_ns = round((settings.match_after_s + settings.match_gate_s + settings.silence_limit_s) * NS)
+        over_ns = (now_ns - late_ns) // HOUR_NS * HOUR_NS
+        if now_ns - self._started_ns < late_ns:  # pulses of an outage come with the next ones
+            return
+        waits = (
+            "SELECT 1 FROM pulse WHERE NOT done AND sampled_ns < ?", "SELECT 1 FROM crossing WHERE crossing_ns < ?"
+        )  # fmt: skip
+        if not any(self._store.row(f"{query} LIMIT 1", over_ns) for query in waits):
+            close(self._store, over_ns)
+
     def _matched(self) -> PulseMatches:
-        """Assign the pulses and crossings that are not accounted for yet."""
-        pulses = {
-            row["rowid"]: row for row in self._store.rows("SELECT rowid, lane, sampled_ns FROM pulse WHERE NOT done")
-        }
+        """Assign the pulses and crossings that are not accounted for yet.
+
+        First those of authenticated vehicles: nothing that is not authenticated takes a pulse from them.
+        """
+        pulses = {row["rowid"]: row for row in self._store.rows("SELECT rowid, * FROM pulse WHERE NOT done")}
         crossings = {row["number"]: row for row in self._store.rows("SELECT * FROM crossing")}
-        found = match(
-            [Pulse(row["rowid"], row["lane"], row["sampled_ns"]) for row in pulses.values()],
-            [_crossing(row) for row in crossings.values()],
-            detector_sd_s=self._settings.detector_sd_s,
-            gate_s=self._settings.match_gate_s,
-        )
+        found: dict[int, int] = {}
+        for authenticated in (True, False):
+            found |= match(
+                [
+                    Pulse(key, row["lane"], row["sampled_ns"])
+                    for key, row in pulses.items() if key not in found and not row["backward"]
+                ],
+                [_crossing(row) for row in crossings.values() if bool(row["authenticated"]) is authenticated],
+                detector_sd_s=self._settings.detector_sd_s,
+                gate_s=self._settings.match_gate_s,
+            )  # fmt: skip
         return PulseMatches(pulses, crossings, found)
 
     def _without_detection(self, lane: str) -> str:
@@ -332,41 +449,135 @@ class Ledger:
 
     def _confirm(self, matched: PulseMatches, now_ns: int) -> None:
         """Charge the held passages whose pulse is there; send to review what detectors contradict."""
+        pulse_of = matched.pulse_of
+        rows = {row["passage_id"]: row for row in matched.crossings.values() if row["passage_id"]}
+        turned = {passage_id: row for passage_id, row in rows.items() if row["state"] == PassageState.VOID}
+        for row in turned.values():
+            self._judge_turned(row, pulse_of.get(row["number"]), now_ns)
         claims = {
-            row["passage_id"]: self._claim(row, matched.pulse_of.get(row["number"]), now_ns)
-            for row in matched.crossings.values()
-            if row["passage_id"]
-        }
-        states = {row["passage_id"]: row["state"] for row in matched.crossings.values()}
+            passage_id: self._claim(row, pulse_of.get(row["number"]), matched.pulses, now_ns)
+            for passage_id, row in rows.items() if passage_id not in turned
+        }  # fmt: skip
+        claims = self._with_links(claims)
         for group in groups(claims):
-            is_held = any(states[claim.passage_id] == PassageState.HELD for claim in group)
+            is_held = any(rows[claim.passage_id]["state"] == PassageState.HELD for claim in group)
             if not is_held and not any(claim.overlaps for claim in group):
                 continue
-            members = {claim.passage_id for claim in group}
-            verdict, why = judge(group, members)
-            if verdict is Verdict.WAITS:
-                continue
-            for passage_id in sorted(members):
-                self._store.execute("UPDATE crossing SET overlaps = '[]' WHERE passage_id = ?", passage_id)
-                if why is not None:
-                    self._review(passage_id, why, sorted(members - {passage_id}), now_ns)
-                elif states[passage_id] == PassageState.HELD:
-                    self._charge_held(passage_id, now_ns)
+            judgement = judge(group, {claim.passage_id for claim in group})
+            if judgement.verdict is not Verdict.WAITS:
+                self._carry_out(judgement, group, rows, matched, now_ns)
 
-    def _claim(self, row: Row, pulse: Row | None, now_ns: int) -> Claim:
-        sds = None
-        if pulse is not None:
-            away_s = abs(pulse["sampled_ns"] - row["crossing_ns"]) * 1e-9
-            sds = away_s / hypot(row["sd_s"], self._settings.detector_sd_s)
+    def _with_links(self, claims: dict[str, Claim]) -> dict[str, Claim]:
+        """Link what is not authenticated to the authenticated vehicles that it overlaps, not the other way round."""
+        linked = dict(claims)
+        for claim in claims.values():
+            if not claim.authenticated:
+                continue
+            others = {other for other in claim.overlaps if other in claims and not claims[other].authenticated}
+            linked[claim.passage_id] = replace(claim, overlaps=claim.overlaps - others)
+            for other in others:
+                linked[other] = replace(linked[other], overlaps=linked[other].overlaps | {claim.passage_id})
+                self._store.execute(
+                    "UPDATE crossing SET overlaps = ? WHERE passage_id = ?", json.dumps(sorted(linked[other].overlaps)),
+                    other,
+                )  # fmt: skip
+        return linked
+
+    def _carry_out(
+        self, judgement: Judgement, group: list[Claim], rows: Mapping[str, Row], matched: PulseMatches, now_ns: int
+    ) -> None:
+        """Charge, review or drop the passages of a group."""
+        members = {claim.passage_id for claim in group}
+        pulses = [matched.pulses[claim.pulse] for claim in group if claim.pulse is not None]
+        for claim in group:
+            passage_id, row = claim.passage_id, rows[claim.passage_id]
+            self._store.execute("UPDATE crossing SET overlaps = '[]' WHERE passage_id = ?", passage_id)
+            others = sorted(members - {passage_id})
+            if judgement.verdict is Verdict.REVIEW and judgement.why is not None:
+                for pulse in pulses:
+                    self.pictures.disputed(pulse)
+                self._review(passage_id, judgement.why, others, now_ns)
+            elif judgement.verdict is Verdict.GHOSTS or judgement.charged not in (None, passage_id):
+                if claim.pulse is None or judgement.verdict is Verdict.ALONE:
+                    self._drop_ghost(row, judgement.charged, now_ns)
+            elif judgement.charged == passage_id:
+                self._give_pulse(row, pulses)
+                if row["state"] == PassageState.HELD:
+                    self._charge_held(passage_id, now_ns, pulses=pulses, verdict=judgement.why, ghosts=others)
+            elif row["state"] == PassageState.HELD:
+                own = [matched.pulses[claim.pulse]] if claim.pulse is not None else []
+                self._charge_held(passage_id, now_ns, pulses=own)
+
+    def _give_pulse(self, row: Row, pulses: list[Row]) -> None:
+        """Assign the only pulse of a group to the passage that is charged: its ghosts cross nothing any more."""
+        for pulse in pulses:
+            self._store.execute(
+                "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
+                pulse["sampled_ns"], pulse["lane"], row["number"],
+            )  # fmt: skip
+
+    def _drop_ghost(self, row: Row, charged: str | None, now_ns: int) -> None:
+        """Settle a station that no detector has counted; the pack of the vehicle that was there names it."""
+        others = json.loads(row["overlaps"])
+        there = charged or (others[0] if others else row["passage_id"])
+        why = stated(explain(Code.GHOST, passage=passage_of(there)))
+        self._change(row["passage_id"], state=PassageState.SUSPECT, reason=why.text, reason_code=why.code)
+        self._store.execute("DELETE FROM crossing WHERE number = ?", row["number"])
+        self.alarms.ghost(
+            row["passage_id"], row["lane"], row["crossing_ns"], self._tickets.get(row["passage_id"]), now_ns
+        )
+
+    def _judge_turned(self, row: Row, pulse: Row | None, now_ns: int) -> None:
+        """Decide on a vehicle that says it has turned around behind the gate line.
+
+        The detector decides: without a pulse it has not passed, and neither with one backwards behind it. Otherwise it
+        is reviewed, or counts as a vehicle without contract.
+        """
+        is_held = self._store.row("SELECT 1 FROM held WHERE passage_id = ?", row["passage_id"]) is not None
+        waited = now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS)
+        if pulse is not None and not self._came_back(pulse, row["settled_ns"]):
+            if is_held and (waited or row["lane"] not in self._directed):
+                self.pictures.disputed(pulse)
+                self._review(row["passage_id"], explain(Code.TURNED_COUNTED), [], now_ns)
+            elif not is_held:
+                self._store.execute(
+                    "UPDATE crossing SET state = ? WHERE number = ?", PassageState.UNREGISTERED, row["number"]
+                )
+        elif is_held and waited:
+            self._store.execute("DELETE FROM held WHERE passage_id = ?", row["passage_id"])
+
+    def _came_back(self, pulse: Row, until_ns: int) -> bool:
+        """Whether a detector of the direction has counted a vehicle backwards after a pulse."""
+        direction = self._lanes[pulse["lane"]].direction
+        lanes = [lane.name for lane in self._lanes.values() if lane.direction == direction]
+        gate_ns = round(self._settings.match_gate_s * NS)
+        rows = self._store.rows(
+            "SELECT lane FROM pulse WHERE backward AND sampled_ns > ? AND sampled_ns <= ?",
+            pulse["sampled_ns"], until_ns + gate_ns,
+        )  # fmt: skip
+        return any(row["lane"] in lanes for row in rows)
+
+    def _claim(self, row: Row, pulse: Row | None, pulses: Mapping[int, Row], now_ns: int) -> Claim:
+        def sds_of(other: Row) -> float:
+            away_s = abs(other["sampled_ns"] - row["crossing_ns"]) * 1e-9
+            return float(away_s / hypot(row["sd_s"], self._settings.detector_sd_s))
+
         held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
         crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
+        near = (
+            key for key, other in pulses.items()
+            if other["lane"] == row["lane"] and not other["backward"] and sds_of(other) <= TIGHT_SD
+        )  # fmt: skip
         return Claim(
             passage_id=row["passage_id"],
             overlaps=frozenset(json.loads(row["overlaps"])),
             has_detector=row["lane"] in self._detectors,
             is_charge=row["state"] in (PassageState.CHARGED, PassageState.HELD),
             is_derivable=crossed is None or crossed.derivable,
-            pulse_sds=sds,
+            pulse_sds=None if pulse is None else sds_of(pulse),
+            authenticated=bool(row["authenticated"]),
+            pulse=None if pulse is None else pulse["rowid"],
+            explains=frozenset(near),
             waited=now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS),
         )
 
@@ -438,18 +649,11 @@ class Ledger:
             recently_ns,
             MAX_SETTLED,
         )
-        registered = self._store.rows(
-            "SELECT station_id, valid_until_ns FROM registration WHERE valid_until_ns >= ? "
-            "ORDER BY sampled_ns DESC LIMIT ?", now_ns, STATIONS,
-        )  # fmt: skip
         return OpenPassages(
             sampled_ns=now_ns,
             passages=tuple(passages),
             settled=tuple(row["passage_id"] for row in settled),
-            registered=tuple(
-                RegisteredStation(station_id=row["station_id"], valid_until_ns=row["valid_until_ns"])
-                for row in registered
-            ),
+            registered=tuple(self.registrations.listed(now_ns, STATIONS)),
             since_ns=self._started_ns,
             core_since_ns=None if self._asked else self._core_since_ns,
         )
@@ -457,12 +661,13 @@ class Ledger:
     def state(self, now_ns: int) -> LedgerState:
         """Sum up charges, outbox and the account of this hour and the last."""
         for row in self._store.rows(
-            "SELECT rowid, kind, amount_cents, json_extract(content, '$.confirmed') AS confirmed FROM booking "
-            "WHERE rowid > ?", self._summed,
+            "SELECT rowid, kind, amount_cents, json_extract(content, '$.confirmed') AS confirmed, "
+            "json_extract(content, '$.authenticated') AS authenticated FROM booking WHERE rowid > ?", self._summed,
         ):  # fmt: skip
             self._summed = row["rowid"]
             self._numbers[row["kind"]] += 1
             self._numbers[UNCONFIRMED] += row["kind"] == TransactionKind.CHARGE and not row["confirmed"]
+            self._numbers[NOT_AUTHENTICATED] += row["kind"] == TransactionKind.CHARGE and not row["authenticated"]
             self._amount_cents += row["amount_cents"]
         last = self._store.row("SELECT MAX(received_ns) AS ns FROM receipt")
         outbox = self._store.row("SELECT COUNT(*) AS n FROM outbox")
@@ -482,7 +687,37 @@ class Ledger:
             last_receipt_ns=last["ns"] if last else None,
             lanes=self.balances(since_ns),
             recent=self._recent(),
+            require_authenticated=self._plaza.require_authenticated,
+            not_authenticated=self._numbers[NOT_AUTHENTICATED],
+            reviews=self._open_reviews(),
+            pictures=self.pictures.kept(),
+            pictures_kept=self.pictures.count(PictureAction.KEEP),
+            pictures_waiting=self.pictures.count(PictureAction.TAKE),
+            alarms=self.alarms.count(since_ns),
+            newest_alarm=self.alarms.newest(),
         )
+
+    def _open_reviews(self) -> tuple[ReviewSummary, ...]:
+        """The newest passages that a person has to judge, and what decides each."""
+        rows = self._store.rows("SELECT content, passage_id FROM review ORDER BY since_ns DESC LIMIT ?", SHOWN_REVIEWS)
+        reviews = [self._read(TollReview, row["content"], row["passage_id"]) for row in rows]
+        return tuple(
+            ReviewSummary(
+                passage_id=review.passage_id, since_ns=review.sampled_ns, lane=review.lane,
+                crossing_ns=review.crossing_ns, contracts=len(review.contracts) or int(review.contract is not None),
+                authenticated=review.authenticated, reversed=review.reversed, reason=review.reason,
+                reason_code=review.reason_code, decided_by_code=review.decided_by,
+                decided_by=reason(review.decided_by) if review.decided_by else "",
+            )
+            for review in reviews
+        )  # fmt: skip
+
+    def head(self, now_ns: int) -> LedgerHead | None:
+        """Give the newest signed statement for the operator, once; None if it has not changed."""
+        statement = self.chain.head()
+        if statement is None:
+            return None
+        return LedgerHead(sampled_ns=now_ns, plaza=self._plaza.name, statement=statement)
 
     def balances(self, since_ns: int) -> tuple[LaneBalance, ...]:
         """Account for the detections of each lane and hour from a time on.
@@ -495,7 +730,8 @@ class Ledger:
         for key, row in matched.pulses.items():
             place = (row["sampled_ns"] // HOUR_NS * HOUR_NS, row["lane"])
             number = matched.found.get(key)
-            counts[*place, "pending" if number is None else matched.crossings[number]["state"]] += 1
+            outcome = PassageState.VOID if row["backward"] else "pending"
+            counts[*place, outcome if number is None else _state_of(matched.crossings[number])] += 1
             counts[*place, "provisional"] += number is not None
         explained = set(matched.found.values())
         for number, row in matched.crossings.items():
@@ -530,85 +766,198 @@ class Ledger:
 
     def _follow(self, message: TollPassage, now_ns: int) -> None:
         stored = self._store.row("SELECT * FROM passage WHERE passage_id = ?", message.passage_id)
-        contracts = {(stored["contract"], stored["tariff_class"])} if stored else set()
-        for station_id in message.station_ids:
-            row = self._store.row(
-                "SELECT contract, tariff_class FROM registration WHERE station_id = ? AND valid_until_ns >= ?",
-                station_id, message.crossing_ns or message.sampled_ns,
-            )  # fmt: skip
-            contracts |= {(row["contract"], row["tariff_class"])} if row else set()
+        if stored and not self._is_as_sealed("passage", stored):
+            self._settle(message, PassageState.SUSPECT, stated(explain(Code.CHANGED)), now_ns)
+            return
+        registrations = self._registered(message, stored["registrations"] if stored else "[]")
+        contracts = contracts_of(registrations)
         crossed = (
             self._read(TollPassage, stored["crossed"], message.passage_id) if stored and stored["crossed"] else None
         )
-        if len(contracts) > 1 and message.state not in UNCHARGED:
+        if len(contracts) > 1 and message.state.is_final and message.state not in UNCHARGED:
             code = Code.TWO_CONTRACTS if len({name for name, _ in contracts}) > 1 else Code.TWO_CLASSES
             self._settle(message, PassageState.SUSPECT, stated(explain(code)), now_ns, contracts)
             return
         if message.state.is_final and self._merge(message, contracts, now_ns):
             return
-        if message.state is PassageState.CHARGED:
-            self._charge(message, crossed, contracts, now_ns)
-        elif message.state.is_final:
-            self._settle(message, message.state, _why(message), now_ns, contracts)
+        if message.state.is_final:
+            self._end(message, crossed, registrations, now_ns)
         elif not contracts:
             newest = self._unregistered.get(message.passage_id, message)
             if message.sampled_ns >= newest.sampled_ns:
                 self._unregistered[message.passage_id] = message.model_copy(update={"evidence": None})
         elif not stored or message.sampled_ns >= stored["sampled_ns"]:
-            ((contract, tariff_class),) = contracts
             self._unregistered.pop(message.passage_id, None)
             with_evidence = message if message.evidence else crossed
+            content = (
+                message.sampled_ns, message.model_copy(update={"evidence": None}).model_dump_json(exclude_none=True),
+                with_evidence.model_dump_json(exclude_none=True) if with_evidence else None, _as_text(registrations),
+            )  # fmt: skip
             self._store.execute(
                 "INSERT OR REPLACE INTO passage VALUES (?, ?, ?, ?, ?, ?)",
-                message.passage_id, message.sampled_ns, contract, tariff_class,
-                message.model_copy(update={"evidence": None}).model_dump_json(exclude_none=True),
-                with_evidence.model_dump_json(exclude_none=True) if with_evidence else None,
+                message.passage_id, *content, self.chain.row_seal("passage", message.passage_id, *content),
             )  # fmt: skip
 
+    def _end(
+        self, message: TollPassage, crossed: TollPassage | None, registrations: list[TollRegistration], now_ns: int
+    ) -> None:
+        """Use the final statement on a passage."""
+        contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
+        if message.state is PassageState.CHARGED:
+            self._charge(message, crossed, registrations, now_ns)
+        elif message.state is PassageState.VOID and contracts and crossed and message.lane in self._detectors:
+            self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
+        elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
+            self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
+        else:
+            self._settle(message, message.state, _why(message), now_ns, contracts)
+
+    def _registered(self, message: TollPassage, stored: str) -> list[TollRegistration]:
+        """Registrations of a passage: those that held when they were stored with it, and those that hold now.
+
+        Of each contract and ticket the newest counts. A registration of a ticket that the passage does not have is
+        never one of it.
+        """
+        identities = identities_of(message)
+        found = [TollRegistration.model_validate_json(json.dumps(each)) for each in json.loads(stored)]
+        found += self.registrations.of(identities, message.crossing_ns or message.sampled_ns)
+        newest: dict[tuple[str, str, str], TollRegistration] = {}
+        for each in found:
+            key = identity_of(each), each.contract, each.tariff_class
+            if key[0] in identities and (key not in newest or each.sampled_ns > newest[key].sampled_ns):
+                newest[key] = each
+        return list(newest.values())[:CONTRACTS]
+
+    def _is_as_sealed(self, table: str, row: Row) -> bool:
+        """Whether a row of what is in progress is as the ledger has stored it."""
+        names = {"passage": ("sampled_ns", "statement", "crossed", "registrations"),
+                 "held": ("charged", "crossed", "registrations")}[table]  # fmt: skip
+        return self.chain.is_row(row["seal"], table, row["passage_id"], *(row[name] for name in names))
+
     def _charge(
-        self, message: TollPassage, crossed: TollPassage | None, contracts: set[tuple[str, str]], now_ns: int
+        self, message: TollPassage, crossed: TollPassage | None, registrations: list[TollRegistration], now_ns: int
     ) -> None:
         """Charge a passage that is complete, or say why not.
 
         `core.toll` knows a contract. Where the ledger does not, it was down when that was registered: the vehicle
         repeats the registration, and `core.toll` this statement.
         """
-        proof = crossed or message
+        proof, contracts = crossed or message, contracts_of(registrations)
         waited_ns = now_ns - (message.exit_ns or message.crossing_ns or message.sampled_ns)
-        if not contracts and waited_ns < self._settings.registration_wait_s * NS:
+        is_covered = {identity_of(each) for each in registrations} >= set(identities_of(message))
+        if not is_covered and waited_ns < self._settings.registration_wait_s * NS:
             return
         if message.lane is None:
             why = _why(message) if message.reason else stated(explain(Code.NO_LANE))
             self._settle(message, PassageState.UNDECIDED, why, now_ns)
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, stated(explain(Code.NO_CONTRACT)), now_ns)
-        elif message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
-            self._settle(message, PassageState.SUSPECT, stated(explain(Code.NO_EVIDENCE)), now_ns, contracts)
-        elif min(contracts)[1] not in self._plaza.tariff.classes:  # the file has changed since
-            self.rejects["tariff class"] += 1
-            why = stated(explain(Code.NO_CLASS, tariff_class=_quoted(min(contracts)[1])))
-            self._settle(message, PassageState.SUSPECT, why, now_ns, contracts)
+        elif (doubt := self._doubt(message, proof, contracts, is_covered=is_covered)) is not None:
+            self._leave_to_person(message, proof, registrations, doubt, now_ns)
         else:
-            self._hold(message, proof, *min(contracts), now_ns)
+            self._hold(message, proof, registrations, now_ns)
             if message.lane not in self._detectors and proof.derivable and not message.overlaps:
                 self._charge_held(message.passage_id, now_ns)
 
-    def _hold(self, message: TollPassage, crossed: TollPassage, contract: str, tariff_class: str, now_ns: int) -> None:
-        """Keep a complete passage until a detector confirms it, or the lane has none; nothing is booked."""
-        from_ns, to_ns = _interval(message)
-        for name in _names(message, {(contract, tariff_class)}):
-            self._store.execute(
-                "INSERT OR REPLACE INTO chain VALUES (?, ?, ?, ?)", name, message.passage_id, from_ns, to_ns
-            )
-        self._store.execute(
-            "INSERT INTO held VALUES (?, ?, ?, ?, ?)", message.passage_id, contract, tariff_class,
-            message.model_dump_json(exclude_none=True), crossed.model_dump_json(exclude_none=True),
-        )  # fmt: skip
-        self._settle(message, PassageState.HELD, stated(explain(Code.WAITS)), now_ns)
+    def _leave_to_person(
+        self,
+        message: TollPassage,
+        crossed: TollPassage,
+        registrations: list[TollRegistration],
+        why: Explanation,
+        now_ns: int,
+    ) -> None:
+        """Review a passage of a contract, with its evidence where there is any: a charge may follow."""
+        if crossed.evidence is None or message.crossing_ns is None:
+            self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
+            return
+        self._hold(message, crossed, registrations, now_ns)
+        self._review(message.passage_id, why, [], now_ns)
 
-    def _charge_held(self, passage_id: str, now_ns: int) -> None:
+    def _doubt(
+        self, message: TollPassage, proof: TollPassage, contracts: set[Contract], *, is_covered: bool
+    ) -> Explanation | None:
+        """Say why a complete passage of a contract is left to a person; None: it is charged, if a detector agrees."""
+        tariff_class = min(contracts)[1]
+        is_silent = message.reason_code is not None and message.reason_code.code == SILENT_BETWEEN
+        needs_ticket = self._plaza.require_authenticated or bool(message.tickets)
+        if not is_covered:
+            return explain(Code.NEW_TICKET)
+        if needs_ticket and not message.authenticated:
+            return explain(Code.NOT_AUTHENTICATED)
+        if is_silent and message.lane not in self._detectors:
+            return explain(Code.SILENT)
+        if message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
+            return explain(Code.NO_EVIDENCE)
+        if tariff_class not in self._plaza.tariff.classes:  # the file has changed since
+            self.rejects["tariff class"] += 1
+            return explain(Code.NO_CLASS, tariff_class=_quoted(tariff_class))
+        return self._replays.found(message.passage_id, proof.evidence) or self._driven_round(message, contracts)
+
+    def _driven_round(self, message: TollPassage, contracts: set[Contract]) -> Explanation | None:
+        """Say that a contract has just passed, in less time than it takes to come back; None if it has not."""
+        from_ns, _ = _interval(message)
+        for contract, _ in sorted(contracts):
+            row = self._store.row(
+                "SELECT passage_id, to_ns FROM chain WHERE name = ? AND passage_id <> ? AND authenticated >= ? "
+                "AND to_ns <= ? AND to_ns > ? ORDER BY to_ns DESC LIMIT 1", f"contract {contract}",
+                message.passage_id, message.authenticated, from_ns,
+                from_ns - round(self._settings.drive_round_s * NS),
+            )  # fmt: skip
+            if row is not None:
+                before_s = (from_ns - row["to_ns"]) * 1e-9
+                return explain(Code.DRIVE_ROUND, passage=passage_of(row["passage_id"]), before_s=before_s)
+        return None
+
+    def _hold(
+        self,
+        message: TollPassage,
+        crossed: TollPassage,
+        registrations: list[TollRegistration],
+        now_ns: int,
+        state: PassageState = PassageState.HELD,
+    ) -> None:
+        """Keep a complete passage until a detector confirms it, or the lane has none; nothing is booked."""
+        if state is PassageState.HELD:
+            self._note_chain(message, _names(message, contracts_of(registrations)), message.passage_id)
+        content = (
+            message.model_dump_json(exclude_none=True), crossed.model_dump_json(exclude_none=True),
+            _as_text(registrations),
+        )  # fmt: skip
+        self._store.execute(
+            "INSERT INTO held VALUES (?, ?, ?, ?, ?)",
+            message.passage_id, *content, self.chain.row_seal("held", message.passage_id, *content),
+        )  # fmt: skip
+        why = stated(explain(Code.WAITS)) if state is PassageState.HELD else _why(message)
+        self._settle(message, state, why, now_ns)
+
+    def _note_chain(self, message: TollPassage, names: list[str], passage_id: str) -> None:
+        from_ns, to_ns = _interval(message)
+        for name in names:
+            self._store.execute(
+                "INSERT OR REPLACE INTO chain VALUES (?, ?, ?, ?, ?, ?, ?, ?)", name, passage_id, from_ns, to_ns,
+                message.crossing_ns, message.crossing_sd_s or 1.0, message.lane, message.authenticated,
+            )  # fmt: skip
+
+    def _charge_held(
+        self,
+        passage_id: str,
+        now_ns: int,
+        *,
+        pulses: Sequence[Row] = (),
+        verdict: Explanation | None = None,
+        ghosts: Sequence[str] = (),
+    ) -> None:
         """Store charge, outbox row and evidence; `passage` has made sure that none is there, and UNIQUE insists."""
-        pack = self._pack_of_held(passage_id)
+        held = self._store.row("SELECT * FROM held WHERE passage_id = ?", passage_id)
+        if held is not None and not self._is_as_sealed("held", held):
+            self._review(passage_id, explain(Code.CHANGED), [], now_ns)
+            return
+        if held is not None and len(self._contracts_of_held(held)) > 1:
+            self._review(passage_id, explain(Code.TWO_CONTRACTS), [], now_ns)
+            return
+        confirmed_by = verdict or explain(Code.CONFIRMED if pulses else Code.UNCONFIRMED)
+        pack = self._pack_of_held(passage_id, pulses=pulses, verdict=confirmed_by, ghosts=ghosts)
         if pack is None:  # the plaza's file has changed while it was held
             self._review(passage_id, explain(Code.LOST_CLASS), [], now_ns)
             return
@@ -631,30 +980,59 @@ class Ledger:
             amount_cents=pack.amount_cents,
             currency=tariff.currency,
             authenticated=message.authenticated,
+            ticket=message.tickets[-1] if message.authenticated and message.tickets else None,
+            ghosts=len(ghosts),
             confirmed=is_confirmed,
-            reason="" if is_confirmed else reason(unconfirmed),
+            reason=reason(verdict) if verdict else "" if is_confirmed else reason(unconfirmed),
             evidence_digest=_digest(pack),
         )
         self._enter(transaction)
         self._keep(pack, now_ns)
+        for pulse in pulses:
+            self.pictures.charged(pulse)
         self._change(
             passage_id, state=PassageState.CHARGED, reason=transaction.reason,
-            reason_code=None if is_confirmed else unconfirmed, tariff_class=pack.tariff_class,
+            reason_code=verdict or (None if is_confirmed else unconfirmed), tariff_class=pack.tariff_class,
             amount_cents=pack.amount_cents, currency=tariff.currency, confirmed=is_confirmed,
-            evidence_digest=transaction.evidence_digest,
+            authenticated=message.authenticated, ghosts=len(ghosts), evidence_digest=transaction.evidence_digest,
         )  # fmt: skip
 
-    def _pack_of_held(self, passage_id: str) -> EvidencePack | None:
-        """Make the evidence pack of a held passage; None if it is not held, or the tariff has no such class."""
+    def _contracts_of_held(self, row: Row) -> set[Contract]:
+        """Contracts of a held passage: another one may have registered its ticket meanwhile."""
+        charged = self._read(TollPassage, row["charged"], row["passage_id"])
+        return contracts_of(self._registered(charged, row["registrations"]))
+
+    def _pack_of_held(
+        self,
+        passage_id: str,
+        *,
+        pulses: Sequence[Row] = (),
+        verdict: Explanation | None = None,
+        ghosts: Sequence[str] = (),
+    ) -> EvidencePack | None:
+        """Make the evidence pack of a held passage.
+
+        None if it is not held, was changed in the file, has no contract, or the tariff has no such class.
+        """
         row = self._store.row("SELECT * FROM held WHERE passage_id = ?", passage_id)
-        tariff = self._plaza.tariff
-        if row is None or (cents := tariff.classes.get(row["tariff_class"])) is None:
+        if row is None or not self._is_as_sealed("held", row):
             return None
         charged, crossed = (self._read(TollPassage, row[name], passage_id) for name in ("charged", "crossed"))
+        registrations = self._registered(charged, row["registrations"])
+        tariff, contracts = self._plaza.tariff, contracts_of(registrations)
+        if len(contracts) != 1 or (cents := tariff.classes.get(min(contracts)[1])) is None:
+            return None
+        contract, tariff_class = min(contracts)
         return EvidencePack(
-            plaza_file=self._plaza_file, tariff_version=tariff.version, contract=row["contract"],
-            tariff_class=row["tariff_class"], lane=charged.lane or "", amount_cents=cents, crossed=crossed,
-            charged=charged,
+            plaza_file=self._plaza_file, tariff_version=tariff.version, contract=contract,
+            tariff_class=tariff_class, lane=charged.lane or "", amount_cents=cents, crossed=crossed,
+            charged=charged, form=FORM, registrations=tuple(registrations), match_gate_s=self._settings.match_gate_s,
+            pulses=tuple(
+                PulseEvidence(lane=pulse["lane"], since_ns=pulse["since_ns"], pulse=pulse["number"],
+                              sampled_ns=pulse["sampled_ns"], backward=bool(pulse["backward"]))
+                for pulse in pulses[:PULSES]
+            ),
+            verdict=verdict, ghosts=tuple(ghosts[:OVERLAPS]),
         )  # fmt: skip
 
     def _keep(self, pack: EvidencePack, now_ns: int) -> None:
@@ -664,10 +1042,13 @@ class Ledger:
             "INSERT INTO evidence (passage_id, digest, stored_ns, pack, seal) VALUES (?, ?, ?, ?, ?)",
             passage_id, digest, now_ns, zlib.compress(_encoded(pack)), self.chain.pack_seal(passage_id, digest, now_ns),
         )  # fmt: skip
+        for statement in (pack.crossed, pack.charged):
+            if statement.evidence is not None:
+                self._replays.keep(passage_id, statement.evidence, now_ns)
 
     def _review(self, passage_id: str, explanation: Explanation, others: list[str], now_ns: int) -> None:
         """Leave a passage to a person: what is held is not booked, what is booked is reversed."""
-        pack = self._pack_of_held(passage_id)
+        pack = self._pack_of_held(passage_id, verdict=explanation)
         self._store.execute("DELETE FROM held WHERE passage_id = ?", passage_id)
         if pack is not None:
             self._keep(pack, now_ns)
@@ -685,11 +1066,17 @@ class Ledger:
                 amount_cents=about.amount_cents if about else None,
                 currency=self._plaza.tariff.currency if about else None,
                 reversed=charge is not None,
+                authenticated=summary.authenticated,
                 evidence_digest=charge.evidence_digest if charge else _digest(pack) if pack else None,
             )
         )  # fmt: skip
 
     def _ask(self, review: TollReview) -> None:
+        code = review.reason_code.code if review.reason_code else ""
+        review = review.model_copy(update={"decided_by": explain(_decides(code))})
+        if review.contract or review.contracts:
+            self._store.execute("UPDATE crossing SET in_review = 1 WHERE passage_id = ?", review.passage_id)
+        self._change(review.passage_id, in_review=True)
         self._store.execute(
             "INSERT OR REPLACE INTO review (passage_id, since_ns, content) VALUES (?, ?, ?)",
             review.passage_id, review.sampled_ns, review.model_dump_json(exclude_none=True),
@@ -723,9 +1110,11 @@ class Ledger:
     def _merge(self, message: TollPassage, contracts: set[tuple[str, str]], now_ns: int) -> bool:
         """Settle a passage of a vehicle that another passage of the same time has; the ID of the first one stays.
 
-        A vehicle is known by its contract and its chain of station IDs. Two passages of it whose intervals from
-        approach to exit overlap are one: frames that were lost or left out gave the second another ID. Station IDs of
-        two contracts name no vehicle: `core.toll` may have taken two for one.
+        A vehicle is known by its contract and its chain of tickets or station IDs. Two passages of it whose intervals
+        from approach to exit overlap, and that cross the gate line at one time in one lane, are one: frames that were
+        lost or left out gave the second another ID. Of others a person has to judge, but what is not authenticated
+        puts nothing in doubt that is. Station IDs of two contracts name no vehicle: `core.toll` may have taken two for
+        one.
         """
         ends = (PassageState.CHARGED, PassageState.UNDECIDED, PassageState.UNREGISTERED)
         if message.state not in ends or len(contracts) > 1:
@@ -733,22 +1122,44 @@ class Ledger:
         from_ns, to_ns = _interval(message)
         names = _names(message, contracts)
         first_ns: dict[str, int] = {}
+        elsewhere: dict[str, bool] = {}  # passages of other crossings, and whether they are authenticated
         for name in names:
             for row in self._store.rows(
-                "SELECT passage_id, from_ns FROM chain WHERE name = ? AND passage_id <> ? AND from_ns < ? "
+                "SELECT * FROM chain WHERE name = ? AND passage_id <> ? AND from_ns < ? "
                 "AND to_ns > ?", name, message.passage_id, to_ns, from_ns,
             ):  # fmt: skip
-                first_ns[row["passage_id"]] = min(row["from_ns"], first_ns.get(row["passage_id"], row["from_ns"]))
+                if _is_same_crossing(message, row):
+                    first_ns[row["passage_id"]] = min(row["from_ns"], first_ns.get(row["passage_id"], row["from_ns"]))
+                else:
+                    elsewhere[row["passage_id"]] = bool(row["authenticated"])
+        if elsewhere and message.state is not PassageState.UNREGISTERED:
+            return self._review_both(message, contracts, elsewhere, now_ns)
         if not first_ns:
             return False
         first, *others = sorted(first_ns, key=lambda passage_id: (first_ns[passage_id], passage_id))
         why = stated(explain(Code.SAME_VEHICLE, passage=passage_of(first)))
-        for name in names:
-            self._store.execute("INSERT OR REPLACE INTO chain VALUES (?, ?, ?, ?)", name, first, from_ns, to_ns)
+        self._note_chain(message, names, first)
         for other in others:
             self._withdraw(other, PassageState.VOID, why, now_ns)
         self._settle(message.model_copy(update={"crossing_ns": None}), PassageState.VOID, why, now_ns)
         return True
+
+    def _review_both(
+        self, message: TollPassage, contracts: set[Contract], elsewhere: Mapping[str, bool], now_ns: int
+    ) -> bool:
+        """Leave passages of one contract or station at two places to a person; whether this one is among them."""
+        is_doubtful = False
+        for other, authenticated in sorted(elsewhere.items()):
+            if authenticated or not message.authenticated:
+                is_doubtful = True
+            if message.authenticated or not authenticated:
+                here = explain(Code.ELSEWHERE, passage=passage_of(message.passage_id))
+                self._review(other, here, [message.passage_id], now_ns)
+        if is_doubtful:
+            self._note_chain(message, _names(message, contracts), message.passage_id)
+            there = explain(Code.ELSEWHERE, passage=passage_of(min(elsewhere)))
+            self._settle(message, PassageState.SUSPECT, stated(there), now_ns, contracts)
+        return is_doubtful
 
     def _enter(self, transaction: TollTransaction) -> None:
         booking: dict[str, str | int] = {
@@ -777,6 +1188,7 @@ class Ledger:
         summary = PassageSummary(
             passage_id=message.passage_id, state=state, lane=message.lane, crossing_ns=message.crossing_ns,
             probability=_probability(message), reason=why.text, reason_code=why.code,
+            authenticated=message.authenticated,
         )  # fmt: skip
         self._store.execute(
             "INSERT INTO settled VALUES (?, ?, ?)",
@@ -785,11 +1197,15 @@ class Ledger:
         if message.crossing_ns is not None:
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
-                "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns) "
-                "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns, "
+                "authenticated) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 message.crossing_ns, message.crossing_sd_s or 1.0, state, message.lane, lanes, message.passage_id,
-                json.dumps(message.overlaps), now_ns,
+                json.dumps(message.overlaps), now_ns, message.authenticated,
             )  # fmt: skip
+            if tickets := tickets_of(message):
+                self._tickets[message.passage_id] = tickets[-1]
+                while len(self._tickets) > MAX_TICKETS:
+                    del self._tickets[next(iter(self._tickets))]
         if state is PassageState.SUSPECT:
             names = sorted({name for name, _ in contracts})
             self._ask(
@@ -798,6 +1214,7 @@ class Ledger:
                     reason_code=why.code, lane=message.lane, crossing_ns=message.crossing_ns, overlaps=message.overlaps,
                     contract=names[0] if len(names) == 1 else None,
                     contracts=tuple(names[:STATION_IDS]) if len(names) > 1 else (),
+                    authenticated=message.authenticated,
                 )
             )  # fmt: skip
 
@@ -812,6 +1229,10 @@ class Ledger:
         return found
 
     def _count(self, lane: str, time_ns: int, outcome: str) -> None:
+        """Count an outcome of a lane and hour; a closed hour stays as it is."""
+        if is_closed(self._store, time_ns // HOUR_NS * HOUR_NS):
+            self.rejects["outcome of a closed hour"] += 1
+            return
         self._store.execute(
             "INSERT INTO balance VALUES (?, ?, ?, 1) ON CONFLICT (lane, hour_ns, outcome) DO UPDATE SET n = n + 1",
             lane, time_ns // HOUR_NS * HOUR_NS, outcome,
@@ -861,11 +1282,34 @@ def _interval(message: TollPassage) -> tuple[int, int]:
     return message.opened_ns, message.exit_ns or message.crossing_ns or message.sampled_ns
 
 
-def _names(message: TollPassage, contracts: set[tuple[str, str]]) -> list[str]:
+def _names(message: TollPassage, contracts: set[Contract]) -> list[str]:
     """What a vehicle is known by."""
-    return [f"station {station_id}" for station_id in message.station_ids] + [
-        f"contract {name}" for name, _ in sorted(contracts)
-    ]
+    return [*identities_of(message), *(f"contract {name}" for name, _ in sorted(contracts))]
+
+
+def _is_same_crossing(message: TollPassage, row: Row) -> bool:
+    """Whether a passage crosses the gate line where and when another one does, as far as both know it."""
+    if message.lane is not None and row["lane"] is not None and message.lane != row["lane"]:
+        return False
+    if message.crossing_ns is None or row["crossing_ns"] is None:
+        return True
+    sd_s = hypot(message.crossing_sd_s or 1.0, row["sd_s"])
+    away_s = abs(message.crossing_ns - int(row["crossing_ns"])) * 1e-9
+    return away_s <= max(SAME_CROSSING_S, TIGHT_SD * sd_s)
+
+
+def _state_of(crossing: Row) -> str:
+    """What a crossing counts as: a contradictory one of a contract is a review."""
+    return REVIEW if crossing["state"] == PassageState.SUSPECT and crossing["in_review"] else str(crossing["state"])
+
+
+def _decides(code: str) -> Code:
+    """What decides a review of a code."""
+    return DECIDED_BY.get(Code(code), Code.BY_PICTURE) if code in set(Code) else Code.BY_PICTURE
+
+
+def _as_text(registrations: Sequence[TollRegistration]) -> str:
+    return json.dumps([json.loads(each.model_dump_json(exclude_none=True)) for each in registrations])
 
 
 def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:

@@ -35,6 +35,11 @@ class Config(Settings):
     file: Path = Field(
         default=Path("toll/ledger.sqlite"), description="the database, below the state folder unless absolute"
     )
+    seal_file: Path | None = Field(
+        default=None,
+        description="file on another disk or machine that receives each newest signed entry, to recognise a ledger "
+        "that was put back",
+    )
 
 
 class Process:
@@ -99,7 +104,7 @@ class Process:
         self._problem = None
         if ledger.chain.problem:
             bus.last_error = ledger.chain.problem[:400]
-        for kind, number in (ledger.rejects + self._faulty).items():
+        for kind, number in (ledger.rejects + ledger.registrations.rejects + self._faulty).items():
             bus.rejects[kind] = number
 
     def _use(self, ledger: Ledger, store: Store, messages: list[Message], now_ns: int) -> None:
@@ -133,12 +138,41 @@ class Process:
             with store.transaction():
                 for review in reviews:
                     ledger.reviewed(review)
+        self._publish_orders(bus, store, ledger, now_ns)
+        if (head := ledger.head(now_ns)) is not None:
+            bus.publish(head)
+            self._keep_seal(bus, head.statement)
         for restored in (found := ledger.restored()):
             bus.publish(restored)
         if found or now_ns >= self._state_ns:
             self._state_ns = now_ns + PERIOD_NS
             bus.publish(ledger.open_passages(now_ns))
             bus.publish(ledger.state(now_ns))
+
+    def _publish_orders(self, bus: Bus, store: Store, ledger: Ledger, now_ns: int) -> None:
+        """Publish orders to the cameras, and alarms."""
+        orders, alarms = ledger.pictures.due(now_ns), ledger.alarms.due()
+        for message in (*orders, *(alarm for _, alarm in alarms)):
+            bus.publish(message)
+        if orders or alarms:
+            with store.transaction():
+                for order in orders:
+                    ledger.pictures.sent(order)
+                for row, _ in alarms:
+                    ledger.alarms.sent(row)
+
+    def _keep_seal(self, bus: Bus, statement: str) -> None:
+        """Write the newest signed entry where the ledger's own disk is not."""
+        path = self._config.seal_file
+        if path is None:
+            return
+        draft = path.with_name(f".{path.name}.part")
+        try:
+            draft.write_text(statement + "\n", encoding="utf-8")
+            draft.replace(path)
+        except OSError as error:
+            bus.rejects["seal_file"] += 1
+            bus.last_error = f"cannot write {path}: {error.strerror}; check the folder of seal_file"
 
     def _fail(self, bus: Bus, problem: str) -> None:
         """Count the fault, close the database and try again later; what is not committed comes again."""

@@ -3,7 +3,7 @@
 import json
 import sqlite3
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -12,6 +12,7 @@ from pathlib import Path
 from shared.evidence import KeyRing, Outcome, PublicKey
 from shared.evidence.statement import printable
 
+from .accounts import account_link, counts_of
 from .chain import BOOKING_COLUMNS, CURRENT, CURRENT_ROW, DAY, PACK, genuine, link_of
 
 MAX_NAMED_FAULTS = 8  # faults that are named one by one
@@ -50,8 +51,11 @@ class _Entries:
     unsigned: int = 0
 
 
-def prove_ledger(path: Path, ring: KeyRing) -> LedgerProof:
-    """Check a ledger against accepted keys; raises `sqlite3.Error` if it cannot be read."""
+def prove_ledger(path: Path, ring: KeyRing, seals: Sequence[str] = ()) -> LedgerProof:
+    """Check a ledger against accepted keys; raises `sqlite3.Error` if it cannot be read.
+
+    `seals` are signed statements that the operator has kept: a ledger that ends before one of them was put back.
+    """
     proof = LedgerProof()
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
         database.row_factory = sqlite3.Row
@@ -70,13 +74,19 @@ def prove_ledger(path: Path, ring: KeyRing) -> LedgerProof:
             int(record["number"]) for record in (current, *days.values()) if record is not None and _has_numbers(record)
         ]
         signed = int(current["number"]) if current else 0
+        kept = [fields for text in seals if (fields := _kept(text, proof)) is not None]
+        numbers += [int(fields["number"]) for fields in kept]
         entries = _Entries(dict.fromkeys(numbers, ""), [*_ranges(current or {}), (signed + 1, sys.maxsize)])
         _check_rows(database, entries, proof)
         _check_others(database, proof)
         _check_heads(statements, current, entries, proof)
+        _check_answers(database, proof)
+        _check_seals(kept, current, entries, ring, proof)
         if current is not None:
             _check_days(current, days, entries, proof)
             _check_key(current, ring, proof)
+            if "account" in tables:
+                _check_accounts(database, current, proof)
             _check_missing_packs(database, current, proof)
             ring = ring.with_key(PublicKey(current["key"], bytes.fromhex(current["public_key"])))  # it is named once
         _check_packs(database, ring, proof)
@@ -179,6 +189,90 @@ def _check_days(
             proof.fault(f"the signature of {printable(name, 10)} is that of another ledger")
         elif entries.links[int(fields["number"])] != fields["link"]:
             proof.fault(f"entry {fields['number']} is not the one that was signed on {printable(name, 10)}")
+
+
+def _kept(text: str, proof: LedgerProof) -> dict[str, str] | None:
+    """Read a statement that the operator has kept: as it was published, or the message with it."""
+    try:
+        whole = json.loads(text)
+        text = whole.get("statement", text)
+    except (ValueError, AttributeError, RecursionError):
+        proof.fault("a seal is no signed statement; give the file of seal_file, or what toll/seal has carried")
+        return None
+    fields = genuine(CURRENT, text)
+    if fields is None or not _has_numbers(fields):
+        proof.fault("the signature of a seal does not fit it")
+        return None
+    return fields
+
+
+def _check_seals(
+    kept: Sequence[dict[str, str]], current: Mapping[str, str] | None, entries: _Entries, ring: KeyRing,
+    proof: LedgerProof,
+) -> None:  # fmt: skip
+    """Compare the ledger with what the operator has kept of it."""
+    for fields in kept:
+        number, signed_ns = int(fields["number"]), fields["signed_ns"]
+        _check_key(fields, ring, proof)
+        if current is not None and fields["ledger"] != current["ledger"]:
+            proof.fault("a seal is that of another ledger")
+        elif number > entries.last:
+            proof.fault(f"it was put back: the operator has entry {number} of {_time(signed_ns)}, it ends with "
+                        f"{entries.last}")  # fmt: skip
+        elif number and entries.links[number] != fields["link"]:
+            proof.fault(f"entry {number} is not the one that the operator has")
+        elif current is not None and _later(fields, current):
+            proof.fault(f"it was put back: the operator has a state of {_time(signed_ns)}, which is later")
+
+
+def _later(fields: Mapping[str, str], current: Mapping[str, str]) -> bool:
+    """Whether a statement is later than the ledger's newest one, in its accounts, detections or time."""
+    names = ("accounts", "detections", "signed_ns")
+    return any(_number(fields.get(name)) > _number(current.get(name)) for name in names)
+
+
+def _number(text: str | None) -> int:
+    return int(text) if text and text.isdecimal() else 0
+
+
+def _check_answers(database: sqlite3.Connection, proof: LedgerProof) -> None:
+    """Each entry has a receipt, or waits for one."""
+    for row in database.execute(
+        "SELECT number FROM entry WHERE transaction_id NOT IN (SELECT transaction_id FROM receipt) "
+        "AND transaction_id NOT IN (SELECT transaction_id FROM outbox) ORDER BY number"
+    ):
+        proof.fault(f"entry {row['number']} has neither a receipt nor a row of the outbox")
+
+
+def _check_accounts(database: sqlite3.Connection, current: Mapping[str, str], proof: LedgerProof) -> None:
+    """Compare closed hours with their chain and with the balances, and the number of detections with the signed one."""
+    expected, previous = 1, ""
+    signed_number, signed_link = _number(current.get("accounts")), current.get("accounts_link", "")
+    for row in database.execute("SELECT * FROM account ORDER BY number"):
+        number, counts = row["number"], str(row["counts"])
+        if number != expected or not _account_fits(row, previous):
+            proof.fault(f"account {expected} is not the one that was closed")
+            return
+        if number == signed_number and row["link"] != signed_link:
+            proof.fault(f"account {number} is not the one that was signed")
+        rows = database.execute(
+            "SELECT outcome, n FROM balance WHERE hour_ns = ? AND lane = ?", (row["hour_ns"], row["lane"])
+        )
+        if counts_of({str(each["outcome"]): each["n"] for each in rows}) != counts:
+            proof.fault(f"the balance of lane {printable(row['lane'], 20)} differs from its closed account {number}")
+        expected, previous = number + 1, str(row["link"])
+    if signed_number >= expected:
+        proof.fault(f"accounts are missing: {expected} to {signed_number}, the last that was signed")
+    counted = database.execute("SELECT SUM(n) AS n FROM balance WHERE outcome = 'detections'").fetchone()["n"] or 0
+    if counted < _number(current.get("detections")):
+        proof.fault(f"{_number(current.get('detections')) - counted} detections were removed from the balances")
+
+
+def _account_fits(row: sqlite3.Row, previous: str) -> bool:
+    try:
+        return bool(account_link(previous, row["number"], row["hour_ns"], row["lane"], row["counts"]) == row["link"])
+    except (TypeError, ValueError):  # SQLite stores any type anywhere
+        return False
 
 
 def _has_numbers(fields: Mapping[str, str]) -> bool:

@@ -9,13 +9,26 @@ from pathlib import Path
 from shared.errors import ObuError
 
 SCHEMA = Path(__file__).with_name("schema.sql")
-VERSION = 3
+VERSION = 4
 # Columns that tables of earlier versions lack: 1 held no names beside a crossing, and charged without detectors; 2 had
-# no signatures.
+# no signatures; 3 had no registrations as they were signed, and no tickets.
 ADDED_COLUMNS = {
     "evidence": ("seal TEXT",),
-    "crossing": ("passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0"),
-}
+    "crossing": (
+        "passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0",
+        "authenticated INTEGER NOT NULL DEFAULT 0", "in_review INTEGER NOT NULL DEFAULT 0",
+    ),
+    "pulse": ("backward INTEGER NOT NULL DEFAULT 0",),
+    "passage": ("registrations TEXT NOT NULL DEFAULT '[]'", "seal TEXT"),
+    "held": ("registrations TEXT NOT NULL DEFAULT '[]'", "seal TEXT"),
+    "chain": (
+        "crossing_ns INTEGER", "sd_s REAL NOT NULL DEFAULT 1.0", "lane TEXT",
+        "authenticated INTEGER NOT NULL DEFAULT 0",
+    ),
+}  # fmt: skip
+# A contract beside a passage, which anybody could change in the file; passages in progress are reviewed.
+REMOVED_COLUMNS = {"passage": ("contract", "tariff_class"), "held": ("contract", "tariff_class")}
+REPLACED_TABLES = {"registration": "identity"}  # by a column that the newest version has: vehicles register again
 Row = sqlite3.Row
 Value = str | int | float | bytes | None
 
@@ -52,15 +65,22 @@ class Store:
             self._db.execute(f"PRAGMA user_version={VERSION}")
 
     def _migrate(self) -> None:
-        """Add the columns that a file of an earlier version lacks, whatever its version says: a kill may come between.
+        """Bring the tables of an earlier version to this one, whatever it says: a kill may come between.
 
-        Everything else of it is valid as it is; new tables are created by the schema.
+        Bookings, evidence and accounts are valid as they are; new tables are created by the schema.
         """
         for table, columns in ADDED_COLUMNS.items():
             present = {row["name"] for row in self._db.execute(f"PRAGMA table_info({table})")}
             for column in columns if present else ():
                 if column.split()[0] not in present:
                     self._db.execute(f"ALTER TABLE {table} ADD COLUMN {column}")
+            for column in REMOVED_COLUMNS.get(table, ()):
+                if column in present:
+                    self._db.execute(f"ALTER TABLE {table} DROP COLUMN {column}")
+        for table, column in REPLACED_TABLES.items():
+            present = {row["name"] for row in self._db.execute(f"PRAGMA table_info({table})")}
+            if present and column not in present:
+                self._db.execute(f"DROP TABLE {table}")
 
     @contextmanager
     def transaction(self) -> Iterator[None]:

@@ -13,6 +13,7 @@ from shared.v2x.generation import Dynamics, GenerationRules
 
 from .errors import ErrorModel, GaussMarkov
 from .motion import Path, Pose
+from .station import Station
 
 # Noise of the vehicle's own sensors, one sigma: docs/explanation/charging.md.
 SPEED_SD, ACCELERATION_SD, YAW_RATE_SD, HEADING_SD = 0.15, 0.15, radians(0.3), radians(1.0)
@@ -43,6 +44,8 @@ class Vehicle:
     station_id: int
     phase_ns: int  # when in a step it checks the generation rules
     contract: str | None = None
+    signs: bool = False
+    station: Station | None = None  # of the present station ID, once it has sent; None: it signs nothing
     change_at: float | None = None  # where it takes a new station ID
     silent: tuple[float, float] | None = None  # from where to where it sends nothing
     dwell_s: float = 0.0  # at the gate

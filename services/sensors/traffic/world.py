@@ -15,12 +15,22 @@ from pyubx2.ubxmessage import UBXMessage
 from shared.messages.base import Message
 from shared.messages.gnss import GnssRaw
 from shared.messages.operation import Origin, OriginKind
-from shared.messages.toll import GateMode, PlazaDetector, PlazaTruth, TollRegistration, TrafficPassage, TrafficVehicle
+from shared.messages.toll import (
+    GateMode,
+    LaneTraffic,
+    PlazaDetector,
+    PlazaTruth,
+    TollPayment,
+    TollRegistration,
+    TrafficPassage,
+    TrafficVehicle,
+)
 from shared.runtime.config import Section
 from shared.toll.plaza import Lane, Plaza
 
 from .errors import ErrorModel, GaussMarkov
 from .motion import TURN_SPEED, acceleration, gate_distance, lane_path, turning_path
+from .station import Station
 from .vehicle import REGISTRATION_NS, SIZES_M, Vehicle, frame_of
 
 NS = 1_000_000_000
@@ -74,6 +84,12 @@ class Traffic(Section):
     speed_m_s: tuple[float, float] = Field(
         default=(14.0, 22.0), description="desired speeds, distributed uniformly between the two"
     )
+    signed: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="share of equipped vehicles that sign their CAM, with tickets of the simulation's own test root",
+    )
     errors: ErrorModel = ErrorModel()
     channel: Channel = Channel()
     mix: TrafficMix = TrafficMix()
@@ -92,6 +108,7 @@ class World:
     def __init__(self, plaza: Plaza, traffic: Traffic, seed: int, start_ns: int) -> None:
         self.plaza, self._traffic, self._seed, self._start_ns = plaza, traffic, seed, start_ns
         self._rng = np.random.default_rng(seed)
+        self._signing = np.random.default_rng((seed, 2))  # of its own: who signs changes nothing else
         model = traffic.errors
         self._common = GaussMarkov(model.common_sd_m, model.common_s, STEP_S, self._rng)
         self._unit = GaussMarkov(model.unit_sd_m, model.unit_s, STEP_S, self._rng)
@@ -161,6 +178,7 @@ class World:
             dwell_s=float(rng.uniform(2.0, 4.0)) if lane.mode is GateMode.STOP_AND_GO and not turning else 0.0,
             distance=distance,
             speed=speed,
+            signs=bool(self._signing.random() < self._traffic.signed and equipped),
         )  # fmt: skip
         self.queues[lane.name].append(vehicle)
 
@@ -214,7 +232,7 @@ class World:
             self.turned += 1
         if vehicle.change_at is not None and vehicle.distance >= vehicle.change_at:
             vehicle.change_at, vehicle.registered_ns = None, None
-            vehicle.station_id = int(self._rng.integers(1, 1 << 32))
+            vehicle.station_id, vehicle.station = int(self._rng.integers(1, 1 << 32)), None
 
     def _cross(self, vehicle: Vehicle, crossing_ns: int) -> None:
         vehicle.crossed = True
@@ -223,6 +241,12 @@ class World:
             TrafficPassage(vehicle=vehicle.number, lane=lane, crossing_ns=crossing_ns, equipped=vehicle.equipped,
                            registered=vehicle.registered, contract=vehicle.contract)
         )  # fmt: skip
+        if vehicle.lane.traffic is LaneTraffic.MIXED and not vehicle.registered:
+            self._push(
+                crossing_ns + 3 * NS,
+                TollPayment(sampled_ns=crossing_ns, plaza=self.plaza.name, lane=lane,
+                            payment=f"payment-{self._seed}-{vehicle.number}"),
+            )  # fmt: skip
         self._pulses[lane].appendleft(crossing_ns)
         self._pulse_numbers[lane] += 1
         self._push(crossing_ns + STEP_NS, self._pulse(lane))
@@ -232,13 +256,11 @@ class World:
     def _send(self, vehicle: Vehicle, begin_ns: int) -> None:
         if not vehicle.equipped:
             return
+        if vehicle.signs and vehicle.station is None:
+            vehicle.station = Station.make(self._signing.bytes(16), begin_ns)
         if vehicle.registered and (vehicle.registered_ns or -REGISTRATION_NS) + REGISTRATION_NS <= begin_ns:
             vehicle.registered_ns = begin_ns
-            self._push(
-                begin_ns + STEP_NS,
-                TollRegistration(sampled_ns=begin_ns, contract=vehicle.contract or "", station_id=vehicle.station_id,
-                                 tariff_class=vehicle.tariff_class, valid_until_ns=begin_ns + 120 * NS),
-            )  # fmt: skip
+            self._push(begin_ns + STEP_NS, self._registration(vehicle, begin_ns))
         if vehicle.silent and vehicle.silent[0] <= vehicle.distance < vehicle.silent[1]:
             return
         sent_ns = begin_ns + vehicle.phase_ns
@@ -246,9 +268,19 @@ class World:
                          self._rng)  # fmt: skip
         if frame is None:
             return
+        if vehicle.station:
+            frame = vehicle.station.sign(frame, sent_ns)
         self.frames += 1
         for arrival_ns in self._arrivals(sent_ns):
             self._push(arrival_ns, Frame(frame))
+
+    def _registration(self, vehicle: Vehicle, now_ns: int) -> TollRegistration:
+        """Statement of the vehicle's application: of its ticket, or of its station ID where it signs nothing."""
+        stated = TollRegistration(
+            sampled_ns=now_ns, contract=vehicle.contract or "", station_id=vehicle.station_id, plaza=self.plaza.name,
+            tariff_class=vehicle.tariff_class, valid_until_ns=now_ns + 120 * NS,
+        )  # fmt: skip
+        return vehicle.station.register(stated) if vehicle.station else stated
 
     def _arrivals(self, sent_ns: int) -> list[int]:
         """Times at which a frame arrives: none if it is lost, two if it is repeated."""

@@ -15,6 +15,7 @@ from tests.support.patience import HANGS_S
 ETHERTYPE_GEONETWORKING = bytes.fromhex("8947")
 ENHANCED_PACKET_BLOCK, INTERFACE_DESCRIPTION_BLOCK = 6, 1
 NANOSECONDS = 9
+RAW = 5  # values of a field's bytes: they, offset, length, mask, type
 
 
 def read_pcapng(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -61,6 +62,13 @@ class Dissection:
         (value,) = self.all(field)
         return int(value, 0)
 
+    def cut(self, field: str) -> list[bytes]:
+        """List the bytes of a field by their offset in the frame, of a dissection with bytes."""
+        values: list[Any] = list(_find(self._layers, f"{field}_raw"))
+        flat = [part for value in values for part in (value if isinstance(value, list) else [value])]
+        found = zip(flat[1::RAW], flat[::RAW], strict=True)  # offset, and bytes in hexadecimal
+        return [bytes.fromhex(data) for _, data in sorted(found)]
+
     @property
     def malformed(self) -> bool:
         """Whether tshark could not dissect all of it."""
@@ -79,7 +87,7 @@ def _find(node: object, field: str) -> Iterator[str]:
             yield from _find(part, field)
 
 
-def dissect(frames: Sequence[bytes], folder: Path) -> list[Dissection]:
+def dissect(frames: Sequence[bytes], folder: Path, *, with_bytes: bool = False) -> list[Dissection]:
     """Dissect GeoNetworking packets as Ethernet frames with tshark; skips the test where it is not installed."""
     path = folder / "frames.pcap"
     with path.open("wb") as file:
@@ -87,15 +95,15 @@ def dissect(frames: Sequence[bytes], folder: Path) -> list[Dissection]:
         for number, packet in enumerate(frames):
             frame = b"\xff" * 6 + b"\x02" + bytes(5) + ETHERTYPE_GEONETWORKING + packet
             file.write(struct.pack("<IIII", number, 0, len(frame), len(frame)) + frame)
-    return dissect_file(path)
+    return dissect_file(path, with_bytes=with_bytes)
 
 
-def dissect_file(path: Path) -> list[Dissection]:
+def dissect_file(path: Path, *, with_bytes: bool = False) -> list[Dissection]:
     """Dissect the frames of a capture with tshark; skips the test where it is not installed."""
     executable = shutil.which("tshark")
     if executable is None:
         pytest.skip("tshark is not installed: apt-get install tshark, or deploy/install_test_programs.sh")
-    command = [executable, "-n", "-r", str(path), "-T", "json", "--no-duplicate-keys"]
+    command = [executable, "-n", "-r", str(path), "-T", "json", "--no-duplicate-keys", *(["-x"] if with_bytes else [])]
     result = subprocess.run(command, capture_output=True, text=True, timeout=HANGS_S, check=True)
     shown: list[dict[str, Any]] = json.loads(result.stdout)
     return [Dissection(frame["_source"]["layers"]) for frame in shown]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from math import radians
 
 from shared.messages.base import Message
+from shared.messages.explanation import explain
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.toll import (
     GateCommand,
@@ -14,17 +15,27 @@ from shared.messages.toll import (
     LedgerState,
     PassageState,
     PassageSummary,
+    PictureSummary,
     PlazaDetector,
+    ReviewSummary,
     TollDelta,
     TollTrack,
     TollTracks,
 )
-from shared.messages.v2x import Authentication
+from shared.messages.v2x import Authentication, Unverified
 from shared.runtime.config import parse_vehicle
+from shared.words.words import reason
 from tests.support.dashboard.fake_unit import FakeBus, heartbeat
 from tests.support.v2x.tolling import PLAZA, Vehicle
 from tests.support.watchdog import Watchdog
 
+# What is known of the senders of the tracks.
+SENDERS: tuple[tuple[Authentication, Unverified | None], ...] = (
+    (Authentication.AUTHENTICATED, None),
+    (Authentication.SIGNED_NOT_VERIFIED, Unverified.UNKNOWN_ISSUER),
+    (Authentication.SIGNED_NOT_VERIFIED, None),
+    (Authentication.UNSIGNED, None),
+)
 VEHICLE_TOML = '[vehicle]\nname = "plaza-1"\nrole = "rsu"\n[sensors.traffic]\n[sensors.v2x]\n[parsers.v2x]\n'
 PROCESSES = parse_vehicle(VEHICLE_TOML).processes
 NS = 1_000_000_000
@@ -89,7 +100,7 @@ class FakePlaza:
                     ellipse_major_m=1.9, ellipse_minor_m=1.1, ellipse_orientation_rad=0.4,
                     lanes=tuple(LaneProbability(lane=k, probability=p) for k, p in posterior.items()),
                     lane=None if undecided else name, delta_applied=True, registered=registered,
-                    authentication=Authentication.UNSIGNED if n == 3 else Authentication.SIGNED_NOT_VERIFIED,
+                    authentication=SENDERS[n][0], unverified=SENDERS[n][1],
                 )
             )  # fmt: skip
         yield "core.toll", TollTracks(sampled_ns=now_ns, tracks=tuple(tracks), cams=round(20 * age_s), trust="surveyed")
@@ -134,6 +145,15 @@ class FakePlaza:
         hour_ns = now_ns // (3600 * NS) * 3600 * NS
         balance = LaneBalance(lane="n1", hour_ns=hour_ns, detections=9, charged=5, undecided=2, unregistered=1,
                               missed=1 if self.agrees else 0, provisional=4, agrees=self.agrees)  # fmt: skip
+        why, decides = explain("ledger.not_counted"), explain("ledger.by_picture")
+        review = ReviewSummary(
+            passage_id=Vehicle("v5").passage_id, since_ns=now_ns, lane="n1", crossing_ns=self.started_ns, contracts=1,
+            reason=reason(why), reason_code=why, decided_by=reason(decides), decided_by_code=decides,
+        )  # fmt: skip
+        owes = explain("ledger.picture_owes")
+        picture = PictureSummary(lane="n2", pulse_ns=self.started_ns, until_ns=now_ns + 86_400 * NS,
+                                 reason=reason(owes), reason_code=owes)  # fmt: skip
         return LedgerState(now_ns=now_ns, plaza=PLAZA.name, transactions=5, amount_cents=1200, outbox=1,
-                           held=2, in_review=3, unconfirmed=4,
+                           held=2, in_review=3, unconfirmed=4, require_authenticated=False, not_authenticated=5,
+                           reviews=(review,), pictures=(picture,), pictures_kept=1, pictures_waiting=2,
                            last_receipt_ns=now_ns - 3 * NS, lanes=(balance,), recent=tuple(recent))  # fmt: skip

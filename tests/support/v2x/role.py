@@ -1,6 +1,6 @@
 """The processes of a road-side unit, from the frames on the radio to the bookings, on simulated time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,11 +12,20 @@ from services.monitoring.ledger.store import Store
 from services.parsers.v2x.process import Config as V2xConfig
 from services.parsers.v2x.process import Process as V2xParser
 from shared.messages.base import Tick
-from shared.messages.toll import LedgerState, PassageState, PlazaDetector, TollPassage, TollRegistration, TollReview
-from shared.messages.v2x import CamContent, CamFrames, CamList, Encapsulation
+from shared.messages.toll import (
+    LedgerState,
+    PassageState,
+    PlazaDetector,
+    TollAlarm,
+    TollPassage,
+    TollRegistration,
+    TollReview,
+)
+from shared.messages.v2x import Cam, CamContent, CamFrames, CamList, Encapsulation
 from shared.toll.plaza import parse_plaza
 from shared.v2x import frames, its_time
 from tests.support.v2x import cams
+from tests.support.v2x.tickets import Ticket
 from tests.support.v2x.toll import SECOND_NS, START_NS, Vehicle, example_plaza, fix
 from tests.support.v2x.tolling import WITH_DETECTORS, WITHOUT_DETECTORS
 
@@ -52,9 +61,16 @@ class Role:
     core: Toll | None = None
     now_s: float = -15.0
     fixes_late_s: float = 0.0  # how late those of the unit's receiver arrive
+    tickets: Mapping[int, Ticket] = field(default_factory=dict)  # of vehicles by their place in `vehicles`
+    contracts: tuple[tuple[Ticket, str, int | None], ...] = ()  # registered tickets, with contract and station ID
+    stations: tuple[tuple[int, str], ...] = ()  # further registrations of station IDs
+    backward_s: tuple[float, ...] = ()  # pulses of n2 at which a vehicle drove backwards
+    plaza_file: str = ""
+    alarms: list[TollAlarm] = field(default_factory=list)
+    _signed: dict[bytes, Ticket] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        text = WITH_DETECTORS if self.detectors else WITHOUT_DETECTORS
+        text = self.plaza_file or (WITH_DETECTORS if self.detectors else WITHOUT_DETECTORS)
         self.file = self.folder / "plaza.geojson"
         self.file.write_text(text)
         self.plaza = parse_plaza(text.encode())
@@ -69,12 +85,28 @@ class Role:
     def start_ledger(self) -> None:
         self.ledger = Ledger(self.store, self.plaza, self.file.read_text(), Settings(), stamp(self.now_s))
 
+    def frame(self, vehicle: Vehicle, t: float) -> bytes:
+        """Make the frame that a vehicle sends at a time [s]."""
+        return packet(vehicle, t)
+
+    def registration(self, station: int, contract: str, t: float) -> TollRegistration:
+        """Make the registration of a station ID at a time [s]."""
+        return TollRegistration(
+            sampled_ns=stamp(t), contract=contract, tariff_class="car", station_id=station,
+            valid_until_ns=stamp(t + 60.0), plaza=PLAZA.name,
+        )  # fmt: skip
+
     def drive(self, until: float) -> None:
         for tenth in range(round(self.now_s * 10), round(until * 10)):
             self.now_s = t = tenth / 10.0
             if tenth % 10 == 0:
                 self._second(t)
-            sent = [packet(vehicle, t) for vehicle in self.vehicles if t >= 0.0 and not self.is_lost(t, vehicle)]
+            sent = []
+            for number, vehicle in enumerate(self.vehicles):
+                if t >= 0.0 and not self.is_lost(t, vehicle):
+                    sent.append(self.frame(vehicle, t))
+                    if number in self.tickets:
+                        self._signed[sent[-1]] = self.tickets[number]
             sent += [frame for arrival_s, frame in self.injected if t <= arrival_s < t + 0.1]
             if sent:
                 received = [(stamp(t + LATENCY_S), frame) for frame in sent]
@@ -99,25 +131,36 @@ class Role:
     def _receive(self, batch: CamFrames) -> None:
         for decoded in self.parser.handle(batch):
             if isinstance(decoded, CamList):
-                self._tell(decoded)
+                cams = (cam.model_copy(update=self._extra(cam)) for cam in decoded.cams)
+                self._tell(decoded.model_copy(update={"cams": tuple(cams)}))
+
+    def _extra(self, cam: Cam) -> dict[str, object]:
+        ticket = self._signed.get(cam.frame)
+        return ticket.extra if ticket else {}
 
     def _second(self, t: float) -> None:
-        for station in self.registered:
-            registration = TollRegistration(
-                sampled_ns=stamp(t), contract=f"contract of {station % 10}", tariff_class="car", station_id=station,
-                valid_until_ns=stamp(t + 60.0),
-            )  # fmt: skip
+        registered = [(station, f"contract of {station % 10}") for station in self.registered]
+        for station, contract in (*registered, *self.stations):
+            registration = self.registration(station, contract, t)
+            self.ledger.register(registration, stamp(t))
+            self._tell(registration)
+        for ticket, contract, station_id in self.contracts if round(t) % 10 == 0 else ():
+            registration = ticket.registration(contract, stamp(t), station_id=station_id)
             self.ledger.register(registration, stamp(t))
             self._tell(registration)
         self._tell(fix(PLAZA, t - self.fixes_late_s, *COMMON))
         self._tell(Tick(now_ns=stamp(t)))
         for number, pulse_s in enumerate(self.pulses_s):
             if self.detectors and pulse_s <= t:
+                backward = (stamp(pulse_s),) if pulse_s in self.backward_s else ()
                 pulse = PlazaDetector(sampled_ns=stamp(pulse_s), plaza=PLAZA.name, lane="n2", since_ns=START_NS,
-                                      pulse=number)  # fmt: skip
+                                      pulse=number, backward_ns=backward)  # fmt: skip
                 self.ledger.detect(pulse, stamp(t))
         self.ledger.reconcile(stamp(t))
         self.ledger.expire(stamp(t))
+        for row, alarm in self.ledger.alarms.due():
+            self.alarms.append(alarm)
+            self.ledger.alarms.sent(row)
         for restored in self.ledger.restored():
             self._tell(restored)
         self._tell(self.ledger.open_passages(stamp(t)))

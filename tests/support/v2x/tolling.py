@@ -50,10 +50,10 @@ class Vehicle:
         return hashlib.sha256(self.name.encode()).hexdigest()
 
     def registration(self, contract: str = "", tariff_class: str = "car", **changes: int) -> TollRegistration:
-        contract = contract or ("contract-1" if self.name == "a" else f"contract of {self.name}")
+        contract = contract or ("contract-1" if self.name.split()[0] == "a" else f"contract of {self.name}")
         values = {"sampled_ns": self.opened_ns, "valid_until_ns": self.opened_ns + 300 * NS,
                   "station_id": self.station_ids[-1], **changes}  # fmt: skip
-        return TollRegistration(contract=contract, tariff_class=tariff_class, **values)
+        return TollRegistration.model_validate({"contract": contract, "tariff_class": tariff_class, **values})
 
     def says(self, state: PassageState, sampled_ns: int | None = None, **changes: object) -> TollPassage:
         """Make a statement; the crossing and its evidence are there from CROSSED on."""
@@ -93,11 +93,14 @@ class Vehicle:
 
 
 def ledger_at(
-    path: Path, now_ns: int = START_NS, *, counted: bool = False, key: KeyFile | None = None, **settings: float
-) -> tuple[Ledger, Store]:
-    """Open a ledger of the example plaza, with detectors or without."""
+    path: Path, now_ns: int = START_NS, *, counted: bool = False, key: KeyFile | None = None, plaza_file: str = "",
+    **settings: float,
+) -> tuple[Ledger, Store]:  # fmt: skip
+    """Open a ledger of the example plaza, with detectors or without, or of another file."""
     store = Store(path)
     text, plaza = (WITH_DETECTORS, COUNTED) if counted else (WITHOUT_DETECTORS, PLAZA)
+    if plaza_file:
+        text, plaza = plaza_file, parse_plaza(plaza_file.encode())
     return Ledger(store, plaza, text, Settings.model_validate(settings), now_ns, key=key), store
 
 

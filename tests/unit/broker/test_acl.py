@@ -7,8 +7,9 @@ import pytest
 from broker.acl import access_list
 from broker.simulated import AclError, parse
 from shared.processes import PROCESSES, ProcessRow
+from shared.programs import ROLES
 from shared.runtime.credentials import OBSERVERS
-from shared.topics import TOPICS
+from shared.topics import TOPICS, may_send
 from tests.support.cases import each
 
 NAMES = [row.name for row in PROCESSES]
@@ -65,3 +66,20 @@ def test_topic_lines_have_the_meaning_of_mosquitto() -> None:
 def test_an_invalid_line_is_named_in_the_error(line: str) -> None:
     with pytest.raises(AclError, match="line 2"):
         parse(f"user a\n{line}\n")
+
+
+@pytest.mark.parametrize("role", ["operator", "detector"])
+def test_a_program_writes_the_topics_of_its_role_and_no_others(role: str) -> None:
+    rules = parse(access_list("plaza", programs={"office": role}))
+    rights = ROLES[role]
+    for topic in TOPICS:
+        name = f"obu/plaza/{topic.name.replace('+', 'core.toll')}"
+        assert rules.may_write("office", name) is (topic.name in rights.writes)
+        assert rules.may_read("office", name) is (topic.name in rights.reads)
+        assert may_send(role, topic.name.replace("+", "core.toll")) is (topic.name in rights.writes)
+
+
+def test_each_way_in_of_a_real_plaza_has_a_role_that_writes_it() -> None:
+    """Without the simulator, which publishes them too."""
+    written = {name for rights in ROLES.values() for name in rights.writes}
+    assert {"toll/registration", "toll/receipt", "toll/paid_otherwise", "plaza/detector"} <= written

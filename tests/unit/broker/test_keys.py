@@ -69,12 +69,12 @@ def test_a_recording_is_played_only_into_a_unit_without_sensors(tmp_path: Path) 
 
 def test_a_further_user_reads_everything_and_is_kept(tmp_path: Path) -> None:
     made(tmp_path)
-    secret = keys.add_reader(tmp_path / "credentials", "gateway")
+    secret = keys.add_program(tmp_path / "credentials", "gateway")
     _, known, rules = made_again(tmp_path)
     assert known.matches("gateway", secret)
     assert parse(rules).may_read("gateway", "obu/car/navigation/solution")
     assert not parse(rules).may_write("gateway", "obu/car/navigation/solution")
-    keys.remove_reader(tmp_path / "credentials", "gateway")
+    keys.remove_program(tmp_path / "credentials", "gateway")
     assert not made_again(tmp_path)[1].matches("gateway", secret)
 
 
@@ -174,7 +174,7 @@ def test_secrets_that_others_may_write_are_not_used(tmp_path: Path, mode: int) -
 
 def test_left_overs_of_a_write_are_no_users(tmp_path: Path) -> None:
     made(tmp_path)
-    keys.add_reader(tmp_path / "credentials", "gateway")
+    keys.add_program(tmp_path / "credentials", "gateway")
     (tmp_path / "credentials" / "readers" / ".eve.part").write_text("a" * 64)
     assert set(made_again(tmp_path)[1].lines) & {"gateway", ".eve.part"} == {"gateway"}
 

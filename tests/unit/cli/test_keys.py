@@ -79,3 +79,23 @@ def test_a_file_in_place_of_a_folder_is_said(state: Path) -> None:
     (state / "file").touch()
     with pytest.raises(UserError):
         keys.make(None, state / "file", None)
+
+
+@pytest.mark.parametrize("role", ["operator", "detector"])
+def test_a_program_of_a_plaza_gets_the_rights_of_its_role(
+    state: Path, capsys: pytest.CaptureFixture[str], role: str
+) -> None:
+    keys.make(None, None, None)
+    keys.add("office", role)
+    assert "mqtt://office:" in capsys.readouterr().out
+    rules = (state / "rules" / "acl.conf").read_text().split("user office\n")[1].split("user ")[0]
+    assert "topic write" in rules and "#" not in rules
+    keys.show()
+    assert f"office                   {role} (obu keys add)" in capsys.readouterr().out
+    with pytest.raises(UserError, match="has the role"):
+        keys.add("office")
+    with pytest.raises(UserError, match="the roles are"):
+        keys.add("other", "owner")
+    keys.rotate("office")
+    keys.remove("office")
+    assert "user office" not in (state / "rules" / "acl.conf").read_text()

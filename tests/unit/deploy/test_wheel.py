@@ -37,7 +37,7 @@ def test_it_holds_every_file_of_the_code_and_what_lies_beside_it(unpacked: Path)
 def test_it_holds_nothing_of_tests_tools_or_the_libraries_that_the_page_does_not_need(unpacked: Path) -> None:
     top = {path.name for path in unpacked.iterdir() if path.suffix != ".whl"}
     assert top == {"broker", "cli", "deploy", "services", "shared", f"obu-{VERSION}.dist-info"}
-    assert {path.name for path in (unpacked / "deploy").iterdir()} == {"vehicles", "plazas"}
+    assert {path.name for path in (unpacked / "deploy").iterdir()} == {"vehicles", "plazas", "trust"}
     libraries = unpacked / LIBRARIES
     held = {path.relative_to(libraries).as_posix() for path in libraries.rglob("*") if path.is_file()}
     assert held == wheel.library_files() | {wheel.LICENCES}

@@ -8,13 +8,15 @@ const w = words.tollPage;
 const PATH_S = 10;
 const LETTER_M = 8; // of the names of lanes in their margin
 const STATE_ICON = { open: "info", crossed: "info", charged: "safe", held: "caution", undecided: "caution", unregistered: "off", suspect: "unsafe", void: "off", missed: "unsafe" };
-const OUTCOMES = ["charged", "held", "undecided", "unregistered", "suspect", "void", "missed"];
+const OUTCOMES = ["charged", "review", "held", "undecided", "unregistered", "paid_otherwise", "suspect", "void", "missed"];
 // What the passage is, in a word; a charge that was reversed is none any more.
 const stateOf = (p) => (p.reversed && p.state === "charged" ? w.reversed : w.states[p.state]);
 function iconOf(p) {
   if (p.state !== "charged") return STATE_ICON[p.state];
-  return p.reversed ? "off" : p.confirmed === false ? "info" : STATE_ICON.charged; // final, but no detector has seen it
+  // Final, but no detector has seen it, or the sender of its CAM is not authenticated.
+  return p.reversed ? "off" : p.confirmed === false || !p.authenticated ? "info" : STATE_ICON.charged;
 }
+const outcomeName = (name) => w.outcomes[name] ?? w.states[name];
 const explained = (p) => (p.state === "charged" && p.reversed ? w.explained.reversed : p.state === "charged" && p.confirmed === false ? w.explained.unconfirmed : w.explained[p.state]);
 const paths = new Map(); // of each track: [ns, north, east] of the last seconds
 let drawnNs = null;
@@ -88,10 +90,16 @@ function TracksTable({ t }) {
   const most = (v) => Object.entries(v.lanes).sort((a, b) => b[1] - a[1])[0];
   return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.approaching}><table class="plain"><thead><tr>${[c.track, c.lane, c.probability, c.speed, c.heading, c.ellipse, c.contract, c.signature].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
     <tbody>${t.tracks.map((v) => html`<tr key=${v.track}><th scope="row">${v.track}</th><td>${v.lane ?? w.undecided(most(v)?.[0])}</td><td>${percent(most(v)?.[1])}</td>
-      <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td><td class="dim" lang=${languageOf(v)}>${told(v, v.authentication)}</td></tr>`)}</tbody></table></div>`;
+      <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td><td><${Signature} v=${v} /></td></tr>`)}</tbody></table></div>`;
 }
 
-// Of each state of signatures, a vehicle with it and the number of those. None is green: no signature is verified.
+// What was checked of a sender. Green is only what is verified whole; without a signature there is nothing to check.
+function Signature({ v }) {
+  const shown = html`<span class=${v.verified ? "" : "dim"} lang=${languageOf(v)}>${told(v, v.authentication)}</span>`;
+  return v.verified ? html`<${StateIcon} state="safe" word="" /> ${shown}` : shown;
+}
+
+// Of each state of signatures, a vehicle with it and the number of those.
 function signatures(tracks) {
   const vehicles = new Map(tracks.map((v) => [v.authentication, v]));
   return [...vehicles].map(([authentication, v]) => [v, tracks.filter((track) => track.authentication === authentication).length]);
@@ -104,7 +112,7 @@ function PlazaCard({ t }) {
   return html`<${Card} title=${w.plaza(t.plaza.name)} id="plaza" class="plaza-card" note=${w.vehicles(t.tracks.length)}
     aside=${html`<${Age} topic="toll/tracks" stamp=${t.tracks_ns} /> <button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${table ? html`<${TracksTable} t=${t} />` : html`<${Picture} t=${t} />`}
-    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li>${signatures(t.tracks).map(([v, n]) => html`<li class="dim" lang=${languageOf(v)}>${told(v, v.authentication)}: ${n}</li>`)}</ul>
+    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li>${signatures(t.tracks).map(([v, n]) => html`<li><${Signature} v=${v} />: ${n}</li>`)}</ul>
   </${Card}>`;
 }
 
@@ -131,7 +139,7 @@ function PassagesCard({ t, onOpen }) {
     ${!rows.length ? html`<p class="note block">${w.noPassages}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.passages}><table class="plain"><thead><tr>
       ${[c.time, c.lane, c.state, c.amount].map((name) => html`<th scope="col">${name}</th>`)}${[c.probability, c.tariff, c.receipt].map((name) => html`<th scope="col" class="wide-only">${name}</th>`)}</tr></thead>
     <tbody>${rows.map((p) => html`<tr key=${p.passage_id}><th scope="row"><button class="link" onClick=${() => onOpen(p)}>${p.crossing_ns ? timeOfDay(p.crossing_ns / 1e6) : w.notCrossed}</button></th><td>${p.lane ?? words.age.bar}</td>
-      <td><span class="with-icon"><${StateIcon} state=${iconOf(p)} word="" />${stateOf(p)}</span>${p.state === "charged" && p.confirmed === false && html`<span class="reason dim block">${p.reason}</span>`}</td><td>${amount(p.amount_cents, p.currency)}</td>
+      <td><span class="with-icon"><${StateIcon} state=${iconOf(p)} word="" />${stateOf(p)}</span>${p.state === "charged" && (p.confirmed === false || p.ghosts > 0) && html`<span class="reason dim block">${p.reason}</span>`}${p.state === "charged" && !p.authenticated && html`<span class="reason dim block">${w.notAuthenticated}</span>`}</td><td>${amount(p.amount_cents, p.currency)}</td>
       <td class="wide-only">${percent(p.probability)}</td><td class="wide-only">${p.tariff_class ?? words.age.bar}</td><td class="wide-only">${p.state === "charged" ? (p.receipt ? w.receiptHere : w.receiptWaiting) : words.age.bar}</td></tr>`)}</tbody></table></div>`}
   </${Card}>`;
 }
@@ -149,13 +157,39 @@ function AccountCard({ t }) {
   const c = w.accountColumns;
   return html`<${Card} title=${w.account} id="account" class="account-card" note=${w.accountNote} aside=${html`<${Age} topic="ledger/state" stamp=${l.updated_ns} />`}>
     ${l.problem && html`<p class="with-icon problem"><${StateIcon} state="unsafe" word=${w.problem} />${l.problem}</p>`}
-    ${!l.lanes.length ? html`<p class="note block">${w.noDetections}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.account}><table class="plain numbers-table"><thead><tr><th scope="col">${c.lane}</th><th scope="col">${c.hour}</th><th scope="col">${c.detections}</th>${OUTCOMES.map((name) => html`<th scope="col">${w.states[name]}</th>`)}<th scope="col">${c.pending}</th><th scope="col">${c.agrees}</th></tr></thead>
+    ${!l.lanes.length ? html`<p class="note block">${w.noDetections}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.account}><table class="plain numbers-table"><thead><tr><th scope="col">${c.lane}</th><th scope="col">${c.hour}</th><th scope="col">${c.detections}</th>${OUTCOMES.map((name) => html`<th scope="col">${outcomeName(name)}</th>`)}<th scope="col">${c.pending}</th><th scope="col">${c.agrees}</th></tr></thead>
     <tbody>${l.lanes.map((b) => html`<tr key=${`${b.lane}${b.hour_ns}`}><th scope="row">${b.lane}</th><td>${timeOfDay(b.hour_ns / 1e6).slice(0, 5)}</td><td>${b.detections}</td>${OUTCOMES.map((name) => html`<td>${b[name]}</td>`)}<td>${b.pending}</td>
       <td><${Agreement} b=${b} />${b.charged_without_detection > 0 && w.withoutDetection(b.charged_without_detection)}${b.unconfirmed > 0 && w.unconfirmedIn(b.unconfirmed)}</td></tr>`)}</tbody></table></div>`}
     <dl class="rows"><${Row} label=${w.transactions} value=${l.transactions} extra=${w.reversals(l.reversals)} />
       <${Row} label=${w.heldRow} value=${l.held} extra=${w.heldWhy} /><${Row} label=${w.reviewRow} value=${l.in_review} extra=${w.reviewWhy} />
       <${Row} label=${w.unconfirmedRow} value=${l.unconfirmed} extra=${w.unconfirmedWhy} />
+      <${Row} label=${w.notAuthenticatedRow} value=${l.not_authenticated} extra=${l.require_authenticated ? w.required : w.notRequired} />
+      <${Row} label=${w.alarms} value=${l.alarms} extra=${l.newest_alarm && w.alarm[l.newest_alarm.kind](l.newest_alarm.lane, timeOfDay(l.newest_alarm.until_ns / 1e6))} />
       <${Row} label=${w.outbox} value=${l.outbox} extra=${l.last_receipt_ns ? w.lastReceipt(ago(l.last_receipt_ns)) : w.noReceipt} /></dl>
+  </${Card}>`;
+}
+
+// Passages that a person has to judge, each with what decides it.
+function ReviewsCard({ t, onOpen }) {
+  const rows = t.ledger?.reviews ?? [];
+  const c = w.reviewColumns;
+  const passage = (id) => t.ledger.recent.find((p) => p.passage_id === id);
+  return html`<${Card} title=${w.reviews} id="reviews" class="reviews-card">
+    ${!rows.length ? html`<p class="note block">${w.noReviews}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.reviews}><table class="plain"><thead><tr>${[c.time, c.lane, c.why, c.decides, c.sender].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
+    <tbody>${rows.map((r) => html`<tr key=${r.passage_id}><th scope="row">${passage(r.passage_id) ? html`<button class="link" onClick=${() => onOpen(passage(r.passage_id))}>${r.crossing_ns ? timeOfDay(r.crossing_ns / 1e6) : w.notCrossed}</button>` : r.crossing_ns ? timeOfDay(r.crossing_ns / 1e6) : w.notCrossed}</th>
+      <td>${r.lane ?? words.age.bar}</td><td>${r.reason}${r.reversed && html`<span class="reason dim block">${w.reversed}</span>`}</td><td>${r.decided_by || words.age.bar}</td>
+      <td>${r.authenticated ? w.authenticated : w.notAuthenticated}<span class="reason dim block">${w.contracts(r.contracts)}</span></td></tr>`)}</tbody></table></div>`}
+  </${Card}>`;
+}
+
+// Which pictures the cameras keep, and until when; the pictures themselves are not here.
+function PicturesCard({ t }) {
+  const l = t.ledger;
+  const rows = l?.pictures ?? [];
+  const c = w.pictureColumns;
+  return html`<${Card} title=${w.pictures} id="pictures" class="pictures-card" note=${l && w.picturesNote(l.pictures_kept, l.pictures_waiting)}>
+    ${!rows.length ? html`<p class="note block">${w.noPictures}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.pictures}><table class="plain"><thead><tr>${[c.time, c.lane, c.why, c.until].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
+    <tbody>${rows.map((p) => html`<tr key=${`${p.lane}${p.pulse_ns}`}><th scope="row">${timeOfDay(p.pulse_ns / 1e6)}</th><td>${p.lane}</td><td>${p.reason}</td><td>${new Date(p.until_ns / 1e6).toISOString().slice(0, 10)}</td></tr>`)}</tbody></table></div>`}
   </${Card}>`;
 }
 
@@ -188,6 +222,6 @@ export function TollPage() {
   const [open, setOpen] = useState(null);
   const t = state.value.toll;
   if (!t) return html`<div class="page"><${Card} title=${w.title} id="plaza"><${Empty} title=${w.otherRole} why=${w.otherRoleWhy} /></${Card}></div>`;
-  return html`<div class="page toll-page"><${PlazaCard} t=${t} /><${LanesCard} t=${t} /><${PassagesCard} t=${t} onOpen=${setOpen} /><${DeltaCard} t=${t} /><${AccountCard} t=${t} />
+  return html`<div class="page toll-page"><${PlazaCard} t=${t} /><${LanesCard} t=${t} /><${PassagesCard} t=${t} onOpen=${setOpen} /><${DeltaCard} t=${t} /><${AccountCard} t=${t} /><${ReviewsCard} t=${t} onOpen=${setOpen} /><${PicturesCard} t=${t} />
     ${open && html`<${PassageDrawer} passage=${open} onClose=${() => setOpen(null)} />`}</div>`;
 }

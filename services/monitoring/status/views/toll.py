@@ -11,6 +11,7 @@ from shared.messages.toll import (
     TollTrack,
     TollTracks,
 )
+from shared.messages.v2x import Authentication
 from shared.page.answers import Object
 from shared.words.words import said, translated
 
@@ -50,7 +51,7 @@ def verdict(state: "State", now_ns: int, *, broker: bool) -> Verdict:
     """Sentence on whether lanes are decided and passages charged, and if not, why and what to do."""
     ledger = state.newest(LedgerState, "ledger/state", now_ns, live=True)
     delta = state.newest(TollDelta, "toll/delta", now_ns, live=True)
-    checks = (_ledger_check(ledger), _delta_check(delta), _accounts_check(ledger))
+    checks = (_ledger_check(ledger), _delta_check(delta), _accounts_check(ledger), _alarm_check(ledger))
     if not broker:
         return Verdict(Trust.BROKER_LOST, "Nothing is known: the broker does not answer.", "Check the broker.", checks)
     if ledger is None and state.is_awaited("ledger/state", now_ns):
@@ -71,6 +72,10 @@ _SENTENCES = {
         "Lanes are decided without a valid delta position",
         "More vehicles stay undecided. Check the unit's own receiver and its antenna.",
     ),
+    ("alarms", False): (
+        "The plaza is under attack, or a ticket misbehaves",
+        "See the alarms on the page Toll, and what toll/alarm has published.",
+    ),
     ("accounts", False): (
         "The account of a lane does not agree",
         "Compare the lane's detector with its passages on the page Toll.",
@@ -86,6 +91,7 @@ def _ledger_check(ledger: LedgerState | None) -> Check:
     waiting = f", {ledger.held} held" if ledger.held else ""
     waiting += f", {ledger.in_review} in review" if ledger.in_review else ""
     waiting += f", {ledger.unconfirmed} not confirmed by a detector" if ledger.unconfirmed else ""
+    waiting += f", {ledger.not_authenticated} not authenticated" if ledger.not_authenticated else ""
     text = f"{ledger.transactions} charges, {ledger.outbox} without receipt{waiting}"
     return Check("ledger", "Ledger", Trust.SAFE, text)
 
@@ -109,6 +115,14 @@ def _accounts_check(ledger: LedgerState | None) -> Check:
         text = f"every closed detection has one outcome; {open_} not closed yet"
         return Check("accounts", "Reconciliation", Trust.INITIALISING, text, link="toll")
     return Check("accounts", "Reconciliation", Trust.SAFE, "every detection has one outcome")
+
+
+def _alarm_check(ledger: LedgerState | None) -> Check:
+    if ledger is None or ledger.problem:
+        return Check("alarms", "Attacks", Trust.STALE, "no state of the ledger is received", link="toll")
+    if ledger.alarms:
+        return Check("alarms", "Attacks", Trust.CAUTION, f"{ledger.alarms} within two hours", link="toll")
+    return Check("alarms", "Attacks", Trust.SAFE, "no alarm within two hours")
 
 
 def _dated(message: TollDelta | LedgerState | None, state: "State", topic: str) -> Object | None:
@@ -162,9 +176,11 @@ def _tracks(message: TollTracks, description: PlazaDescription) -> list[TrackSho
 
 
 def _authentication(track: TollTrack) -> AuthenticationShown:
-    """Say how far the sender of a track is known, by the code of `core.toll` for it."""
-    code = explain(f"toll.{track.authentication}")
-    return {"authentication": said("", code), "languages": translated("", code)}
+    """Say what was checked of the sender of a track, by the code of `core.toll` for it."""
+    why = track.unverified if track.authentication is Authentication.SIGNED_NOT_VERIFIED else None
+    code = explain(f"toll.{why or track.authentication}")
+    verified = track.authentication is Authentication.AUTHENTICATED
+    return {"authentication": said("", code), "verified": verified, "languages": translated("", code)}
 
 
 def _plane(point: Position | TollTrack, description: PlazaDescription) -> tuple[float, float]:

@@ -1,13 +1,18 @@
 """core.toll as a process: when the delta position is estimated, and what a new process takes over."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from services.core.toll.process import Config, In, Out, Process
+from shared.errors import ConfigError
 from shared.messages.base import Tick
 from shared.messages.toll import OpenPassages, RegisteredStation, TollDelta, TollPassage, TollTracks
 from shared.messages.v2x import CamList
+from shared.runtime.config import parse_vehicle
+from shared.toll.plaza import plaza_path
+from tests.support.v2x.tickets import that_requires_tickets
 from tests.support.v2x.toll import FAR_NS, SECOND_NS, START_NS, Vehicle, example_plaza, fix, nothing_open
 
 COMMON = (2.5, -1.5)  # [m, north and east] error that all receivers have in common
@@ -91,3 +96,14 @@ def test_checkpoints_come_once_a_second_with_the_cam_and_not_with_the_tick() -> 
                 by_tick[isinstance(message, Tick)] += 1
     assert by_tick[True] == 0
     assert 4 <= by_tick[False] <= 9
+
+
+def test_a_plaza_that_requires_signatures_does_not_trust_the_operator_of_the_simulation(tmp_path: Path) -> None:
+    """The example's file names its key, which everybody can compute; where nothing must be signed it does no harm."""
+    example = plaza_path(Path("deploy/plazas/example.geojson")).read_text()
+    (tmp_path / "plaza.geojson").write_text(that_requires_tickets(example))
+    text = f'[vehicle]\nrole = "rsu"\n[core.toll]\nplaza_file = "{tmp_path}/plaza.geojson"\n'
+    assert parse_vehicle('[vehicle]\nrole = "rsu"\n').section("core.toll", Config)
+    with pytest.raises(ConfigError, match="everybody can countersign"):
+        parse_vehicle(text).section("core.toll", Config)
+    assert parse_vehicle(text + "[sensors.traffic]\n").section("core.toll", Config)

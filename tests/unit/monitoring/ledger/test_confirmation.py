@@ -317,10 +317,11 @@ def test_a_ledger_of_version_1_is_migrated_with_its_charges_and_passages_in_prog
         ]
         store.close()
     ledger, store = ledger_at(path, START_NS + 60 * NS)
+    ledger.register(Vehicle("b").registration(sampled_ns=START_NS + 60 * NS), START_NS + 60 * NS)
     ledger.passage(Vehicle("b").says(CHARGED), START_NS + 61 * NS)
     ledger.receipt(answer(charge, START_NS + 61 * NS), START_NS + 61 * NS)
-    assert ledger.state(START_NS + 61 * NS).transactions == 2
-    assert store.row("PRAGMA user_version")["user_version"] == 3  # type: ignore[index]
+    assert ledger.state(START_NS + 61 * NS).transactions == 2, "the vehicle has repeated its registration"
+    assert store.row("PRAGMA user_version")["user_version"] == 4  # type: ignore[index]
     store.close()
 
 
@@ -388,9 +389,9 @@ def test_passages_are_grouped_over_a_third_one() -> None:
     ],
 )
 def test_a_passage_alone(changes: dict[str, object], verdict: Verdict) -> None:
-    assert judge([claim("a", **changes)], {"a"})[0] is verdict
+    assert judge([claim("a", **changes)], {"a"}).verdict is verdict
 
 
 def test_an_overlap_whose_other_passage_has_not_ended_waits_for_it() -> None:
-    assert judge([claim("b", "a")], {"b"})[0] is Verdict.WAITS
-    assert judge([claim("b", "a", waited=True)], {"b"})[0] is Verdict.STANDS
+    assert judge([claim("b", "a")], {"b"}).verdict is Verdict.WAITS
+    assert judge([claim("b", "a", waited=True)], {"b"}).verdict is Verdict.STANDS

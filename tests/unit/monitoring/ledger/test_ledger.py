@@ -108,14 +108,21 @@ def test_the_evidence_of_the_crossing_is_that_of_the_statement_that_decided_it(o
     assert hashlib.sha256(pack.plaza_file.encode()).hexdigest() == PLAZA.digest
 
 
-def test_a_new_station_id_on_the_way_keeps_the_contract_of_the_old_one(opened: tuple[Ledger, Store]) -> None:
+@pytest.mark.parametrize("registers", [True, False])
+def test_a_new_station_id_on_the_way_keeps_the_contract_only_if_that_registers_it(
+    opened: tuple[Ledger, Store], registers: bool
+) -> None:
     ledger, _ = opened
     ledger.register(Vehicle().registration(), START_NS)
     ledger.passage(Vehicle().says(OPEN), START_NS)
     changed = Vehicle(station_ids=(STATION, 7))
+    if registers:
+        ledger.register(changed.registration(), START_NS)
     for state in (CROSSED, CHARGED):
         ledger.passage(changed.says(state), LATER_NS)
-    assert ledger.state(LATER_NS).transactions == 1
+    assert ledger.state(LATER_NS).transactions == registers
+    if not registers:
+        assert [review.reason_code for review in ledger.reviews()] == [explain("ledger.new_ticket")]
 
 
 def test_station_ids_of_two_contracts_are_suspect(opened: tuple[Ledger, Store]) -> None:
@@ -155,7 +162,7 @@ def test_station_ids_of_two_contracts_are_suspect_beside_the_passage_of_one_of_t
     assert [charge.contract for charge in ledger.due(LATER_NS)] == ["contract-2"]
 
 
-def test_the_newest_registration_of_a_station_id_counts_and_an_expired_one_does_not(
+def test_two_contracts_of_a_station_id_are_reviewed_and_an_expired_one_does_not_count(
     opened: tuple[Ledger, Store],
 ) -> None:
     ledger, _ = opened
@@ -163,7 +170,8 @@ def test_the_newest_registration_of_a_station_id_counts_and_an_expired_one_does_
     ledger.register(vehicle.registration("new", sampled_ns=START_NS + 2), START_NS)
     ledger.register(vehicle.registration("old", sampled_ns=START_NS + 1), START_NS)
     ledger.passage(vehicle.says(CHARGED), LATER_NS)
-    assert [t.contract for t in ledger.due(LATER_NS)] == ["new"]
+    assert ledger.due(LATER_NS) == []
+    assert [review.contracts for review in ledger.reviews()] == [("new", "old")]
     other = Vehicle("b", station_ids=(9,))
     ledger.register(other.registration(valid_until_ns=START_NS + NS), START_NS)
     ledger.passage(other.says(CHARGED), LATER_NS)

@@ -21,7 +21,10 @@ def balance(ledger: Ledger, lane: str = "n2", now_ns: int = RIPE_NS) -> LaneBala
 
 
 def identity(found: LaneBalance) -> bool:
-    outcomes = (found.charged, found.undecided, found.unregistered, found.suspect, found.void, found.missed, found.held)
+    outcomes = (
+        found.charged, found.review, found.undecided, found.unregistered, found.paid_otherwise, found.suspect,
+        found.void, found.missed, found.held,
+    )  # fmt: skip
     return found.detections == sum(outcomes) + found.pending
 
 
@@ -73,7 +76,7 @@ def test_every_detection_has_one_outcome_and_the_hour_adds_up(tmp_path: Path) ->
         ledger.detect(vehicle.pulse(n), START_NS + 60 * NS)
     found = balance(ledger)
     assert (found.detections, found.charged, found.unregistered) == (5, 1, 1)
-    assert (found.suspect, found.undecided, found.missed) == (1, 1, 1)
+    assert (found.review, found.undecided, found.missed, found.suspect) == (1, 1, 1, 0)
     assert found.agrees and identity(found)
     store.close()
 

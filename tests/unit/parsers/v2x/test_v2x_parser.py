@@ -21,10 +21,12 @@ from shared.messages.v2x import (
     Encapsulation,
     OwnCam,
     StationType,
+    Unverified,
     V2xSend,
 )
 from shared.topics import BY_NAME
-from shared.v2x import frames, geonetworking, its_time, security
+from shared.v2x import frames, geonetworking, its_time
+from shared.v2x.security.envelope import without_envelope
 from tests.support.cases import each
 from tests.support.data import recording
 from tests.support.gnss.captures import packets
@@ -279,8 +281,9 @@ def test_a_signed_frame_is_a_cam_that_states_its_signer_and_that_nothing_is_veri
     frame = signed(plain, TICKET, generated_ms, with_certificate=with_certificate)
     unsigned, found = decoded(process, cams.batch([plain, frame], NOW_NS))
     assert (found.authentication, found.signer) == (Authentication.SIGNED_NOT_VERIFIED, TICKET.digest.hex())
+    assert (unsigned.unverified, found.unverified) == (None, Unverified.NO_TRUST)
     assert (unsigned.authentication, unsigned.signer) == (Authentication.UNSIGNED, None)
-    same = {"authentication": unsigned.authentication, "signer": None, "frame": plain}
+    same = {"authentication": unsigned.authentication, "signer": None, "unverified": None, "frame": plain}
     assert found.frame == frame and found.model_copy(update=same) == unsigned
     assert process.rejects == Counter()
 
@@ -297,9 +300,11 @@ def test_the_time_of_a_signature_may_differ_from_the_cam_by_a_second(signed_ms: 
 
 @each(
     ("age_s", "reason"),
-    [(10.0, "too_old"), (-5.0, "from_the_future"), (its_time.CYCLE_MS / 1000, "header_time")],
+    [(10.0, "too_old"), (2.1, "too_old"), (-5.0, "from_the_future"), (its_time.CYCLE_MS / 1000, "header_time")],
 )  # fmt: skip
-def test_the_limits_of_age_are_those_of_unsigned_frames(age_s: float, reason: str) -> None:
+def test_a_signed_frame_has_the_limits_of_unsigned_ones_and_is_two_seconds_old_at_most(
+    age_s: float, reason: str
+) -> None:
     process, generated_ns = Process(Config()), NOW_NS - round(age_s * 1e9)
     frame = signed(packet(generated_ns=generated_ns), TICKET, its_time.its_time_ms(generated_ns))
     assert decoded(process, cams.batch([frame], NOW_NS)) == []
@@ -327,7 +332,7 @@ def test_field_frames_are_too_old_at_their_capture_and_cam_at_the_time_that_they
     live, by_their_time, ages_s = Process(Config()), Process(Config()), []
     for utc_ns, frame in packets(recording("cam_secured/field_secured_cam.pcapng")):
         assert decoded(live, cams.batch([frame], utc_ns)) == []
-        _, envelope = security.without_envelope(frame)
+        _, envelope = without_envelope(frame)
         assert envelope is not None
         signed_ns = its_time.utc_ns_from_its_time(envelope.generation_time_ms)
         ages_s.append((utc_ns - signed_ns) / 1e9)

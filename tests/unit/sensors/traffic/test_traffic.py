@@ -25,8 +25,11 @@ from shared.messages.toll import (
     TrafficPassage,
     TransactionKind,
 )
-from shared.messages.v2x import Cam, CamFrames
+from shared.messages.v2x import Authentication, Cam, CamFrames, CamList
+from shared.toll.registration import fault_of
+from shared.toll.simulated import operator
 from shared.v2x import frames
+from shared.v2x.security.envelope import unwrap
 from tests.support.v2x.tolling import NS, PLAZA, START_NS, Vehicle, ledger_at
 
 PERFECT = Channel(loss=0.0, duplicates=0.0, latency_s=0.0, reordered=0.0)
@@ -181,6 +184,7 @@ def test_a_new_station_id_is_registered_with_the_same_contract() -> None:
     stations: dict[str, set[int]] = {}
     for _, item in events:
         if isinstance(item, TollRegistration):
+            assert item.station_id is not None
             stations.setdefault(item.contract, set()).add(item.station_id)
     assert sum(len(ids) == 2 for ids in stations.values()) > 15
 
@@ -226,3 +230,43 @@ def test_the_operator_stores_a_bounded_number_of_transactions(tmp_path: Path, mo
     for k in range(5):
         operator.receive(transaction.model_copy(update={"transaction_id": f"{k:064x}"}), START_NS)
     assert list(operator.booked) == [f"{k:064x}" for k in (2, 3, 4)]
+
+
+def test_vehicles_that_sign_are_authenticated_and_send_their_certificate_once_a_second() -> None:
+    events = driven(6.0, signed=1.0, channel=PERFECT, mix=ALL_WELL)
+    assert [item for _, item in events if isinstance(item, Frame)] == [
+        item for _, item in driven(6.0, signed=1.0, channel=PERFECT, mix=ALL_WELL) if isinstance(item, Frame)
+    ], "the same seed signs alike"
+    parser = Process(Config.model_validate({"security": {"trust_folder": "deploy/trust"}, "simulated": True}))
+    whole_ns: dict[str, list[int]] = {}
+    for due_ns, item in events:
+        if isinstance(item, Frame):
+            signer = unwrap(item.data)
+            if signer.certificate is not None:
+                whole_ns.setdefault(signer.signer.hex(), []).append(due_ns)
+            batch = CamFrames(received_ns=due_ns, source="v2x0", data=frames.pack([(due_ns, item.data)]))
+            for answer in parser.handle(batch):
+                assert isinstance(answer, CamList)
+                assert {cam.authentication for cam in answer.cams} == {Authentication.AUTHENTICATED}
+    assert parser.rejects.total() == 0
+    assert len(whole_ns) == 30
+    gaps = [(b - a) * 1e-9 for times in whole_ns.values() for a, b in pairwise(times)]
+    assert min(gaps) >= 1.0 and max(gaps) <= 2.0
+
+
+def test_who_signs_changes_nothing_else_of_the_traffic() -> None:
+    plain, signed = driven(10.0), driven(10.0, signed=1.0)
+    assert passages(plain) == passages(signed)
+    assert [due for due, _ in plain] == [due for due, _ in signed]
+
+
+def test_a_vehicle_that_signs_registers_its_ticket_and_another_one_after_its_change() -> None:
+    mix = ALL_WELL.model_copy(update={"new_station_id": 1.0})
+    stated = [item for _, item in driven(30.0, signed=1.0, channel=PERFECT, mix=mix, vehicles=5)
+              if isinstance(item, TollRegistration)]  # fmt: skip
+    keys = (operator().public_key.hex(),)
+    assert stated and {fault_of(one, plaza=PLAZA.name, operator_keys=keys, require_ticket=True) for one in stated} == {
+        None
+    }
+    pairs = {(one.contract, one.ticket) for one in stated}
+    assert max(Counter(contract for contract, _ in pairs).values()) > 1, "a contract with two tickets"

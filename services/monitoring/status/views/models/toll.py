@@ -38,6 +38,8 @@ class AuthenticationShown(TypedDict):
     """How far the sender of CAM is known."""
 
     authentication: str
+    verified: bool
+    """whether signature and chain hold, and nothing is left unchecked"""
     languages: dict[str, str]
     """the same in languages other than English"""
 

@@ -1,0 +1,76 @@
+"""What an evidence pack proves besides lane and crossing: the contract, and the pulse that confirms it.
+
+Everything is judged by the pack alone; tables of the ledger are not read.
+"""
+
+from collections.abc import Iterator
+
+from shared.messages.toll import EvidencePack
+from shared.toll.plaza import Plaza
+from shared.toll.registration import fault_of, identity_of
+
+from .codes import Code
+from .registrations import contracts_of, identities_of
+
+SD_GATE = 3.0  # standard deviations of the crossing within which a pulse may be its own
+
+
+def pack_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
+    """Name what contradicts the charge of a pack; nothing for packs of earlier releases, which have no registrations.
+
+    Parameters
+    ----------
+    pack : EvidencePack
+        The pack.
+    plaza : Plaza
+        Of the file in the pack.
+    """
+    if pack.form < 2:
+        return
+    yield from _registration_faults(pack, plaza)
+    if pack.charged.station_ids != pack.crossed.station_ids[: len(pack.charged.station_ids)] and not set(
+        pack.crossed.station_ids
+    ) <= set(pack.charged.station_ids):
+        yield "the final statement is of other station IDs than that of the crossing"
+    if plaza.require_authenticated and not pack.charged.authenticated:
+        yield "its CAM are not authenticated, and the plaza requires that"
+    verdict = pack.verdict.code if pack.verdict else ""
+    if verdict in (Code.CONFIRMED, Code.ALONE):
+        yield from _pulse_faults(pack)
+
+
+def is_authenticated(pack: EvidencePack) -> bool:
+    """Whether the passage of a pack was authenticated."""
+    return pack.charged.authenticated
+
+
+def _registration_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
+    if contracts_of(pack.registrations) != {(pack.contract, pack.tariff_class)}:
+        yield "the contract is not that of its registrations"
+    for registration in pack.registrations:
+        fault = fault_of(
+            registration, plaza=plaza.name, operator_keys=plaza.operator_keys,
+            require_ticket=plaza.require_authenticated,
+        )  # fmt: skip
+        if fault is not None:
+            yield f"a registration is not valid: {fault}"
+        if registration.valid_until_ns < (pack.charged.crossing_ns or 0):
+            yield "a registration ended before the crossing"
+    covered = {identity_of(registration) for registration in pack.registrations}
+    if not covered >= set(identities_of(pack.charged)) or not covered >= set(identities_of(pack.crossed)):
+        yield "no registration covers its ticket or station ID"
+    evidence = pack.crossed.evidence
+    if evidence is not None and pack.crossed.authenticated:
+        signers = {frame.signer for frame in evidence.frames}
+        if not signers <= set(pack.crossed.tickets):
+            yield "a frame is of another ticket than the passage"
+
+
+def _pulse_faults(pack: EvidencePack) -> Iterator[str]:
+    gate_s = max(pack.match_gate_s or 0.0, SD_GATE * (pack.charged.crossing_sd_s or 0.0))
+    crossing_ns = pack.charged.crossing_ns or 0
+    if not pack.pulses:
+        yield "it was confirmed by a detector, and the pack has no pulse"
+    for pulse in pack.pulses:
+        if pulse.lane != pack.lane or pulse.backward or abs(pulse.sampled_ns - crossing_ns) * 1e-9 > gate_s:
+            yield "a pulse is not that of the crossing"

@@ -1,0 +1,1 @@
+"""The detectors and cameras of a toll plaza."""
