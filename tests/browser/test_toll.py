@@ -131,11 +131,11 @@ def test_reviews_say_what_decides_them_and_the_camera_queue_says_why_it_keeps(
     plazas: dict[str, RunningServer], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(plazas["normal"].address, path="toll")
-    review = page.locator("#reviews tbody tr")
+    review = page.locator(".reviews-card tbody tr")
     expect(review).to_have_count(1)
     expect(review).to_contain_text("the lane's detector has not counted it")
     expect(review).to_contain_text("the picture of the lane at the time of the crossing")
     expect(review).to_contain_text("not authenticated")
-    expect(page.locator("#pictures")).to_contain_text("1 kept, 2 not decided yet")
-    expect(page.locator("#pictures tbody tr")).to_contain_text("no contract explains the vehicle")
-    expect(page.locator("#account")).to_contain_text("the plaza allows them")
+    expect(page.locator(".pictures-card")).to_contain_text("1 kept, 2 not decided yet")
+    expect(page.locator(".pictures-card tbody tr")).to_contain_text("no contract explains the vehicle")
+    expect(page.locator(".account-card")).to_contain_text("the plaza allows them")

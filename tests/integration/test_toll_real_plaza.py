@@ -66,7 +66,9 @@ class Program:
     def __enter__(self) -> "Program":
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=self.name)
         self._client.username_pw_set(self.name, self.secret)
-        self._client.on_message = lambda _client, _data, message: self.received.append((message.topic, message.payload))
+        self._client.on_message = lambda _client, _data, message: self.received.append(
+            (message.topic, bytes(message.payload))
+        )
         self._client.connect("127.0.0.1", self.port)
         self._client.loop_start()
         return self

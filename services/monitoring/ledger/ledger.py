@@ -278,8 +278,9 @@ class Ledger:
     def _is_turned(self, message: TollPassage) -> bool:
         """Whether a statement repeats that a vehicle has turned around, and the detector has not decided yet."""
         row = self._store.row("SELECT charged FROM held WHERE passage_id = ?", message.passage_id)
-        held = row and self._read(TollPassage, row["charged"], message.passage_id)
-        return bool(held) and held.state is PassageState.VOID
+        return row is not None and (
+            self._read(TollPassage, row["charged"], message.passage_id).state is PassageState.VOID
+        )
 
     def receipt(self, message: TollReceipt, now_ns: int) -> None:
         """Take a transaction out of the outbox; what the operator does not accept is reversed."""

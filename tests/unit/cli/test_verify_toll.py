@@ -285,3 +285,20 @@ def test_an_old_ledger_is_chained_and_its_charges_stay_unsigned(
     assert "entries are unsigned" in capsys.readouterr().out
     changed = edited(old, tmp_path / "b.sqlite", "UPDATE booking SET amount_cents = 1 WHERE rowid = 1")
     assert verify_toll([changed]) == Outcome.EDITED
+
+
+def test_what_the_operator_has_kept_names_a_ledger_that_was_put_back(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with closing(sqlite3.connect(ledger)) as database:
+        (statement,) = database.execute("SELECT statement FROM head WHERE name = 'current'").fetchone()
+    kept = tmp_path / "seal.json"
+    kept.write_text(f"{statement}\n")
+    assert verify_toll([ledger], seal=[kept]) == Outcome.VERIFIED
+    number, transaction, _ = bookings(ledger)[-1]
+    early = edited(
+        ledger, tmp_path / "early.sqlite", f"DELETE FROM entry WHERE number = {number}",
+        f"DELETE FROM outbox WHERE transaction_id = '{transaction}'",
+    )  # fmt: skip
+    assert verify_toll([early], seal=[kept]) == Outcome.EDITED
+    assert f"it was put back: the operator has entry {number}" in capsys.readouterr().out

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from shared.evidence import KeyFile
 from shared.messages.toll import PassageState
+from shared.toll.plaza import parse_plaza
 from tests.support.v2x.tickets import Ticket, that_requires_tickets
-from tests.support.v2x.tolling import NS, START_NS, WITH_DETECTORS, Vehicle, ledger_at, parse_plaza
+from tests.support.v2x.tolling import NS, START_NS, WITH_DETECTORS, Vehicle, ledger_at
 
 PLAZA_FILE = that_requires_tickets(WITH_DETECTORS)
 PLAZA = parse_plaza(PLAZA_FILE.encode())
