@@ -47,7 +47,7 @@ KINDS: tuple[tuple[AidingKind, type], ...] = (
     (AidingKind.ZERO_VELOCITY, Standstill), (AidingKind.ZERO_ANGULAR_RATE, Standstill),
     (AidingKind.NON_HOLONOMIC, NonHolonomic), (AidingKind.ODOMETER, WheelSpeed),
 )  # fmt: skip
-NO_TIMES, NO_READINGS = np.empty(0, np.int64), np.empty((0, 5))
+NO_TIMES, NO_READINGS = np.empty(0, np.int64), np.empty((0, 6))
 
 
 class Aids:
@@ -158,9 +158,10 @@ class Aids:
                 return PreparedSpeeds(found, measurement.time_ns, place)
             if not excluded:
                 if odometer is not None and _is_other(odometer, measurement):
-                    if _is_in_use(odometer, measurement):
-                        continue
-                    return PreparedSpeeds(found, measurement.time_ns, place)
+                    if not _is_in_use(odometer, measurement):
+                        return PreparedSpeeds(found, measurement.time_ns, place)
+                    found.append(PreparedSpeed(place, measurement, odometer, zeros, excluded=False, ignored=True))
+                    continue
                 odometer, zeros = measurement, zeros.after(measurement.time_ns, measurement.speed)
             found.append(PreparedSpeed(place, measurement, odometer, zeros, excluded))
         return PreparedSpeeds(found, NEVER_NS, len(measurements))
@@ -178,7 +179,11 @@ class Aids:
         if prepared.speeds and not prepared.speeds[0].excluded:
             inflation_ns = standing.inflation_ns
             self.gate.inflation_ns = None if inflation_ns == NO_TIME_NS else inflation_ns
-        outcomes, corrections, speeds = [], self.gate.corrections, iter(prepared.speeds)
+        outcomes, corrections, speeds = (
+            [],
+            self.gate.corrections,
+            (speed for speed in prepared.speeds if not speed.ignored),
+        )
         for time_ns, of in zip(times_ns, records, strict=True):
             kind, measurement = KINDS[int(of[KIND])]
             axes, verdict, source, why = int(of[AXES]), int(of[VERDICT]), "core.fusion", None
@@ -216,6 +221,7 @@ class PreparedSpeed(NamedTuple):
     odometer: WheelSpeed | None
     zeros: ZeroSpeeds
     excluded: bool
+    ignored: bool = False  # of another odometer than the one in use
 
 
 class PreparedSpeeds(NamedTuple):
@@ -233,7 +239,7 @@ class PreparedSpeeds(NamedTuple):
         of = [speed.measurement for speed in self.speeds]
         in_doubt = [speed.zeros.doubt is not None and not speed.excluded for speed in self.speeds]
         readings = [
-            (m.speed, m.resolution, m.exact, doubt, speed.excluded)
+            (m.speed, m.resolution, m.exact, doubt, speed.excluded, speed.ignored)
             for m, doubt, speed in zip(of, in_doubt, self.speeds, strict=True)
         ]
         return Speeds(

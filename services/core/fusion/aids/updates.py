@@ -38,7 +38,7 @@ COVARIANCE, NOTHING_DUE, NO_UPDATE = 4, 5, 6  # what is no update
 USED, BEYOND_GATE, UNFIT, EXCLUDED = 0, 1, 2, 3  # verdicts
 
 
-DOUBT, EXCLUSION = 3, 4  # columns of the readings of speeds
+DOUBT, EXCLUSION, IGNORED = 3, 4, 5  # columns of the readings of speeds
 NO_OBSERVATION = np.zeros(1), np.zeros((1, em.SIZE)), np.zeros((1, 1))
 
 
@@ -55,7 +55,7 @@ class Speeds(NamedTuple):
     """Speeds of the wheels in the order of their stamps, up to the next other measurement."""
 
     times_ns: IntArray
-    readings: FloatArray  # [m/s] shape (n, 5): speed, resolution, exact, in doubt, excluded
+    readings: FloatArray  # [m/s] shape (n, 6): speed, resolution, exact, in doubt, excluded, ignored
     stand_until_ns: IntArray  # the wheels are known to stand up to this time, after each of them
     due_ns: int  # stamp of the other measurement
 

@@ -22,6 +22,7 @@ from ..aids.updates import (
     DOUBT,
     EXCLUDED,
     EXCLUSION,
+    IGNORED,
     NO_UPDATE,
     NON_HOLONOMIC,
     NOTHING_DUE,
@@ -124,6 +125,8 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
                 kind = NON_HOLONOMIC if norm(state.velocity) > MIN_SPEED_M_S else NOTHING_DUE
             elif stop == Stop.MEASUREMENT_DUE.value and used < len(speeds.times_ns):
                 kind = ODOMETER
+                if speeds.readings[used, IGNORED] > 0.0:
+                    kind, used = NOTHING_DUE, used + 1
             row = Row(state, row.P, row.imu, row.parameters, row.position_correction)
         if kind == NO_UPDATE:
             break
