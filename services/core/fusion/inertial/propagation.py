@@ -50,6 +50,7 @@ class Intervals(NamedTuple):
     zero_velocity_s: float = inf
     non_holonomic_s: float = inf
     gap_s: float = GAP_S
+    covariance_at_end: bool = False  # it is propagated to the last sample as well
 
 
 class ImuErrors(NamedTuple):

@@ -129,7 +129,10 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
                     kind, used = NOTHING_DUE, used + 1
             row = Row(state, row.P, row.imu, row.parameters, row.position_correction)
         if kind == NO_UPDATE:
-            break
+            at_end = stop == Stop.END_OF_SAMPLES.value and k == len(times_ns)
+            if not (at_end and intervals.covariance_at_end and row.state.span_s > 0.0):
+                break
+            kind = COVARIANCE
         if kind == NOTHING_DUE:
             continue
         z, H, R, unsure = observation(kind, row, speeds.readings, used, rate, rate_sd, model)
