@@ -25,6 +25,7 @@ from .magnetometer import CompassCheck, MagneticHeading
 from .non_holonomic import NonHolonomic
 from .odometer import WheelSpeed
 from .updates import (
+    AFTER,
     AXES,
     BEYOND_GATE,
     ERRORS,
@@ -167,7 +168,7 @@ class Aids:
         return PreparedSpeeds(found, NEVER_NS, len(measurements))
 
     def took(
-        self, prepared: "PreparedSpeeds", used: int, standing: Standing, times_ns: list[int],
+        self, prepared: "PreparedSpeeds", used: int, standing: Standing, begin_ns: int,
         records: list[list[float]], reason: str | None,
     ) -> list[Outcome]:  # fmt: skip
         """Take over what a segment has done with its updates, of which so many speeds; returns the outcomes.
@@ -184,7 +185,8 @@ class Aids:
             self.gate.corrections,
             (speed for speed in prepared.speeds if not speed.ignored),
         )
-        for time_ns, of in zip(times_ns, records, strict=True):
+        for of in records:
+            time_ns = begin_ns + int(of[AFTER])
             kind, measurement = KINDS[int(of[KIND])]
             axes, verdict, source, why = int(of[AXES]), int(of[VERDICT]), "core.fusion", None
             if verdict == USED:

@@ -30,9 +30,9 @@ from .zero_velocity import zero_rate, zero_velocity
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Columns of a record of an update: which, what became of it, test ratio, dimension, innovation, its standard
-# deviations, and the estimated errors of attitude and of the horizontal velocity.
-KIND, VERDICT, RATIO, AXES, INNOVATION, SDS, ERRORS, COLUMNS = 0, 1, 2, 3, 4, 7, 10, 15
+# Columns of a record of an update: time since the begin of the call [ns], which, what became of it, test ratio,
+# dimension, innovation, its standard deviations, and the estimated errors of attitude and of the horizontal velocity.
+AFTER, KIND, VERDICT, RATIO, AXES, INNOVATION, SDS, ERRORS, COLUMNS = 0, 1, 2, 3, 4, 5, 8, 11, 16
 ZERO_VELOCITY, ZERO_ANGULAR_RATE, NON_HOLONOMIC, ODOMETER = 0, 1, 2, 3  # kinds
 COVARIANCE, NOTHING_DUE, NO_UPDATE = 4, 5, 6  # what is no update
 USED, BEYOND_GATE, UNFIT, EXCLUDED = 0, 1, 2, 3  # verdicts
@@ -76,12 +76,20 @@ def model_of(settings: Settings) -> Model:
 
 
 @compilable
-def record(
-    columns: FloatArray, kind: int, verdict: int, ratio: float, z: FloatArray, S: FloatArray, x: FloatArray
+def record(  # a row of numbers
+    columns: FloatArray,
+    after_ns: int,
+    kind: int,
+    verdict: int,
+    ratio: float,
+    z: FloatArray,
+    S: FloatArray,
+    x: FloatArray,
 ) -> None:
     """Write the record of an observation into a row of the table."""
     axes = len(z)
-    columns[KIND], columns[VERDICT], columns[RATIO], columns[AXES] = kind, verdict, ratio, axes
+    columns[AFTER], columns[KIND], columns[VERDICT] = after_ns, kind, verdict
+    columns[RATIO], columns[AXES] = ratio, axes
     for k in range(axes):
         columns[INNOVATION + k], columns[SDS + k] = z[k], sqrt(S[k, k])
     columns[ERRORS:] = x[: COLUMNS - ERRORS]

@@ -219,11 +219,11 @@ class Engine:
         navigation, aids, reason = self.filter, self.aids, self.exclusions.reason_of(Sensor.ODOMETER)
         prepared = aids.speeds(measurements, due, excluded=reason is not None)
         end = self._stop(samples, begin, len(samples.times_ns))
-        rules = Rules(navigation.noise, self._model, intervals)
+        rules, begin_ns = Rules(navigation.noise, self._model, intervals), navigation.time_ns
         found = segment(navigation.numbers, samples, begin, end, prepared.arrays, aids.standing, rules)
         navigation.take_numbers(found.numbers)
         self.last = Sample(navigation.time_ns, navigation.state.force, navigation.state.rate)
-        made = aids.took(prepared, found.used, found.standing, found.times_ns, found.records, reason)
+        made = aids.took(prepared, found.used, found.standing, begin_ns, found.records, reason)
         for outcome in made:
             if outcome.used and outcome.kind is AidingKind.ODOMETER:
                 self._odometer_ns = outcome.time_ns

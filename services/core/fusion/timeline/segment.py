@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.compiled import compiled
+from shared.maths.compiled import compilable, compiled
 from shared.maths.kalman import correct_one
 
-from ..aids.non_holonomic import MIN_SPEED_M_S
+from ..aids.non_holonomic import MIN_SPEED_M_S, ConstraintModel
+from ..aids.odometer import OdometerModel
 from ..aids.updates import (
     BEYOND_GATE,
     COLUMNS,
@@ -52,13 +53,14 @@ from ..inertial.row import (
     row_of,
     step,
     subtracted,
+    three,
 )
 from ..inertial.standstill import limits_of, norm
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-MAX_RECORDS = 256  # of one call
+MAX_RECORDS = 64  # of one call
 
 
 class Rules(NamedTuple):
@@ -67,6 +69,26 @@ class Rules(NamedTuple):
     noise: ProcessNoise
     model: Model
     intervals: Intervals
+
+
+def constants_of(rules: Rules) -> FloatArray:
+    """Numbers of the rules in one array, without arrays of their own: compiled code reads tuples slowly."""
+    noise, model, intervals = rules
+    return np.array([
+        noise.vibration_factor, noise.gnss_correlation_s, noise.velocity_correlation_s, noise.velocity_follows,
+        *model.arm_b, *model.constraint, *model.odometer, *model.limits, *intervals,
+    ], np.float64)  # fmt: skip
+
+
+@compilable
+def rules_of(c: FloatArray, psd: FloatArray, velocity_variance: FloatArray) -> Rules:
+    """Rules of their numbers and arrays: the inverse of `constants_of`."""
+    noise = ProcessNoise(psd, float(c[0]), float(c[1]), float(c[2]), velocity_variance, bool(c[3] > 0.0))
+    constraint = ConstraintModel(float(c[7]), float(c[8]), float(c[9]))
+    odometer = OdometerModel(float(c[10]), float(c[11]))
+    model = Model(three(c, 4), constraint, odometer, three(c, 12))
+    intervals = Intervals(float(c[15]), float(c[16]), float(c[17]), float(c[18]), bool(c[19] > 0.0))
+    return Rules(noise, model, intervals)
 
 
 class Segment(NamedTuple):
@@ -78,7 +100,6 @@ class Segment(NamedTuple):
     used: int  # speeds
     stop: Stop
     fault: int
-    times_ns: list[int]  # of the records
     records: list[list[float]]  # of updates: see `aids.updates`
 
 
@@ -91,24 +112,29 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
     rows: Sequence[Sequence[float]] | FloatArray,
     begin: int,
     end: int,
-    speeds: Speeds,
-    standing: Standing,
-    rules: Rules,
-) -> tuple[tuple[int, FloatArray, FloatArray], tuple[int, int], tuple[int, int, int, int], IntArray, FloatArray]:
-    """See `segment`: `Numbers` of the row; standing; samples, speeds, stop and fault; stamps and records."""
+    speed_times_ns: IntArray,
+    readings: FloatArray,
+    stand_until_ns: IntArray,
+    next_ns: int,
+    wheels_until_ns: int,
+    inflation_ns: int,
+    constants: FloatArray,
+    psd: FloatArray,
+    velocity_variance: FloatArray,
+) -> tuple[int, FloatArray, FloatArray, int, int, int, int, int, int, FloatArray]:
+    """See `segment`: `Numbers` of the row; `Standing`; samples, speeds, stop and fault; records."""
     row = row_of(time_ns, values, P, values[PARAMETERS:].copy())
-    noise, model, intervals = rules
-    stamps, records = np.zeros(MAX_RECORDS, np.int64), np.zeros((MAX_RECORDS, COLUMNS))
-    wheels_until_ns, inflation_ns = standing.wheels_until_ns, standing.inflation_ns
+    noise, model, intervals = rules_of(constants, psd, velocity_variance)
+    records = np.zeros((MAX_RECORDS, COLUMNS))
     k, used, n, fault, stop = begin, 0, 0, 0, 0
     rate_is_due, rate, rate_sd = False, ZERO, 0.0  # of a standstill, after its zero velocity
     while n < MAX_RECORDS:
-        kind, verdict, due_ns = NO_UPDATE, USED, speeds.due_ns
+        kind, verdict, due_ns = NO_UPDATE, USED, next_ns
         if rate_is_due:
             kind, rate_is_due = ZERO_ANGULAR_RATE, False
         else:
-            if used < len(speeds.times_ns):
-                due_ns = speeds.times_ns[used]
+            if used < len(speed_times_ns):
+                due_ns = speed_times_ns[used]
                 if due_ns < row.state.time_ns:  # of a gap that ended the solution
                     used += 1
                     continue
@@ -123,9 +149,9 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
             elif stop == Stop.NON_HOLONOMIC_DUE.value:
                 state = begun(state, False)
                 kind = NON_HOLONOMIC if norm(state.velocity) > MIN_SPEED_M_S else NOTHING_DUE
-            elif stop == Stop.MEASUREMENT_DUE.value and used < len(speeds.times_ns):
+            elif stop == Stop.MEASUREMENT_DUE.value and used < len(speed_times_ns):
                 kind = ODOMETER
-                if speeds.readings[used, IGNORED] > 0.0:
+                if readings[used, IGNORED] > 0.0:
                     kind, used = NOTHING_DUE, used + 1
             row = Row(state, row.P, row.imu, row.parameters, row.position_correction)
         if kind == NO_UPDATE:
@@ -135,7 +161,7 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
             kind = COVARIANCE
         if kind == NOTHING_DUE:
             continue
-        z, H, R, unsure = observation(kind, row, speeds.readings, used, rate, rate_sd, model)
+        z, H, R, unsure = observation(kind, row, readings, used, rate, rate_sd, model)
         if row.state.span_s > 0.0:
             row = step(row, noise)
             fault = fault_of(row)
@@ -147,17 +173,16 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
                 fault = Fault.INNOVATION.value
             else:
                 ratio = distance2 / model.limits[len(z) - 1]
-                excluded = kind == ODOMETER and speeds.readings[used, EXCLUSION] > 0.0
-                in_doubt = unsure and speeds.readings[used, DOUBT] > 0.0
+                excluded = kind == ODOMETER and readings[used, EXCLUSION] > 0.0
+                in_doubt = unsure and readings[used, DOUBT] > 0.0
                 verdict = EXCLUDED if excluded else UNFIT if in_doubt else BEYOND_GATE if ratio > 1.0 else USED
                 if verdict == USED:
                     row = subtracted(row, x, P_after)
                     fault = fault_of(row)
-                stamps[n] = row.state.time_ns
-                record(records[n], kind, verdict, ratio, z, S, x)
+                record(records[n], row.state.time_ns - time_ns, kind, verdict, ratio, z, S, x)
                 n += 1
                 if kind == ODOMETER and not excluded:
-                    wheels_until_ns = speeds.stand_until_ns[used]
+                    wheels_until_ns = stand_until_ns[used]
                     row, inflation_ns = inflated(row, inflation_ns, H, verdict == BEYOND_GATE)
         used += kind == ODOMETER
         if fault:
@@ -165,10 +190,10 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
             break
     else:
         stop = Stop.END_OF_SAMPLES.value  # of this call
-    found = (k - begin, used, stop, fault)
     after = packed(row)
-    numbers = (after.time_ns, after.values, after.P)
-    return numbers, (wheels_until_ns, inflation_ns), found, stamps[:n], records[:n]
+    return (
+        after.time_ns, after.values, after.P, wheels_until_ns, inflation_ns, k - begin, used, stop, fault, records[:n]
+    )  # fmt: skip
 
 
 def segment(
@@ -196,14 +221,10 @@ def segment(
     Segment
     """
     times_ns, rows, _ = samples
-    after, left, (taken, used, stop, fault), stamps, records = run(
-        *numbers,
-        times_ns,
-        rows,
-        begin,
-        end,
-        speeds,
-        standing,
-        rules,
-    )
-    return Segment(Numbers(*after), Standing(*left), taken, used, Stop(stop), fault, stamps.tolist(), records.tolist())
+    of = speeds
+    time_ns, values, P, wheels_until_ns, inflation_ns, taken, used, stop, fault, records = run(
+        *numbers, times_ns, rows, begin, end, of.times_ns, of.readings, of.stand_until_ns, of.due_ns, *standing,
+        constants_of(rules), rules.noise.psd, rules.noise.velocity_variance,
+    )  # fmt: skip
+    standing = Standing(wheels_until_ns, inflation_ns)
+    return Segment(Numbers(time_ns, values, P), standing, taken, used, Stop(stop), fault, records.tolist())
