@@ -243,10 +243,6 @@ class ErrorStateFilter:
         """Acceleration [m/s², NED] of the last sample."""
         return self.state.acceleration_n
 
-    def rate_noise(self, span_s: float) -> float:
-        """Standard deviation [rad/s] of the mean angular rate over a time, due to vibration."""
-        return sqrt(self.state.rate_vibration_psd / span_s)
-
     def parameter(self, place: int) -> float:
         """Value of a parameter, by the index of its error in the state."""
         return self.parameters[place - em.DRIVING]
