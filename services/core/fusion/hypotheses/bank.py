@@ -103,7 +103,7 @@ class CursorPlan(NamedTuple):
 
 
 def _without_gnss(time_ns: int) -> tuple[Event, ...]:
-    return (GnssExcluded(time_ns, time_ns, positions_alone=True),)
+    return (GnssExcluded(time_ns, time_ns),)
 
 
 def _without_odometer(time_ns: int) -> tuple[Event, ...]:

@@ -418,8 +418,6 @@ class Engine:
     def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
         """Compare a measurement of an excluded source with the filter, without using it."""
         outcomes: list[Outcome] = []
-        if self.exclusions.positions_alone and not measurement.is_fix:
-            return outcomes
         try:
             if self.filter is not None:
                 outcomes = list(self.aids.test_only(self.filter, measurement, reason))

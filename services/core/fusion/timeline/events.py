@@ -101,22 +101,19 @@ class GnssExcluded(Event):
 
     `since_ns` is the suspect time; no GNSS with a later stamp is used. `contaminated_s` [s] is the time since then of
     which GNSS is in the state already, because no snapshot is old enough: the covariance is inflated by its largest
-    effect. Measurements that are left out are still tested, or positions alone.
+    effect.
     """
 
     excludes = Sensor.GNSS
 
     since_ns: int
     contaminated_s: float = 0.0
-    positions_alone: bool = False
 
     def apply(self, engine: "Engine") -> None:
         """Leave GNSS out; a second exclusion keeps the earlier suspect time."""
         known_ns = engine.exclusions.gnss_since_ns
         since_ns = self.since_ns if known_ns is None else min(self.since_ns, known_ns)
-        engine.exclusions = replace(
-            engine.exclusions, gnss_since_ns=since_ns, readmitted_after_s=None, positions_alone=self.positions_alone
-        )
+        engine.exclusions = replace(engine.exclusions, gnss_since_ns=since_ns, readmitted_after_s=None)
         if self.contaminated_s > 0.0:
             engine.attempt(partial(engine.aids.undetected_shift.inflate, span_s=self.contaminated_s))
 

@@ -10,7 +10,6 @@ class Exclusions:
     """Exclusions at one instant; replaced by events and never changed in place."""
 
     gnss_since_ns: int | None = None
-    positions_alone: bool = False  # of GNSS are tested while it is excluded
     odometer: bool = False
     satellites: tuple[str, ...] = ()  # satellites without which the newest position was computed
     fixes: int = 0  # number of excluded positions
