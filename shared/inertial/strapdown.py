@@ -217,6 +217,7 @@ def rotated(quaternion: Quaternion, turn: Quaternion, bn: float, be: float, bd: 
     return w * to_unit, x * to_unit, y * to_unit, z * to_unit
 
 
+@compilable
 def normalised(quaternion: Quaternion) -> Quaternion:
     """Scale a quaternion to unit length."""
     w, x, y, z = quaternion
@@ -224,6 +225,7 @@ def normalised(quaternion: Quaternion) -> Quaternion:
     return w * scale, x * scale, y * scale, z * scale
 
 
+@compilable
 def corrected(state: InertialState, errors: Sequence[float]) -> InertialState:
     """Subtract errors of attitude [rad, NED], velocity [m/s, NED] and position [m, NED], nine in all, from a state."""
     a, b, c, u, v, w, north, east, down = errors

@@ -1,9 +1,11 @@
-"""Numba in commands and tests: the same functions, compiled; without Numba both decorators do nothing.
+"""Numba in commands and tests: the same functions, compiled; without Numba the decorators do nothing.
 
 `compiled` makes machine code of a function and keeps it between runs; `compilable` lets that code call a function that
-stays one of Python. NUMBA_DISABLE_JIT=1, Numba's own switch, leaves Numba out: processes of a vehicle have it set.
+stays one of Python; an `inlined` one is compiled as a part of its callers, for what has one caller and takes long to
+compile. NUMBA_DISABLE_JIT=1, Numba's own switch, leaves Numba out: processes of a vehicle have it set.
 """
 
+import math
 import os
 import shutil
 import tempfile
@@ -48,6 +50,7 @@ def machine_code() -> Path:
 
 compiled: Callable[[Function], Function] = _unchanged
 compilable: Callable[[Function], Function] = _unchanged
+inlined: Callable[[Function], Function] = _unchanged
 COMPILED = False
 if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
     try:
@@ -59,7 +62,9 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
         numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(machine_code())
         compiled = numba.njit(cache=True)
         extending: Any = import_module("numba.extending")
+        np: Any = import_module("numpy")
         compilable = extending.register_jitable
+        inlined = extending.register_jitable(inline="always")
 
         @extending.overload_attribute(numba.types.Array, "mT", inline="always")  # type: ignore[untyped-decorator]
         def _matrix_transpose(matrix: Any) -> Callable[[Any], Any]:  # named as that of the function in it
@@ -67,3 +72,10 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
                 return matrix.T
 
             return transposed
+
+        @extending.overload(math.remainder)  # type: ignore[untyped-decorator]
+        def _remainder(x: Any, y: Any) -> Callable[[Any, Any], Any]:
+            def remainder(x: Any, y: Any) -> Any:  # Numba lacks it; exact within three halves of y
+                return x - np.rint(x / y) * y
+
+            return remainder

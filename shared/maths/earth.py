@@ -10,10 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from . import ellipsoid
+from .compiled import compilable
 from .ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS, SEMI_MINOR_AXIS, curvature_radii
 
 Geodetic = ellipsoid.Geodetic  # it needs no NumPy, nor does the next
 geodetic_from_ecef = ellipsoid.geodetic_from_ecef
+compilable(curvature_radii)
 
 FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -26,6 +28,7 @@ STANDARD_GRAVITY = 9.80665  # [m/s²] exact, by definition (3rd CGPM, 1901)
 GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GRAVITATIONAL_CONSTANT
 
 
+@compilable
 def wrap_angle(angle: float) -> float:
     """Wrap an angle [rad] to (-pi, pi]."""
     wrapped = remainder(angle, 2.0 * pi)
@@ -70,6 +73,7 @@ def gravity(latitude: float, height: float) -> float:
     return surface * (1.0 - 2.0 * ratio * (1.0 + FLATTENING * (1.0 - 2.0 * sin2) + GRAVITY_RATIO) + 3.0 * ratio**2)
 
 
+@compilable
 def earth_rate_n(latitude: float) -> Vector:
     """Earth rate relative to inertial space [rad/s, NED]: w_e (cos L, 0, -sin L)."""
     return EARTH_RATE * cos(latitude), 0.0, -EARTH_RATE * sin(latitude)
@@ -126,6 +130,7 @@ def ned_from_geodetic_difference(point: Geodetic, origin: Geodetic) -> Vector:
     )
 
 
+@compilable
 def geodetic_from_ned_difference(ned: Vector, origin: Geodetic) -> Geodetic:
     """Position at an offset [m, NED] from an origin: the inverse of `ned_from_geodetic_difference`."""
     meridian, transverse = curvature_radii(origin.latitude)

@@ -4,13 +4,14 @@ All arrays may have the same leading axes, as in NumPy's linear algebra: a covar
 The state is the caller's: a correction estimates the state's errors, which the caller adds to it.
 """
 
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import FilterDiverged
-from .compiled import compiled
+from .compiled import compilable, compiled, inlined
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -89,19 +90,17 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     ----------
     R. Bucy, P. Joseph, Filtering for Stochastic Processes with Applications to Guidance, 1968, ch. 16.
     """
-    try:
-        if P.ndim == 2:  # of one filter; compiled products want whole arrays, no views
-            parts = _joseph_one(P, np.ascontiguousarray(z), np.ascontiguousarray(H), np.ascontiguousarray(R))
-        else:
-            parts = _joseph(P, z, H, R)
-    except np.linalg.LinAlgError:
-        raise FilterDiverged("the covariance of an innovation is not positive definite") from None
-    x, after, distance2, K, S, S_inverse = parts
-    if not np.isfinite(S).all():
+    if P.ndim == 2:  # of one filter; compiled products want whole arrays, no views
+        whole = np.ascontiguousarray(z), np.ascontiguousarray(H), np.ascontiguousarray(R)
+        valid, x, after, distance2, K, S, S_inverse = correct_one(P, *whole)
+        found = Correction(x, after, distance2, z, H, K, S, S_inverse)
+    else:
+        valid, found = _correct_stack(P, z, H, R)
+    if not valid:
         raise FilterDiverged("the covariance of an innovation is not positive definite")
-    if not np.isfinite(distance2).all():
+    if not np.isfinite(found.distance2).all():
         raise FilterDiverged("an innovation is not finite")
-    return Correction(x, after, distance2, z, H, K, S, S_inverse)
+    return found
 
 
 def consider(P: FloatArray, found: Correction, R: FloatArray, states: slice) -> Correction:
@@ -133,24 +132,73 @@ def consider(P: FloatArray, found: Correction, R: FloatArray, states: slice) -> 
     return found._replace(x=np.matvec(K, found.z), P=0.5 * (after + after.mT), K=K)
 
 
-def _joseph(
+@compiled
+def correct_one(
     P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Estimate x, covariance after, normalised innovation squared, K, S and its inverse: see `correct`."""
+) -> tuple[bool, FloatArray, FloatArray, float, FloatArray, FloatArray, FloatArray]:
+    """Whether S is positive definite, then x, covariance after, d², K, S and its inverse: see `correct`."""
     PHt = P @ H.mT
     S = H @ PHt + R
-    np.linalg.cholesky(S)  # fails for one that is not positive definite
-    S_inverse = np.linalg.inv(S)
+    valid, S_inverse = inverse_of(S)
     K = PHt @ S_inverse
-    column = np.expand_dims(z, -1)
-    x = (K @ column)[..., 0]
-    distance2 = (column.mT @ (S_inverse @ column))[..., 0, 0]
+    return valid, K @ z, _joseph(P, H, R, K, PHt), float(z @ (S_inverse @ z)), K, S, S_inverse
+
+
+@compilable
+def inverse_of(S: FloatArray) -> tuple[bool, FloatArray]:
+    """Whether a small symmetric matrix is positive definite and finite, and its inverse; zero if it is not.
+
+    Notes
+    -----
+    By Cholesky's root without its square roots, S = L D L^T, in plain floats: S^-1 = L^-T D^-1 L^-1.
+    """
+    m = len(S)
+    root, inverse = np.eye(m), np.zeros((m, m))
+    for j in range(m):
+        pivot = float(S[j, j])
+        for k in range(j):
+            pivot -= float(root[j, k]) ** 2 * float(inverse[k, k])
+        if not 0.0 < pivot < inf:
+            return False, np.zeros((m, m))
+        inverse[j, j] = pivot
+        for i in range(j + 1, m):
+            value = float(S[i, j])
+            for k in range(j):
+                value -= float(root[i, k]) * float(root[j, k]) * float(inverse[k, k])
+            root[i, j] = value / pivot
+    for j in range(m):  # L^-1, in place
+        for i in range(j + 1, m):
+            value = 0.0
+            for k in range(j, i):
+                value -= float(root[i, k]) * float(root[k, j])
+            root[i, j] = value
+    for j in range(m):
+        inverse[j, j] = 1.0 / inverse[j, j]
+    scaled = inverse @ root
+    return True, root.T @ scaled
+
+
+def _correct_stack(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> tuple[bool, Correction]:
+    """Whether S of each filter of a stack is positive definite, and the correction."""
+    PHt = P @ H.mT
+    S = H @ PHt + R
+    valid = bool(np.isfinite(S).all())
+    try:
+        np.linalg.cholesky(S)  # fails for one that is not positive definite
+        S_inverse: FloatArray = np.asarray(np.linalg.inv(S), np.float64)
+    except np.linalg.LinAlgError:
+        valid, S_inverse = False, np.zeros_like(S)
+    K: FloatArray = PHt @ S_inverse
+    distance2: FloatArray = np.vecdot(z, np.matvec(S_inverse, z))
+    return valid, Correction(np.matvec(K, z), _joseph(P, H, R, K, PHt), distance2, z, H, K, S, S_inverse)
+
+
+@inlined
+def _joseph(P: FloatArray, H: FloatArray, R: FloatArray, K: FloatArray, PHt: FloatArray) -> FloatArray:
+    """Covariance after a correction by the gain K: see `correct`."""
     A = P - K @ PHt.mT
     half = 0.5 * (A - (A @ H.mT - K @ R) @ K.mT)
-    return x, half + half.mT, distance2, K, S, S_inverse  # type: ignore[return-value]  # stubs do not know the dtype
-
-
-_joseph_one = compiled(_joseph)
+    return half + half.mT
 
 
 def root_of(cov: FloatArray, what: str) -> FloatArray:

@@ -106,6 +106,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Quaternion:
     return w * scale, x * scale, y * scale, z * scale
 
 
+@compilable
 def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
     """Hamilton product: the rotation `right` followed by the rotation `left`."""
     a, b, c, d = left
@@ -118,6 +119,7 @@ def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
     )
 
 
+@compilable
 def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
     """Unit quaternion of a rotation vector [rad]; w < 0 for angles above pi."""
     x, y, z = rotation_vector

@@ -1,26 +1,54 @@
 """Aiding of the filter: selection among sensors of one kind, plausibility and integrity state of each."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
 
 from shared.copies import shallow
+from shared.messages.navigation import AidingKind
 
 from ..inertial.filter import ErrorStateFilter
+from ..inertial.propagation import NEVER_NS
 from ..inertial.standstill import Limits, limits_of
 from ..integrity.error_monitor import NO_BLOCK, ErrorMonitor, block
 from ..integrity.undetected_shift import UndetectedShift
 from ..settings import Settings
 from .base import Measurement, Outcome
-from .gate import Gate
+from .gate import REJECTED, Gate
 from .gnss.comparison import Comparison
 from .gnss.duplicate_epochs import Epochs
 from .gnss.fix import GnssPosition, GnssVelocity
 from .gnss.lever_arm import LeverArmMonitor
 from .magnetometer import CompassCheck, MagneticHeading
+from .non_holonomic import NonHolonomic
 from .odometer import WheelSpeed
-from .zero_speeds import ZeroSpeeds
+from .updates import (
+    AFTER,
+    AXES,
+    BEYOND_GATE,
+    ERRORS,
+    EXCLUDED,
+    INNOVATION,
+    KIND,
+    RATIO,
+    SDS,
+    UNFIT,
+    USED,
+    VERDICT,
+    Speeds,
+    Standing,
+)
+from .zero_speeds import NO_TIME_NS, ODOMETER_SILENT_NS, ZeroSpeeds
+from .zero_velocity import Standstill
 
-ODOMETER_SILENT_NS = 2_000_000_000  # silence of the odometer in use after which another one is used
+# Kind and class of the measurement of each update that a segment makes.
+KINDS: tuple[tuple[AidingKind, type], ...] = (
+    (AidingKind.ZERO_VELOCITY, Standstill), (AidingKind.ZERO_ANGULAR_RATE, Standstill),
+    (AidingKind.NON_HOLONOMIC, NonHolonomic), (AidingKind.ODOMETER, WheelSpeed),
+)  # fmt: skip
+NO_TIMES, NO_READINGS = np.empty(0, np.int64), np.empty((0, 6))
 
 
 class Aids:
@@ -113,18 +141,121 @@ class Aids:
 
     def standstill_limits(self, time_ns: int, navigation: ErrorStateFilter) -> Limits:
         """Limits of the standstill detector; with wheels at zero speed, an uncertain filter needs no longer time."""
-        limits, odometer = limits_of(navigation.P), self._zeros
-        zero = odometer.speed == 0.0 and odometer.doubt is None and time_ns - odometer.time_ns <= ODOMETER_SILENT_NS
-        return limits._replace(pace=1.0, tilted_pace=1.0) if zero else limits
+        return limits_of(navigation.P, wheels_stand=time_ns <= self._zeros.stand_until_ns)
+
+    @property
+    def standing(self) -> Standing:
+        """What speeds have left behind."""
+        inflation_ns = self.gate.inflation_ns
+        return Standing(self._zeros.stand_until_ns, NO_TIME_NS if inflation_ns is None else inflation_ns)
+
+    def speeds(self, measurements: Sequence[Measurement], begin: int, *, excluded: bool) -> "PreparedSpeeds":
+        """Prepare the speeds from a place in the list on, up to the next measurement that the engine decides about."""
+        odometer, zeros = self._odometer, self._zeros
+        found: list[PreparedSpeed] = []
+        for place in range(begin, len(measurements)):
+            measurement = measurements[place]
+            if not isinstance(measurement, WheelSpeed):
+                return PreparedSpeeds(found, measurement.time_ns, place)
+            if not excluded:
+                if odometer is not None and _is_other(odometer, measurement):
+                    if not _is_in_use(odometer, measurement):
+                        return PreparedSpeeds(found, measurement.time_ns, place)
+                    found.append(PreparedSpeed(place, measurement, odometer, zeros, excluded=False, ignored=True))
+                    continue
+                odometer, zeros = measurement, zeros.after(measurement.time_ns, measurement.speed)
+            found.append(PreparedSpeed(place, measurement, odometer, zeros, excluded))
+        return PreparedSpeeds(found, NEVER_NS, len(measurements))
+
+    def took(
+        self, prepared: "PreparedSpeeds", used: int, standing: Standing, begin_ns: int,
+        records: list[list[float]], reason: str | None,
+    ) -> list[Outcome]:  # fmt: skip
+        """Take over what a segment has done with its updates, of which so many speeds; returns the outcomes.
+
+        `reason` is why speeds were only tested.
+        """
+        if used:
+            self._odometer, self._zeros = prepared.speeds[used - 1][2:4]
+        if prepared.speeds and not prepared.speeds[0].excluded:
+            inflation_ns = standing.inflation_ns
+            self.gate.inflation_ns = None if inflation_ns == NO_TIME_NS else inflation_ns
+        outcomes, corrections, speeds = (
+            [],
+            self.gate.corrections,
+            (speed for speed in prepared.speeds if not speed.ignored),
+        )
+        for of in records:
+            time_ns = begin_ns + int(of[AFTER])
+            kind, measurement = KINDS[int(of[KIND])]
+            axes, verdict, source, why = int(of[AXES]), int(of[VERDICT]), "core.fusion", None
+            if verdict == USED:
+                corrections = corrections.after(time_ns, of[ERRORS:])
+            if measurement is WheelSpeed:
+                speed = next(speeds)
+                source = speed.measurement.source
+                why = speed.zeros.doubt if verdict == UNFIT else reason if verdict == EXCLUDED else None
+            if verdict == BEYOND_GATE:
+                why = REJECTED
+            z, sd = tuple(of[INNOVATION : INNOVATION + axes]), tuple(of[SDS : SDS + axes])
+            weight = 1.0 if verdict == USED else 0.0
+            outcomes.append(Outcome(time_ns, source, kind, z, sd, of[RATIO], verdict == USED, why, weight, measurement))
+        self.gate.corrections = corrections
+        return outcomes
 
     def _is_redundant(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
         """Whether another odometer is in use. When the odometer changes, its scale is reset."""
         used = self._odometer
-        if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
-            better = seen.of_wheels and not used.of_wheels
-            if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
+        if used is not None and _is_other(used, seen):
+            if _is_in_use(used, seen):
                 return True
             navigation.reset_odometer_scale()
             self._zeros = ZeroSpeeds()
         self._odometer = seen
         return False
+
+
+class PreparedSpeed(NamedTuple):
+    """A speed, and the odometer in use after it."""
+
+    place: int  # in the list of measurements
+    measurement: WheelSpeed
+    odometer: WheelSpeed | None
+    zeros: ZeroSpeeds
+    excluded: bool
+    ignored: bool = False  # of another odometer than the one in use
+
+
+class PreparedSpeeds(NamedTuple):
+    """Speeds up to the next other measurement."""
+
+    speeds: list[PreparedSpeed]
+    due_ns: int  # stamp of the other measurement
+    next: int  # its place in the list of measurements
+
+    @property
+    def arrays(self) -> Speeds:
+        """For a segment."""
+        if not self.speeds:
+            return Speeds(NO_TIMES, NO_READINGS, NO_TIMES, self.due_ns)
+        of = [speed.measurement for speed in self.speeds]
+        in_doubt = [speed.zeros.doubt is not None and not speed.excluded for speed in self.speeds]
+        readings = [
+            (m.speed, m.resolution, m.exact, doubt, speed.excluded, speed.ignored)
+            for m, doubt, speed in zip(of, in_doubt, self.speeds, strict=True)
+        ]
+        return Speeds(
+            np.array([m.time_ns for m in of]), np.array(readings, np.float64),
+            np.array([speed.zeros.stand_until_ns for speed in self.speeds]), self.due_ns,
+        )  # fmt: skip
+
+
+def _is_other(used: WheelSpeed, seen: WheelSpeed) -> bool:
+    """Whether a speed is of another odometer than the one in use."""
+    return (used.source, used.of_wheels) != (seen.source, seen.of_wheels)
+
+
+def _is_in_use(used: WheelSpeed, seen: WheelSpeed) -> bool:
+    """Whether the odometer in use stays in use beside another one."""
+    better = seen.of_wheels and not used.of_wheels
+    return not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS

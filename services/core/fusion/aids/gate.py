@@ -27,6 +27,7 @@ CORRECTED_HEADING_SD = radians(3.0)  # smallest standard deviation of a correcte
 SPEED_INFLATION_M_S_SQRT_S = 0.1
 SPEED_INFLATION_AFTER_NS, SPEED_INFLATION_PERIOD_NS = 2_000_000_000, 1_000_000_000
 LEVER_ARM_LIMIT = 9.0  # largest multiple of the gate up to which innovations are used for the lever arm
+REJECTED = "beyond the gate"  # reason of an observation that is not used
 FAULT_MEMORY_S = 60.0  # time without a fault after which earlier faults are not counted
 
 
@@ -70,7 +71,7 @@ class Gate:
         self.comparison = Comparison()  # of the filter's heading with GNSS
         self.lever_arm = LeverArmMonitor()
         self._height_ns: int | None = None  # since when heights have been rejected
-        self._inflation_ns: int | None = None  # time of the next inflation, while wheel speeds are rejected
+        self.inflation_ns: int | None = None  # time of the next inflation, while wheel speeds are rejected
         self._status: dict[tuple[str, AidingKind], FaultStatus] = {}
 
     def restart(self, comparison: Comparison) -> None:
@@ -145,12 +146,12 @@ class Gate:
     ) -> None:
         """Inflate the velocity along the vehicle once a second while wheel speeds are rejected for long."""
         if not rejected:
-            self._inflation_ns = None
+            self.inflation_ns = None
             return
-        if self._inflation_ns is None:
-            self._inflation_ns = time_ns + SPEED_INFLATION_AFTER_NS
-        if time_ns >= self._inflation_ns:
-            self._inflation_ns = time_ns + SPEED_INFLATION_PERIOD_NS
+        if self.inflation_ns is None:
+            self.inflation_ns = time_ns + SPEED_INFLATION_AFTER_NS
+        if time_ns >= self.inflation_ns:
+            self.inflation_ns = time_ns + SPEED_INFLATION_PERIOD_NS
             navigation.inflate_along(em.VELOCITY, SPEED_INFLATION_M_S_SQRT_S * observation.H[0, em.VELOCITY])
 
     def _decide(
@@ -167,7 +168,7 @@ class Gate:
             self._monitor_lever_arm(navigation, measurement, observation, correction.S)
         limit = self._settings.gating.robust_limit if gnss else 1.0
         excluded = gnss and self._is_excluded(measurement, observation.kind, ratio <= limit)
-        rejected = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
+        rejected = REJECTED if ratio > limit else "not admitted again yet" if excluded else None
         reason = observation.unfit or rejected
         weight = 0.0 if reason else _weight(ratio, limit)
         if not reason:

@@ -3,16 +3,20 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import hypot, tanh
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.compiled import compilable
 from shared.messages.navigation import AidingKind
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.propagation import MAX_SPEED_M_S
+from ..inertial.row import Row
+from ..inertial.standstill import norm
 from ..settings import Settings
 from .base import Kind, MotionSink, NonInertial, Observation, Sensor
 from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
@@ -66,41 +70,62 @@ class WheelSpeed(Kind):
         speed and S the innovation's variance, the mean of the two is s tanh(s f / S), their variance
         s² (1 - tanh²). One below zero has a sign.
         """
-        ahead, H = rear_axle_of(navigation, self.settings)
-        scale, forward = 1.0 + navigation.parameter(em.ODOMETER_SCALE), float(ahead[0])
-        H = scale * H[:1]
-        H[0, em.ODOMETER_SCALE] = -forward
-        predicted, speed, variance = scale * forward, self.speed, self._variance(navigation)
-        if speed > 0.0:
-            direction = tanh(speed * predicted / (float(H[0] @ navigation.P @ H[0]) + variance))
-            variance += speed**2 * (1.0 - direction**2)
-            speed *= direction
-        if self.speed == 0.0:
-            return self._observe_zero(navigation, ahead, H, predicted, variance)
-        return Observation(AidingKind.ODOMETER, np.array([speed - predicted]), H, np.array([[variance]]))
+        z, H, R, unsure = speed_observation(
+            rear_axle_of(navigation, self.settings), navigation.row, self.reading, model_of(self.settings)
+        )
+        return Observation(AidingKind.ODOMETER, z, H, R, self.doubt if unsure else None)
 
-    def _observe_zero(
-        self, navigation: ErrorStateFilter, ahead: FloatArray, H: FloatArray, predicted: float, variance: float
-    ) -> Observation:
-        """Wheels that stand move the axle in no direction: forward to within the dead zone, sideways and down at once.
+    @property
+    def reading(self) -> tuple[float, float, bool]:
+        """Speed [m/s], its resolution [m/s], and whether it is of both rear wheels."""
+        return self.speed, self.resolution, self.exact
 
-        A zero in doubt is not used while the filter does not know better; where it does, the gate decides.
-        """
-        arm_sd = UNKNOWN_ARM_SD if self.settings.vehicle.rear_axle_body_m is None else 0.0
-        sway2 = SWAY_SD**2 + (arm_sd * navigation.rate[2]) ** 2
-        rows = np.vstack([H, rear_axle_of(navigation, self.settings)[1][1:]])
-        unsure = float(H[0] @ navigation.P @ H[0]) > DEAD_ZONE_SD**2
-        z, R = np.array([-predicted, -float(ahead[1]), -float(ahead[2])]), np.diag([variance, sway2, sway2])
-        return Observation(AidingKind.ODOMETER, z, rows, R, self.doubt if unsure else None)
 
-    def _variance(self, navigation: ErrorStateFilter) -> float:
-        noise = hypot(self.settings.odometer.speed_sd_m_s, self.resolution / 12.0**0.5)
-        if self.speed == 0.0:
-            noise = hypot(noise, DEAD_ZONE_SD)
-        exact = self.exact and self.settings.vehicle.rear_axle_body_m is not None
-        side = 0.0 if exact else HALF_TRACK_M * navigation.rate[2]
-        old = STAMP_SD * hypot(*navigation.acceleration)
-        return noise**2 + side**2 + old**2
+class OdometerModel(NamedTuple):
+    """Noise of speeds."""
+
+    speed_sd: float  # [m/s]
+    arm_sd: float  # [m] of the rear axle's position
+
+
+def model_of(settings: Settings) -> OdometerModel:
+    """Model of a vehicle."""
+    arm_sd = UNKNOWN_ARM_SD if settings.vehicle.rear_axle_body_m is None else 0.0
+    return OdometerModel(settings.odometer.speed_sd_m_s, arm_sd)
+
+
+@compilable
+def speed_observation(
+    axle: tuple[FloatArray, FloatArray], row: Row, reading: tuple[float, float, bool], model: OdometerModel
+) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+    """Innovation z, matrix H and covariance R of a speed, and whether the filter does not know better: see the class.
+
+    Wheels that stand move the axle in no direction: forward to within the dead zone, sideways and down at once. A zero
+    in doubt is not used while the filter does not know better; where it does, the gate decides.
+    """
+    (ahead, axle_H), (measured, resolution, exact) = axle, reading
+    scale, forward = 1.0 + float(row.parameters[em.ODOMETER_SCALE - em.DRIVING]), float(ahead[0])
+    H = scale * axle_H[:1]
+    H[0, em.ODOMETER_SCALE] = -forward
+    predicted, speed, rate = scale * forward, measured, row.state.rate_b[2]
+    noise = hypot(model.speed_sd, resolution / 12.0**0.5)
+    if measured == 0.0:
+        noise = hypot(noise, DEAD_ZONE_SD)
+    side = 0.0 if exact and model.arm_sd == 0.0 else HALF_TRACK_M * rate
+    old = STAMP_SD * norm(row.state.acceleration_n)
+    variance = noise**2 + side**2 + old**2
+    if measured == 0.0:
+        sway2 = SWAY_SD**2 + (model.arm_sd * rate) ** 2
+        rows, R = np.empty((3, em.SIZE)), np.zeros((3, 3))
+        rows[0], rows[1:] = H[0], axle_H[1:]
+        R[0, 0], R[1, 1], R[2, 2] = variance, sway2, sway2
+        unsure = float(H[0] @ row.P @ H[0]) > DEAD_ZONE_SD**2
+        return np.array([-predicted, -float(ahead[1]), -float(ahead[2])]), rows, R, unsure
+    if speed > 0.0:
+        direction = tanh(speed * predicted / (float(H[0] @ row.P @ H[0]) + variance))
+        variance += speed**2 * (1.0 - direction**2)
+        speed *= direction
+    return np.array([speed - predicted]), H, np.array([[variance]]), False
 
 
 def of_speed(message: VehicleSpeed, settings: Settings) -> Iterator[WheelSpeed]:

@@ -218,16 +218,30 @@ class Bank:
         horizon_ns = self._horizon_ns
         for entry in timeline.log.entries(told_ns, horizon_ns):
             self.motion.use(entry)
-        memory_ns = round((self._settings.history_s + self._settings.merge_delay_s) * 1e9) + RETENTION_NS
         most = PART * max(1, round((horizon_ns - told_ns) * 1e-9 * FASTEST_HZ))
         for member in self._members:
-            used = member.cursor.advance(timeline.log, horizon_ns, most if member.is_behind else None)
-            member.is_behind &= used == most
-            member.see(member.cursor.outcomes())
-            member.cursor.forget(horizon_ns - memory_ns)
+            if member.is_behind:
+                self._advance(member, horizon_ns, most)
+        followers = [member for member in self._members if not member.is_behind]
+        if followers:  # one after the other: longer batches cost less, and no step has all of them
+            self._advance(min(followers, key=lambda member: member.cursor.engine.time_ns), horizon_ns, None)
         if horizon_ns // SECOND_NS != self._anchored_s:
             self._anchored_s = horizon_ns // SECOND_NS
             self._anchor(main, horizon_ns)
+
+    def _advance(self, member: Member, horizon_ns: int, most: int | None) -> None:
+        """Advance one cursor to the horizon, or by so many samples towards it."""
+        memory_ns = round((self._settings.history_s + self._settings.merge_delay_s) * 1e9) + RETENTION_NS
+        used = member.cursor.advance(self._log, horizon_ns, most)
+        member.is_behind &= used == most
+        member.see(member.cursor.outcomes())
+        member.cursor.forget(horizon_ns - memory_ns)
+
+    def _follow_up(self) -> None:
+        """Advance all cursors to the horizon that do not catch up with it."""
+        for member in self._members:
+            if not member.is_behind and member.cursor.engine.time_ns < self._horizon_ns:
+                self._advance(member, self._horizon_ns, None)
 
     def suspect(self, since_ns: int | None) -> None:
         """Start all cursors anew from before a suspect time, when it becomes known or earlier than it was."""
@@ -275,7 +289,8 @@ class Bank:
         self._timeline.followers = tuple(member.cursor for member in self._members)
 
     def oldest(self, hypothesis: Hypothesis) -> Member | None:
-        """Cursor of a hypothesis that has run for the longest time."""
+        """Cursor of a hypothesis that has run for the longest time, at the horizon."""
+        self._follow_up()
         mine = [member for member in self._members if member.kept.hypothesis is hypothesis]
         return min(mine, key=lambda member: member.anchor_ns, default=None)
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.inertial.strapdown import POLAR_FACTOR, LocalEarth
-from shared.maths.compiled import compilable, compiled
+from shared.maths.compiled import compilable, compiled, inlined
 from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Quaternion, Vector
 
@@ -198,7 +198,7 @@ def transition_matrix(Ft: FloatArray, gnss_decay: float, velocity_decay: float) 
     return Phi
 
 
-@compilable
+@inlined
 def predicted(P: FloatArray, Ft: FloatArray, gnss_decay: float, velocity_decay: float, Q: FloatArray) -> FloatArray:
     """Covariance after a step, Phi P Phi^T + diag(Q), with Phi of `transition_matrix`: only its blocks are multiplied.
 

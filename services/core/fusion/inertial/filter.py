@@ -1,15 +1,16 @@
 """Error-state Kalman filter (ESKF): inertial state, IMU errors and parameters, with the covariance of their errors."""
 
-from math import exp, inf, isfinite, sqrt
-from operator import sub
+from collections.abc import Sequence
+from math import exp, sqrt
+from operator import is_not
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.copies import shallow
-from shared.errors import FilterDiverged
-from shared.inertial.strapdown import InertialState, corrected, local_earth
+from shared.inertial.strapdown import InertialState, local_earth
+from shared.maths.compiled import compilable
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion
@@ -21,15 +22,28 @@ from ..smoothing.history import HistoryRecorder
 from ..states import LAYOUT
 from . import error_model as em
 from .propagation import (
+    NEVER_NS,
     ZERO,
     ImuErrors,
     Intervals,
     Samples,
     Stop,
-    implausible,
     initial_state,
     propagate,
     propagate_arrays,
+)
+from .row import (
+    PARAMETERS,
+    Numbers,
+    ProcessNoise,
+    Row,
+    diverged,
+    fault_of,
+    minus,
+    packed,
+    row_of,
+    step_of,
+    subtracted,
 )
 from .standstill import Limits
 
@@ -59,7 +73,7 @@ class FixDelay(NamedTuple):
 
     def change(self, velocity: Vector) -> Vector:
         """Change of the velocity [m/s, NED] in that time."""
-        return minus(velocity, [*self.velocity])
+        return minus(velocity, self.velocity)
 
     def velocity_cov(self, velocity: Vector) -> FloatArray:
         """Covariance [m²/s²] of a late GNSS velocity by its delay, shape (3, 3)."""
@@ -68,7 +82,8 @@ class FixDelay(NamedTuple):
 
     def way(self, velocity: Vector) -> Vector:
         """Way [m, NED] in the delay of positions, which a receiver has still to go: by the mean velocity in it."""
-        mean = minus(velocity, [0.5 * abs(self.position_s) / self.longest_s * part for part in self.change(velocity)])
+        share, (x, y, z) = 0.5 * abs(self.position_s) / self.longest_s, self.change(velocity)
+        mean = minus(velocity, (share * x, share * y, share * z))
         north, east, down = (self.position_s * part for part in mean)
         return north, east, down
 
@@ -115,6 +130,7 @@ class ErrorStateFilter:
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
         self._has_sample = False
+        self._values: tuple[tuple[object, ...], FloatArray] | None = None  # of `numbers`, and what they are made of
         self._noise_psd = em.process_noise_psd(*((LAYOUT.place(b.name), b.psd(settings)) for b in LAYOUT.blocks))
 
     def unrecorded(self) -> "ErrorStateFilter":
@@ -122,6 +138,39 @@ class ErrorStateFilter:
         made = shallow(self)
         made.recorder = None
         return made
+
+    @property
+    def row(self) -> Row:
+        """What samples and updates change."""
+        return Row(self.state, self.P, self.imu, np.array(self.parameters), self.position_correction)
+
+    def take(self, row: Row) -> None:
+        """Take over what samples and updates have changed."""
+        self.state, self.P, self.imu, parameters, self.position_correction = row
+        self.parameters = tuple(parameters.tolist())
+
+    @property
+    def numbers(self) -> Numbers:
+        """The row as arrays."""
+        members = self.state, self.imu, self.parameters, self.position_correction
+        if self._values is None or any(map(is_not, members, self._values[0])):
+            self._values = members, packed(self.row).values
+        return Numbers(self.state.time_ns, self._values[1], self.P)
+
+    def take_numbers(self, numbers: Numbers) -> None:
+        """Take over a row that compiled code has changed."""
+        time_ns, values, P = numbers
+        self.take(row_of(time_ns, values.tolist(), P, values[PARAMETERS:]))
+        self._values = (self.state, self.imu, self.parameters, self.position_correction), values
+
+    @property
+    def noise(self) -> ProcessNoise:
+        """Noise that drives the errors of now."""
+        errors = self.velocity_errors
+        return ProcessNoise(
+            self._noise_psd, self._settings.imu.vibration_factor, self.gnss_errors.correlation_s,
+            gnss_velocity_errors.CORRELATION_S, errors.variance, errors.follows,
+        )  # fmt: skip
 
     @property
     def inertial(self) -> InertialState:
@@ -182,10 +231,6 @@ class ErrorStateFilter:
         """Acceleration [m/s², NED] of the last sample."""
         return self.state.acceleration_n
 
-    def rate_noise(self, span_s: float) -> float:
-        """Standard deviation [rad/s] of the mean angular rate over a time, due to vibration."""
-        return sqrt(self.state.rate_vibration_psd / span_s)
-
     def parameter(self, place: int) -> float:
         """Value of a parameter, by the index of its error in the state."""
         return self.parameters[place - em.DRIVING]
@@ -206,46 +251,30 @@ class ErrorStateFilter:
         begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
         self.parameters = (*self.parameters[:begin], *values.tolist(), *self.parameters[end:])
 
+    def begin_samples(self, row: Sequence[float] | FloatArray) -> None:
+        """Measure vibration from the first sample on."""
+        if not self._has_sample:
+            fx, fy, fz, wx, wy, wz = map(float, row)
+            self.state, self._has_sample = self.state._replace(force=(fx, fy, fz), rate=(wx, wy, wz)), True
+
     def propagate(
-        self, samples: Samples, begin: int, end: int, limits: Limits, intervals: Intervals
+        self, samples: Samples, begin: int, end: int, limits: Limits, intervals: Intervals, due_ns: int = NEVER_NS
     ) -> tuple[int, Stop]:
         """Propagate the state over samples; returns how many, and why it stopped: see `propagation.propagate`."""
         times_ns, rows, _ = samples
-        if not self._has_sample and begin < end:
-            fx, fy, fz, wx, wy, wz = map(float, rows[begin])
-            self.state, self._has_sample = self.state._replace(force=(fx, fy, fz), rate=(wx, wy, wz)), True
+        if begin < end:
+            self.begin_samples(rows[begin])
         loop = propagate_arrays if isinstance(rows, np.ndarray) else propagate
-        self.state, taken, stop = loop(self.state, times_ns, rows, begin, end, self.imu, limits, intervals)
+        self.state, taken, stop = loop(self.state, times_ns, rows, begin, end, self.imu, limits, intervals, due_ns)
         return taken, Stop(stop)
 
     def propagate_covariance(self) -> None:
         """Propagate the covariance to the instant of the state: P = Phi P Phi^T + Q."""
-        state, span_s = self.state, self.state.span_s
+        span_s = self.state.span_s
         if span_s == 0.0:
             return
-        estimated = self.P.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start) > 0.0
-        factor = self._settings.imu.vibration_factor
-        self.P, Ft, gnss_decay, velocity_decay = em.propagated(
-            self.P,
-            state.quaternion,
-            state.velocity,
-            state.position,
-            state.earth,
-            state.velocity_gain_n,
-            state.rotation_b,
-            span_s,
-            self._noise_psd,
-            factor * state.rate_vibration_psd,
-            factor * state.force_vibration_psd,
-            self.gnss_errors.correlation_s if estimated else inf,
-            gnss_velocity_errors.CORRELATION_S,
-            self.velocity_errors.variance,
-        )
-        if gnss_decay != 1.0:
-            self._set_parameters(em.GNSS_ERROR, gnss_decay * self.gnss_error)
-        if self.velocity_errors.follows:
-            self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
-        self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
+        row, Ft, gnss_decay, velocity_decay = step_of(self.row, self.noise)
+        self.take(row)
         if self.late is not None:
             self._lag(self.late, span_s)
         self._check()
@@ -288,7 +317,8 @@ class ErrorStateFilter:
         change, share = late.change(self.velocity), SCATTER * late.position_s / late.longest_s
         self.inflate_along(em.POSITION, share * sqrt(late.longest_s * span_s) * np.array(change))
         left = exp(-span_s / late.longest_s)
-        self.late = late._replace(velocity=minus(self.velocity, [left * part for part in change]))
+        x, y, z = change
+        self.late = late._replace(velocity=minus(self.velocity, (left * x, left * y, left * z)))
 
     def begin_standstill(self) -> None:
         """Begin a new interval between two zero-velocity updates."""
@@ -313,8 +343,7 @@ class ErrorStateFilter:
 
     def inflate_along(self, block: slice, error: FloatArray) -> None:
         """Add to P the covariance of an error along a direction, shape (3,), of one block of the state, in its unit."""
-        self.P = self.P.copy()
-        self.P[block, block] += np.outer(error, error)
+        self.P = inflated_along(self.P, block, error)
 
     def reset_odometer_scale(self) -> None:
         """Reset the scale factor of the odometer and its variance, for another odometer."""
@@ -353,35 +382,21 @@ class ErrorStateFilter:
 
     def subtract_errors(self, errors: FloatArray, P: FloatArray) -> None:
         """Subtract errors x, shape (31,), from the state, true = estimated - x, and set the covariance P after it."""
-        x: list[float] = errors.tolist()
-        self.P = P
-        self.position_correction = minus(self.position_correction, x[em.POSITION])
-        self.imu = ImuErrors(
-            minus(self.imu.accelerometer_bias, x[em.ACCELEROMETER_BIAS]),
-            minus(self.imu.gyroscope_bias, x[em.GYROSCOPE_BIAS]),
-            minus(self.imu.accelerometer_scale, x[em.ACCELEROMETER_SCALE]),
-            minus(self.imu.gyroscope_scale, x[em.GYROSCOPE_SCALE]),
-        )
-        self.inertial = corrected(self.inertial, x[: em.MOVING])
-        rx, ry, rz = self.state.rate_b
-        bx, by, bz = x[em.GYROSCOPE_BIAS]
-        self.state = self.state._replace(rate_b=(rx + bx, ry + by, rz + bz))
-        self.parameters = tuple(map(sub, self.parameters, x[em.PARAMETERS]))
+        self.take(subtracted(self.row, errors, P))
         self._check()
 
     def _check(self) -> None:
         """Raise `FilterDiverged` if P is not finite with positive variances, or the state is implausible."""
-        variances = self.P.diagonal().tolist()
-        if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
-            raise FilterDiverged("the covariance is not positive")
-        if (violation := implausible(self.state)) is not None:
-            cause, text = violation
-            raise FilterDiverged(text, cause)
+        if fault := fault_of(self.row):
+            raise diverged(fault)
 
 
-def minus(old: Vector, errors: list[float]) -> Vector:
-    """Difference of a vector and its errors."""
-    return old[0] - errors[0], old[1] - errors[1], old[2] - errors[2]
+@compilable
+def inflated_along(P: FloatArray, block: slice, error: FloatArray) -> FloatArray:
+    """Covariance to which that of an error, shape (3,), of one block of the state was added."""
+    after = P.copy()
+    after[block, block] += error.reshape(3, 1) * error
+    return after
 
 
 def rescaled(P: FloatArray, place: slice, ratios: FloatArray) -> FloatArray:

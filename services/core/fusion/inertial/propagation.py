@@ -7,7 +7,7 @@ before the next sample and returns a `Stop`, which the engine handles then; so n
 
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from math import inf, isfinite, pi
+from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ IntArray = npt.NDArray[np.int64]
 ZERO: Vector = (0.0, 0.0, 0.0)
 GAP_S = 0.05  # longest step between two samples; a longer one is a gap
 VIBRATION_S = 1.0  # time constant of the measured vibration
-COMPILED_FROM = 4  # smallest number of samples for compiled code
+NEVER_NS = 2**62
 INTERVAL_SHARE = 0.99  # share of an interval after which it has ended: sums of sampling periods jitter
 MAX_SPEED_M_S = 500.0  # plausible speed
 HIGHEST_LATITUDE = 0.4999 * pi  # [rad] 2 km from the pole, where NED is singular
@@ -39,6 +39,8 @@ class Stop(IntEnum):
     COVARIANCE_DUE = 2
     ZERO_VELOCITY_DUE = 3
     NON_HOLONOMIC_DUE = 4
+    MEASUREMENT_DUE = 5  # the state is at the stamp of the next measurement
+    DIVERGED = 6  # in an update
 
 
 class Intervals(NamedTuple):
@@ -48,6 +50,7 @@ class Intervals(NamedTuple):
     zero_velocity_s: float = inf
     non_holonomic_s: float = inf
     gap_s: float = GAP_S
+    covariance_at_end: bool = False  # it is propagated to the last sample as well
 
 
 class ImuErrors(NamedTuple):
@@ -96,8 +99,8 @@ class Samples(NamedTuple):
 
 
 def samples_of(times_ns: Sequence[int] | IntArray, rows: npt.ArrayLike, faults: Mapping[int, str]) -> Samples:
-    """Samples as arrays for compiled code, or as lists where they are too few for it."""
-    if COMPILED and len(times_ns) >= COMPILED_FROM:
+    """Samples as arrays for compiled code, or as lists where there is none."""
+    if COMPILED:
         return Samples(np.asarray(times_ns, np.int64), np.ascontiguousarray(rows, np.float64), faults)
     times_ns = times_ns.tolist() if isinstance(times_ns, np.ndarray) else times_ns
     return Samples(times_ns, rows.tolist() if isinstance(rows, np.ndarray) else rows, faults)  # type: ignore[arg-type]
@@ -110,7 +113,7 @@ def initial_state(inertial: InertialState, force: Vector, rate: Vector) -> State
 
 
 @compilable
-def propagate(  # noqa: PLR0915  # one loop
+def propagate(  # noqa: PLR0913, PLR0915, PLR0917  # one loop, and compiled code takes numbers and arrays
     state: State,
     times_ns: Sequence[int] | IntArray,
     rows: Sequence[Sequence[float]] | FloatArray,
@@ -119,6 +122,7 @@ def propagate(  # noqa: PLR0915  # one loop
     errors: ImuErrors,
     limits: Limits,
     intervals: Intervals,
+    due_ns: int = NEVER_NS,
 ) -> tuple[State, int, int]:
     """Propagate over samples until all are taken, or something else is due.
 
@@ -138,13 +142,15 @@ def propagate(  # noqa: PLR0915  # one loop
         Of the standstill detector.
     intervals : Intervals
         Intervals of the updates.
+    due_ns : int
+        Stamp of the next measurement; of a sample that ends at it or later only the part up to it is used.
 
     Returns
     -------
     State
-        At the end of the last sample that was taken.
+        At the end of the last sample that was taken, or at the stamp of the measurement.
     int
-        Number of samples that were used.
+        Number of samples that were used in full.
     int
         The `Stop`, as a number: compiled code is slow at making members of an enumeration.
 
@@ -171,6 +177,9 @@ def propagate(  # noqa: PLR0915  # one loop
         if step > gap_s:
             stop = Stop.GAP
             break
+        if time_ns >= due_ns:
+            stop = Stop.MEASUREMENT_DUE
+            break
         if span_s >= covariance_s:
             stop = Stop.COVARIANCE_DUE
             break
@@ -180,7 +189,12 @@ def propagate(  # noqa: PLR0915  # one loop
         if non_holonomic_s >= constraint_s:
             stop = Stop.NON_HOLONOMIC_DUE
             break
-        row, k = rows[k], k + 1
+        row, end_ns = rows[k], times_ns[k]
+        if end_ns < due_ns:
+            k += 1
+        else:
+            end_ns = due_ns
+            step = (end_ns - time_ns) * 1e-9
         if step <= 0.0:
             continue
         fx, fy, fz, wx, wy, wz = row[0], row[1], row[2], row[3], row[4], row[5]
@@ -189,7 +203,7 @@ def propagate(  # noqa: PLR0915  # one loop
         quaternion, velocity, position, earth, force_n, acceleration_n = mechanise(
             quaternion, velocity, position, earth, force_b, rate_b, step
         )
-        time_ns = times_ns[k - 1]
+        time_ns = end_ns
 
         span_s += step
         vn, ve, vd = vn + force_n[0] * step, ve + force_n[1] * step, vd + force_n[2] * step
@@ -233,13 +247,3 @@ def propagate(  # noqa: PLR0915  # one loop
 
 
 propagate_arrays = compiled(propagate)  # for arrays
-
-
-def implausible(state: State) -> tuple[str, str] | None:
-    """Cause and text why a state violates the plausibility limits, or None."""
-    if not isfinite(sum(state.quaternion) + sum(state.velocity) + sum(state.position)):
-        return "not_finite", "the state is not finite"
-    if norm(state.velocity) >= MAX_SPEED_M_S:
-        return "velocity", "the velocity is implausible"
-    near_pole = abs(state.position[0]) >= HIGHEST_LATITUDE
-    return ("latitude", "the position is too near a pole") if near_pole else None

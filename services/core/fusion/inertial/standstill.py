@@ -15,6 +15,8 @@ import numpy.typing as npt
 from shared.maths.compiled import compilable
 from shared.maths.rotation import Vector
 
+from . import error_model as em
+
 FloatArray = npt.NDArray[np.float64]
 
 QUIET_S = 0.5  # time for which all conditions must hold
@@ -102,10 +104,16 @@ def is_standstill(quiet: StandstillState) -> bool:
     return quiet.quiet_s >= QUIET_S
 
 
-def limits_of(P: FloatArray) -> Limits:
-    """Limits for a filter with covariance P."""
-    speed = SPEED_SDS * sqrt(P.item(3, 3) + P.item(4, 4) + P.item(5, 5))
-    return CERTAIN_LIMITS if speed <= SPEED_LIMIT else Limits(speed, max(SLOWEST_PACE, SPEED_LIMIT / speed))
+@compilable
+def limits_of(P: FloatArray, wheels_stand: bool = False) -> Limits:
+    """Limits for a filter with covariance P; with wheels at zero speed, an uncertain filter needs no longer time."""
+    k = em.VELOCITY.start
+    speed = SPEED_SDS * sqrt(float(P[k, k]) + float(P[k + 1, k + 1]) + float(P[k + 2, k + 2]))
+    if speed <= SPEED_LIMIT:
+        speed, pace = SPEED_LIMIT, 1.0
+    else:
+        pace = max(SLOWEST_PACE, SPEED_LIMIT / speed)
+    return Limits(speed, 1.0, 1.0) if wheels_stand else Limits(speed, pace, SLOWEST_PACE)
 
 
 @compilable

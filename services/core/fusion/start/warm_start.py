@@ -21,7 +21,8 @@ from shared.maths.rotation import Vector
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.imu_faults import Sample, credible, mean
-from ..inertial.propagation import ZERO, ImuErrors, Intervals, implausible, initial_state, samples_of
+from ..inertial.propagation import ZERO, ImuErrors, Intervals, initial_state, samples_of
+from ..inertial.row import implausible
 from ..inertial.standstill import CERTAIN_LIMITS, UNSETTLED
 from ..integrity.disagreement import NO_DISAGREEMENT, Disagreement
 from ..settings import Settings

@@ -124,9 +124,8 @@ class Cursor:
         used = 0
         while most is None or used < most:
             begin_ns = self.engine.time_ns
-            samples = log.samples(
-                begin_ns, until_ns, BATCH_SAMPLES if most is None else min(BATCH_SAMPLES, most - used)
-            )
+            wanted = BATCH_SAMPLES if most is None else min(BATCH_SAMPLES, most - used)
+            samples = log.samples(begin_ns, until_ns, wanted)
             if not len(samples.times_ns):
                 break
             end_ns = int(samples.times_ns[-1])
@@ -134,6 +133,8 @@ class Cursor:
             used += len(samples.times_ns)
             if not self._snapshots or end_ns // PERIOD_NS > self._snapshots[-1].time_ns // PERIOD_NS:
                 self._keep()
+            if len(samples.times_ns) < wanted:
+                break
         return used
 
     def entries(self, log: Log, after_ns: int, until_ns: int) -> list[Measurement]:

@@ -1,6 +1,6 @@
 """The engine: alignment and filter as a function of IMU samples and measurements in the order of their stamps."""
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,10 +16,11 @@ from shared.messages.navigation import AidingKind, NavigationPhase
 
 from ..aids import non_holonomic, zero_velocity
 from ..aids.aiding import Aids
-from ..aids.base import Counts, Measurement, Outcome
+from ..aids.base import Counts, Measurement, Outcome, Sensor
 from ..aids.gnss.comparison import Comparison
 from ..aids.gnss.fix import GnssPosition
 from ..aids.non_holonomic import NonHolonomic
+from ..aids.updates import model_of
 from ..aids.zero_velocity import Standstill
 from ..codes import Code, HeadingMethod
 from ..inertial.filter import ErrorStateFilter
@@ -30,7 +31,8 @@ from ..inertial.imu_gaps import (
     inflate_for_gap,
     inflate_for_suspect_samples,
 )
-from ..inertial.propagation import Intervals, Samples, Stop, samples_of
+from ..inertial.propagation import NEVER_NS, Intervals, Samples, Stop, samples_of
+from ..inertial.row import diverged, mean_rate
 from ..inertial.standstill import is_standstill
 from ..integrity.after_loss import NO_LOSS
 from ..integrity.disagreement import CLOSURE_SDS, NO_DISAGREEMENT, Disagreement
@@ -43,6 +45,7 @@ from ..start.heading import Heading, Prior, better_prior
 from ..start.warm_start import SavedState, restored
 from .events import Event
 from .exclusion import Exclusions
+from .segment import Rules, segment
 
 KEPT_HEADING = Heading(0.0, radians(20.0), HeadingMethod.KEPT)
 BEFORE_ALL_NS = -(2**62)
@@ -67,6 +70,7 @@ class Engine:
     def __init__(self, settings: Settings, counts: Counts | None = None, lost: Explanation | None = None) -> None:
         self._settings = settings
         self.coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
+        self._model = model_of(settings)
         self._intervals = Intervals(
             settings.covariance_period_s,
             zero_velocity.PERIOD_S if settings.standstill.enabled else inf,
@@ -178,56 +182,105 @@ class Engine:
                 until = bisect_right(measurements, time_ns, due, key=lambda m: m.time_ns)
                 outcomes += self._bridge(_sample(samples, here), measurements[due:until], intervals)
                 here, due = here + 1, until
+            elif self.filter is not None:
+                taken, due = self._advance(samples, here, measurements, due, intervals, outcomes)
+                here += taken
             elif due < len(measurements) and measurements[due].time_ns <= time_ns:
-                outcomes += self._use_within(samples, here, measurements[due], intervals)
+                outcomes += self._align_within(samples, here, measurements[due])
                 due += 1
             else:
-                stop = end
-                if due < len(measurements):
-                    stop = bisect_left(times_ns, measurements[due].time_ns, here)
-                here += self._propagate(samples, here, stop, intervals, outcomes)
+                self._level(_sample(samples, here))
+                here += 1
         return outcomes
 
-    def _use_within(self, samples: Samples, here: int, measurement: Measurement, intervals: Intervals) -> list[Outcome]:
-        """Propagate over the part of a sample up to a measurement, and use the measurement."""
-        outcomes: list[Outcome] = []
+    def _align_within(self, samples: Samples, here: int, measurement: Measurement) -> list[Outcome]:
+        """Use the part of a sample up to a measurement in the alignment, and the measurement."""
         if measurement.time_ns < self.time_ns:
-            return outcomes
+            return []
         if measurement.time_ns > self.time_ns:
-            faults = {0: samples.faults[here]} if here in samples.faults else {}
-            part = samples_of([measurement.time_ns], [[*map(float, samples.rows[here])]], faults)
-            while not self._propagate(part, 0, 1, intervals, outcomes):
-                pass  # another update was due first
-        return outcomes + self._use(measurement)
+            self._level(_sample(samples, here)._replace(time_ns=measurement.time_ns))
+        return self._use(measurement)
 
-    def _propagate(self, samples: Samples, begin: int, end: int, intervals: Intervals, outcomes: list[Outcome]) -> int:
-        """Propagate over samples until an update is due, and make the update; returns the number of samples used."""
+    def _advance(
+        self, samples: Samples, begin: int, measurements: Sequence[Measurement], due: int, intervals: Intervals,
+        outcomes: list[Outcome],
+    ) -> tuple[int, int]:  # fmt: skip
+        """Propagate the filter over samples with all updates that are due, up to one that has rules of its own.
+
+        Returns
+        -------
+        tuple of int
+            Number of samples that were used in full, and the place of the next measurement.
+        """
+        assert self.filter is not None
+        self.filter.begin_samples(samples.rows[begin])
+        if self._goes_step_by_step(samples, begin):
+            return self._step(samples, begin, measurements, due, intervals, outcomes)
+        navigation, aids, reason = self.filter, self.aids, self.exclusions.reason_of(Sensor.ODOMETER)
+        prepared = aids.speeds(measurements, due, excluded=reason is not None)
+        end = self._stop(samples, begin, len(samples.times_ns))
+        rules, begin_ns = Rules(navigation.noise, self._model, intervals), navigation.time_ns
+        found = segment(navigation.numbers, samples, begin, end, prepared.arrays, aids.standing, rules)
+        navigation.take_numbers(found.numbers)
+        self.last = Sample(navigation.time_ns, navigation.state.force, navigation.state.rate)
+        made = aids.took(prepared, found.used, found.standing, begin_ns, found.records, reason)
+        for outcome in made:
+            if outcome.used and outcome.kind is AidingKind.ODOMETER:
+                self._odometer_ns = outcome.time_ns
+        outcomes += made
+        due = prepared.speeds[found.used - 1].place + 1 if found.used else due
+        self._update_phase()
+        if found.stop is Stop.DIVERGED:
+            self._reset(explain(Code.DIVERGED, cause=diverged(found.fault).cause), kept=None)
+        elif found.stop is Stop.MEASUREMENT_DUE:
+            due = prepared.next + 1
+            outcomes += self._use_in_time(measurements[prepared.next])
+        return found.taken, due
+
+    def _use_in_time(self, measurement: Measurement) -> list[Outcome]:
+        """Use a measurement, unless it is older than the state: of a gap that ended the solution."""
+        return self._use(measurement) if measurement.time_ns >= self.time_ns else []
+
+    def _goes_step_by_step(self, samples: Samples, begin: int) -> bool:
+        """Whether each step is looked at: by the smoother, for a suspect sample, a delay, or a reset that is near."""
+        assert self.filter is not None
+        looked_at = self.filter.recorder is not None or self.filter.late is not None
+        return looked_at or begin in samples.faults or self._rejections >= self._settings.gating.reset_after_rejections
+
+    def _step(
+        self, samples: Samples, begin: int, measurements: Sequence[Measurement], due: int, intervals: Intervals,
+        outcomes: list[Outcome],
+    ) -> tuple[int, int]:  # fmt: skip
+        """Propagate until an update is due, and make the update: see `_advance`."""
         before_ns, navigation = self.time_ns, self.filter
-        if navigation is None:
-            self._level(_sample(samples, begin))
-            return 1
+        assert navigation is not None
         limits = self.aids.standstill_limits(before_ns, navigation)
-        taken, stop = navigation.propagate(samples, begin, self._stop(samples, begin, end), limits, intervals)
-        if taken:
+        due_ns = measurements[due].time_ns if due < len(measurements) else NEVER_NS
+        end = self._stop(samples, begin, len(samples.times_ns))
+        taken, stop = navigation.propagate(samples, begin, end, limits, intervals, due_ns)
+        moved = navigation.time_ns > before_ns
+        if moved:
             self.last = Sample(navigation.time_ns, navigation.state.force, navigation.state.rate)
         match stop:
             case Stop.COVARIANCE_DUE:
                 self.attempt(ErrorStateFilter.propagate_covariance)
             case Stop.ZERO_VELOCITY_DUE:
-                (x, y, z), span_s = navigation.state.standstill_rotation_b, navigation.state.standstill_s
+                rate, rate_sd = mean_rate(navigation.state)
                 navigation.begin_standstill()
-                rate, rate_sd = (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)
                 outcomes += self._use(Standstill(self.time_ns, rate, rate_sd))
             case Stop.NON_HOLONOMIC_DUE:
                 navigation.begin_non_holonomic()
                 if hypot(*navigation.velocity) > non_holonomic.MIN_SPEED_M_S:
                     outcomes += self._use(NonHolonomic(self.time_ns, self._settings))
-            case Stop.GAP | Stop.END_OF_SAMPLES:
-                pass  # handled by `_process`
-        if taken and begin in samples.faults:
+            case _:
+                pass  # handled by `_process`, or below
+        if moved and begin in samples.faults:
             self._inflate_for_suspect((self.time_ns - before_ns) * 1e-9)
         self._update_phase()
-        return taken
+        if stop is Stop.MEASUREMENT_DUE:
+            outcomes += self._use_in_time(measurements[due])
+            due += 1
+        return taken, due
 
     def _stop(self, samples: Samples, begin: int, end: int) -> int:
         """End of the samples for one propagation: before a suspect sample, and after the first that is coasting."""

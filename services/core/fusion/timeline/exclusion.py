@@ -18,8 +18,12 @@ class Exclusions:
 
     def reason(self, measurement: Measurement) -> str | None:
         """Reason why a measurement is excluded, or None."""
-        if self.gnss_since_ns is not None and measurement.sensor is Sensor.GNSS:
+        return self.reason_of(measurement.sensor)
+
+    def reason_of(self, sensor: Sensor) -> str | None:
+        """Reason why measurements of a sensor are excluded, or None."""
+        if self.gnss_since_ns is not None and sensor is Sensor.GNSS:
             return "GNSS is excluded by core.trust"
-        if self.odometer and measurement.sensor is Sensor.ODOMETER:
+        if self.odometer and sensor is Sensor.ODOMETER:
             return "odometer is excluded by core.trust"
         return None

@@ -14,7 +14,7 @@ from .events import Event
 from .log import Log
 
 MAX_STEP_S = 0.5  # of the covariance
-ALONE = Intervals(MAX_STEP_S, zero_velocity_s=inf, non_holonomic_s=inf)
+ALONE = Intervals(MAX_STEP_S, zero_velocity_s=inf, non_holonomic_s=inf, covariance_at_end=True)
 ALL_SAMPLES = 1_000_000  # samples
 
 

@@ -242,4 +242,4 @@ class Timeline:
                 cursor.forget_all()
         oldest_ns = [cursor.oldest_ns for cursor in self.verdicts.cursors if cursor.oldest_ns is not None]
         if oldest_ns:
-            self.log.drop(min(oldest_ns))
+            self.log.drop(min(*oldest_ns, *(cursor.engine.time_ns for cursor in self.followers), self.newest_ns))
