@@ -12,9 +12,10 @@ import tempfile
 from collections.abc import Callable
 from hashlib import sha256
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, TypeVar
+
+from ..packages import offered
 
 SOURCES = "shared", "services/core"  # folders of all code that is compiled, and of what it calls
 MAX_VERSIONS = 32  # versions of the code whose machine code is kept: 1.5 MB each; several trees have one each
@@ -35,8 +36,7 @@ def machine_code() -> Path:
     root = Path(__file__).resolve().parents[2]
     files = sorted(path for folder in SOURCES for path in (root / folder).rglob("*.py"))
     stamps = ((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
-    states = sorted(f"{point.name} {point.value}" for point in entry_points(group=EXTERNAL_STATES))
-    version = sha256(repr([*stamps, *states]).encode()).hexdigest()[:16]
+    version = sha256(repr([*stamps, *offered(EXTERNAL_STATES)]).encode()).hexdigest()[:16]
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "obu" / "numba"
     try:
         (cache / version).mkdir(parents=True, exist_ok=True)

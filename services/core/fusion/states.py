@@ -10,7 +10,9 @@ A package that is installed beside the unit may bring further blocks (`external.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from typing import Any, cast
+
+from shared.packages import brought
 
 from .settings import Settings
 
@@ -118,8 +120,7 @@ class Layout:
 
 def external_blocks() -> tuple[Block, ...]:
     """Blocks of installed packages, in the order of the names of their entry points."""
-    points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
-    return tuple(block for point in points for block in point.load().BLOCKS)
+    return tuple(block for module in brought(GROUP) for block in cast(Any, module).BLOCKS)
 
 
 LAYOUT = Layout((*INERTIAL, *AIDS, *external_blocks()))

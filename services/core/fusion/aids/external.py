@@ -9,11 +9,11 @@ this, and found by name: `LAYOUT.place(name)`.
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, cast
 
 from shared.messages.base import Message
 from shared.messages.navigation import AidingKind
+from shared.packages import brought
 
 from ..settings import Settings
 from .base import Measurement
@@ -27,7 +27,7 @@ Converter = Callable[[Any, Settings], Iterable[Measurement]]
 def external_kinds() -> Mapping[type[Message], tuple[Converter, ...]]:
     """Functions of all installed packages, by the class of message; read once a process."""
     found: dict[type[Message], tuple[Converter, ...]] = defaultdict(tuple)
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        for message, converters in point.load().KINDS.items():
+    for module in brought(GROUP):
+        for message, converters in cast(Any, module).KINDS.items():
             found[message] += tuple(converters)
     return dict(found)

@@ -134,7 +134,7 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
             kind, rate_is_due = ZERO_ANGULAR_RATE, False
         else:
             if used < len(speed_times_ns):
-                due_ns = speed_times_ns[used]
+                due_ns = int(speed_times_ns[used])
                 if due_ns < row.state.time_ns:  # of a gap that ended the solution
                     used += 1
                     continue
@@ -182,7 +182,7 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
                 record(records[n], row.state.time_ns - time_ns, kind, verdict, ratio, z, S, x)
                 n += 1
                 if kind == ODOMETER and not excluded:
-                    wheels_until_ns = stand_until_ns[used]
+                    wheels_until_ns = int(stand_until_ns[used])
                     row, inflation_ns = inflated(row, inflation_ns, H, verdict == BEYOND_GATE)
         used += kind == ODOMETER
         if fault:
