@@ -39,6 +39,7 @@ PURE_SHARED |= {"shared.load"}  # which work is paused while a computer is too s
 PURE_SHARED |= {"shared.words"}  # rows of data, read once
 PURE_SHARED |= {"shared.trust"}  # the result of a test of a monitor
 PURE_SHARED |= {"shared.copies"}  # shallow copies of objects
+PURE_SHARED |= {"shared.packages"}  # which packages are installed does not change while a process runs
 PURE_SHARED |= {"shared.maths.compiled"}  # it changes how fast mathematics runs, and not what comes of it
 
 
