@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ...bounded import SizeExceeded, read_bytes
 from ...errors import RejectedFrame
+from ...faults import FOREIGN
 from ...messages.v2x import Unverified
 from . import lists, signatures
 from .certificates import CRL_PSID, CTL_PSID, Certificate, take_certificate
@@ -149,7 +150,7 @@ def _read(folder: Path) -> _Files:
                 files.lists.append((path.name, read_list(data)))
             else:
                 files.certificates.append((path.name, _whole_certificate(data)))
-        except (RejectedFrame, SizeExceeded, OSError) as error:
+        except (RejectedFrame, SizeExceeded, OSError, *FOREIGN) as error:
             files.faults.append(f"{path.name}: neither a certificate nor a trust list that can be used: {error}")
     return files
 
