@@ -582,7 +582,7 @@ class Core:
             if here.time_ns - silent_since_ns < self._settings.track.silence_ns(found.here.speed):
                 return True
         self._attach(journey, found, track)
-        if found.crossing is None and journey.crossing is None:
+        if found.crossing is None and journey.crossing is None and found.here.time_ns < here.time_ns:
             journey.before = journey.before or found.here
         return False
 

@@ -33,6 +33,7 @@ Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and 
 Sender = tuple[int, str | None, int]
 MAX_SPEED = 70.0  # [m/s]
 PLACES = 4  # at which one station is followed
+CLOCK_JITTER_NS = 250_000_000  # by which the delay of a station's CAM varies on the channel and on this computer
 
 
 @dataclass
@@ -200,7 +201,7 @@ class TrackTable:
     def continue_clock(self, cam: Cam, clock_offset_ns: int) -> None:
         """Correct the times of a station from here on as before a restart; its CAM so far were corrected already."""
         for track in self.tracks_of(cam.station_id):
-            if track.ticket == ticket_of(cam):
+            if track.ticket is None and ticket_of(cam) is None:
                 track.clock_offset_ns = clock_offset_ns
 
     def tracks_of(self, station_id: int) -> list[Track]:
@@ -226,25 +227,52 @@ class TrackTable:
         if cam.position_out_of_range:
             self.rejected["position_cannot_be_trusted"] += 1
             return None
+        if reason := self._wrong_time(cam):
+            self.rejected[reason] += 1
+            return None
         north, east = self._plaza.plane(cam.latitude_deg, cam.longitude_deg)
         if hypot(north, east) > self._settings.range_m:
             self.rejected["out_of_range"] += 1
             return None
         return CamMeasurement(cam, 0, east, north)
 
+    def _wrong_time(self, cam: Cam) -> str | None:
+        """Why an authenticated CAM is not used: it was relayed late, or the clock of its station is wrong."""
+        limit_ns = self._settings.clock_limit_s * 1e9
+        age_ns = cam.received_ns - cam.sampled_ns
+        if self.on_time or ticket_of(cam) is None or abs(age_ns) <= limit_ns:
+            return None
+        return "too_old" if age_ns > 0 else "from_the_future"
+
     def _on_unit_time(self, one: CamMeasurement) -> CamMeasurement:
-        """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM."""
+        """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM.
+
+        That of an authenticated station is signed, and is used as it is: who relays its CAM must not shift its times.
+        """
         track, cam = self.by_station.get(one.sender), one.cam
         age_ns = cam.received_ns - cam.sampled_ns
         offset_ns = 0
+        if one.is_authenticated or self.on_time:
+            return one
         if track is not None:
             offset_ns = track.clock_offset_ns
-        elif not self.on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+        elif not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
             offset_ns = age_ns
         if not offset_ns:
             return one
         corrected = cam.model_copy(update={"sampled_ns": cam.sampled_ns + offset_ns})
         return replace(one, cam=corrected, clock_offset_ns=offset_ns)
+
+    def _began_late(self, track: Track, one: CamMeasurement) -> bool:
+        """Whether a track's clock offset is in part the delay of its first CAM, as of one that somebody has relayed.
+
+        No CAM arrives before it is sent, so that the least offset of a vehicle is the nearest to that of its clock.
+        """
+        if one.is_authenticated or self.on_time:
+            return False
+        age_ns = one.cam.received_ns - one.cam.sampled_ns + one.clock_offset_ns
+        is_younger = age_ns < track.clock_offset_ns - CLOCK_JITTER_NS
+        return is_younger and self._distance(track, one) <= self._settings.gate_m
 
     def _round(self, measured: Sequence[CamMeasurement]) -> list[Update]:
         """Use one CAM of each of several stations."""
@@ -252,7 +280,10 @@ class TrackTable:
         self._busy.clear()
         for item in map(self._on_unit_time, map(self._placed, measured)):
             track = self.by_station.get(item.sender)
-            if track is None:
+            if track is not None and self._began_late(track, item):
+                self._delete(track)
+                new_tracks.append(self._on_unit_time(_as_stated(item)))
+            elif track is None:
                 new_tracks.append(item)
             elif item.time_ns <= track.updated_ns and self._is_elsewhere(track, item):
                 self._stray(item, new_tracks)
@@ -332,8 +363,7 @@ class TrackTable:
         if not free:
             self.rejected["too_many_places"] += 1
             return
-        stated = one.cam.model_copy(update={"sampled_ns": one.cam.sampled_ns - one.clock_offset_ns})
-        new_tracks.append(self._on_unit_time(replace(one, cam=stated, clock_offset_ns=0, place=free[0])))
+        new_tracks.append(self._on_unit_time(replace(_as_stated(one), place=free[0])))
 
     def _start_track(self, one: CamMeasurement) -> Update | None:
         """Begin a track with a CAM of an unknown station."""
@@ -418,6 +448,12 @@ class TrackTable:
     def _delete(self, track: Track) -> None:
         del self.by_station[track.sender]
         self._free.append(track.slot)
+
+
+def _as_stated(one: CamMeasurement) -> CamMeasurement:
+    """A CAM with the time that its station states."""
+    cam = one.cam.model_copy(update={"sampled_ns": one.cam.sampled_ns - one.clock_offset_ns})
+    return replace(one, cam=cam, clock_offset_ns=0)
 
 
 def _received(cam: Cam) -> Received:
