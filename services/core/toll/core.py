@@ -10,13 +10,14 @@ import numpy.typing as npt
 
 from shared.maths.dates import END_DATE_NS
 from shared.maths.earth import FloatArray
-from shared.messages.explanation import Explanation
+from shared.messages.explanation import Explanation, explain
 from shared.messages.fitting import fitting, size
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
     DELTAS,
     MAX_USED,
     STATION_IDS,
+    AlarmKind,
     EvidenceFrame,
     GateCommand,
     GateMode,
@@ -26,6 +27,7 @@ from shared.messages.toll import (
     PassageEvidence,
     PassageState,
     RegisteredStation,
+    TollAlarm,
     TollDelta,
     TollPassage,
     TollRegistration,
@@ -38,6 +40,7 @@ from shared.toll.plaza import Plaza, along
 from shared.toll.registration import fault_of, identity_of
 from shared.words.words import CodedText, reason
 
+from .codes import Code
 from .delta import DeltaEstimator
 from .gates import Arrival, is_near, refusal
 from .lanes import LaneGeometry
@@ -54,7 +57,9 @@ ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may ope
 MAX_REGISTRATIONS = 20_000
 MAX_UNSETTLED = 2000  # final statements that wait for the ledger
 REPEATED = 50  # of them a second
+ALARM_NS = 60 * SECOND_NS  # period of the alarm that the table is full
 GATE_VALID_S = 5  # after the predicted crossing
+LONGEST_M = 25.25  # [m] longest road train that Directive 96/53/EC admits, as modules; a CAM may state 102.2 m
 MIN_PROBABILITY = 1e-9  # that is published
 # Bytes in one message (`Topic.most_bytes`); UsedCams holds so many deltas of at most 700 bytes as well.
 EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 240, 150
@@ -105,6 +110,7 @@ class Core:
         self._cams = 0
         self._first_cam_ns: int | None = None
         self._newest_cam_ns = 0
+        self._alarm_ns: int | None = None  # time of the newest alarm
         self._ready_ns: int | None = None  # from then on passages are opened
         self._source: str | None = settings.source
 
@@ -341,11 +347,31 @@ class Core:
             elif passage.track in silent:
                 passage.track = None
 
+    def alarm(self, now_ns: int) -> TollAlarm | None:
+        """Alarm that the table is full: more unknown stations than vehicles; None: it is not, or was said just now."""
+        full_ns, self._table.full_ns = self._table.full_ns, None
+        if full_ns is None or (self._alarm_ns is not None and 0 <= now_ns - self._alarm_ns < ALARM_NS):
+            return None
+        self._alarm_ns = now_ns
+        unknown = [track for track in self._table.tracks if track.ticket is None]
+        place = self._plaza.position(0.0, 0.0)
+        return TollAlarm(
+            sampled_ns=now_ns,
+            plaza=self._plaza.name,
+            kind=AlarmKind.GHOSTS,
+            since_ns=min([full_ns, *(track.born_ns for track in unknown)]),
+            until_ns=full_ns,
+            ghosts=len(unknown),
+            latitude_deg=place.latitude_deg,
+            longitude_deg=place.longitude_deg,
+            reason_code=explain(Code.TRACKS_FULL, track_count=len(unknown)),
+        )
+
     def tracks(self, now_ns: int) -> TollTracks:
         """Describe every track, as far as a message holds them; the rest is counted."""
         described = [
             self._track(track, journey.here, journey.passage)
-            for track in self._table.tracks
+            for track in sorted(self._table.tracks, key=lambda track: track.ticket is None)
             if (journey := self._journeys.get(track.number)) and journey.here
         ]
         tracks = fitting(described, TRACKS_BYTES)
@@ -546,8 +572,10 @@ class Core:
         return found
 
     def _length_of(self, passage: Passage) -> float:
+        """Length [m] for overlaps: no more than a vehicle has, or one ghost overlaps each car that follows it."""
         tracks = [track for track in self._table.tracks_of(passage.station_ids[-1]) if track.number == passage.track]
-        return next((track.length_m for track in tracks if track.length_m), self._settings.passage.vehicle_length_m)
+        length_m = next((track.length_m for track in tracks if track.length_m), self._settings.passage.vehicle_length_m)
+        return min(length_m, LONGEST_M)
 
     def _inherit(self, journey: Journey, old: Journey | None, track: Track) -> None:
         """Continue the passage of the track that this one continues under a new station ID."""
@@ -735,11 +763,17 @@ class Core:
         )
 
     def _ahead(self, passage: Passage, here: Here, lane: int) -> Passage | None:
-        """Find the passage before this one at the barrier of a lane."""
+        """Find the passage before this one at the barrier of a lane.
+
+        What is not authenticated is not before what is: a station ID that anybody sends keeps no barrier closed. If a
+        car without a ticket stands there, the barrier opens for both, and the lane's detector counts two.
+        """
         if self._plaza.lanes[lane].mode is GateMode.FREE_FLOW:
             return None
         for other in self._passages.values():
             if other is passage or other.state is not PassageState.OPEN or other.track is None:
+                continue
+            if passage.authenticated and not other.authenticated:
                 continue
             if other.here.lane == lane and here.along < other.here.along:
                 return other

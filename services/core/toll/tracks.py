@@ -118,7 +118,8 @@ class Repetitions:
     """The CAM of the last 70 s, to tell those that are received again: by the channel, or by who replays them.
 
     A replay may have other headers than the original, so that the digest is that of what a CAM states: who, when and
-    where. A CAM that is received again is remembered from then on.
+    where, and under which ticket it is authenticated. A copy without its signature is another CAM, so that it does not
+    make the genuine one late. A CAM that is received again is remembered from then on.
     """
 
     def __init__(self) -> None:
@@ -126,7 +127,8 @@ class Repetitions:
 
     def add(self, cam: Cam) -> str | None:
         """Remember a CAM; return why it is rejected if it was received before."""
-        digest = hash((cam.station_id, cam.generation_delta_time, cam.latitude_deg, cam.longitude_deg))
+        station = cam.station_id, ticket_of(cam)
+        digest = hash((station, cam.generation_delta_time, cam.latitude_deg, cam.longitude_deg))
         before_ns = self._received_ns.pop(digest, None)
         self._received_ns[digest] = cam.received_ns
         while len(self._received_ns) > MAX_REMEMBERED or self._is_old(cam.received_ns):
@@ -156,6 +158,7 @@ class TrackTable:
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
         self.repetitions = Repetitions()
+        self.full_ns: int | None = None  # reception of the newest CAM that found no free track
         self.seen_since_ns = 0  # silence before the first CAM of this process is none
         self.used: list[tuple[int, Received]] = []  # clock offset and CAM, since it was emptied last
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
@@ -278,6 +281,7 @@ class TrackTable:
         """Use one CAM of each of several stations."""
         known, new_tracks = list[tuple[Track, CamMeasurement]](), list[CamMeasurement]()
         self._busy.clear()
+        self._make_room(measured)
         for item in map(self._on_unit_time, map(self._placed, measured)):
             track = self.by_station.get(item.sender)
             if track is not None and self._began_late(track, item):
@@ -295,6 +299,7 @@ class TrackTable:
             else:
                 known.append((track, item))
         updates = self._continue(known, new_tracks) if known else []
+        new_tracks.sort(key=lambda item: not item.is_authenticated)  # who is known first, as there may be little room
         return updates + [update for new_track in new_tracks if (update := self._start_track(new_track))]
 
     def _continue(
@@ -365,10 +370,28 @@ class TrackTable:
             return
         new_tracks.append(self._on_unit_time(replace(_as_stated(one), place=free[0])))
 
+    def _make_room(self, measured: Sequence[CamMeasurement]) -> None:
+        """Delete the tracks of unknown senders that are silent for longest, for authenticated stations without a track.
+
+        Anybody can send any number of station IDs; they must not keep out a vehicle that proves who it is.
+        """
+        new = sum(item.is_authenticated and not self._is_followed(item) for item in measured)
+        if new <= len(self._free):
+            return
+        unknown = sorted((track for track in self.tracks if track.ticket is None), key=lambda track: track.received_ns)
+        for track in unknown[: new - len(self._free)]:
+            self.rejected["track_evicted"] += 1
+            self.full_ns = max(item.cam.received_ns for item in measured)
+            self._delete(track)
+
+    def _is_followed(self, one: CamMeasurement) -> bool:
+        return any((*one.station, place) in self.by_station for place in range(PLACES))
+
     def _start_track(self, one: CamMeasurement) -> Update | None:
         """Begin a track with a CAM of an unknown station."""
         if not self._free:
             self.rejected["too_many_tracks"] += 1
+            self.full_ns = one.cam.received_ns
             return None
         track = Track(
             number=next(self._numbers),
