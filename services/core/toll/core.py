@@ -56,6 +56,7 @@ ALIGNED = 0.5  # cosine between heading and lane above which a vehicle drives al
 ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may open a passage
 MAX_REGISTRATIONS = 20_000
 MAX_UNSETTLED = 2000  # final statements that wait for the ledger
+TAKEN_BYTES = 40_000_000  # of frames that the ledger has got
 REPEATED = 50  # of them a second
 ALARM_NS = 60 * SECOND_NS  # period of the alarm that the table is full
 GATE_VALID_S = 5  # after the predicted crossing
@@ -106,6 +107,7 @@ class Core:
         self._contracts: dict[str, int] = {}  # ticket or station ID: end of its registration
         self._gates: dict[str, tuple[Command, int]] = {}  # passage: content and time of its newest gate command
         self._taken: deque[tuple[int, Received]] = deque()  # clock offset and CAM, as `used` has returned them
+        self._taken_bytes = 0
         self._rejected: Counter[str] = Counter()
         self._cams = 0
         self._first_cam_ns: int | None = None
@@ -227,9 +229,7 @@ class Core:
                 break
             count += 1
         taken, self._table.used = self._table.used[:count], self._table.used[count:]
-        self._taken += taken
-        while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
-            self._taken.popleft()
+        self._remember(taken)
         return tuple(
             UsedCam(
                 sampled_ns=sampled_ns,
@@ -242,10 +242,21 @@ class Core:
             for offset_ns, (sampled_ns, received_ns, data, authentication, signer) in taken
         )
 
+    def _remember(self, taken: Sequence[tuple[int, Received]]) -> None:
+        """Remember what the ledger has got, as long as it may ask for it, and as far as memory is for it."""
+        self._taken += taken
+        self._taken_bytes += sum(len(received[2]) for _, received in taken)
+        while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
+            self._taken_bytes -= len(self._taken.popleft()[1][2])
+        while self._taken_bytes > TAKEN_BYTES:
+            self._taken_bytes -= len(self._taken.popleft()[1][2])
+            self._rejected["used_cam_dropped"] += 1
+
     def recall(self) -> tuple[TollDelta, ...]:
         """Let `used` begin with the oldest CAM again, which the ledger has lost; return the deltas of their time."""
         self._table.used = [*self._taken, *self._table.used]
         self._taken.clear()
+        self._taken_bytes = 0
         first_ns = self._newest_cam_ns - REMEMBERED_NS
         return tuple(delta for delta in self._deltas if delta.sampled_ns >= first_ns)
 
@@ -292,10 +303,12 @@ class Core:
             batch[station] = cam
         said += self.use(list(batch.values()))
         self._ready_ns, self._first_cam_ns, self._table.on_time, self._table.used = None, None, False, []
-        self._taken += [
-            (offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame, cam.authentication.value, cam.signer))
-            for cam, offset_ns in cams
-        ]
+        self._remember(
+            [
+                (offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame, cam.authentication.value, cam.signer))
+                for cam, offset_ns in cams
+            ]
+        )
         for cam, offset_ns in cams:
             self._table.continue_clock(cam, offset_ns)
         return [
@@ -488,6 +501,7 @@ class Core:
         if passage.state is PassageState.VOID or (passage.state.is_final and has_left):
             self._forget(passage)
             journey.passage = journey.crossing = journey.before = None
+            track.has_passage = False
 
     @staticmethod
     def _note(journey: Journey, here: Here, decided: float) -> None:
@@ -527,6 +541,7 @@ class Core:
                 yield self._contradiction(passage, other)
         passage.registered = self._is_registered(passage, here.time_ns)
         journey.passage, journey.before, journey.crossing = passage, None, None
+        update.track.has_passage = True
         self._passages[passage.passage_id] = passage
         yield self._statement(passage, here.time_ns)
 
@@ -645,7 +660,7 @@ class Core:
             passage.authenticated = False
         elif track.ticket not in passage.tickets:
             passage.tickets = [*passage.tickets, track.ticket][-STATION_IDS:]
-        journey.passage, passage.track = passage, track.number
+        journey.passage, passage.track, track.has_passage = passage, track.number, True
 
     def _continued(self, statement: TollPassage) -> Passage:
         """Make a passage from the ledger's newest statement on it."""

@@ -32,6 +32,10 @@ Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and 
 # once is followed at both, so that who uses it first does not hide the other one.
 Sender = tuple[int, str | None, int]
 MAX_SPEED = 70.0  # [m/s]
+# Frames are the sender's, up to 2,304 bytes each. Those of a passage are evidence, as far as one message holds them
+# (`EVIDENCE_BYTES`, in base64); before it begins, as many as a track can bring into one that it continues.
+TRACK_BYTES, TABLE_BYTES = 150_000, 32_000_000  # of the frames of one track, and of all
+FRAMES_BEFORE = 100
 PLACES = 4  # at which one station is followed
 CLOCK_JITTER_NS = 250_000_000  # by which the delay of a station's CAM varies on the channel and on this computer
 
@@ -48,7 +52,9 @@ class Track:
     received_ns: int
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
-    frames: deque[Received] = field(default_factory=lambda: deque(maxlen=FRAMES))  # the last used, in the order of use
+    frames: deque[Received] = field(default_factory=deque)  # the last used, in the order of use
+    frame_bytes: int = 0
+    has_passage: bool = False
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
@@ -60,6 +66,18 @@ class Track:
     def ticket(self) -> str | None:
         """Authorization ticket, if its CAM are authenticated."""
         return self.sender[1]
+
+    def keep(self, *frames: Received) -> None:
+        """Keep frames behind those that are kept, as far as they may be evidence."""
+        self.frames += frames
+        self.frame_bytes += sum(len(frame[2]) for frame in frames)
+        most = FRAMES if self.has_passage else FRAMES_BEFORE
+        while len(self.frames) > most or (self.frame_bytes > TRACK_BYTES and len(self.frames) > 1):
+            self.drop_oldest()
+
+    def drop_oldest(self) -> None:
+        """Drop the oldest frame."""
+        self.frame_bytes -= len(self.frames.popleft()[2])
 
     @property
     def station_id(self) -> int:
@@ -198,7 +216,8 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns, track.authentication = update.measured.time_ns, update.measured.cam.authentication
-        track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
+        track.frames, track.frame_bytes = deque(), 0
+        track.keep(_received(update.measured.cam))
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
     def continue_clock(self, cam: Cam, clock_offset_ns: int) -> None:
@@ -300,7 +319,23 @@ class TrackTable:
                 known.append((track, item))
         updates = self._continue(known, new_tracks) if known else []
         new_tracks.sort(key=lambda item: not item.is_authenticated)  # who is known first, as there may be little room
-        return updates + [update for new_track in new_tracks if (update := self._start_track(new_track))]
+        updates += [update for new_track in new_tracks if (update := self._start_track(new_track))]
+        self._keep_budget()
+        return updates
+
+    def _keep_budget(self) -> None:
+        """Drop the oldest half of the frames of the track with the most, an unknown sender's first, until all fit."""
+        held = sum(track.frame_bytes for track in self.by_station.values())
+        while held > TABLE_BYTES:
+            several = [track for track in self.by_station.values() if len(track.frames) > 1]
+            if not several:
+                return
+            largest = max(several, key=lambda track: (track.ticket is None, track.frame_bytes))
+            held -= largest.frame_bytes
+            for _ in range(len(largest.frames) // 2):
+                largest.drop_oldest()
+                self.rejected["frame_dropped"] += 1
+            held += largest.frame_bytes
 
     def _continue(
         self, known: Sequence[tuple[Track, CamMeasurement]], new_tracks: list[CamMeasurement]
@@ -439,7 +474,7 @@ class TrackTable:
         track.length_m = one.cam.vehicle_length_m or track.length_m
         track.authentication = least(track.authentication, one.cam.authentication)
         track.unverified = one.cam.unverified
-        track.frames.append(_received(one.cam))
+        track.keep(_received(one.cam))
         self.used.append((track.clock_offset_ns, track.frames[-1]))
         return Update(track, one, born, self._confirmed_predecessor(track))
 
@@ -456,7 +491,9 @@ class TrackTable:
             return None
         track.predecessor = None
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
-        track.frames = deque([*old.frames, *track.frames], maxlen=FRAMES)
+        own, track.frames, track.frame_bytes = track.frames, deque(), 0
+        track.has_passage = track.has_passage or old.has_passage
+        track.keep(*old.frames, *own)
         track.since_ns = old.since_ns
         track.authentication = least(track.authentication, old.authentication)
         track.length_m = track.length_m or old.length_m

@@ -38,6 +38,7 @@ class SignedData:
     signer: bytes  # HashedId8 of the signer's certificate
     certificate: Certificate | None  # None: only the digest of its signer's certificate is there
     signature: Signature
+    end: int = 0  # [bytes] position behind the signature
 
     @property
     def digest(self) -> bytes:
@@ -152,6 +153,7 @@ def read_signed(data: bytes, position: int = 0, take: Take = take_certificate) -
         signer=signer,
         certificate=certificate,
         signature=signature,
+        end=reader.position,
     )
 
 

@@ -3,6 +3,9 @@
 from collections import Counter
 from dataclasses import replace
 
+import pytest
+
+from services.core.toll import core, tracks
 from services.core.toll.codes import Code
 from services.core.toll.process import Config, Process
 from services.core.toll.settings import Settings, TrackSettings
@@ -108,3 +111,30 @@ def overlaps(ahead: Vehicle) -> int:
     plant.core.cover_all([CAR.cam(plant.plaza, 0.0), ahead.cam(plant.plaza, 0.0)])
     plant.drive(ahead, CAR, until=16.0)
     return max(len(passage.overlaps) for passage in plant.passages)
+
+
+def test_long_frames_have_a_budget_of_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracks, "TABLE_BYTES", 100_000)
+    monkeypatch.setattr(core, "TAKEN_BYTES", 50_000)
+    plant, vehicles = Plant(COMMON), [*ghosts(10), CAR]
+    for step in range(120):
+        cams = [vehicle.cam(plant.plaza, step / 10.0) for vehicle in vehicles]
+        list(plant.core.use([cam.model_copy(update={"frame": cam.frame.ljust(2304, b"\0")}) for cam in cams]))
+        plant.core.used()
+    table = plant.core._table
+    held = {track.station_id: sum(len(frame[2]) for frame in track.frames) for track in table.tracks}
+    assert held == {track.station_id: track.frame_bytes for track in table.tracks}
+    assert sum(held.values()) <= 100_000 and max(held.values()) == held[7]
+    assert sum(len(received[2]) for _, received in plant.core._taken) <= 50_000
+    assert plant.core.rejected["frame_dropped"] > 0 and plant.core.rejected["used_cam_dropped"] > 0
+
+
+def test_one_track_keeps_few_frames_before_its_passage_and_no_more_than_evidence_holds_in_it() -> None:
+    waiting = tracks.Track(1, 0, [7], 0, 0, 0, 0)
+    for number in range(500):
+        waiting.keep((number, number, bytes(1000), "unsigned", None))
+    assert len(waiting.frames) == tracks.FRAMES_BEFORE and waiting.frames[-1][0] == 499
+    waiting.has_passage = True
+    for number in range(500):
+        waiting.keep((number, number, bytes(1000), "unsigned", None))
+    assert waiting.frame_bytes == len(waiting.frames) * 1000 == tracks.TRACK_BYTES
