@@ -36,10 +36,12 @@ from tests.support.data import REPOSITORY, data_folder
 from tests.support.gnss.captures import read_pcapng
 from tests.support.gnss.frames import rtcm
 from tests.support.v2x import cams
+from tests.support.v2x.signing import Ticket, signed
 
 NOW_NS = 1_795_000_000_000_000_000
 SLOWEST_S = 2.0  # of processor time, for one input of at most MOST_BYTES; the mean is below 0.01 s
 MAX_BYTES = 16_384  # of one input: what a driver reads at once
+LONG_PSID = 1 << 8 * 1_790 - 2
 MAX_PACKET = 1500  # a seed of at most so many bytes is damaged as a whole
 MAX_PACKETS = 500  # of each capture
 ETHERNET_HEADER = 14  # [bytes]
@@ -95,11 +97,15 @@ def _packets(data: bytes, at_ns: int) -> Message:
 
 
 def _cams() -> list[bytes]:
-    """A CAM without a signature, and signed by a ticket that is trusted, with its certificate and with its digest."""
+    """A CAM without a signature, and signed by a ticket that is trusted, with its certificate and with its digest.
+
+    The last one states a service whose number has more digits than Python writes.
+    """
     time_ms = its_time_ms(NOW_NS)
     plain = cams.packet(cams.BRAKING, time_ms)
     holder = ticket(b"fuzz", time_ms // 1000)
-    return [plain, *(sign_packet(plain, holder, time_ms * 1000, with_certificate=whole) for whole in (True, False))]
+    own = [sign_packet(plain, holder, time_ms * 1000, with_certificate=whole) for whole in (True, False)]
+    return [plain, *own, signed(plain, Ticket(), time_ms, with_certificate=False, header={"psid": LONG_PSID})]
 
 
 def _golden(name: str) -> Callable[[], list[bytes]]:

@@ -10,6 +10,8 @@ ObuError
 └── FilterDiverged       an estimator whose numbers no longer mean anything
 """
 
+MOST_DETAIL = 200  # characters of a value found
+
 
 class ObuError(Exception):
     """Base of every error that the unit raises itself."""
@@ -35,10 +37,13 @@ class BadPayload(ObuError):
 
 
 class RejectedFrame(ObuError):
-    """A received V2X frame that cannot be used; `reason` is a short key for counters, the text adds the value found."""
+    """A received V2X frame that cannot be used; `reason` is a short key for counters, the text adds the value found.
+
+    The value is the sender's: one that has no text, as an integer of more digits than Python writes, gives its type.
+    """
 
     def __init__(self, reason: str, detail: object = "") -> None:
-        super().__init__(f"{reason} {detail}".rstrip())
+        super().__init__(f"{reason} {_short(detail)}".rstrip())
         self.reason = reason
 
 
@@ -56,3 +61,10 @@ class FilterDiverged(ObuError):
     def __init__(self, text: str, cause: str = "covariance") -> None:
         super().__init__(text)
         self.cause = cause
+
+
+def _short(detail: object) -> str:
+    try:
+        return str(detail)[:MOST_DETAIL]
+    except Exception:  # noqa: BLE001 - whatever its text needs, the reason is what counts
+        return type(detail).__name__

@@ -252,7 +252,8 @@ PROCESSES = (
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
         container_user=10_123,
         consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/restored_cam", "toll/delta"),
-        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate", "toll/used_cam"),
+        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate", "toll/used_cam",
+                  "toll/alarm"),
         roles=(Role.RSU,),
     ),
     ProcessRow(

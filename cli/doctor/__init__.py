@@ -5,9 +5,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from shared import shipped
 from shared.errors import UserError
 from shared.runtime.config import VehicleFile, broker_address, load_vehicle, state_dir
 from shared.runtime.live import load_process
+from shared.v2x.security.trust import load as load_trust
 
 from ..demo.local import reaches_broker, start_of_broker
 from .corrections import corrections_set_up
@@ -80,6 +82,10 @@ def _v2x(vehicle: VehicleFile) -> Iterator[Finding]:
     radio, parser, sender = (name in vehicle.processes for name in ("sensors.v2x", "parsers.v2x", "controller.cam"))
     if radio or sender:
         yield Finding(parser, "CAM codec", "add the section [parsers.v2x]: it decodes and encodes the frames")
+    security = vehicle.tables.get("parsers.v2x", {}).get("security", {})
+    if parser and (folder := security.get("trust_folder") if isinstance(security, dict) else None):
+        faults = load_trust(shipped(Path(str(folder)))).faults
+        yield Finding(not faults, f"trust folder {folder}", f"{'; '.join(faults[:3])}: mend it, or remove the file")
     if sender:
         table = vehicle.tables.get("sensors.v2x", {})
         sends = radio and (str(table.get("device", "")).startswith("mqtt:") or "send_to" in table)

@@ -79,6 +79,11 @@ def decode_payload(packet: bytes) -> bytes:
     return packet[PAYLOAD_AT : BTP_AT + length]
 
 
+def stated_length(packet: bytes) -> int:
+    """Length [bytes] that a packet states which `decode_payload` accepts; what is behind it is of no layer."""
+    return BTP_AT + int(COMMON.unpack_from(packet, COMMON_AT)[4])
+
+
 def source_time_ms(packet: bytes) -> int:
     """Return the ITS time, modulo 2^32 ms, of the position vector in a packet that `decode_payload` accepts."""
     return int(POSITION.unpack_from(packet, POSITION_AT)[2])

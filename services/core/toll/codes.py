@@ -18,6 +18,7 @@ class Code(StrEnum):
     CONTINUES = "toll.continues"
     NO_CONTRACT = "toll.no_contract"
     QUEUED = "toll.queued"
+    TRACKS_FULL = "toll.tracks_full"
     NO_FIX = "toll.no_fix"
     OLD_FIX = "toll.old_fix"
     FEW_FIXES = "toll.few_fixes"

@@ -10,13 +10,14 @@ import numpy.typing as npt
 
 from shared.maths.dates import END_DATE_NS
 from shared.maths.earth import FloatArray
-from shared.messages.explanation import Explanation
+from shared.messages.explanation import Explanation, explain
 from shared.messages.fitting import fitting, size
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
     DELTAS,
     MAX_USED,
     STATION_IDS,
+    AlarmKind,
     EvidenceFrame,
     GateCommand,
     GateMode,
@@ -26,6 +27,7 @@ from shared.messages.toll import (
     PassageEvidence,
     PassageState,
     RegisteredStation,
+    TollAlarm,
     TollDelta,
     TollPassage,
     TollRegistration,
@@ -38,6 +40,7 @@ from shared.toll.plaza import Plaza, along
 from shared.toll.registration import fault_of, identity_of
 from shared.words.words import CodedText, reason
 
+from .codes import Code
 from .delta import DeltaEstimator
 from .gates import Arrival, is_near, refusal
 from .lanes import LaneGeometry
@@ -53,8 +56,11 @@ ALIGNED = 0.5  # cosine between heading and lane above which a vehicle drives al
 ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may open a passage
 MAX_REGISTRATIONS = 20_000
 MAX_UNSETTLED = 2000  # final statements that wait for the ledger
+TAKEN_BYTES = 40_000_000  # of frames that the ledger has got
 REPEATED = 50  # of them a second
+ALARM_NS = 60 * SECOND_NS  # period of the alarm that the table is full
 GATE_VALID_S = 5  # after the predicted crossing
+LONGEST_M = 25.25  # [m] longest road train that Directive 96/53/EC admits, as modules; a CAM may state 102.2 m
 MIN_PROBABILITY = 1e-9  # that is published
 # Bytes in one message (`Topic.most_bytes`); UsedCams holds so many deltas of at most 700 bytes as well.
 EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 240, 150
@@ -101,10 +107,12 @@ class Core:
         self._contracts: dict[str, int] = {}  # ticket or station ID: end of its registration
         self._gates: dict[str, tuple[Command, int]] = {}  # passage: content and time of its newest gate command
         self._taken: deque[tuple[int, Received]] = deque()  # clock offset and CAM, as `used` has returned them
+        self._taken_bytes = 0
         self._rejected: Counter[str] = Counter()
         self._cams = 0
         self._first_cam_ns: int | None = None
         self._newest_cam_ns = 0
+        self._alarm_ns: int | None = None  # time of the newest alarm
         self._ready_ns: int | None = None  # from then on passages are opened
         self._source: str | None = settings.source
 
@@ -221,9 +229,7 @@ class Core:
                 break
             count += 1
         taken, self._table.used = self._table.used[:count], self._table.used[count:]
-        self._taken += taken
-        while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
-            self._taken.popleft()
+        self._remember(taken)
         return tuple(
             UsedCam(
                 sampled_ns=sampled_ns,
@@ -236,10 +242,21 @@ class Core:
             for offset_ns, (sampled_ns, received_ns, data, authentication, signer) in taken
         )
 
+    def _remember(self, taken: Sequence[tuple[int, Received]]) -> None:
+        """Remember what the ledger has got, as long as it may ask for it, and as far as memory is for it."""
+        self._taken += taken
+        self._taken_bytes += sum(len(received[2]) for _, received in taken)
+        while self._taken and self._newest_cam_ns - self._taken[0][1][1] > REMEMBERED_NS:
+            self._taken_bytes -= len(self._taken.popleft()[1][2])
+        while self._taken_bytes > TAKEN_BYTES:
+            self._taken_bytes -= len(self._taken.popleft()[1][2])
+            self._rejected["used_cam_dropped"] += 1
+
     def recall(self) -> tuple[TollDelta, ...]:
         """Let `used` begin with the oldest CAM again, which the ledger has lost; return the deltas of their time."""
         self._table.used = [*self._taken, *self._table.used]
         self._taken.clear()
+        self._taken_bytes = 0
         first_ns = self._newest_cam_ns - REMEMBERED_NS
         return tuple(delta for delta in self._deltas if delta.sampled_ns >= first_ns)
 
@@ -286,10 +303,12 @@ class Core:
             batch[station] = cam
         said += self.use(list(batch.values()))
         self._ready_ns, self._first_cam_ns, self._table.on_time, self._table.used = None, None, False, []
-        self._taken += [
-            (offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame, cam.authentication.value, cam.signer))
-            for cam, offset_ns in cams
-        ]
+        self._remember(
+            [
+                (offset_ns, (cam.sampled_ns, cam.received_ns, cam.frame, cam.authentication.value, cam.signer))
+                for cam, offset_ns in cams
+            ]
+        )
         for cam, offset_ns in cams:
             self._table.continue_clock(cam, offset_ns)
         return [
@@ -341,11 +360,31 @@ class Core:
             elif passage.track in silent:
                 passage.track = None
 
+    def alarm(self, now_ns: int) -> TollAlarm | None:
+        """Alarm that the table is full: more unknown stations than vehicles; None: it is not, or was said just now."""
+        full_ns, self._table.full_ns = self._table.full_ns, None
+        if full_ns is None or (self._alarm_ns is not None and 0 <= now_ns - self._alarm_ns < ALARM_NS):
+            return None
+        self._alarm_ns = now_ns
+        unknown = [track for track in self._table.tracks if track.ticket is None]
+        place = self._plaza.position(0.0, 0.0)
+        return TollAlarm(
+            sampled_ns=now_ns,
+            plaza=self._plaza.name,
+            kind=AlarmKind.GHOSTS,
+            since_ns=min([full_ns, *(track.born_ns for track in unknown)]),
+            until_ns=full_ns,
+            ghosts=len(unknown),
+            latitude_deg=place.latitude_deg,
+            longitude_deg=place.longitude_deg,
+            reason_code=explain(Code.TRACKS_FULL, track_count=len(unknown)),
+        )
+
     def tracks(self, now_ns: int) -> TollTracks:
         """Describe every track, as far as a message holds them; the rest is counted."""
         described = [
             self._track(track, journey.here, journey.passage)
-            for track in self._table.tracks
+            for track in sorted(self._table.tracks, key=lambda track: track.ticket is None)
             if (journey := self._journeys.get(track.number)) and journey.here
         ]
         tracks = fitting(described, TRACKS_BYTES)
@@ -462,6 +501,7 @@ class Core:
         if passage.state is PassageState.VOID or (passage.state.is_final and has_left):
             self._forget(passage)
             journey.passage = journey.crossing = journey.before = None
+            track.has_passage = False
 
     @staticmethod
     def _note(journey: Journey, here: Here, decided: float) -> None:
@@ -501,6 +541,7 @@ class Core:
                 yield self._contradiction(passage, other)
         passage.registered = self._is_registered(passage, here.time_ns)
         journey.passage, journey.before, journey.crossing = passage, None, None
+        update.track.has_passage = True
         self._passages[passage.passage_id] = passage
         yield self._statement(passage, here.time_ns)
 
@@ -546,8 +587,10 @@ class Core:
         return found
 
     def _length_of(self, passage: Passage) -> float:
+        """Length [m] for overlaps: no more than a vehicle has, or one ghost overlaps each car that follows it."""
         tracks = [track for track in self._table.tracks_of(passage.station_ids[-1]) if track.number == passage.track]
-        return next((track.length_m for track in tracks if track.length_m), self._settings.passage.vehicle_length_m)
+        length_m = next((track.length_m for track in tracks if track.length_m), self._settings.passage.vehicle_length_m)
+        return min(length_m, LONGEST_M)
 
     def _inherit(self, journey: Journey, old: Journey | None, track: Track) -> None:
         """Continue the passage of the track that this one continues under a new station ID."""
@@ -582,7 +625,7 @@ class Core:
             if here.time_ns - silent_since_ns < self._settings.track.silence_ns(found.here.speed):
                 return True
         self._attach(journey, found, track)
-        if found.crossing is None and journey.crossing is None:
+        if found.crossing is None and journey.crossing is None and found.here.time_ns < here.time_ns:
             journey.before = journey.before or found.here
         return False
 
@@ -617,7 +660,7 @@ class Core:
             passage.authenticated = False
         elif track.ticket not in passage.tickets:
             passage.tickets = [*passage.tickets, track.ticket][-STATION_IDS:]
-        journey.passage, passage.track = passage, track.number
+        journey.passage, passage.track, track.has_passage = passage, track.number, True
 
     def _continued(self, statement: TollPassage) -> Passage:
         """Make a passage from the ledger's newest statement on it."""
@@ -735,11 +778,17 @@ class Core:
         )
 
     def _ahead(self, passage: Passage, here: Here, lane: int) -> Passage | None:
-        """Find the passage before this one at the barrier of a lane."""
+        """Find the passage before this one at the barrier of a lane.
+
+        What is not authenticated is not before what is: a station ID that anybody sends keeps no barrier closed. If a
+        car without a ticket stands there, the barrier opens for both, and the lane's detector counts two.
+        """
         if self._plaza.lanes[lane].mode is GateMode.FREE_FLOW:
             return None
         for other in self._passages.values():
             if other is passage or other.state is not PassageState.OPEN or other.track is None:
+                continue
+            if passage.authenticated and not other.authenticated:
                 continue
             if other.here.lane == lane and here.along < other.here.along:
                 return other

@@ -39,6 +39,11 @@ class CamMeasurement:
         return self.cam.station_id, ticket_of(self.cam)
 
     @property
+    def is_authenticated(self) -> bool:
+        """Whether its sender is known."""
+        return self.cam.authentication is Authentication.AUTHENTICATED
+
+    @property
     def sender(self) -> tuple[int, str | None, int]:
         """The station at its place: one vehicle."""
         return (*self.station, self.place)

@@ -16,6 +16,7 @@ from shared.messages.toll import (
     PassageState,
     PlazaDescription,
     RestoredCams,
+    TollAlarm,
     TollDelta,
     TollPassage,
     TollRegistration,
@@ -33,7 +34,7 @@ from .passages import passage_id
 from .settings import Settings
 
 In = CamList | GnssFix | TollRegistration | OpenPassages | RestoredCams | TollDelta | Tick
-Out = PlazaDescription | TollDelta | TollTracks | TollPassage | GateCommand | UsedCams
+Out = PlazaDescription | TollAlarm | TollDelta | TollTracks | TollPassage | GateCommand | UsedCams
 SIMULATOR = "sensors.traffic"
 TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
 USED_CAM_PERIOD_NS = 500_000_000  # period of `toll/used_cam`
@@ -127,6 +128,8 @@ class Process:
             self._backlog = None
         yield from self._delta(now_ns, NO_FIX_NS)
         yield from self._core.tick(now_ns)
+        if alarm := self._core.alarm(now_ns):
+            yield alarm
         yield from self._tracks(now_ns)
         yield from self._used(now_ns)
 

@@ -66,7 +66,10 @@ class TrackSettings(Section):
         default=3, ge=1, description="consecutive CAM outside the gate after which a new track is initiated"
     )
     clock_limit_s: float = Field(
-        default=1.0, gt=0.0, description="age of a CAM on arrival above which the station's clock is taken as wrong"
+        default=1.0,
+        gt=0.0,
+        description="age of a CAM on arrival above which the station's clock is taken as wrong: its times are "
+        "corrected, and an authenticated CAM, whose time is signed, is rejected",
     )
     link_gate_m: float = Field(
         default=4.0, gt=0.0, description="distance from a silent track's prediction at which a new station continues it"

@@ -32,7 +32,12 @@ Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and 
 # once is followed at both, so that who uses it first does not hide the other one.
 Sender = tuple[int, str | None, int]
 MAX_SPEED = 70.0  # [m/s]
+# Frames are the sender's, up to 2,304 bytes each. Those of a passage are evidence, as far as one message holds them
+# (`EVIDENCE_BYTES`, in base64); before it begins, as many as a track can bring into one that it continues.
+TRACK_BYTES, TABLE_BYTES = 150_000, 32_000_000  # of the frames of one track, and of all
+FRAMES_BEFORE = 100
 PLACES = 4  # at which one station is followed
+CLOCK_JITTER_NS = 250_000_000  # by which the delay of a station's CAM varies on the channel and on this computer
 
 
 @dataclass
@@ -47,7 +52,9 @@ class Track:
     received_ns: int
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
-    frames: deque[Received] = field(default_factory=lambda: deque(maxlen=FRAMES))  # the last used, in the order of use
+    frames: deque[Received] = field(default_factory=deque)  # the last used, in the order of use
+    frame_bytes: int = 0
+    has_passage: bool = False
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
@@ -59,6 +66,18 @@ class Track:
     def ticket(self) -> str | None:
         """Authorization ticket, if its CAM are authenticated."""
         return self.sender[1]
+
+    def keep(self, *frames: Received) -> None:
+        """Keep frames behind those that are kept, as far as they may be evidence."""
+        self.frames += frames
+        self.frame_bytes += sum(len(frame[2]) for frame in frames)
+        most = FRAMES if self.has_passage else FRAMES_BEFORE
+        while len(self.frames) > most or (self.frame_bytes > TRACK_BYTES and len(self.frames) > 1):
+            self.drop_oldest()
+
+    def drop_oldest(self) -> None:
+        """Drop the oldest frame."""
+        self.frame_bytes -= len(self.frames.popleft()[2])
 
     @property
     def station_id(self) -> int:
@@ -117,7 +136,8 @@ class Repetitions:
     """The CAM of the last 70 s, to tell those that are received again: by the channel, or by who replays them.
 
     A replay may have other headers than the original, so that the digest is that of what a CAM states: who, when and
-    where. A CAM that is received again is remembered from then on.
+    where, and under which ticket it is authenticated. A copy without its signature is another CAM, so that it does not
+    make the genuine one late. A CAM that is received again is remembered from then on.
     """
 
     def __init__(self) -> None:
@@ -125,7 +145,8 @@ class Repetitions:
 
     def add(self, cam: Cam) -> str | None:
         """Remember a CAM; return why it is rejected if it was received before."""
-        digest = hash((cam.station_id, cam.generation_delta_time, cam.latitude_deg, cam.longitude_deg))
+        station = cam.station_id, ticket_of(cam)
+        digest = hash((station, cam.generation_delta_time, cam.latitude_deg, cam.longitude_deg))
         before_ns = self._received_ns.pop(digest, None)
         self._received_ns[digest] = cam.received_ns
         while len(self._received_ns) > MAX_REMEMBERED or self._is_old(cam.received_ns):
@@ -155,6 +176,7 @@ class TrackTable:
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
         self.repetitions = Repetitions()
+        self.full_ns: int | None = None  # reception of the newest CAM that found no free track
         self.seen_since_ns = 0  # silence before the first CAM of this process is none
         self.used: list[tuple[int, Received]] = []  # clock offset and CAM, since it was emptied last
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
@@ -194,13 +216,14 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns, track.authentication = update.measured.time_ns, update.measured.cam.authentication
-        track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
+        track.frames, track.frame_bytes = deque(), 0
+        track.keep(_received(update.measured.cam))
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
     def continue_clock(self, cam: Cam, clock_offset_ns: int) -> None:
         """Correct the times of a station from here on as before a restart; its CAM so far were corrected already."""
         for track in self.tracks_of(cam.station_id):
-            if track.ticket == ticket_of(cam):
+            if track.ticket is None and ticket_of(cam) is None:
                 track.clock_offset_ns = clock_offset_ns
 
     def tracks_of(self, station_id: int) -> list[Track]:
@@ -226,33 +249,64 @@ class TrackTable:
         if cam.position_out_of_range:
             self.rejected["position_cannot_be_trusted"] += 1
             return None
+        if reason := self._wrong_time(cam):
+            self.rejected[reason] += 1
+            return None
         north, east = self._plaza.plane(cam.latitude_deg, cam.longitude_deg)
         if hypot(north, east) > self._settings.range_m:
             self.rejected["out_of_range"] += 1
             return None
         return CamMeasurement(cam, 0, east, north)
 
+    def _wrong_time(self, cam: Cam) -> str | None:
+        """Why an authenticated CAM is not used: it was relayed late, or the clock of its station is wrong."""
+        limit_ns = self._settings.clock_limit_s * 1e9
+        age_ns = cam.received_ns - cam.sampled_ns
+        if self.on_time or ticket_of(cam) is None or abs(age_ns) <= limit_ns:
+            return None
+        return "too_old" if age_ns > 0 else "from_the_future"
+
     def _on_unit_time(self, one: CamMeasurement) -> CamMeasurement:
-        """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM."""
+        """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM.
+
+        That of an authenticated station is signed, and is used as it is: who relays its CAM must not shift its times.
+        """
         track, cam = self.by_station.get(one.sender), one.cam
         age_ns = cam.received_ns - cam.sampled_ns
         offset_ns = 0
+        if one.is_authenticated or self.on_time:
+            return one
         if track is not None:
             offset_ns = track.clock_offset_ns
-        elif not self.on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+        elif not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
             offset_ns = age_ns
         if not offset_ns:
             return one
         corrected = cam.model_copy(update={"sampled_ns": cam.sampled_ns + offset_ns})
         return replace(one, cam=corrected, clock_offset_ns=offset_ns)
 
+    def _began_late(self, track: Track, one: CamMeasurement) -> bool:
+        """Whether a track's clock offset is in part the delay of its first CAM, as of one that somebody has relayed.
+
+        No CAM arrives before it is sent, so that the least offset of a vehicle is the nearest to that of its clock.
+        """
+        if one.is_authenticated or self.on_time:
+            return False
+        age_ns = one.cam.received_ns - one.cam.sampled_ns + one.clock_offset_ns
+        is_younger = age_ns < track.clock_offset_ns - CLOCK_JITTER_NS
+        return is_younger and self._distance(track, one) <= self._settings.gate_m
+
     def _round(self, measured: Sequence[CamMeasurement]) -> list[Update]:
         """Use one CAM of each of several stations."""
         known, new_tracks = list[tuple[Track, CamMeasurement]](), list[CamMeasurement]()
         self._busy.clear()
+        self._make_room(measured)
         for item in map(self._on_unit_time, map(self._placed, measured)):
             track = self.by_station.get(item.sender)
-            if track is None:
+            if track is not None and self._began_late(track, item):
+                self._delete(track)
+                new_tracks.append(self._on_unit_time(_as_stated(item)))
+            elif track is None:
                 new_tracks.append(item)
             elif item.time_ns <= track.updated_ns and self._is_elsewhere(track, item):
                 self._stray(item, new_tracks)
@@ -264,7 +318,24 @@ class TrackTable:
             else:
                 known.append((track, item))
         updates = self._continue(known, new_tracks) if known else []
-        return updates + [update for new_track in new_tracks if (update := self._start_track(new_track))]
+        new_tracks.sort(key=lambda item: not item.is_authenticated)  # who is known first, as there may be little room
+        updates += [update for new_track in new_tracks if (update := self._start_track(new_track))]
+        self._keep_budget()
+        return updates
+
+    def _keep_budget(self) -> None:
+        """Drop the oldest half of the frames of the track with the most, an unknown sender's first, until all fit."""
+        held = sum(track.frame_bytes for track in self.by_station.values())
+        while held > TABLE_BYTES:
+            several = [track for track in self.by_station.values() if len(track.frames) > 1]
+            if not several:
+                return
+            largest = max(several, key=lambda track: (track.ticket is None, track.frame_bytes))
+            held -= largest.frame_bytes
+            for _ in range(len(largest.frames) // 2):
+                largest.drop_oldest()
+                self.rejected["frame_dropped"] += 1
+            held += largest.frame_bytes
 
     def _continue(
         self, known: Sequence[tuple[Track, CamMeasurement]], new_tracks: list[CamMeasurement]
@@ -332,13 +403,30 @@ class TrackTable:
         if not free:
             self.rejected["too_many_places"] += 1
             return
-        stated = one.cam.model_copy(update={"sampled_ns": one.cam.sampled_ns - one.clock_offset_ns})
-        new_tracks.append(self._on_unit_time(replace(one, cam=stated, clock_offset_ns=0, place=free[0])))
+        new_tracks.append(self._on_unit_time(replace(_as_stated(one), place=free[0])))
+
+    def _make_room(self, measured: Sequence[CamMeasurement]) -> None:
+        """Delete the tracks of unknown senders that are silent for longest, for authenticated stations without a track.
+
+        Anybody can send any number of station IDs; they must not keep out a vehicle that proves who it is.
+        """
+        new = sum(item.is_authenticated and not self._is_followed(item) for item in measured)
+        if new <= len(self._free):
+            return
+        unknown = sorted((track for track in self.tracks if track.ticket is None), key=lambda track: track.received_ns)
+        for track in unknown[: new - len(self._free)]:
+            self.rejected["track_evicted"] += 1
+            self.full_ns = max(item.cam.received_ns for item in measured)
+            self._delete(track)
+
+    def _is_followed(self, one: CamMeasurement) -> bool:
+        return any((*one.station, place) in self.by_station for place in range(PLACES))
 
     def _start_track(self, one: CamMeasurement) -> Update | None:
         """Begin a track with a CAM of an unknown station."""
         if not self._free:
             self.rejected["too_many_tracks"] += 1
+            self.full_ns = one.cam.received_ns
             return None
         track = Track(
             number=next(self._numbers),
@@ -386,7 +474,7 @@ class TrackTable:
         track.length_m = one.cam.vehicle_length_m or track.length_m
         track.authentication = least(track.authentication, one.cam.authentication)
         track.unverified = one.cam.unverified
-        track.frames.append(_received(one.cam))
+        track.keep(_received(one.cam))
         self.used.append((track.clock_offset_ns, track.frames[-1]))
         return Update(track, one, born, self._confirmed_predecessor(track))
 
@@ -403,7 +491,9 @@ class TrackTable:
             return None
         track.predecessor = None
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
-        track.frames = deque([*old.frames, *track.frames], maxlen=FRAMES)
+        own, track.frames, track.frame_bytes = track.frames, deque(), 0
+        track.has_passage = track.has_passage or old.has_passage
+        track.keep(*old.frames, *own)
         track.since_ns = old.since_ns
         track.authentication = least(track.authentication, old.authentication)
         track.length_m = track.length_m or old.length_m
@@ -418,6 +508,12 @@ class TrackTable:
     def _delete(self, track: Track) -> None:
         del self.by_station[track.sender]
         self._free.append(track.slot)
+
+
+def _as_stated(one: CamMeasurement) -> CamMeasurement:
+    """A CAM with the time that its station states."""
+    cam = one.cam.model_copy(update={"sampled_ns": one.cam.sampled_ns - one.clock_offset_ns})
+    return replace(one, cam=cam, clock_offset_ns=0)
 
 
 def _received(cam: Cam) -> Received:

@@ -212,6 +212,8 @@ class Process:
             self._check_signed_time(signed.generation_time_ms, received_ms - age_ms)
             self._check_age_of_signature(signed.generation_time_ms, received_ms)
         self._check_distance(content["latitude_deg"], content["longitude_deg"])
+        if has_header:  # what a sender has put behind the frame is not kept
+            frame = frame[: signed.data.end if signed else geonetworking.stated_length(packet)]
         generated_ns = its_time.utc_ns_from_its_time(received_ms - age_ms) - self._utc_offset_ns
         return Decoded(frame, received_ns, generated_ns, generation_delta_time, content, permissions, signed)
 

@@ -11,11 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ...errors import RejectedFrame
+from ...faults import FOREIGN
 from ...messages.v2x import MAX_FRAME_BYTES
 from ..geonetworking import BASIC, BASIC_NEXT_COMMON, BASIC_NEXT_SECURED, VERSION
 from .certificates import CAM_PSID, Certificate, Signature, hash_of, signature_of, take_certificate
 from .certificates import VERSION as SECURITY_VERSION
-from .reader import Reader, Record
+from .reader import ENCODING, Reader, Record
 
 SIGNED_DATA = 0x81  # tag of the content; 0x80 unsecured, 0x82 encrypted, 0x83 certificate request
 DIGEST, ONE_CERTIFICATE = b"\x80", b"\x81\x01\x01"  # signer: HashedId8, or a list of one certificate (TS 103 097)
@@ -37,6 +38,7 @@ class SignedData:
     signer: bytes  # HashedId8 of the signer's certificate
     certificate: Certificate | None  # None: only the digest of its signer's certificate is there
     signature: Signature
+    end: int = 0  # [bytes] position behind the signature
 
     @property
     def digest(self) -> bytes:
@@ -104,7 +106,10 @@ def unwrap(packet: bytes, take: Take = take_certificate) -> SignedPacket:
     """
     if len(packet) > MAX_FRAME_BYTES:
         raise RejectedFrame("frame_length", len(packet))
-    data = read_signed(packet, BASIC.size, take)
+    try:
+        data = read_signed(packet, BASIC.size, take)
+    except FOREIGN as error:  # bytes of a stranger: whatever they lead to is a reject, not a fault of this program
+        raise RejectedFrame(ENCODING, error) from error
     if data.header["psid"] != CAM_PSID:
         raise RejectedFrame("security_psid", data.header["psid"])
     if "generationTime" not in data.header:
@@ -148,6 +153,7 @@ def read_signed(data: bytes, position: int = 0, take: Take = take_certificate) -
         signer=signer,
         certificate=certificate,
         signature=signature,
+        end=reader.position,
     )
 
 

@@ -1,8 +1,10 @@
 """What certificates are trusted, and until when, as the files of a folder say.
 
 Chain of a ticket: authorization ticket <- authorization authority <- root. A root is trusted because a list of the
-trust list manager has it, whose certificate lies in the folder; without such a certificate, because the root's lies
-there. The files are recognised by their content, whatever their names. Those of the sub-folder `test` make test
+trust list manager has it, whose certificate lies in the folder; without a manager, because the root's lies there. There
+is a manager as soon as his list is there, or a file that may be his certificate and cannot be read: damage takes trust
+away, and gives none. Likewise an authority counts by its root's list where there is one, and otherwise by its file. The
+files are recognised by their content, whatever their names. Those of the sub-folder `test` make test
 roots.
 """
 
@@ -14,6 +16,7 @@ from pathlib import Path
 
 from ...bounded import SizeExceeded, read_bytes
 from ...errors import RejectedFrame
+from ...faults import FOREIGN
 from ...messages.v2x import Unverified
 from . import lists, signatures
 from .certificates import CRL_PSID, CTL_PSID, Certificate, take_certificate
@@ -22,6 +25,9 @@ from .reader import Reader
 
 TEST_FOLDER = "test"
 MOST_FILES, MOST_BYTES = 200, 1_000_000
+SIGNED_LIST = b"\x03\x81"
+# First bytes of a list, and of a certificate that signs itself: preamble, version, type, tag of the issuer.
+MAY_BE_OF_MANAGER = (SIGNED_LIST, b"\x80\x03\x00\x81", b"\x00\x03\x00\x81")
 VERSION_1 = 0x01  # of the permissions for lists
 # TS 102 941, annex B: what the holder's lists may have.
 LISTS_ROOTS, LISTS_AUTHORITIES = 0x40, 0x10
@@ -107,11 +113,12 @@ class _Files:
     certificates: list[tuple[str, Certificate]] = field(default_factory=list)
     lists: list[tuple[str, TrustList]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
+    doubtful: list[str] = field(default_factory=list)  # names of files that may be of a trust list manager
 
 
 def load(folder: Path) -> TrustStore:
     """Read the certificates and lists of a folder; what cannot be used is named in `faults`, and is not trusted."""
-    live, test = _read(folder), _read(folder / TEST_FOLDER)
+    live, test = _read(folder), _read(folder / TEST_FOLDER, may_be_absent=True)
     issuers: dict[bytes, Issuer] = {}
     roots: dict[bytes, Root] = {}
     for files, is_test in ((test, True), (live, False)):  # a root in both counts as a live one
@@ -134,23 +141,39 @@ def fingerprint(folder: Path) -> bytes:
 
 
 def _paths(folder: Path) -> list[Path]:
+    """Files of a folder; none of one that cannot be read, which `load` names."""
     try:
-        return sorted(path for path in folder.iterdir() if path.is_file())[:MOST_FILES]
+        return _files(folder)
     except OSError:
         return []
 
 
-def _read(folder: Path) -> _Files:
-    files = _Files()
-    for path in _paths(folder):
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def _read(folder: Path, *, may_be_absent: bool = False) -> _Files:
+    files, paths = _Files(), list[Path]()
+    try:
+        paths = _files(folder)
+    except OSError as error:
+        if not (may_be_absent and isinstance(error, (FileNotFoundError, NotADirectoryError))):
+            files.faults.append(f"{folder}: cannot be read: {error.strerror or error}")
+    if len(paths) > MOST_FILES:
+        files.faults.append(f"{folder}: {len(paths)} files, of which the first {MOST_FILES} by name are read")
+        files.doubtful += [path.name for path in paths[MOST_FILES:]]
+    for path in paths[:MOST_FILES]:
+        data = b""
         try:
             data = read_bytes(path, MOST_BYTES)
-            if data[:2] == b"\x03\x81":
+            if data[:2] == SIGNED_LIST:
                 files.lists.append((path.name, read_list(data)))
             else:
                 files.certificates.append((path.name, _whole_certificate(data)))
-        except (RejectedFrame, SizeExceeded, OSError) as error:
+        except (RejectedFrame, SizeExceeded, OSError, *FOREIGN) as error:
             files.faults.append(f"{path.name}: neither a certificate nor a trust list that can be used: {error}")
+            if not data or data.startswith(MAY_BE_OF_MANAGER):
+                files.doubtful.append(path.name)
     return files
 
 
@@ -168,15 +191,20 @@ def _roots(files: _Files, *, is_test: bool) -> Iterator[Root]:
     for name, certificate in own:
         if not signatures.signs_itself(certificate):
             files.faults.append(f"{name}: its own signature does not fit it")
+            files.doubtful.append(name)
     whole = [certificate for _, certificate in own if signatures.signs_itself(certificate)]
     managers = [certificate for certificate in whole if _may_list(certificate, LISTS_ROOTS)]
     found: dict[bytes, tuple[Certificate, float | None]] = {}
+    of_manager = [name for name, trusted in files.lists if trusted.kind == lists.OF_MANAGER]
     if managers:
         newest = _newest(files, lists.OF_MANAGER, managers, CTL_PSID)
         for trusted in newest.values():
             for root in trusted.roots:
                 if root.digest not in trusted.deleted and signatures.signs_itself(root):
                     found[root.digest] = root, float(trusted.until_s)
+    elif doubtful := [*of_manager, *files.doubtful]:
+        if any(certificate.grants for certificate in whole):
+            files.faults.append(f"{doubtful[0]}: may be of a trust list manager, so that roots in files do not count")
     else:
         found = {certificate.digest: (certificate, None) for certificate in whole if certificate.grants}
     crls = _newest(files, lists.REVOKED, [root for root, _ in found.values()], CRL_PSID)
@@ -194,11 +222,15 @@ def _issuers(files: _Files, roots: dict[bytes, Root]) -> Iterator[Issuer]:
         for certificate in trusted.authorities
         if certificate.digest not in trusted.deleted
     ]
+    by_list = {certificate.digest for _, certificate, _ in named}
     named += [(name, certificate, None) for name, certificate in files.certificates if certificate.issuer is not None]
     for name, certificate, until_s in named:
         root = roots.get(certificate.issuer or b"")
         if root is None:
             files.faults.append(f"{name}: its root is not trusted")
+        elif until_s is None and root.certificate.digest in listed:
+            if certificate.digest not in by_list:
+                files.faults.append(f"{name}: the list of its root does not have it")
         elif not signatures.is_issued_by(certificate, root.certificate):
             files.faults.append(f"{name}: the signature of its root does not fit it")
         elif not root.certificate.grants_all(certificate.permissions, 1):

@@ -80,6 +80,8 @@ def test_an_invalid_setting_is_named(
         ('[sensors.v2x]\nsend_to = "udp://127.0.0.1:5"\n[parsers.v2x]\n[controller.cam]\n', set()),
         ('[sensors.v2x]\ndevice = "mqtt://127.0.0.1:5/a"\n[parsers.v2x]\n[controller.cam]\n', set()),
         ("[controller.cam]\n", {"CAM codec", "own CAM is sent"}),
+        ('[sensors.v2x]\n[parsers.v2x.security]\ntrust_folder = "absent"\n', {"trust folder absent"}),
+        ('[sensors.v2x]\n[parsers.v2x.security]\ntrust_folder = "deploy/trust"\n', set()),
     ],
 )
 def test_sections_of_v2x_that_do_not_fit_together_are_reported(
@@ -95,7 +97,9 @@ def test_sections_of_v2x_that_do_not_fit_together_are_reported(
     vehicle.write_text(sections)
     doctor.examine(vehicle)
     printed = capsys.readouterr().out.splitlines()
-    assert {what for what in ("CAM codec", "own CAM is sent") if f"NO  {what}" in printed} == faults
+    assert {
+        what for what in ("CAM codec", "own CAM is sent", "trust folder absent") if f"NO  {what}" in printed
+    } == faults
 
 
 def test_a_store_that_the_broker_set_aside_is_reported(

@@ -30,6 +30,7 @@ from tests.support.v2x.toll import START_NS, Plant, Vehicle, fix, lane_of, place
 
 COMMON = (2.5, -1.5)  # [m, north and east] error that the receivers have in common
 CAR = Vehicle(7, "n2", error=COMMON)
+TICKETED = {"authentication": Authentication.AUTHENTICATED, "signer": "6999ac931bf65e6b"}
 
 
 def code_of(passage: TollPassage) -> str:
@@ -439,6 +440,34 @@ def test_a_station_with_a_wrong_clock_crosses_at_the_units_time() -> None:
     plant.drive(replace(CAR, clock_error_s=-1.004), until=20.0)
     assert plant.states == ["open", "crossed", "charged"]
     assert isclose(((plant.passages[1].crossing_ns or 0) - START_NS) * 1e-9, 12.5, abs_tol=0.15)
+
+
+def relayed(plant: Plant, car: Vehicle, delay_s: float, first: int = 17, until: int = 200) -> None:
+    """The first CAM of a vehicle arrive late, all at their delay; the next ones come from the vehicle."""
+    for k in range(until):
+        if k / 10.0 >= plant.clock_s:
+            plant.second()
+        late = round(delay_s * 1e9) if k < first else 0
+        cam = car.cam(plant.plaza, k / 10.0 - (delay_s if late else 0.0), **({"latency_s": delay_s} if late else {}))
+        plant.statements += plant.core.use([cam])
+
+
+@each("authenticated", (True, False))
+def test_who_relays_the_first_cam_late_does_not_shift_the_crossing(authenticated: bool) -> None:
+    plant, car = Plant(COMMON), replace(CAR, extra=TICKETED if authenticated else {})
+    relayed(plant, car, 1.6)
+    crossed = next(one for one in plant.passages if one.state is PassageState.CROSSED)
+    assert isclose(((crossed.crossing_ns or 0) - START_NS) * 1e-9, 12.5, abs_tol=0.15)
+    assert plant.core.rejected["too_old"] == (17 if authenticated else 0)
+
+
+def test_an_authenticated_cam_is_used_at_its_own_time_within_a_second() -> None:
+    for clock_error_s, reject in ((-1.1, "too_old"), (1.1, "from_the_future"), (-0.9, ""), (0.9, "")):
+        plant = Plant(COMMON)
+        plant.drive(replace(CAR, clock_error_s=clock_error_s, extra=TICKETED), until=0.1)
+        assert plant.core.rejected[reject] == bool(reject), clock_error_s
+        for track in plant.core.tracks(START_NS).tracks:
+            assert isclose((track.updated_ns - START_NS) * 1e-9, clock_error_s, abs_tol=1e-6)
 
 
 def test_late_and_repeated_cam_are_counted_and_not_used() -> None:

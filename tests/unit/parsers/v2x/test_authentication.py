@@ -10,7 +10,7 @@ import pytest
 from services.parsers.v2x.process import Config, Process
 from shared.errors import ConfigError
 from shared.messages.base import Tick
-from shared.messages.v2x import Authentication, Cam, CamContent, CamList, Unverified
+from shared.messages.v2x import MAX_FRAME_BYTES, Authentication, Cam, CamContent, CamList, Unverified
 from shared.runtime.config import parse_vehicle
 from shared.v2x import cam, geonetworking, its_time
 from shared.v2x.security import trusted, verifier
@@ -402,3 +402,10 @@ def test_files_that_are_no_certificates_are_counted_and_the_others_used(tmp_path
     process = unit(tmp_path)
     assert process.rejects == Counter({"trust_file": 1})
     assert states(received(process, frame())) == [(AUTHENTICATED, None)]
+
+
+@pytest.mark.parametrize("signs", [True, False])
+def test_bytes_behind_a_frame_are_not_kept(signs: bool, tmp_path: Path) -> None:
+    plain = frame() if signs else cams.packet(cams.BRAKING, its_time.its_time_ms(NOW_NS))
+    (found,) = received(unit(tmp_path), plain + bytes(MAX_FRAME_BYTES - len(plain)))
+    assert found.frame == plain

@@ -345,3 +345,42 @@ def test_the_captured_frames_are_read_as_tshark_dissects_them(tmp_path: Path) ->
         else:
             assert seen.all("ieee1609dot2.bitmapSsp")[0] == "01:00:00"
             assert seen.all("ieee1609dot2.start") == [str(found.certificate.start_s)]
+
+
+@pytest.mark.parametrize("octets", [9, 1_790])
+def test_a_number_of_thousands_of_digits_is_a_reject(octets: int) -> None:
+    packet = signed(PLAIN, TICKET, TIME_MS, with_certificate=False, header={"psid": 1 << 8 * octets - 2})
+    assert reason_of(packet) == "security_encoding"
+
+
+@each("member", ("minChainLength", "chainLengthRange"))
+def test_a_chain_length_of_thousands_of_digits_is_a_reject(member: str) -> None:
+    group = {"subjectPermissions": ("all", None), member: 1 << 14_000}
+    ticket = Ticket(extra={"certIssuePermissions": [group]})
+    with pytest.raises(RejectedFrame, match="security_encoding"):
+        certificate_of(ticket.certificate)
+
+
+def test_a_service_of_another_length_is_read_as_before() -> None:
+    for psid in (0, 127, 128, 624, 2**32, 2**64):
+        octets = max(1, (psid.bit_length() + 7) // 8)
+        assert encoded("Psid", psid) == bytes([octets]) + psid.to_bytes(octets)
+        assert Reader(encoded("Psid", psid)).take("Psid")[0] == psid
+
+
+def test_a_reject_has_a_short_text_whatever_its_detail_is() -> None:
+    class Mute:
+        def __str__(self) -> str:
+            raise KeyError("no text")
+
+    assert str(RejectedFrame("reason", 10**5000)) == "reason int"
+    assert str(RejectedFrame("reason", Mute())) == "reason Mute"
+    assert len(str(RejectedFrame("reason", b"x" * 10_000))) < 300
+
+
+def test_what_no_decoder_foresaw_in_an_envelope_is_a_reject() -> None:
+    def fails(_: Reader) -> Certificate:
+        raise OverflowError("an unknown case")
+
+    with pytest.raises(RejectedFrame, match="security_encoding"):
+        envelope.unwrap(signed(PLAIN, TICKET, TIME_MS), fails)

@@ -110,8 +110,47 @@ def test_files_that_do_not_prove_themselves_are_named_and_not_used(
     folder = tmp_path / str(len(list(tmp_path.iterdir())))
     folder.mkdir()
     store = loaded(folder, **{"root": PKI.root.certificate.encoded, **files})
-    assert len(store.faults) == 1 and fault in store.faults[0]
+    named = [each for each in store.faults if "roots in files do not count" not in each]
+    assert len(named) == 1 and fault in named[0]
     assert not store.issuers
+
+
+@each("place", ("missing", "a_file"))
+def test_a_folder_that_cannot_be_read_is_a_fault_that_names_it(place: str, tmp_path: Path) -> None:
+    (tmp_path / "a_file").write_bytes(b"")
+    store = trust.load(tmp_path / place)
+    assert len(store.faults) == 1 and str(tmp_path / place) in store.faults[0] and "irectory" in store.faults[0]
+    assert not trust.load(tmp_path.parent / tmp_path.name).roots  # the sub-folder `test` need not be there
+
+
+@each(
+    "damaged",
+    [
+        {"tlm": b""},
+        {"tlm": MANAGER.certificate.encoded[:-1]},
+        {"tlm": MANAGER.certificate.encoded[:-1] + bytes([MANAGER.certificate.encoded[-1] ^ 1])},
+        {"tlm": bytes(trust.MOST_BYTES + 1)},
+        {"ectl": ECTL},
+        {"ectl": ECTL[:-1]},
+    ],
+)
+def test_where_there_is_or_may_be_a_manager_a_root_in_a_file_does_not_count(
+    damaged: dict[str, bytes], tmp_path: Path
+) -> None:
+    folder = tmp_path / str(len(list(tmp_path.iterdir())))
+    folder.mkdir()
+    store = loaded(folder, **PKI.files(), **damaged)
+    assert not store.roots and not store.issuers
+    assert any("roots in files do not count" in fault for fault in store.faults)
+
+
+def test_where_a_root_has_a_list_an_authority_counts_only_by_it(tmp_path: Path) -> None:
+    without = trust_list(PKI.root, lists.OF_ROOT, [deleted(AUTHORITY)])
+    store = loaded(tmp_path, **PKI.files(), ctl=without)
+    assert set(store.roots) == {ROOT} and not store.issuers
+    assert [fault for fault in store.faults if "the list of its root does not have it" in fault]
+    store = loaded(tmp_path, **PKI.files(), ctl=CTL)
+    assert not store.faults and store.issuers[AUTHORITY].listed_until_s == NOW_S + DAY_S
 
 
 def test_a_manager_signs_no_list_of_a_root(tmp_path: Path) -> None:
