@@ -25,6 +25,7 @@ GONE_S = 17.0  # beyond the exit line
 SETTLED_S = 220.0
 VICTIM, OTHER, THIRD, THIEF = (Ticket(name) for name in ("victim", "other", "third", "thief"))
 DIRECTED = WITH_DETECTORS.replace('"detector": true', '"detector": true, "detector_direction": true')
+MIXED = WITH_DETECTORS.replace('"detector": true', '"detector": true, "traffic": "mixed"')
 Silent = Callable[[float, Vehicle], bool]
 
 
@@ -90,7 +91,11 @@ ATTACKS = {
     ),
     "motorcycle with a contract between two lanes": Attack(
         (replace(CAR, left=1.75),), (CROSSING_S,),
-        signed=((), {"undecided": 1}), unsigned=((), {"undecided": 1}),
+        signed=((), {"review": 1}), unsigned=((), {"review": 1}), reviews=({"toll.undecided"}, {"toll.undecided"}),
+    ),
+    "stated accuracy of 12 m, in a mixed lane": Attack(
+        (replace(CAR, stated_sd=12.0),), (CROSSING_S,), plaza_file=MIXED,
+        signed=((), {"review": 1}), unsigned=((), {"review": 1}), reviews=({"toll.undecided"}, {"toll.undecided"}),
     ),
     "trailer that is counted twice": Attack(
         (CAR,), (CROSSING_S, CROSSING_S + 0.35),
@@ -161,6 +166,20 @@ def test_an_attack_makes_nobody_else_pay_and_nothing_past_a_detector_free(
 
 
 ACCOUNT = ("charged", "review", "undecided", "unregistered", "suspect", "void", "missed")
+
+
+@pytest.mark.parametrize(("stop_s", "kept"), [(13.2, 1), (11.5, 0)], ids=["behind the gate line", "before it"])
+def test_a_contract_whose_core_stops_while_it_passes_is_left_to_a_person(
+    tmp_path: Path, stop_s: float, kept: int
+) -> None:
+    role = role_of(tmp_path, Attack((CAR,), (CROSSING_S,), ((), {}), ((), {})), signed=True)
+    role.drive(stop_s)
+    role.core = None
+    role.drive(180.0)
+    (review,) = role.reviews()
+    assert review.contract == "victim" and review.reason_code and review.reason_code.code == "ledger.no_statement"
+    assert len(role.store.rows("SELECT 1 FROM evidence")) == kept
+    assert [row["action"] for row in role.store.rows("SELECT action FROM picture")] == ["keep"]
 
 
 def test_an_authenticated_ghost_is_reported_with_its_ticket_and_kept_in_the_pack(tmp_path: Path) -> None:

@@ -321,10 +321,10 @@ class Ledger:
         """
         silent_ns = now_ns - round(self._settings.silence_limit_s * NS)
         if self._started_ns < silent_ns:
-            rows = self._store.rows("SELECT passage_id, statement FROM passage WHERE sampled_ns < ?", silent_ns)
-            stored = [self._read(TollPassage, row["statement"], row["passage_id"]) for row in rows]
-            silent = [p for p in self._unregistered.values() if p.sampled_ns < silent_ns]
-            for passage in stored + silent:
+            rows = self._store.rows("SELECT * FROM passage WHERE sampled_ns < ?", silent_ns)
+            for row in rows:
+                self._end_silent(row, now_ns)
+            for passage in [p for p in self._unregistered.values() if p.sampled_ns < silent_ns]:
                 state = PassageState.VOID if passage.crossing_ns is None else PassageState.UNDECIDED
                 self._settle(passage, state, stated(explain(Code.NO_STATEMENT)), now_ns)
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
@@ -806,12 +806,50 @@ class Ledger:
         contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
         if message.state is PassageState.CHARGED:
             self._charge(message, crossed, registrations, now_ns)
-        elif message.state is PassageState.VOID and contracts and crossed and message.lane in self._detectors:
+        elif message.state is PassageState.UNDECIDED and contracts:
+            why = message.reason_code or explain(Code.NO_LANE)
+            self._leave_to_person(message, crossed or message, registrations, why, now_ns)
+        elif message.state is PassageState.VOID and contracts and crossed and self._may_be_counted(message):
             self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
         elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
             self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
         else:
             self._settle(message, message.state, _why(message), now_ns, contracts)
+
+    def _may_be_counted(self, message: TollPassage) -> bool:
+        """Whether a detector can say that a vehicle was at the gate line."""
+        return message.lane in self._detectors if message.lane is not None else bool(self._detectors)
+
+    def _end_silent(self, row: Row, now_ns: int) -> None:
+        """End a passage of a contract that `core.toll` states nothing more of: it may have stopped, the vehicle not.
+
+        What has crossed is left to a person, and so is what may be the vehicle of a pulse that nothing explains.
+        """
+        message = self._read(TollPassage, row["statement"], row["passage_id"])
+        why = explain(Code.NO_STATEMENT)
+        if not self._is_as_sealed("passage", row):
+            self._settle(message, PassageState.SUSPECT, stated(explain(Code.CHANGED)), now_ns)
+            return
+        registrations = self._registered(message, row["registrations"])
+        if message.crossing_ns is not None:
+            crossed = self._read(TollPassage, row["crossed"], row["passage_id"]) if row["crossed"] else message
+            self._leave_to_person(message, crossed, registrations, why, now_ns)
+        elif (pulse := self._unexplained_pulse(message)) is not None:
+            self.pictures.disputed(pulse)
+            self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
+        else:
+            self._settle(message, PassageState.VOID, stated(why), now_ns)
+
+    def _unexplained_pulse(self, message: TollPassage) -> Row | None:
+        """Find the first pulse that a passage without crossing may own: of its time, and of no crossing."""
+        matched, lanes = self._matched(), {lane.lane for lane in message.lanes}
+        until_ns = message.sampled_ns + round(self._settings.silence_limit_s * NS)
+        free = [
+            row for key, row in matched.pulses.items()
+            if key not in matched.found and not row["backward"] and message.opened_ns <= row["sampled_ns"] <= until_ns
+            and (not lanes or row["lane"] in lanes)
+        ]  # fmt: skip
+        return min(free, key=lambda row: int(row["sampled_ns"]), default=None)
 
     def _registered(self, message: TollPassage, stored: str) -> list[TollRegistration]:
         """Registrations of a passage: those that held when they were stored with it, and those that hold now.
@@ -850,7 +888,11 @@ class Ledger:
             return
         if message.lane is None:
             why = _why(message) if message.reason else stated(explain(Code.NO_LANE))
-            self._settle(message, PassageState.UNDECIDED, why, now_ns)
+            if contracts:
+                code = message.reason_code or explain(Code.NO_LANE)
+                self._leave_to_person(message, proof, registrations, code, now_ns)
+            else:
+                self._settle(message, PassageState.UNDECIDED, why, now_ns)
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, stated(explain(Code.NO_CONTRACT)), now_ns)
         elif (doubt := self._doubt(message, proof, contracts, is_covered=is_covered)) is not None:
@@ -869,7 +911,7 @@ class Ledger:
         now_ns: int,
     ) -> None:
         """Review a passage of a contract, with its evidence where there is any: a charge may follow."""
-        if crossed.evidence is None or message.crossing_ns is None:
+        if crossed.evidence is None or message.crossing_ns is None or len(contracts_of(registrations)) != 1:
             self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
             return
         self._hold(message, crossed, registrations, now_ns)
