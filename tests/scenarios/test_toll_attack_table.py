@@ -43,16 +43,18 @@ class Attack:
     backward_s: tuple[float, ...] = ()
     plaza_file: str = WITH_DETECTORS
     reviews: tuple[set[str], set[str]] = field(default=(set(), set()))  # codes, signed and unsigned
+    gone_s: float = GONE_S
     wrong_unsigned: int = 0  # contracts that pay for another vehicle
 
 
-def reversing(until_s: float) -> Vehicle:
+def reversing(until_s: float, car: Vehicle = CAR) -> Vehicle:
     """The same station, from a time on, as if it drove backwards over the gate line."""
-    at = CAR.distance(until_s)
-    return replace(CAR, start=at, since=until_s, speed=20.0, backward=True)
+    at = car.distance(until_s)
+    return replace(car, start=at, since=until_s, speed=20.0, backward=True)
 
 
 REVERSED = (CAR, reversing(14.0))
+SECOND = replace(CAR, station_id=8, start=CAR.start - 40.0)
 FORWARD_THEN_BACK: Silent = lambda t, vehicle: (t >= 14.0) is not vehicle.backward  # noqa: E731  # one line of a table
 
 ATTACKS = {
@@ -84,6 +86,14 @@ ATTACKS = {
     "U-turn with a pulse backwards": Attack(
         REVERSED, (CROSSING_S, 16.0), tickets=(VICTIM, VICTIM), silent=FORWARD_THEN_BACK, backward_s=(16.0,),
         plaza_file=DIRECTED, signed=((), {"void": 2}), unsigned=((), {"void": 2}),
+    ),
+    "two U-turns and one pulse backwards": Attack(
+        (*REVERSED, SECOND, reversing(16.0, SECOND)), (CROSSING_S, CROSSING_S + 2.0, 16.0),
+        tickets=(VICTIM, VICTIM, OTHER, OTHER), contracts=((VICTIM, "victim", 7), (OTHER, "other", 8)),
+        silent=lambda t, vehicle: (t >= (14.0 if vehicle.station_id == 7 else 16.0)) is not vehicle.backward,
+        gone_s=18.5, backward_s=(16.0,), plaza_file=DIRECTED,
+        signed=((), {"void": 2, "review": 1}), unsigned=((), {"void": 2, "review": 1}),
+        reviews=({"ledger.turned_counted"}, {"ledger.turned_counted"}),
     ),
     "motorcycle without a radio beside a car": Attack(
         (CAR,), (CROSSING_S, CROSSING_S + 0.45),
@@ -136,7 +146,7 @@ def role_of(folder: Path, attack: Attack, *, signed: bool) -> Role:
     else:
         stations = tuple((station, contract) for _, contract, station in attack.contracts)
         role = Role(folder, **common, stations=stations, plaza_file=attack.plaza_file)  # type: ignore[arg-type]
-    role.is_lost = lambda t, vehicle: t > GONE_S or attack.silent(t, vehicle)
+    role.is_lost = lambda t, vehicle: t > attack.gone_s or attack.silent(t, vehicle)
     return role
 
 

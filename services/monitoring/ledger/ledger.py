@@ -453,8 +453,12 @@ class Ledger:
         pulse_of = matched.pulse_of
         rows = {row["passage_id"]: row for row in matched.crossings.values() if row["passage_id"]}
         turned = {passage_id: row for passage_id, row in rows.items() if row["state"] == PassageState.VOID}
-        for row in turned.values():
-            self._judge_turned(row, pulse_of.get(row["number"]), now_ns)
+        held = {row["passage_id"] for row in self._store.rows("SELECT passage_id FROM held")} if turned else set()
+        counted = [(row, pulse_of[row["number"]]) for row in turned.values() if row["number"] in pulse_of]
+        back_of = self._pulses_backward(counted, held)
+        for passage_id, row in turned.items():
+            pulse, back = pulse_of.get(row["number"]), back_of.get(passage_id)
+            self._judge_turned(row, pulse, back, now_ns, is_held=passage_id in held)
         claims = {
             passage_id: self._claim(row, pulse_of.get(row["number"]), matched.pulses, now_ns)
             for passage_id, row in rows.items() if passage_id not in turned
@@ -528,15 +532,14 @@ class Ledger:
             row["passage_id"], row["lane"], row["crossing_ns"], self._tickets.get(row["passage_id"]), now_ns
         )
 
-    def _judge_turned(self, row: Row, pulse: Row | None, now_ns: int) -> None:
+    def _judge_turned(self, row: Row, pulse: Row | None, back: Row | None, now_ns: int, *, is_held: bool) -> None:
         """Decide on a vehicle that says it has turned around behind the gate line.
 
-        The detector decides: without a pulse it has not passed, and neither with one backwards behind it. Otherwise it
-        is reviewed, or counts as a vehicle without contract.
+        The detector decides: without a pulse it has not passed, and neither with one backwards behind it, of its own.
+        Otherwise it is reviewed, or counts as a vehicle without contract.
         """
-        is_held = self._store.row("SELECT 1 FROM held WHERE passage_id = ?", row["passage_id"]) is not None
         waited = now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS)
-        if pulse is not None and not self._came_back(pulse, row["settled_ns"]):
+        if pulse is not None and back is None:
             if is_held and (waited or row["lane"] not in self._directed):
                 self.pictures.disputed(pulse)
                 self._review(row["passage_id"], explain(Code.TURNED_COUNTED), [], now_ns)
@@ -546,17 +549,46 @@ class Ledger:
                 )
         elif is_held and waited:
             self._store.execute("DELETE FROM held WHERE passage_id = ?", row["passage_id"])
+            if back is not None:
+                self._store.execute("UPDATE pulse SET owner = ? WHERE rowid = ?", row["passage_id"], back["rowid"])
 
-    def _came_back(self, pulse: Row, until_ns: int) -> bool:
-        """Whether a detector of the direction has counted a vehicle backwards after a pulse."""
-        direction = self._lanes[pulse["lane"]].direction
-        lanes = [lane.name for lane in self._lanes.values() if lane.direction == direction]
+    def _pulses_backward(self, turned: Sequence[tuple[Row, Row]], held: Collection[str]) -> dict[str, Row]:
+        """Assign pulses backwards to vehicles that say they have turned around, at most one to one.
+
+        A pulse is of a vehicle that was counted forward in its lane before it. Of several it is that of the one whose
+        statement comes first; what is not authenticated, or has no contract, takes none from the others.
+
+        Parameters
+        ----------
+        turned : sequence of pairs
+            Crossing, and its pulse forward.
+        held : collection of str
+            IDs of those that have a contract.
+
+        Returns
+        -------
+        dict
+            Pulse by ID of the passage.
+        """
+        if not turned:
+            return {}
         gate_ns = round(self._settings.match_gate_s * NS)
-        rows = self._store.rows(
-            "SELECT lane FROM pulse WHERE backward AND sampled_ns > ? AND sampled_ns <= ?",
-            pulse["sampled_ns"], until_ns + gate_ns,
+        waiting = sorted(turned, key=lambda pair: (
+            not pair[0]["authenticated"], pair[0]["passage_id"] not in held, pair[0]["settled_ns"], pair[0]["number"],
+        ))  # fmt: skip
+        backward = self._store.rows(
+            "SELECT rowid, * FROM pulse WHERE backward AND sampled_ns > ? ORDER BY sampled_ns",
+            min(pulse["sampled_ns"] for _, pulse in turned),
         )  # fmt: skip
-        return any(row["lane"] in lanes for row in rows)
+        found = {back["owner"]: back for back in backward if back["owner"] is not None}
+        for back in (back for back in backward if back["owner"] is None):
+            for row, pulse in waiting:
+                passage_id, until_ns = row["passage_id"], row["settled_ns"] + gate_ns
+                is_after = pulse["sampled_ns"] < back["sampled_ns"] <= until_ns and back["lane"] == pulse["lane"]
+                if is_after and passage_id not in found:
+                    found[passage_id] = back
+                    break
+        return found
 
     def _claim(self, row: Row, pulse: Row | None, pulses: Mapping[int, Row], now_ns: int) -> Claim:
         def sds_of(other: Row) -> float:
