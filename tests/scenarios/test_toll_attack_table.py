@@ -201,6 +201,22 @@ def test_an_authenticated_ghost_is_reported_with_its_ticket_and_kept_in_the_pack
     assert charge.ghosts == 1 and charge.ticket == VICTIM.digest
 
 
+def test_a_slow_ghost_with_a_ticket_and_a_length_of_a_lorry_stops_no_charge(tmp_path: Path) -> None:
+    """Three cars pass beside a station without contract that states 16.5 m, of which each car is a neighbour."""
+    cars = tuple(replace(CAR, station_id=10 + k, start=CAR.start - 40.0 * k) for k in range(3))
+    ghost = replace(CAR, station_id=99, start=-35.0, speed=3.0, extra={"vehicle_length_m": 16.5})
+    tickets = {k: Ticket(f"car {k}") for k in range(3)}
+    role = Role(
+        tmp_path, (*cars, ghost), (), tuple(CROSSING_S + 2.0 * k for k in range(3)), tickets={**tickets, 3: THIEF},
+        contracts=tuple((ticket, f"contract {k}", 10 + k) for k, ticket in tickets.items()),
+        plaza_file=that_requires_tickets(WITH_DETECTORS),
+    )  # fmt: skip
+    role.is_lost = lambda t, vehicle: vehicle.distance(t) > 80.0
+    role.drive(120.0)
+    assert role.state().transactions == 3 and role.reviews() == []
+    assert [(alarm.kind, alarm.ticket) for alarm in role.alarms] == [(AlarmKind.MISBEHAVIOUR, THIEF.digest)]
+
+
 def test_one_radio_with_ghosts_before_every_car_stops_no_charge_and_is_an_attack(tmp_path: Path) -> None:
     """Five cars in ten seconds, each with a ghost that is not authenticated 1.5 m ahead."""
     cars = tuple(replace(CAR, station_id=10 + k, start=CAR.start - 40.0 * k) for k in range(5))

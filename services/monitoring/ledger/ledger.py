@@ -502,24 +502,28 @@ class Ledger:
                 for pulse in pulses:
                     self.pictures.disputed(pulse)
                 self._review(passage_id, judgement.why, others, now_ns)
-            elif judgement.verdict is Verdict.GHOSTS or judgement.charged not in (None, passage_id):
-                if claim.pulse is None or judgement.verdict is Verdict.ALONE:
-                    self._drop_ghost(row, judgement.charged, now_ns)
-            elif judgement.charged == passage_id:
-                self._give_pulse(row, pulses)
+            elif judgement.verdict is Verdict.GHOSTS:
+                if claim.pulse is None:
+                    self._drop_ghost(row, None, now_ns)
+            elif passage_id in judgement.ghosts:
+                self._drop_ghost(row, min(judgement.charged), now_ns)
+            elif passage_id in judgement.charged:
+                pulse = matched.pulses[judgement.charged[passage_id]]
+                self._give_pulse(row, pulse)
                 if row["state"] == PassageState.HELD:
-                    self._charge_held(passage_id, now_ns, pulses=pulses, verdict=judgement.why, ghosts=others)
+                    self._charge_held(
+                        passage_id, now_ns, pulses=[pulse], verdict=judgement.why, ghosts=judgement.ghosts
+                    )
             elif row["state"] == PassageState.HELD:
                 own = [matched.pulses[claim.pulse]] if claim.pulse is not None else []
                 self._charge_held(passage_id, now_ns, pulses=own)
 
-    def _give_pulse(self, row: Row, pulses: list[Row]) -> None:
-        """Assign the only pulse of a group to the passage that is charged: its ghosts cross nothing any more."""
-        for pulse in pulses:
-            self._store.execute(
-                "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
-                pulse["sampled_ns"], pulse["lane"], row["number"],
-            )  # fmt: skip
+    def _give_pulse(self, row: Row, pulse: Row) -> None:
+        """Assign a pulse to a passage that is charged: the ghosts around it cross nothing any more."""
+        self._store.execute(
+            "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
+            pulse["sampled_ns"], pulse["lane"], row["number"],
+        )  # fmt: skip
 
     def _drop_ghost(self, row: Row, charged: str | None, now_ns: int) -> None:
         """Settle a station that no detector has counted; the pack of the vehicle that was there names it."""

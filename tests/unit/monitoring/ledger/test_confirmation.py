@@ -395,3 +395,36 @@ def test_a_passage_alone(changes: dict[str, object], verdict: Verdict) -> None:
 def test_an_overlap_whose_other_passage_has_not_ended_waits_for_it() -> None:
     assert judge([claim("b", "a")], {"b"}).verdict is Verdict.WAITS
     assert judge([claim("b", "a", waited=True)], {"b"}).verdict is Verdict.STANDS
+
+
+def counted(passage_id: str, pulse: int | None, *explains: int, contract: bool = True, **changes: object) -> Claim:
+    """An authenticated passage of a group that has waited."""
+    return claim(
+        passage_id, "x", pulse=pulse, pulse_sds=None if pulse is None else 1.0, explains=frozenset(explains),
+        is_charge=contract, authenticated=True, waited=True, **changes,
+    )  # fmt: skip
+
+
+@each(
+    ("group", "charged", "ghosts"),
+    [
+        ((counted("a", 1, 1), counted("b", 2, 2), counted("x", None, 1, contract=False)), {"a": 1, "b": 2}, ("x",)),
+        ((counted("a", None, 1), counted("b", 2, 2), counted("x", 1, 1, contract=False)), {"a": 1, "b": 2}, ("x",)),
+        (
+            (counted("a", 1, 1, 2), counted("b", None, 1), counted("x", 2, 2, contract=False)),
+            {"a": 2, "b": 1}, ("x",),
+        ),
+        (
+            (counted("a", 1, 1), counted("w", 2, 2, contract=False), counted("x", None, contract=False)),
+            {"a": 1}, ("x",),
+        ),
+        ((counted("a", 1, 1), counted("b", None, 1), counted("x", None, 1, contract=False)), {}, ()),
+        ((counted("a", 1), counted("x", None, 1, contract=False)), {}, ()),
+    ],
+)  # fmt: skip
+def test_contracts_with_a_pulse_each_are_charged_and_what_has_none_left_is_a_ghost(
+    group: tuple[Claim, ...], charged: dict[str, int], ghosts: tuple[str, ...]
+) -> None:
+    found = judge(group, {claim.passage_id for claim in group} | {"x"})
+    assert found.verdict is (Verdict.ALONE if charged else Verdict.REVIEW)
+    assert (dict(found.charged), found.ghosts) == (charged, ghosts)
