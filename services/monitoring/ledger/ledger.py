@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TypeVar
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from shared.evidence import KeyFile
 from shared.messages.base import Message
@@ -143,6 +143,27 @@ class Settings(Section):
     resend_longest_s: float = Field(
         default=60.0, gt=0, description="longest time between two attempts to send a transaction"
     )
+
+    @model_validator(mode="after")
+    def _check_times(self) -> "Settings":
+        """Refuse times of which one ends what another one still waits for.
+
+        Raises
+        ------
+        ValueError
+            A time is too short.
+        """
+        passage_s = self.silence_limit_s  # the longest time from one statement on a passage to the next
+        least = (
+            ("uncharged_kept_s", self.confirm_wait_s, "confirm_wait_s"),
+            ("uncharged_kept_s", self.drive_round_s + passage_s, "drive_round_s + silence_limit_s"),
+            ("match_after_s", self.confirm_wait_s, "confirm_wait_s"),
+            ("picture_undecided_s", self.match_after_s + self.match_gate_s, "match_after_s + match_gate_s"),
+        )
+        for name, least_s, sum_of in least:
+            if getattr(self, name) < least_s:
+                raise ValueError(f"{name} is {getattr(self, name):g} s: at least {sum_of}, {least_s:g} s")
+        return self
 
 
 @dataclass(frozen=True)
@@ -340,6 +361,7 @@ class Ledger:
         self._store.execute(
             "DELETE FROM settled WHERE final_ns >= ? AND final_ns < ? "
             "AND NOT EXISTS (SELECT 1 FROM booking WHERE booking.passage_id = settled.passage_id) "
+            "AND NOT EXISTS (SELECT 1 FROM held WHERE held.passage_id = settled.passage_id) "
             "AND NOT EXISTS (SELECT 1 FROM review WHERE review.passage_id = settled.passage_id)",
             self._cleaned_ns, kept_ns,
         )  # fmt: skip
@@ -384,9 +406,10 @@ class Ledger:
             if crossing:
                 self._store.execute("DELETE FROM crossing WHERE number = ?", crossing["number"])
         waiting = set(found.values())
+        held = {row["passage_id"] for row in self._store.rows("SELECT passage_id FROM held")}
         late_ns = ripe_ns - round(self._settings.match_gate_s * NS)
         for number, row in crossings.items():
-            if row["crossing_ns"] < late_ns and number not in waiting:
+            if row["crossing_ns"] < late_ns and number not in waiting and row["passage_id"] not in held:
                 if row["state"] == PassageState.CHARGED:
                     self._count(row["lane"], row["crossing_ns"], self._without_detection(row["lane"]))
                 self._store.execute("DELETE FROM crossing WHERE number = ?", number)
@@ -1298,9 +1321,15 @@ class Ledger:
             )  # fmt: skip
 
     def _change(self, passage_id: str, **changes: object) -> PassageSummary:
-        """Change the summary of a settled passage, and what its crossing counts as."""
+        """Change the summary of a settled passage, and what its crossing counts as.
+
+        Of one that is not remembered any more there is nothing to change: what is known is returned.
+        """
         row = self._store.row("SELECT summary FROM settled WHERE passage_id = ?", passage_id)
-        found = self._read(PassageSummary, row["summary"] if row else "", passage_id).model_copy(update=changes)
+        if row is None:
+            known = PassageSummary(passage_id=passage_id, state=PassageState.SUSPECT, reason="")
+            return known.model_copy(update=changes)
+        found = self._read(PassageSummary, row["summary"], passage_id).model_copy(update=changes)
         self._store.execute(
             "UPDATE settled SET summary = ? WHERE passage_id = ?", found.model_dump_json(exclude_none=True), passage_id
         )

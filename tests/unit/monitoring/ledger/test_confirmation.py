@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
-from services.monitoring.ledger.ledger import Ledger
+from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.explanation import explain, passage
 from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
@@ -428,3 +429,26 @@ def test_contracts_with_a_pulse_each_are_charged_and_what_has_none_left_is_a_gho
     found = judge(group, {claim.passage_id for claim in group} | {"x"})
     assert found.verdict is (Verdict.ALONE if charged else Verdict.REVIEW)
     assert (dict(found.charged), found.ghosts) == (charged, ghosts)
+
+
+@each(
+    ("settings", "named"),
+    [
+        ({"uncharged_kept_s": 10.0}, "uncharged_kept_s is 10 s: at least confirm_wait_s, 30 s"),
+        ({"drive_round_s": 280.0}, "uncharged_kept_s is 300 s: at least drive_round_s"),
+        ({"match_after_s": 20.0}, "match_after_s is 20 s: at least confirm_wait_s"),
+        ({"picture_undecided_s": 100.0}, "picture_undecided_s is 100 s: at least match_after_s"),
+    ],
+)
+def test_times_of_which_one_ends_what_another_waits_for_are_refused(settings: dict[str, float], named: str) -> None:
+    with pytest.raises(ValidationError, match=named):
+        Settings.model_validate(settings)
+
+
+def test_a_held_passage_that_is_not_remembered_any_more_is_no_damage(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.end(car)
+    gate.store.execute("DELETE FROM settled")
+    gate.work(car, 40.0)
+    (review,) = gate.reviews().values()
+    assert review.contract == "contract-1" and gate.state(car, 41.0).held == 0
