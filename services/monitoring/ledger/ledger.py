@@ -37,6 +37,7 @@ from shared.messages.toll import (
     PassageState,
     PassageSummary,
     PictureAction,
+    PictureState,
     PlazaDetector,
     PulseEvidence,
     RestoredCams,
@@ -239,6 +240,8 @@ class Ledger:
                 self.pay(message, now_ns)
             case UsedCams():
                 self.remember(message)
+            case PictureState() if message.plaza == self._plaza.name:
+                self.pictures.note(message, now_ns)
             case _:
                 pass
 
@@ -753,6 +756,7 @@ class Ledger:
             pictures=self.pictures.kept(),
             pictures_kept=self.pictures.count(PictureAction.KEEP),
             pictures_waiting=self.pictures.count(PictureAction.TAKE),
+            pictures_failed=self.pictures.failed,
             alarms=self.alarms.count(since_ns),
             newest_alarm=self.alarms.newest(),
         )
