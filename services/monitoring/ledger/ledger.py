@@ -7,6 +7,7 @@ after the commit. Messages may come twice, late, or after a restart: each is sto
 import hashlib
 import json
 import zlib
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -85,6 +86,8 @@ MAX_TICKETS = 2000
 FORM = 2  # of evidence packs: with registrations, pulses and verdict
 SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
+CLAIMING = (PassageState.CHARGED, PassageState.HELD)  # what a pulse has to confirm
+MAX_STRANGERS = 2000  # crossings without a contract that are not authenticated and wait for their pulse
 UNCONFIRMED, NOT_AUTHENTICATED = "unconfirmed", "not authenticated"  # counts
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 
@@ -179,6 +182,24 @@ class PulseMatches:
     def pulse_of(self) -> dict[int, Row]:
         """Pulse by number of the crossing."""
         return {number: self.pulses[key] for key, number in self.found.items()}
+
+
+class PulseTimes:
+    """Pulses forward by lane and time."""
+
+    def __init__(self, pulses: Mapping[int, Row]) -> None:
+        self._lanes: dict[str, list[tuple[int, int]]] = {}  # time and key, in their order
+        for key, row in pulses.items():
+            if not row["backward"]:
+                self._lanes.setdefault(row["lane"], []).append((row["sampled_ns"], key))
+        for pulses_of_lane in self._lanes.values():
+            pulses_of_lane.sort()
+
+    def near(self, lane: str | None, time_ns: int, within_ns: int) -> list[int]:
+        """Keys of the pulses of a lane within a time from another one."""
+        pulses = self._lanes.get(lane or "", [])
+        begin = bisect_left(pulses, (time_ns - within_ns, -1))
+        return [key for _, key in pulses[begin : bisect_left(pulses, (time_ns + within_ns + 1, -1))]]
 
 
 class Ledger:
@@ -485,9 +506,13 @@ class Ledger:
         for passage_id, row in turned.items():
             pulse, back = pulse_of.get(row["number"]), back_of.get(passage_id)
             self._judge_turned(row, pulse, back, now_ns, is_held=passage_id in held)
+        times = PulseTimes(matched.pulses)
+        named = {other for row in rows.values() if row["overlaps"] != "[]" for other in json.loads(row["overlaps"])}
         claims = {
-            passage_id: self._claim(row, pulse_of.get(row["number"]), matched.pulses, now_ns)
-            for passage_id, row in rows.items() if passage_id not in turned
+            passage_id: self._claim(row, pulse_of.get(row["number"]), times, now_ns)
+            for passage_id, row in rows.items()
+            if passage_id not in turned
+            and (row["state"] in CLAIMING or row["overlaps"] != "[]" or passage_id in named)
         }  # fmt: skip
         claims = self._with_links(claims)
         for group in groups(claims):
@@ -620,17 +645,15 @@ class Ledger:
                     break
         return found
 
-    def _claim(self, row: Row, pulse: Row | None, pulses: Mapping[int, Row], now_ns: int) -> Claim:
+    def _claim(self, row: Row, pulse: Row | None, times: PulseTimes, now_ns: int) -> Claim:
         def sds_of(other: Row) -> float:
             away_s = abs(other["sampled_ns"] - row["crossing_ns"]) * 1e-9
             return float(away_s / hypot(row["sd_s"], self._settings.detector_sd_s))
 
         held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
         crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
-        near = (
-            key for key, other in pulses.items()
-            if other["lane"] == row["lane"] and not other["backward"] and sds_of(other) <= TIGHT_SD
-        )  # fmt: skip
+        within_ns = round(TIGHT_SD * hypot(row["sd_s"], self._settings.detector_sd_s) * NS)
+        near = times.near(row["lane"], row["crossing_ns"], within_ns)
         return Claim(
             passage_id=row["passage_id"],
             overlaps=frozenset(json.loads(row["overlaps"])),
@@ -1300,7 +1323,7 @@ class Ledger:
             "INSERT INTO settled VALUES (?, ?, ?)",
             message.passage_id, now_ns, summary.model_dump_json(exclude_none=True),
         )  # fmt: skip
-        if message.crossing_ns is not None:
+        if message.crossing_ns is not None and not self._is_one_too_many(message, state):
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
                 "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns, "
@@ -1323,6 +1346,19 @@ class Ledger:
                     authenticated=message.authenticated,
                 )
             )  # fmt: skip
+
+    def _is_one_too_many(self, message: TollPassage, state: PassageState) -> bool:
+        """Whether a crossing is left out: of radios that nothing vouches for there is no end. Its pulse is missed."""
+        if message.authenticated or state not in (PassageState.UNREGISTERED, PassageState.UNDECIDED):
+            return False
+        waiting = self._store.row(
+            "SELECT COUNT(*) AS n FROM crossing WHERE state IN (?, ?) AND NOT authenticated",
+            PassageState.UNREGISTERED,
+            PassageState.UNDECIDED,
+        )
+        is_full = waiting is not None and waiting["n"] >= MAX_STRANGERS
+        self.rejects["crossings without a contract left out"] += is_full
+        return is_full
 
     def _change(self, passage_id: str, **changes: object) -> PassageSummary:
         """Change the summary of a settled passage, and what its crossing counts as.
