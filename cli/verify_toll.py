@@ -14,7 +14,7 @@ from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
-from services.monitoring.ledger.pack import pack_faults
+from services.monitoring.ledger.pack import frame_faults, pack_faults
 from services.monitoring.ledger.proof import pack_fault, prove_ledger
 from shared.bounded import SizeExceeded, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
@@ -65,9 +65,9 @@ def verify_toll(
 
     Lane, probabilities, crossing time, passage ID, tariff and digest are computed from the received frames, the delta
     positions, the plaza's file and the settings in the evidence pack; the contract follows from the registrations in
-    it, the confirmation from the pulse in it. Of a ledger every booking is compared with the signed chain. Ends with 1
-    if a charge does not follow from its evidence, 3 unsigned, 5 edited, 6 signed by an unknown key. The graver one
-    counts: 5, 6, 1, 3.
+    it, the confirmation from the pulse in it. Of an authenticated charge the signature of every frame is verified. Of a
+    ledger every booking is compared with the signed chain. Ends with 1 if a charge does not follow from its evidence, 3
+    unsigned, 5 edited, 6 signed by an unknown key. The graver one counts: 5, 6, 1, 3.
 
     Examples:
     [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
@@ -255,6 +255,7 @@ def _derivation(pack: EvidencePack) -> Iterator[str]:
     if plaza.tariff.version != pack.tariff_version or plaza.tariff.classes.get(pack.tariff_class) != pack.amount_cents:
         yield "the amount is not that of the tariff"
     yield from pack_faults(pack, plaza)
+    yield from frame_faults(pack)
     evidence = pack.crossed.evidence
     if evidence is None:
         yield "the crossing has no evidence"

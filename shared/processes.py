@@ -260,7 +260,7 @@ PROCESSES = (
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
         container_user=10_124,
         consumes=("toll/registration", "toll/passage", "toll/used_cam", "plaza/detector", "toll/paid_otherwise",
-                  "toll/receipt", "origin/state"),
+                  "toll/receipt", "plaza/pictures", "origin/state"),
         produces=("toll/open_passages", "toll/restored_cam", "toll/transaction", "toll/review", "plaza/picture_order",
                   "toll/alarm", "toll/seal", "ledger/state"),
         roles=(Role.RSU,),

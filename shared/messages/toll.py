@@ -156,14 +156,22 @@ class PictureOrder(Message):
     reason_code: Explanation | None = None
 
 
+class PictureAnswer(Message):
+    """An order that a camera has carried out."""
+
+    picture: Digest
+    action: PictureAction
+
+
 class PictureState(Message):
-    """Pictures that the cameras of a plaza hold."""
+    """Pictures that the cameras of a plaza hold, and what they have answered since the last state."""
 
     sampled_ns: Nanoseconds
     plaza: Name
     pictures: Count = 0
     oldest_ns: Nanoseconds | None = None
     failed: Count = 0  # orders that no camera has taken
+    answered: Annotated[tuple[PictureAnswer, ...], Field(max_length=100)] = ()
 
 
 class AlarmKind(StrEnum):
@@ -618,6 +626,7 @@ class LedgerState(Message):
     pictures: Annotated[tuple[PictureSummary, ...], Field(max_length=50)] = ()  # the newest that are kept
     pictures_kept: Count = 0
     pictures_waiting: Count = 0  # taken, and neither kept nor deleted yet
+    pictures_failed: Count = 0  # attempts at orders that the camera has not answered
     alarms: Count = 0  # of this hour and the last
     newest_alarm: TollAlarm | None = None
 

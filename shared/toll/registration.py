@@ -63,7 +63,7 @@ def ticket_of(certificate: bytes) -> str:
     ----------
     IEEE 1609.2, 6.4.3: SHA-256, and SHA-384 for keys of 384 bits.
     """
-    return _certificate_of(certificate).digest.hex()
+    return certificate_of(certificate).digest.hex()
 
 
 def fault_of(
@@ -119,7 +119,7 @@ def _is_possessed(registration: TollRegistration) -> bool:
     if registration.certificate is None or registration.possession is None:
         return False
     try:
-        certificate = _certificate_of(registration.certificate)
+        certificate = certificate_of(registration.certificate)
         if certificate.digest.hex() != registration.ticket:
             return False
         raw = bytes.fromhex(registration.possession)
@@ -142,7 +142,7 @@ def _is_countersigned(registration: TollRegistration, operator_keys: Collection[
     return any(is_signature(public, signature, data) for public in named)
 
 
-def _certificate_of(encoded: bytes) -> Certificate:
+def certificate_of(encoded: bytes) -> Certificate:
     """Read a certificate; raises `RejectedFrame` for other bytes, and for those behind it."""
     reader = Reader(encoded)
     certificate = take_certificate(reader)

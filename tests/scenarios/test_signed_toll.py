@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from shared.messages.toll import PassageState, TollReview
+from cli.verify_toll import differences_of, parse, read
+from services.monitoring.ledger.pack import frame_faults
+from shared.messages.toll import EvidencePack, PassageState, TollReview
 from shared.v2x import its_time
 from tests.support.v2x.role import COMMON
 from tests.support.v2x.signed_role import SignedRole, plain_packet, station, utc_ns
@@ -37,6 +39,31 @@ def test_a_signed_vehicle_is_charged_as_authenticated(tmp_path: Path) -> None:
     assert role.parser.rejects.total() == 0
     charged = role.statements[-1]
     assert charged.authenticated and charged.tickets == (own.holder.certificate.digest.hex(),)
+    (evidence,) = read(tmp_path / "ledger.sqlite")
+    pack = parse(evidence)
+    assert differences_of(evidence, pack) == []
+    for change, fault in (
+        (plain_packet(CAR, 1.0), "a frame of an authenticated passage is not signed"),
+        (station("thief").sign(plain_packet(CAR, 1.0), utc_ns(1.0)), "a frame is signed by another ticket"),
+    ):
+        assert any(fault in found for found in frame_faults(with_first_frame(pack, change)))
+    evidence_of = pack.crossed.evidence
+    assert evidence_of is not None
+    data = evidence_of.frames[0].data
+    forged = data[:-1] + bytes([data[-1] ^ 1])
+    assert [*frame_faults(with_first_frame(pack, forged))] == ["the signature of a frame does not verify"]
+    assert [*frame_faults(pack.model_copy(update={"registrations": ()}))] == [
+        "no registration has the certificate of a frame's ticket"
+    ]
+
+
+def with_first_frame(pack: EvidencePack, data: bytes) -> EvidencePack:
+    """The pack with other bytes in the place of its first frame, labelled as before."""
+    evidence = pack.crossed.evidence
+    assert evidence is not None
+    frames = (evidence.frames[0].model_copy(update={"data": data}), *evidence.frames[1:])
+    crossed = pack.crossed.model_copy(update={"evidence": evidence.model_copy(update={"frames": frames})})
+    return pack.model_copy(update={"crossed": crossed})
 
 
 def test_an_unsigned_vehicle_is_charged_nowhere_by_the_ticket_of_a_contract(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ GONE_S = 17.0  # beyond the exit line
 SETTLED_S = 220.0
 VICTIM, OTHER, THIRD, THIEF = (Ticket(name) for name in ("victim", "other", "third", "thief"))
 DIRECTED = WITH_DETECTORS.replace('"detector": true', '"detector": true, "detector_direction": true')
+MIXED = WITH_DETECTORS.replace('"detector": true', '"detector": true, "traffic": "mixed"')
 Silent = Callable[[float, Vehicle], bool]
 
 
@@ -42,16 +43,18 @@ class Attack:
     backward_s: tuple[float, ...] = ()
     plaza_file: str = WITH_DETECTORS
     reviews: tuple[set[str], set[str]] = field(default=(set(), set()))  # codes, signed and unsigned
+    gone_s: float = GONE_S
     wrong_unsigned: int = 0  # contracts that pay for another vehicle
 
 
-def reversing(until_s: float) -> Vehicle:
+def reversing(until_s: float, car: Vehicle = CAR) -> Vehicle:
     """The same station, from a time on, as if it drove backwards over the gate line."""
-    at = CAR.distance(until_s)
-    return replace(CAR, start=at, since=until_s, speed=20.0, backward=True)
+    at = car.distance(until_s)
+    return replace(car, start=at, since=until_s, speed=20.0, backward=True)
 
 
 REVERSED = (CAR, reversing(14.0))
+SECOND = replace(CAR, station_id=8, start=CAR.start - 40.0)
 FORWARD_THEN_BACK: Silent = lambda t, vehicle: (t >= 14.0) is not vehicle.backward  # noqa: E731  # one line of a table
 
 ATTACKS = {
@@ -84,13 +87,25 @@ ATTACKS = {
         REVERSED, (CROSSING_S, 16.0), tickets=(VICTIM, VICTIM), silent=FORWARD_THEN_BACK, backward_s=(16.0,),
         plaza_file=DIRECTED, signed=((), {"void": 2}), unsigned=((), {"void": 2}),
     ),
+    "two U-turns and one pulse backwards": Attack(
+        (*REVERSED, SECOND, reversing(16.0, SECOND)), (CROSSING_S, CROSSING_S + 2.0, 16.0),
+        tickets=(VICTIM, VICTIM, OTHER, OTHER), contracts=((VICTIM, "victim", 7), (OTHER, "other", 8)),
+        silent=lambda t, vehicle: (t >= (14.0 if vehicle.station_id == 7 else 16.0)) is not vehicle.backward,
+        gone_s=18.5, backward_s=(16.0,), plaza_file=DIRECTED,
+        signed=((), {"void": 2, "review": 1}), unsigned=((), {"void": 2, "review": 1}),
+        reviews=({"ledger.turned_counted"}, {"ledger.turned_counted"}),
+    ),
     "motorcycle without a radio beside a car": Attack(
         (CAR,), (CROSSING_S, CROSSING_S + 0.45),
         signed=(("victim",), {"charged": 1, "missed": 1}), unsigned=(("victim",), {"charged": 1, "missed": 1}),
     ),
     "motorcycle with a contract between two lanes": Attack(
         (replace(CAR, left=1.75),), (CROSSING_S,),
-        signed=((), {"undecided": 1}), unsigned=((), {"undecided": 1}),
+        signed=((), {"review": 1}), unsigned=((), {"review": 1}), reviews=({"toll.undecided"}, {"toll.undecided"}),
+    ),
+    "stated accuracy of 12 m, in a mixed lane": Attack(
+        (replace(CAR, stated_sd=12.0),), (CROSSING_S,), plaza_file=MIXED,
+        signed=((), {"review": 1}), unsigned=((), {"review": 1}), reviews=({"toll.undecided"}, {"toll.undecided"}),
     ),
     "trailer that is counted twice": Attack(
         (CAR,), (CROSSING_S, CROSSING_S + 0.35),
@@ -131,7 +146,7 @@ def role_of(folder: Path, attack: Attack, *, signed: bool) -> Role:
     else:
         stations = tuple((station, contract) for _, contract, station in attack.contracts)
         role = Role(folder, **common, stations=stations, plaza_file=attack.plaza_file)  # type: ignore[arg-type]
-    role.is_lost = lambda t, vehicle: t > GONE_S or attack.silent(t, vehicle)
+    role.is_lost = lambda t, vehicle: t > attack.gone_s or attack.silent(t, vehicle)
     return role
 
 
@@ -163,6 +178,20 @@ def test_an_attack_makes_nobody_else_pay_and_nothing_past_a_detector_free(
 ACCOUNT = ("charged", "review", "undecided", "unregistered", "suspect", "void", "missed")
 
 
+@pytest.mark.parametrize(("stop_s", "kept"), [(13.2, 1), (11.5, 0)], ids=["behind the gate line", "before it"])
+def test_a_contract_whose_core_stops_while_it_passes_is_left_to_a_person(
+    tmp_path: Path, stop_s: float, kept: int
+) -> None:
+    role = role_of(tmp_path, Attack((CAR,), (CROSSING_S,), ((), {}), ((), {})), signed=True)
+    role.drive(stop_s)
+    role.core = None
+    role.drive(180.0)
+    (review,) = role.reviews()
+    assert review.contract == "victim" and review.reason_code and review.reason_code.code == "ledger.no_statement"
+    assert len(role.store.rows("SELECT 1 FROM evidence")) == kept
+    assert [row["action"] for row in role.store.rows("SELECT action FROM picture")] == ["keep"]
+
+
 def test_an_authenticated_ghost_is_reported_with_its_ticket_and_kept_in_the_pack(tmp_path: Path) -> None:
     role = role_of(tmp_path, ATTACKS["ghost 1.5 m ahead"], signed=True)
     role.drive(60.0)
@@ -170,6 +199,22 @@ def test_an_authenticated_ghost_is_reported_with_its_ticket_and_kept_in_the_pack
     (alarm,) = role.alarms
     assert (alarm.kind, alarm.ticket, alarm.lane) == (AlarmKind.MISBEHAVIOUR, THIEF.digest, "n2")
     assert charge.ghosts == 1 and charge.ticket == VICTIM.digest
+
+
+def test_a_slow_ghost_with_a_ticket_and_a_length_of_a_lorry_stops_no_charge(tmp_path: Path) -> None:
+    """Three cars pass beside a station without contract that states 16.5 m, of which each car is a neighbour."""
+    cars = tuple(replace(CAR, station_id=10 + k, start=CAR.start - 40.0 * k) for k in range(3))
+    ghost = replace(CAR, station_id=99, start=-35.0, speed=3.0, extra={"vehicle_length_m": 16.5})
+    tickets = {k: Ticket(f"car {k}") for k in range(3)}
+    role = Role(
+        tmp_path, (*cars, ghost), (), tuple(CROSSING_S + 2.0 * k for k in range(3)), tickets={**tickets, 3: THIEF},
+        contracts=tuple((ticket, f"contract {k}", 10 + k) for k, ticket in tickets.items()),
+        plaza_file=that_requires_tickets(WITH_DETECTORS),
+    )  # fmt: skip
+    role.is_lost = lambda t, vehicle: vehicle.distance(t) > 80.0
+    role.drive(120.0)
+    assert role.state().transactions == 3 and role.reviews() == []
+    assert [(alarm.kind, alarm.ticket) for alarm in role.alarms] == [(AlarmKind.MISBEHAVIOUR, THIEF.digest)]
 
 
 def test_one_radio_with_ghosts_before_every_car_stops_no_charge_and_is_an_attack(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Whether detectors confirm passages: alone in their lane, or several that overlap, of which the pulses are counted."""
 
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from shared.messages.explanation import Explanation, explain
@@ -17,7 +17,7 @@ class Verdict(Enum):
     STANDS = "stands"  # each keeps its outcome; what waits for it is charged
     WAITS = "waits"
     REVIEW = "review"
-    ALONE = "alone"  # one is charged, the others are ghosts
+    ALONE = "alone"  # the contracts are charged, and what has no pulse left is a ghost
     GHOSTS = "ghosts"  # no contract among them, and no vehicle
 
 
@@ -44,11 +44,12 @@ class Claim:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What follows for a group, why, and which passage is charged where the others are ghosts."""
+    """What follows for a group, why, and where there are ghosts: which, and the pulses of what is charged."""
 
     verdict: Verdict
     why: Explanation | None = None
-    charged: str | None = None
+    charged: Mapping[str, int] = field(default_factory=dict)  # key of the pulse by passage
+    ghosts: tuple[str, ...] = ()
 
 
 def groups(claims: Mapping[str, Claim]) -> list[list[Claim]]:
@@ -85,10 +86,10 @@ def judge(group: Iterable[Claim], known: Set[str]) -> Judgement:
     Notes
     -----
     Detectors count vehicles. As many pulses as passages: all stand. Fewer: one of them is not there, and which one no
-    CAM can say, so that none is dropped and none is charged, but for one case: there is one contract, it is
-    authenticated, and it explains the only pulse. Then it is charged, and the others are ghosts. Without detectors a
-    group stands if at most one of it is charged: a vehicle without contract ahead must not make the passage behind it
-    free.
+    CAM can say, so that none is dropped and none is charged, but for one case: every contract is authenticated and has
+    a pulse of its own within three standard deviations. Then all contracts are charged, whatever stations without
+    contract are around them, and those of these that no pulse is left for are ghosts. Without detectors a group stands
+    if at most one of it is charged: a vehicle without contract ahead must not make the passage behind it free.
     """
     claims = list(group)
     charges = [claim for claim in claims if claim.is_charge]
@@ -102,16 +103,38 @@ def judge(group: Iterable[Claim], known: Set[str]) -> Judgement:
         return Judgement(Verdict.WAITS)
     if counted and not charges and all(claim.overlaps for claim in claims):
         return Judgement(Verdict.GHOSTS)
-    if counted and len(charges) == 1 and _is_alone(charges[0], claims):
-        why = explain(Code.ALONE, ghost_count=len(claims) - 1)
-        return Judgement(Verdict.ALONE, why, charges[0].passage_id)
+    if counted and charges and (charged := _own_pulses(charges, claims)):
+        taken = set(charged.values())
+        others = [claim for claim in claims if not claim.is_charge]
+        ghosts = tuple(claim.passage_id for claim in others if claim.pulse is None or claim.pulse in taken)
+        return Judgement(Verdict.ALONE, explain(Code.ALONE, ghost_count=len(ghosts)), charged, ghosts)
     return Judgement(Verdict.REVIEW, _doubt(claims, len(charges), counted=counted))
 
 
-def _is_alone(charge: Claim, claims: list[Claim]) -> bool:
-    """Whether an authenticated contract explains the only pulse of its group."""
+def _own_pulses(charges: list[Claim], claims: list[Claim]) -> dict[str, int]:
+    """Assign to each authenticated contract one pulse of its group, within three standard deviations of its crossing.
+
+    Empty if that cannot be done for all of them. A contract keeps the pulse that it has; one without takes that of a
+    station without contract, or of a contract that another pulse is left for (augmenting paths).
+    """
+    if len(claims) < 2 or not all(charge.authenticated for charge in charges):
+        return {}
     pulses = {claim.pulse for claim in claims if claim.pulse is not None}
-    return charge.authenticated and len(claims) > 1 and len(pulses) == 1 and pulses <= charge.explains
+    charge_of = {
+        charge.pulse: charge for charge in charges if charge.pulse is not None and charge.pulse in charge.explains
+    }
+
+    def assign(charge: Claim, tried: set[int]) -> bool:
+        for pulse in sorted((charge.explains & pulses) - tried, key=lambda pulse: (pulse in charge_of, pulse)):
+            tried.add(pulse)
+            if pulse not in charge_of or assign(charge_of[pulse], tried):
+                charge_of[pulse] = charge
+                return True
+        return False
+
+    if not all(charge.pulse in charge.explains or assign(charge, set()) for charge in charges):
+        return {}
+    return {charge.passage_id: pulse for pulse, charge in charge_of.items()}
 
 
 def _doubt(claims: list[Claim], charges: int, *, counted: bool) -> Explanation:

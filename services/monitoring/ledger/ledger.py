@@ -7,13 +7,14 @@ after the commit. Messages may come twice, late, or after a restart: each is sto
 import hashlib
 import json
 import zlib
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TypeVar
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from shared.evidence import KeyFile
 from shared.messages.base import Message
@@ -37,6 +38,7 @@ from shared.messages.toll import (
     PassageState,
     PassageSummary,
     PictureAction,
+    PictureState,
     PlazaDetector,
     PulseEvidence,
     RestoredCams,
@@ -84,6 +86,8 @@ MAX_TICKETS = 2000
 FORM = 2  # of evidence packs: with registrations, pulses and verdict
 SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
+CLAIMING = (PassageState.CHARGED, PassageState.HELD)  # what a pulse has to confirm
+MAX_STRANGERS = 2000  # crossings without a contract that are not authenticated and wait for their pulse
 UNCONFIRMED, NOT_AUTHENTICATED = "unconfirmed", "not authenticated"  # counts
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 
@@ -144,6 +148,27 @@ class Settings(Section):
         default=60.0, gt=0, description="longest time between two attempts to send a transaction"
     )
 
+    @model_validator(mode="after")
+    def _check_times(self) -> "Settings":
+        """Refuse times of which one ends what another one still waits for.
+
+        Raises
+        ------
+        ValueError
+            A time is too short.
+        """
+        passage_s = self.silence_limit_s  # the longest time from one statement on a passage to the next
+        least = (
+            ("uncharged_kept_s", self.confirm_wait_s, "confirm_wait_s"),
+            ("uncharged_kept_s", self.drive_round_s + passage_s, "drive_round_s + silence_limit_s"),
+            ("match_after_s", self.confirm_wait_s, "confirm_wait_s"),
+            ("picture_undecided_s", self.match_after_s + self.match_gate_s, "match_after_s + match_gate_s"),
+        )
+        for name, least_s, sum_of in least:
+            if getattr(self, name) < least_s:
+                raise ValueError(f"{name} is {getattr(self, name):g} s: at least {sum_of}, {least_s:g} s")
+        return self
+
 
 @dataclass(frozen=True)
 class PulseMatches:
@@ -157,6 +182,24 @@ class PulseMatches:
     def pulse_of(self) -> dict[int, Row]:
         """Pulse by number of the crossing."""
         return {number: self.pulses[key] for key, number in self.found.items()}
+
+
+class PulseTimes:
+    """Pulses forward by lane and time."""
+
+    def __init__(self, pulses: Mapping[int, Row]) -> None:
+        self._lanes: dict[str, list[tuple[int, int]]] = {}  # time and key, in their order
+        for key, row in pulses.items():
+            if not row["backward"]:
+                self._lanes.setdefault(row["lane"], []).append((row["sampled_ns"], key))
+        for pulses_of_lane in self._lanes.values():
+            pulses_of_lane.sort()
+
+    def near(self, lane: str | None, time_ns: int, within_ns: int) -> list[int]:
+        """Keys of the pulses of a lane within a time from another one."""
+        pulses = self._lanes.get(lane or "", [])
+        begin = bisect_left(pulses, (time_ns - within_ns, -1))
+        return [key for _, key in pulses[begin : bisect_left(pulses, (time_ns + within_ns + 1, -1))]]
 
 
 class Ledger:
@@ -218,6 +261,8 @@ class Ledger:
                 self.pay(message, now_ns)
             case UsedCams():
                 self.remember(message)
+            case PictureState() if message.plaza == self._plaza.name:
+                self.pictures.note(message, now_ns)
             case _:
                 pass
 
@@ -321,10 +366,10 @@ class Ledger:
         """
         silent_ns = now_ns - round(self._settings.silence_limit_s * NS)
         if self._started_ns < silent_ns:
-            rows = self._store.rows("SELECT passage_id, statement FROM passage WHERE sampled_ns < ?", silent_ns)
-            stored = [self._read(TollPassage, row["statement"], row["passage_id"]) for row in rows]
-            silent = [p for p in self._unregistered.values() if p.sampled_ns < silent_ns]
-            for passage in stored + silent:
+            rows = self._store.rows("SELECT * FROM passage WHERE sampled_ns < ?", silent_ns)
+            for row in rows:
+                self._end_silent(row, now_ns)
+            for passage in [p for p in self._unregistered.values() if p.sampled_ns < silent_ns]:
                 state = PassageState.VOID if passage.crossing_ns is None else PassageState.UNDECIDED
                 self._settle(passage, state, stated(explain(Code.NO_STATEMENT)), now_ns)
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
@@ -340,6 +385,7 @@ class Ledger:
         self._store.execute(
             "DELETE FROM settled WHERE final_ns >= ? AND final_ns < ? "
             "AND NOT EXISTS (SELECT 1 FROM booking WHERE booking.passage_id = settled.passage_id) "
+            "AND NOT EXISTS (SELECT 1 FROM held WHERE held.passage_id = settled.passage_id) "
             "AND NOT EXISTS (SELECT 1 FROM review WHERE review.passage_id = settled.passage_id)",
             self._cleaned_ns, kept_ns,
         )  # fmt: skip
@@ -384,9 +430,10 @@ class Ledger:
             if crossing:
                 self._store.execute("DELETE FROM crossing WHERE number = ?", crossing["number"])
         waiting = set(found.values())
+        held = {row["passage_id"] for row in self._store.rows("SELECT passage_id FROM held")}
         late_ns = ripe_ns - round(self._settings.match_gate_s * NS)
         for number, row in crossings.items():
-            if row["crossing_ns"] < late_ns and number not in waiting:
+            if row["crossing_ns"] < late_ns and number not in waiting and row["passage_id"] not in held:
                 if row["state"] == PassageState.CHARGED:
                     self._count(row["lane"], row["crossing_ns"], self._without_detection(row["lane"]))
                 self._store.execute("DELETE FROM crossing WHERE number = ?", number)
@@ -453,11 +500,19 @@ class Ledger:
         pulse_of = matched.pulse_of
         rows = {row["passage_id"]: row for row in matched.crossings.values() if row["passage_id"]}
         turned = {passage_id: row for passage_id, row in rows.items() if row["state"] == PassageState.VOID}
-        for row in turned.values():
-            self._judge_turned(row, pulse_of.get(row["number"]), now_ns)
+        held = {row["passage_id"] for row in self._store.rows("SELECT passage_id FROM held")} if turned else set()
+        counted = [(row, pulse_of[row["number"]]) for row in turned.values() if row["number"] in pulse_of]
+        back_of = self._pulses_backward(counted, held)
+        for passage_id, row in turned.items():
+            pulse, back = pulse_of.get(row["number"]), back_of.get(passage_id)
+            self._judge_turned(row, pulse, back, now_ns, is_held=passage_id in held)
+        times = PulseTimes(matched.pulses)
+        named = {other for row in rows.values() if row["overlaps"] != "[]" for other in json.loads(row["overlaps"])}
         claims = {
-            passage_id: self._claim(row, pulse_of.get(row["number"]), matched.pulses, now_ns)
-            for passage_id, row in rows.items() if passage_id not in turned
+            passage_id: self._claim(row, pulse_of.get(row["number"]), times, now_ns)
+            for passage_id, row in rows.items()
+            if passage_id not in turned
+            and (row["state"] in CLAIMING or row["overlaps"] != "[]" or passage_id in named)
         }  # fmt: skip
         claims = self._with_links(claims)
         for group in groups(claims):
@@ -498,24 +553,28 @@ class Ledger:
                 for pulse in pulses:
                     self.pictures.disputed(pulse)
                 self._review(passage_id, judgement.why, others, now_ns)
-            elif judgement.verdict is Verdict.GHOSTS or judgement.charged not in (None, passage_id):
-                if claim.pulse is None or judgement.verdict is Verdict.ALONE:
-                    self._drop_ghost(row, judgement.charged, now_ns)
-            elif judgement.charged == passage_id:
-                self._give_pulse(row, pulses)
+            elif judgement.verdict is Verdict.GHOSTS:
+                if claim.pulse is None:
+                    self._drop_ghost(row, None, now_ns)
+            elif passage_id in judgement.ghosts:
+                self._drop_ghost(row, min(judgement.charged), now_ns)
+            elif passage_id in judgement.charged:
+                pulse = matched.pulses[judgement.charged[passage_id]]
+                self._give_pulse(row, pulse)
                 if row["state"] == PassageState.HELD:
-                    self._charge_held(passage_id, now_ns, pulses=pulses, verdict=judgement.why, ghosts=others)
+                    self._charge_held(
+                        passage_id, now_ns, pulses=[pulse], verdict=judgement.why, ghosts=judgement.ghosts
+                    )
             elif row["state"] == PassageState.HELD:
                 own = [matched.pulses[claim.pulse]] if claim.pulse is not None else []
                 self._charge_held(passage_id, now_ns, pulses=own)
 
-    def _give_pulse(self, row: Row, pulses: list[Row]) -> None:
-        """Assign the only pulse of a group to the passage that is charged: its ghosts cross nothing any more."""
-        for pulse in pulses:
-            self._store.execute(
-                "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
-                pulse["sampled_ns"], pulse["lane"], row["number"],
-            )  # fmt: skip
+    def _give_pulse(self, row: Row, pulse: Row) -> None:
+        """Assign a pulse to a passage that is charged: the ghosts around it cross nothing any more."""
+        self._store.execute(
+            "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
+            pulse["sampled_ns"], pulse["lane"], row["number"],
+        )  # fmt: skip
 
     def _drop_ghost(self, row: Row, charged: str | None, now_ns: int) -> None:
         """Settle a station that no detector has counted; the pack of the vehicle that was there names it."""
@@ -528,15 +587,14 @@ class Ledger:
             row["passage_id"], row["lane"], row["crossing_ns"], self._tickets.get(row["passage_id"]), now_ns
         )
 
-    def _judge_turned(self, row: Row, pulse: Row | None, now_ns: int) -> None:
+    def _judge_turned(self, row: Row, pulse: Row | None, back: Row | None, now_ns: int, *, is_held: bool) -> None:
         """Decide on a vehicle that says it has turned around behind the gate line.
 
-        The detector decides: without a pulse it has not passed, and neither with one backwards behind it. Otherwise it
-        is reviewed, or counts as a vehicle without contract.
+        The detector decides: without a pulse it has not passed, and neither with one backwards behind it, of its own.
+        Otherwise it is reviewed, or counts as a vehicle without contract.
         """
-        is_held = self._store.row("SELECT 1 FROM held WHERE passage_id = ?", row["passage_id"]) is not None
         waited = now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS)
-        if pulse is not None and not self._came_back(pulse, row["settled_ns"]):
+        if pulse is not None and back is None:
             if is_held and (waited or row["lane"] not in self._directed):
                 self.pictures.disputed(pulse)
                 self._review(row["passage_id"], explain(Code.TURNED_COUNTED), [], now_ns)
@@ -546,29 +604,56 @@ class Ledger:
                 )
         elif is_held and waited:
             self._store.execute("DELETE FROM held WHERE passage_id = ?", row["passage_id"])
+            if back is not None:
+                self._store.execute("UPDATE pulse SET owner = ? WHERE rowid = ?", row["passage_id"], back["rowid"])
 
-    def _came_back(self, pulse: Row, until_ns: int) -> bool:
-        """Whether a detector of the direction has counted a vehicle backwards after a pulse."""
-        direction = self._lanes[pulse["lane"]].direction
-        lanes = [lane.name for lane in self._lanes.values() if lane.direction == direction]
+    def _pulses_backward(self, turned: Sequence[tuple[Row, Row]], held: Collection[str]) -> dict[str, Row]:
+        """Assign pulses backwards to vehicles that say they have turned around, at most one to one.
+
+        A pulse is of a vehicle that was counted forward in its lane before it. Of several it is that of the one whose
+        statement comes first; what is not authenticated, or has no contract, takes none from the others.
+
+        Parameters
+        ----------
+        turned : sequence of pairs
+            Crossing, and its pulse forward.
+        held : collection of str
+            IDs of those that have a contract.
+
+        Returns
+        -------
+        dict
+            Pulse by ID of the passage.
+        """
+        if not turned:
+            return {}
         gate_ns = round(self._settings.match_gate_s * NS)
-        rows = self._store.rows(
-            "SELECT lane FROM pulse WHERE backward AND sampled_ns > ? AND sampled_ns <= ?",
-            pulse["sampled_ns"], until_ns + gate_ns,
+        waiting = sorted(turned, key=lambda pair: (
+            not pair[0]["authenticated"], pair[0]["passage_id"] not in held, pair[0]["settled_ns"], pair[0]["number"],
+        ))  # fmt: skip
+        backward = self._store.rows(
+            "SELECT rowid, * FROM pulse WHERE backward AND sampled_ns > ? ORDER BY sampled_ns",
+            min(pulse["sampled_ns"] for _, pulse in turned),
         )  # fmt: skip
-        return any(row["lane"] in lanes for row in rows)
+        found = {back["owner"]: back for back in backward if back["owner"] is not None}
+        for back in (back for back in backward if back["owner"] is None):
+            for row, pulse in waiting:
+                passage_id, until_ns = row["passage_id"], row["settled_ns"] + gate_ns
+                is_after = pulse["sampled_ns"] < back["sampled_ns"] <= until_ns and back["lane"] == pulse["lane"]
+                if is_after and passage_id not in found:
+                    found[passage_id] = back
+                    break
+        return found
 
-    def _claim(self, row: Row, pulse: Row | None, pulses: Mapping[int, Row], now_ns: int) -> Claim:
+    def _claim(self, row: Row, pulse: Row | None, times: PulseTimes, now_ns: int) -> Claim:
         def sds_of(other: Row) -> float:
             away_s = abs(other["sampled_ns"] - row["crossing_ns"]) * 1e-9
             return float(away_s / hypot(row["sd_s"], self._settings.detector_sd_s))
 
         held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
         crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
-        near = (
-            key for key, other in pulses.items()
-            if other["lane"] == row["lane"] and not other["backward"] and sds_of(other) <= TIGHT_SD
-        )  # fmt: skip
+        within_ns = round(TIGHT_SD * hypot(row["sd_s"], self._settings.detector_sd_s) * NS)
+        near = times.near(row["lane"], row["crossing_ns"], within_ns)
         return Claim(
             passage_id=row["passage_id"],
             overlaps=frozenset(json.loads(row["overlaps"])),
@@ -694,6 +779,7 @@ class Ledger:
             pictures=self.pictures.kept(),
             pictures_kept=self.pictures.count(PictureAction.KEEP),
             pictures_waiting=self.pictures.count(PictureAction.TAKE),
+            pictures_failed=self.pictures.failed,
             alarms=self.alarms.count(since_ns),
             newest_alarm=self.alarms.newest(),
         )
@@ -806,12 +892,50 @@ class Ledger:
         contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
         if message.state is PassageState.CHARGED:
             self._charge(message, crossed, registrations, now_ns)
-        elif message.state is PassageState.VOID and contracts and crossed and message.lane in self._detectors:
+        elif message.state is PassageState.UNDECIDED and contracts:
+            why = message.reason_code or explain(Code.NO_LANE)
+            self._leave_to_person(message, crossed or message, registrations, why, now_ns)
+        elif message.state is PassageState.VOID and contracts and crossed and self._may_be_counted(message):
             self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
         elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
             self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
         else:
             self._settle(message, message.state, _why(message), now_ns, contracts)
+
+    def _may_be_counted(self, message: TollPassage) -> bool:
+        """Whether a detector can say that a vehicle was at the gate line."""
+        return message.lane in self._detectors if message.lane is not None else bool(self._detectors)
+
+    def _end_silent(self, row: Row, now_ns: int) -> None:
+        """End a passage of a contract that `core.toll` states nothing more of: it may have stopped, the vehicle not.
+
+        What has crossed is left to a person, and so is what may be the vehicle of a pulse that nothing explains.
+        """
+        message = self._read(TollPassage, row["statement"], row["passage_id"])
+        why = explain(Code.NO_STATEMENT)
+        if not self._is_as_sealed("passage", row):
+            self._settle(message, PassageState.SUSPECT, stated(explain(Code.CHANGED)), now_ns)
+            return
+        registrations = self._registered(message, row["registrations"])
+        if message.crossing_ns is not None:
+            crossed = self._read(TollPassage, row["crossed"], row["passage_id"]) if row["crossed"] else message
+            self._leave_to_person(message, crossed, registrations, why, now_ns)
+        elif (pulse := self._unexplained_pulse(message)) is not None:
+            self.pictures.disputed(pulse)
+            self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
+        else:
+            self._settle(message, PassageState.VOID, stated(why), now_ns)
+
+    def _unexplained_pulse(self, message: TollPassage) -> Row | None:
+        """Find the first pulse that a passage without crossing may own: of its time, and of no crossing."""
+        matched, lanes = self._matched(), {lane.lane for lane in message.lanes}
+        until_ns = message.sampled_ns + round(self._settings.silence_limit_s * NS)
+        free = [
+            row for key, row in matched.pulses.items()
+            if key not in matched.found and not row["backward"] and message.opened_ns <= row["sampled_ns"] <= until_ns
+            and (not lanes or row["lane"] in lanes)
+        ]  # fmt: skip
+        return min(free, key=lambda row: int(row["sampled_ns"]), default=None)
 
     def _registered(self, message: TollPassage, stored: str) -> list[TollRegistration]:
         """Registrations of a passage: those that held when they were stored with it, and those that hold now.
@@ -850,7 +974,11 @@ class Ledger:
             return
         if message.lane is None:
             why = _why(message) if message.reason else stated(explain(Code.NO_LANE))
-            self._settle(message, PassageState.UNDECIDED, why, now_ns)
+            if contracts:
+                code = message.reason_code or explain(Code.NO_LANE)
+                self._leave_to_person(message, proof, registrations, code, now_ns)
+            else:
+                self._settle(message, PassageState.UNDECIDED, why, now_ns)
         elif not contracts:
             self._settle(message, PassageState.UNREGISTERED, stated(explain(Code.NO_CONTRACT)), now_ns)
         elif (doubt := self._doubt(message, proof, contracts, is_covered=is_covered)) is not None:
@@ -869,7 +997,7 @@ class Ledger:
         now_ns: int,
     ) -> None:
         """Review a passage of a contract, with its evidence where there is any: a charge may follow."""
-        if crossed.evidence is None or message.crossing_ns is None:
+        if crossed.evidence is None or message.crossing_ns is None or len(contracts_of(registrations)) != 1:
             self._settle(message, PassageState.SUSPECT, stated(why), now_ns, contracts_of(registrations))
             return
         self._hold(message, crossed, registrations, now_ns)
@@ -1195,7 +1323,7 @@ class Ledger:
             "INSERT INTO settled VALUES (?, ?, ?)",
             message.passage_id, now_ns, summary.model_dump_json(exclude_none=True),
         )  # fmt: skip
-        if message.crossing_ns is not None:
+        if message.crossing_ns is not None and not self._is_one_too_many(message, state):
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
                 "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns, "
@@ -1219,10 +1347,29 @@ class Ledger:
                 )
             )  # fmt: skip
 
+    def _is_one_too_many(self, message: TollPassage, state: PassageState) -> bool:
+        """Whether a crossing is left out: of radios that nothing vouches for there is no end. Its pulse is missed."""
+        if message.authenticated or state not in (PassageState.UNREGISTERED, PassageState.UNDECIDED):
+            return False
+        waiting = self._store.row(
+            "SELECT COUNT(*) AS n FROM crossing WHERE state IN (?, ?) AND NOT authenticated",
+            PassageState.UNREGISTERED,
+            PassageState.UNDECIDED,
+        )
+        is_full = waiting is not None and waiting["n"] >= MAX_STRANGERS
+        self.rejects["crossings without a contract left out"] += is_full
+        return is_full
+
     def _change(self, passage_id: str, **changes: object) -> PassageSummary:
-        """Change the summary of a settled passage, and what its crossing counts as."""
+        """Change the summary of a settled passage, and what its crossing counts as.
+
+        Of one that is not remembered any more there is nothing to change: what is known is returned.
+        """
         row = self._store.row("SELECT summary FROM settled WHERE passage_id = ?", passage_id)
-        found = self._read(PassageSummary, row["summary"] if row else "", passage_id).model_copy(update=changes)
+        if row is None:
+            known = PassageSummary(passage_id=passage_id, state=PassageState.SUSPECT, reason="")
+            return known.model_copy(update=changes)
+        found = self._read(PassageSummary, row["summary"], passage_id).model_copy(update=changes)
         self._store.execute(
             "UPDATE settled SET summary = ? WHERE passage_id = ?", found.model_dump_json(exclude_none=True), passage_id
         )

@@ -3,11 +3,15 @@
 Everything is judged by the pack alone; tables of the ledger are not read.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
-from shared.messages.toll import EvidencePack
+from shared.errors import RejectedFrame
+from shared.messages.toll import EvidenceFrame, EvidencePack
 from shared.toll.plaza import Plaza
-from shared.toll.registration import fault_of, identity_of
+from shared.toll.registration import certificate_of, fault_of, identity_of
+from shared.v2x.security.certificates import Certificate
+from shared.v2x.security.envelope import without_envelope
+from shared.v2x.security.signatures import is_signed_by
 
 from .codes import Code
 from .registrations import contracts_of, identities_of
@@ -37,6 +41,48 @@ def pack_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
     verdict = pack.verdict.code if pack.verdict else ""
     if verdict in (Code.CONFIRMED, Code.ALONE):
         yield from _pulse_faults(pack)
+
+
+def frame_faults(pack: EvidencePack) -> Iterator[str]:
+    """Name what contradicts that every frame of an authenticated charge is signed by a registered ticket.
+
+    What a pack says of its frames proves nothing: envelopes and signatures are verified again, by the certificates of
+    the registrations, which the operator has countersigned. Each fault is named once.
+
+    Parameters
+    ----------
+    pack : EvidencePack
+        The pack.
+    """
+    if pack.form < 2 or not (pack.charged.authenticated or pack.crossed.authenticated):
+        return
+    certificates = {
+        registration.ticket: certificate_of(registration.certificate)
+        for registration in pack.registrations if registration.ticket and registration.certificate
+    }  # fmt: skip
+    found = (statement.evidence for statement in (pack.crossed, pack.charged))
+    frames = [frame for evidence in found if evidence is not None for frame in evidence.frames]
+    faults = (_frame_fault(frame, certificates) for frame in frames)
+    yield from dict.fromkeys(fault for fault in faults if fault is not None)
+
+
+def _frame_fault(frame: EvidenceFrame, certificates: Mapping[str, Certificate]) -> str | None:
+    try:
+        signed = without_envelope(frame.data)[1]
+    except RejectedFrame as error:
+        return f"a frame cannot be read: {error}"
+    if signed is None:
+        return "a frame of an authenticated passage is not signed"
+    ticket = signed.signer.hex()
+    if ticket != frame.signer:
+        return "a frame is signed by another ticket than the pack says"
+    if (certificate := certificates.get(ticket)) is None:
+        return "no registration has the certificate of a frame's ticket"
+    if certificate.digest != signed.signer or not is_signed_by(
+        certificate, signed.data.tbs_data, signed.data.signature
+    ):
+        return "the signature of a frame does not verify"
+    return None
 
 
 def is_authenticated(pack: EvidencePack) -> bool:

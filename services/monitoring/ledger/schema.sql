@@ -35,6 +35,7 @@ CREATE TABLE IF NOT EXISTS pulse (
     lane TEXT NOT NULL, since_ns INTEGER NOT NULL, number INTEGER NOT NULL, sampled_ns INTEGER NOT NULL,
     done INTEGER NOT NULL DEFAULT 0,  -- 1: a passage or a payment explains it; 2: none does
     backward INTEGER NOT NULL DEFAULT 0,  -- the vehicle drove backwards, by a detector that states that
+    owner TEXT,  -- of a pulse backwards: the passage that it has excused
     PRIMARY KEY (lane, since_ns, number)
 );
 CREATE TABLE IF NOT EXISTS crossing (
@@ -77,7 +78,7 @@ CREATE TABLE IF NOT EXISTS payment (
 -- Pictures of the lanes' cameras, which have their content: what is ordered of each.
 CREATE TABLE IF NOT EXISTS picture (
     picture TEXT PRIMARY KEY, lane TEXT NOT NULL, pulse_ns INTEGER NOT NULL, until_ns INTEGER NOT NULL,
-    action TEXT NOT NULL, reason TEXT, sent INTEGER NOT NULL DEFAULT 0
+    action TEXT NOT NULL, reason TEXT, sent INTEGER NOT NULL DEFAULT 0  -- 1: published; 2: the camera has answered
 );
 CREATE TABLE IF NOT EXISTS alarm (since_ns INTEGER NOT NULL, content TEXT NOT NULL, sent INTEGER NOT NULL DEFAULT 0);
 -- Each is for a query that is repeated: nothing that is done every second reads a table that grows with the years.
@@ -94,6 +95,7 @@ CREATE INDEX IF NOT EXISTS review_waiting ON review (since_ns) WHERE NOT sent;
 CREATE INDEX IF NOT EXISTS payment_sampled ON payment (sampled_ns);
 CREATE INDEX IF NOT EXISTS picture_until ON picture (until_ns);
 CREATE INDEX IF NOT EXISTS picture_waiting ON picture (pulse_ns) WHERE NOT sent;
+CREATE INDEX IF NOT EXISTS picture_unanswered ON picture (pulse_ns) WHERE sent = 1;
 CREATE INDEX IF NOT EXISTS picture_kept ON picture (action, pulse_ns);
 CREATE INDEX IF NOT EXISTS alarm_since ON alarm (since_ns);
 CREATE INDEX IF NOT EXISTS balance_hour ON balance (hour_ns);

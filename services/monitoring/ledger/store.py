@@ -18,7 +18,7 @@ ADDED_COLUMNS = {
         "passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0",
         "authenticated INTEGER NOT NULL DEFAULT 0", "in_review INTEGER NOT NULL DEFAULT 0",
     ),
-    "pulse": ("backward INTEGER NOT NULL DEFAULT 0",),
+    "pulse": ("backward INTEGER NOT NULL DEFAULT 0", "owner TEXT"),
     "passage": ("registrations TEXT NOT NULL DEFAULT '[]'", "seal TEXT"),
     "held": ("registrations TEXT NOT NULL DEFAULT '[]'", "seal TEXT"),
     "chain": (

@@ -8,12 +8,12 @@ deletes a picture at `until_ns`.
 
 import json
 import socket
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from dataclasses import dataclass
 
 from shared.devices.v2x_device import host_and_port
 from shared.errors import UserError
-from shared.messages.toll import PictureAction, PictureOrder
+from shared.messages.toll import PictureAction, PictureAnswer, PictureOrder
 
 MAX_PICTURES, MAX_WAITING, MAX_ANSWER, ATTEMPTS = 20_000, 1000, 500, 10
 REPEAT_NS = 1_000_000_000
@@ -24,6 +24,8 @@ class SimulatedCamera:
 
     def __init__(self) -> None:
         self.pictures: OrderedDict[str, PictureOrder] = OrderedDict()
+        self.answered: deque[PictureAnswer] = deque(maxlen=MAX_WAITING)
+        self.failed = 0
 
     def obey(self, order: PictureOrder, now_ns: int) -> None:
         """Carry out an order."""
@@ -32,6 +34,7 @@ class SimulatedCamera:
             self.pictures.pop(order.picture, None)
         elif order.action is PictureAction.TAKE or order.picture in self.pictures:
             self.pictures[order.picture] = order
+        self.answered.append(PictureAnswer(picture=order.picture, action=order.action))
         while len(self.pictures) > MAX_PICTURES:
             self.pictures.popitem(last=False)
 
@@ -54,14 +57,16 @@ class WaitingOrder:
 
 
 class UdpCamera:
-    """Sends orders to a camera until it has answered them."""
+    """Sends orders to a camera until it has answered them, ten times; the ledger repeats those without an answer."""
 
     def __init__(self, url: str) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._address = host_and_port(url)
+        self._peer: tuple[str, int] | None = None  # the address of its host
         self._waiting: OrderedDict[tuple[str, str], WaitingOrder] = OrderedDict()
         self.held: dict[str, PictureOrder] = {}  # as the camera has answered
+        self.answered: deque[PictureAnswer] = deque(maxlen=MAX_WAITING)
         self.failed = 0
 
     def obey(self, order: PictureOrder, now_ns: int) -> None:
@@ -86,9 +91,11 @@ class UdpCamera:
                 continue
             waiting.attempts, waiting.next_ns = waiting.attempts + 1, now_ns + REPEAT_NS
             try:
-                self._socket.sendto(waiting.order.model_dump_json(exclude_none=True).encode(), self._address)
-            except OSError:
-                self.failed += waiting.attempts == ATTEMPTS
+                if self._peer is None:
+                    self._peer = (socket.gethostbyname(self._address[0]), self._address[1])
+                self._socket.sendto(waiting.order.model_dump_json(exclude_none=True).encode(), self._peer)
+            except OSError:  # as if it was lost: it is repeated, and counted in the end
+                continue
         self.held = {picture: order for picture, order in self.held.items() if order.until_ns > now_ns}
 
     def close(self) -> None:
@@ -101,8 +108,9 @@ class UdpCamera:
                 data, address = self._socket.recvfrom(MAX_ANSWER)
             except (BlockingIOError, ConnectionError):
                 return
-            if address[1] == self._address[1] and (answer := _answer(data)) in self._waiting:
+            if address == self._peer and (answer := _answer(data)) in self._waiting:
                 order = self._waiting.pop(answer).order
+                self.answered.append(PictureAnswer(picture=order.picture, action=order.action))
                 if order.action is PictureAction.DELETE:
                     self.held.pop(order.picture, None)
                 else:

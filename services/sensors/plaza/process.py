@@ -21,6 +21,7 @@ from .pulses import BadLine, Detector, LanePulse, check_detector, open_detector
 READ_S = 0.01
 REPEAT_NS = 5_000_000_000
 STATE_NS = 1_000_000_000
+ANSWERS = 100  # in one state
 EARLIER = 20
 MAX_PULSES_S = 20  # of a lane, in a second: more is a fault of the detector
 
@@ -150,11 +151,12 @@ class Process:
         if self._camera is not None and now_ns - self._state_ns >= STATE_NS:
             self._state_ns = now_ns
             self._camera.expire(now_ns)
-            pictures = self._camera.pictures.values()
+            pictures, answered = self._camera.pictures.values(), self._camera.answered
             bus.publish(
                 PictureState(
                     sampled_ns=now_ns, plaza=self._plaza.name, pictures=len(pictures),
                     oldest_ns=min((order.pulse_ns for order in pictures), default=None),
-                    failed=getattr(self._camera, "failed", 0),
+                    failed=self._camera.failed,
+                    answered=tuple(answered.popleft() for _ in range(min(ANSWERS, len(answered)))),
                 )
             )  # fmt: skip

@@ -187,7 +187,7 @@ function PicturesCard({ t }) {
   const l = t.ledger;
   const rows = l?.pictures ?? [];
   const c = w.pictureColumns;
-  return html`<${Card} title=${w.pictures} id="pictures" class="pictures-card" note=${l && w.picturesNote(l.pictures_kept, l.pictures_waiting)}>
+  return html`<${Card} title=${w.pictures} id="pictures" class="pictures-card" note=${l && w.picturesNote(l.pictures_kept, l.pictures_waiting, l.pictures_failed ?? 0)}>
     ${!rows.length ? html`<p class="note block">${w.noPictures}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.pictures}><table class="plain"><thead><tr>${[c.time, c.lane, c.why, c.until].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
     <tbody>${rows.map((p) => html`<tr key=${`${p.lane}${p.pulse_ns}`}><th scope="row">${timeOfDay(p.pulse_ns / 1e6)}</th><td>${p.lane}</td><td>${p.reason}</td><td>${new Date(p.until_ns / 1e6).toISOString().slice(0, 10)}</td></tr>`)}</tbody></table></div>`}
   </${Card}>`;

@@ -625,7 +625,7 @@ export const words = {
     reviewColumns: { time: "Crossed", lane: "Lane", why: "Why", decides: "What decides it", sender: "Sender" },
     contracts: (n) => (n === 1 ? "1 contract" : `${n} contracts`),
     pictures: "Pictures",
-    picturesNote: (kept, waiting) => `${kept} kept, ${waiting} not decided yet`,
+    picturesNote: (kept, waiting, failed) => `${kept} kept, ${waiting} not decided yet${failed ? `, ${failed} orders not answered by the camera` : ""}`,
     noPictures: "No picture is kept.",
     pictureColumns: { time: "Detected", lane: "Lane", why: "Why", until: "Until" },
     accountColumns: { lane: "Lane", hour: "Hour", detections: "Detections", pending: "Pending", agrees: "Agrees" },

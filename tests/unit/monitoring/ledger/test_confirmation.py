@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
-from services.monitoring.ledger.ledger import Ledger
+from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.explanation import explain, passage
 from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
@@ -395,3 +396,59 @@ def test_a_passage_alone(changes: dict[str, object], verdict: Verdict) -> None:
 def test_an_overlap_whose_other_passage_has_not_ended_waits_for_it() -> None:
     assert judge([claim("b", "a")], {"b"}).verdict is Verdict.WAITS
     assert judge([claim("b", "a", waited=True)], {"b"}).verdict is Verdict.STANDS
+
+
+def counted(passage_id: str, pulse: int | None, *explains: int, contract: bool = True, **changes: object) -> Claim:
+    """An authenticated passage of a group that has waited."""
+    return claim(
+        passage_id, "x", pulse=pulse, pulse_sds=None if pulse is None else 1.0, explains=frozenset(explains),
+        is_charge=contract, authenticated=True, waited=True, **changes,
+    )  # fmt: skip
+
+
+@each(
+    ("group", "charged", "ghosts"),
+    [
+        ((counted("a", 1, 1), counted("b", 2, 2), counted("x", None, 1, contract=False)), {"a": 1, "b": 2}, ("x",)),
+        ((counted("a", None, 1), counted("b", 2, 2), counted("x", 1, 1, contract=False)), {"a": 1, "b": 2}, ("x",)),
+        (
+            (counted("a", 1, 1, 2), counted("b", None, 1), counted("x", 2, 2, contract=False)),
+            {"a": 2, "b": 1}, ("x",),
+        ),
+        (
+            (counted("a", 1, 1), counted("w", 2, 2, contract=False), counted("x", None, contract=False)),
+            {"a": 1}, ("x",),
+        ),
+        ((counted("a", 1, 1), counted("b", None, 1), counted("x", None, 1, contract=False)), {}, ()),
+        ((counted("a", 1), counted("x", None, 1, contract=False)), {}, ()),
+    ],
+)  # fmt: skip
+def test_contracts_with_a_pulse_each_are_charged_and_what_has_none_left_is_a_ghost(
+    group: tuple[Claim, ...], charged: dict[str, int], ghosts: tuple[str, ...]
+) -> None:
+    found = judge(group, {claim.passage_id for claim in group} | {"x"})
+    assert found.verdict is (Verdict.ALONE if charged else Verdict.REVIEW)
+    assert (dict(found.charged), found.ghosts) == (charged, ghosts)
+
+
+@each(
+    ("settings", "named"),
+    [
+        ({"uncharged_kept_s": 10.0}, "uncharged_kept_s is 10 s: at least confirm_wait_s, 30 s"),
+        ({"drive_round_s": 280.0}, "uncharged_kept_s is 300 s: at least drive_round_s"),
+        ({"match_after_s": 20.0}, "match_after_s is 20 s: at least confirm_wait_s"),
+        ({"picture_undecided_s": 100.0}, "picture_undecided_s is 100 s: at least match_after_s"),
+    ],
+)
+def test_times_of_which_one_ends_what_another_waits_for_are_refused(settings: dict[str, float], named: str) -> None:
+    with pytest.raises(ValidationError, match=named):
+        Settings.model_validate(settings)
+
+
+def test_a_held_passage_that_is_not_remembered_any_more_is_no_damage(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.end(car)
+    gate.store.execute("DELETE FROM settled")
+    gate.work(car, 40.0)
+    (review,) = gate.reviews().values()
+    assert review.contract == "contract-1" and gate.state(car, 41.0).held == 0

@@ -9,7 +9,15 @@ import pytest
 from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.store import Store
 from shared.messages.explanation import explain
-from shared.messages.toll import LaneBalance, PassageState, PictureAction, PictureOrder, TollPayment
+from shared.messages.toll import (
+    LaneBalance,
+    PassageState,
+    PictureAction,
+    PictureAnswer,
+    PictureOrder,
+    PictureState,
+    TollPayment,
+)
 from shared.toll.plaza import parse_plaza
 from tests.support.v2x.tolling import NS, START_NS, WITH_DETECTORS, Vehicle, ledger_at
 
@@ -177,3 +185,23 @@ def test_a_contract_that_passes_again_in_less_than_a_drive_round_is_reviewed(
     assert plaza.ledger.state(RIPE_NS).transactions == charged
     codes = [review.reason_code.code for review in plaza.ledger.reviews() if review.reason_code]
     assert codes == ([] if charged == 2 else ["ledger.drive_round"])
+
+
+def test_an_order_is_sent_again_until_the_camera_has_answered_it(plaza: Plaza) -> None:
+    def state(at_s: float, *answered: PictureOrder, failed: int = 0) -> int:
+        now_ns = CAR.crossing_ns + round(at_s * NS)
+        answers = tuple(PictureAnswer(picture=order.picture, action=order.action) for order in answered)
+        said = PictureState(sampled_ns=now_ns, plaza=PLAZA.name, failed=failed, answered=answers)
+        plaza.ledger.use(said, now_ns)
+        return now_ns
+
+    plaza.pulse(CAR)
+    assert plaza.work(state(0.0)) == [TAKE] and plaza.work(state(5.0)) == []
+    assert plaza.work(state(16.0, failed=1)) == [TAKE]
+    assert plaza.ledger.state(state(17.0, failed=1)).pictures_failed == 1
+    assert plaza.work(state(50.0, plaza.orders[-1])) == []
+    plaza.end(CAR)
+    assert plaza.work(state(52.0)) == [DELETE]
+    assert plaza.work(state(90.0, plaza.orders[0])) == [DELETE], "the answer to another order is none to this one"
+    plaza.work(state(91.0, plaza.orders[-1]))
+    assert plaza.store.rows("SELECT * FROM picture") == []

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.monitoring.ledger.ledger import Ledger
+from services.monitoring.ledger.ledger import Ledger, PulseTimes
 from services.monitoring.ledger.reconciliation import Crossing, Pulse, match
 from shared.messages.toll import LaneBalance, PassageState
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, ledger_at
@@ -69,7 +69,7 @@ def test_every_detection_has_one_outcome_and_the_hour_adds_up(tmp_path: Path) ->
     ends = [PassageState.CHARGED, PassageState.CHARGED, PassageState.SUSPECT, PassageState.UNDECIDED, None]
     for n, end in enumerate(ends):
         vehicle = Vehicle(f"v{n}", (n,), crossing_ns=START_NS + (15 + 2 * n) * NS)
-        if n != 1:
+        if n not in (1, 3):
             ledger.register(vehicle.registration(), START_NS)
         if end:
             ledger.passage(vehicle.says(end), START_NS + 60 * NS)
@@ -156,3 +156,38 @@ def test_a_missed_vehicle_is_a_row_of_its_lane_between_the_passages(tmp_path: Pa
     assert [row.state.value for row in rows] == ["charged", "missed", "charged"]
     assert (rows[1].lane, rows[1].crossing_ns) == ("n2", unseen.crossing_ns)
     store.close()
+
+
+def test_radios_without_a_contract_beyond_a_number_are_left_out_and_stop_no_charge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.monitoring.ledger.ledger.MAX_STRANGERS", 3)
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite", counted=True)
+    now_ns = START_NS + 30 * NS
+    for n in range(5):
+        stranger = Vehicle(f"s{n}", (n + 1,), plaza=COUNTED)
+        ledger.passage(stranger.says(PassageState.UNREGISTERED), now_ns)
+    car = Vehicle("car", (99,), plaza=COUNTED)
+    ledger.register(car.registration(), START_NS)
+    for state in (PassageState.CROSSED, PassageState.CHARGED):
+        ledger.passage(car.says(state), now_ns)
+    ledger.detect(car.pulse(), now_ns)
+    assert ledger.rejects["crossings without a contract left out"] == 2
+    assert len(store.rows("SELECT 1 FROM crossing")) == 4
+    store.close()
+
+
+def test_pulses_near_a_crossing_are_those_of_its_lane_and_time() -> None:
+    rng = np.random.default_rng(3)
+    rows = {
+        key: {"lane": f"n{rng.integers(1, 3)}", "sampled_ns": int(rng.integers(0, 50)), "backward": key % 5 == 0}
+        for key in range(60)
+    }
+    times = PulseTimes(rows)  # type: ignore[arg-type]  # rows of SQLite are read by name only
+    for at in range(0, 50, 7):
+        expected = {
+            key for key, row in rows.items()
+            if row["lane"] == "n1" and not row["backward"] and abs(int(row["sampled_ns"]) - at) <= 6
+        }  # fmt: skip
+        assert set(times.near("n1", at, 6)) == expected
+    assert times.near(None, 10, 6) == []

@@ -196,3 +196,23 @@ def test_orders_that_no_camera_answers_are_counted(far_camera: socket.socket) ->
         camera.expire(n * REPEAT_NS)
     assert camera.failed == 1
     camera.close()
+
+
+def test_an_answer_counts_only_from_the_whole_address_of_the_camera(far_camera: socket.socket) -> None:
+    port = far_camera.getsockname()[1]
+    camera = UdpCamera(f"udp://127.0.0.1:{port}")
+    camera.obey(order(), 0)
+    data, address = far_camera.recvfrom(4000)
+    answer = json.dumps({key: json.loads(data)[key] for key in ("picture", "action")}).encode()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.2", port))
+        stranger.sendto(answer, address)
+        time.sleep(0.05)
+        camera.expire(1)
+        assert not camera.answered
+    far_camera.sendto(answer, address)
+    deadline = time.monotonic() + 5.0
+    while not camera.answered and time.monotonic() < deadline:
+        camera.expire(1)
+    assert [(done.picture, done.action) for done in camera.answered] == [("a" * 64, PictureAction.TAKE)]
+    camera.close()
