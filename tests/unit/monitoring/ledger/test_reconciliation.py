@@ -187,7 +187,7 @@ def test_pulses_near_a_crossing_are_those_of_its_lane_and_time() -> None:
     for at in range(0, 50, 7):
         expected = {
             key for key, row in rows.items()
-            if row["lane"] == "n1" and not row["backward"] and abs(int(row["sampled_ns"]) - at) <= 6
+            if row["lane"] == "n1" and not row["backward"] and abs(int(str(row["sampled_ns"])) - at) <= 6
         }  # fmt: skip
         assert set(times.near("n1", at, 6)) == expected
     assert times.near(None, 10, 6) == []
