@@ -127,6 +127,9 @@ OF_MONITORING = {
     ),
     "registration_changed": Reason("a stored registration that was changed beside the ledger", "see who has the disk"),
     "too many registrations": Reason("registrations beyond what the ledger keeps", "see who registers"),
+    "crossings without a contract left out": Reason(
+        "a crossing of a radio without a contract, beyond what the ledger judges at a time", "see who sends"
+    ),
     "pulse of a closed hour": Reason(
         "a pulse that came after its hour was closed", "look at the detector's connection"
     ),

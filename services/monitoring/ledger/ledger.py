@@ -1357,7 +1357,8 @@ class Ledger:
             PassageState.UNDECIDED,
         )
         is_full = waiting is not None and waiting["n"] >= MAX_STRANGERS
-        self.rejects["crossings without a contract left out"] += is_full
+        if is_full:
+            self.rejects["crossings without a contract left out"] += 1
         return is_full
 
     def _change(self, passage_id: str, **changes: object) -> PassageSummary:
