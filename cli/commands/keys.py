@@ -60,7 +60,11 @@ def add(
     read: Annotated[bool, typer.Option("--read", help="It may read every topic, and write none.")] = False,
     role: Annotated[
         str | None,
-        typer.Option(help="At a toll plaza: `operator` registers vehicles and answers, `detector` counts them."),
+        typer.Option(
+            "--role",
+            metavar="operator|detector",
+            help="At a toll plaza: `operator` registers vehicles and answers, `detector` counts them.",
+        ),
     ] = None,
 ) -> int:
     """Add a user of the bus that is no part of the unit, and print its secret.
