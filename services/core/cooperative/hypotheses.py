@@ -4,13 +4,12 @@ from math import degrees, sqrt
 
 from shared.maths.earth import geodetic_from_ecef
 from shared.maths.quantiles import chi_square_limit, circle_factor, line_factor, principal_variances
-from shared.messages.base import Symmetric3
 from shared.messages.explanation import Explanation, explain
 from shared.messages.trust import Hypothesis, HypothesisSolution, TrustHypotheses
 from shared.words.words import reason
 
 from .codes import Code
-from .measurements import FloatArray
+from .measurements import FloatArray, upper
 from .satellites.leave_out import SubsetSolution, solutions_without
 from .satellites.monitor import no_redundancy
 from .satellites.solution import PositionFit
@@ -93,7 +92,7 @@ def _solution(
         longitude_deg=degrees(place.longitude),
         height_ellipsoid_m=place.height,
         velocity_ned_m_s=(velocity_n[0], velocity_n[1], velocity_n[2]),
-        position_cov_ned_m2=_upper(left.cov_n),
+        position_cov_ned_m2=upper(left.cov_n),
         protection_level_horizontal_m=horizontal,
         protection_level_vertical_m=vertical,
         apart_ned_m=(apart_n[0], apart_n[1], apart_n[2]),
@@ -109,8 +108,3 @@ def _levels(cov: FloatArray, risk: float) -> tuple[float, float]:
     major2, minor2 = principal_variances(nn, ne, ee)
     ratio = sqrt(max(minor2, 0.0) / major2) if major2 > 0.0 else 0.0
     return sqrt(max(major2, 0.0)) * circle_factor(ratio, risk), sqrt(max(dd, 0.0)) * line_factor(risk)
-
-
-def _upper(cov: FloatArray) -> Symmetric3:
-    (nn, ne, nd), (_, ee, ed), (_, _, dd) = cov.tolist()
-    return nn, ne, nd, ee, ed, dd

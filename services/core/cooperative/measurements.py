@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.rotation import Vector
+from shared.messages.base import Symmetric3
 from shared.messages.explanation import Reference, ReferenceKind
 from shared.trust.result import Test
 
@@ -54,6 +55,12 @@ MAX_NAMED = 16  # satellites or neighbours in an explanation; more at once are a
 def references(found: "Iterable[SatelliteId | NeighbourFinding]") -> tuple[Reference, ...]:
     """References of satellites or neighbours, the first ones of many."""
     return tuple(item.reference for item in islice(found, MAX_NAMED))
+
+
+def upper(cov: FloatArray) -> Symmetric3:
+    """Upper triangle of a covariance, shape (3, 3), row by row."""
+    (nn, ne, nd), (_, ee, ed), (_, _, dd) = cov.tolist()
+    return nn, ne, nd, ee, ed, dd
 
 
 @dataclass(frozen=True)

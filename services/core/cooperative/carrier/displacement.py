@@ -11,35 +11,28 @@ One clock is enough: what separates the constellations does not change. It absor
 well.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, pi, radians, sqrt
 
 import numpy as np
 
-from shared.maths.earth import Geodetic, geodetic_from_ecef, ned_from_ecef
-from shared.maths.gnss_signals import (
-    EARTH_RATE,
-    SECONDS_PER_DAY,
-    SPEED_OF_LIGHT,
-    klobuchar_delay_m,
-    saastamoinen_zenith_m,
-    troposphere_mapping,
-)
+from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.maths.quantiles import chi_square_limit
 
-from ..broadcast.ephemeris import Ephemeris, satellite_state
+from ..broadcast.ephemeris import Ephemeris
 from ..broadcast.store import EphemerisStore
 from ..detection import Fit, minimal_identifiable_biases, noncentrality, weighted_fit
 from ..measurements import FloatArray, Measurement, RawEpoch, SatelliteId
 from ..satellites.model import (
-    HIGHEST,
-    LOWEST,
     MAX_PSEUDORANGE,
     MIN_PSEUDORANGE,
     WAVELENGTH,
     ErrorModel,
+    Geometry,
+    SatelliteMeasurement,
+    Sky,
+    at_transmission,
     noise_factor,
-    turned,
 )
 
 MIN_INTERVAL_S, MAX_INTERVAL_S = 0.03, 35.0
@@ -51,7 +44,6 @@ UNSEEN_SDS = 2.5  # of the result, by which a slip that is not seen may move it:
 TESTED_REDUNDANCY = 2  # below it a slip is found at best, and not attributed
 SLIP_M = 0.5 * WAVELENGTH  # the smallest: half a cycle
 SHARP_M = 0.8 * SLIP_M  # error of the change by Doppler at most, for a verdict of its own
-LOWEST_RAD = 0.05  # elevation at which delays are evaluated at least; what is below the mask is not used
 JERK_M_S3 = 5.0  # of a road vehicle: by which the mean of two range-rates is no range difference
 
 
@@ -92,14 +84,17 @@ class Displacement:
 class _Change:
     """Change of one satellite's phase, freed of what its clock has done."""
 
-    satellite: SatelliteId
-    first_e: FloatArray  # [m, ECEF at transmission] shape (3,)
-    second_e: FloatArray
+    first: SatelliteMeasurement
+    second: SatelliteMeasurement
     range_m: float  # by the carrier, satellite clock removed
     phase_m: float  # the same as measured
     rate_m_s: float | None  # by the mean Doppler
     rate_sd_m_s: float
-    cn0: float | None
+
+    @property
+    def satellite(self) -> SatelliteId:
+        """Which it is."""
+        return self.second.satellite
 
 
 def carrier_displacement(
@@ -185,11 +180,9 @@ def _is_interrupted(then: Measurement, now: Measurement, span_s: float) -> bool:
 def _change(
     then: Measurement, now: Measurement, then_ns: int, now_ns: int, ephemeris: Ephemeris, errors: ErrorModel
 ) -> _Change:
-    states = []
-    for one, time_ns in ((then, then_ns), (now, now_ns)):
-        flight_s = one.pseudorange_m / SPEED_OF_LIGHT
-        clock_s = satellite_state(ephemeris, time_ns, flight_s).clock_s
-        states.append(satellite_state(ephemeris, time_ns, flight_s + clock_s))
+    states = [
+        at_transmission(ephemeris, one.pseudorange_m, time_ns) for one, time_ns in ((then, then_ns), (now, now_ns))
+    ]
     assert then.carrier_cycles is not None and now.carrier_cycles is not None
     by_carrier = WAVELENGTH * (now.carrier_cycles - then.carrier_cycles)
     rate = None
@@ -197,8 +190,14 @@ def _change(
         rate = -0.5 * WAVELENGTH * (then.doppler_hz + now.doppler_hz)
     rate_sd = errors.range_rate_sd_m_s * noise_factor(now.cn0_db_hz, errors) / sqrt(2.0)
     clock_m = SPEED_OF_LIGHT * (states[1].clock_s - states[0].clock_s)
-    first_e, second_e = (np.array(state.position_e) for state in states)
-    return _Change(now.satellite, first_e, second_e, by_carrier + clock_m, by_carrier, rate, rate_sd, now.cn0_db_hz)
+    first, second = (
+        SatelliteMeasurement(
+            one.satellite, one.pseudorange_m + SPEED_OF_LIGHT * state.clock_s, None, one.cn0_db_hz,
+            state.position_e, state.velocity_e,
+        )
+        for one, state in zip((then, now), states, strict=True)
+    )  # fmt: skip
+    return _Change(first, second, by_carrier + clock_m, by_carrier, rate, rate_sd)
 
 
 def _jumped_by_doppler(changes: list[_Change], span_s: float) -> list[_Change]:
@@ -231,89 +230,62 @@ def _fitted(
     model: CarrierModel,
     errors: ErrorModel,
 ) -> Displacement | None:
-    here, span_s = position_e, (times_ns[1] - times_ns[0]) * 1e-9
-    elevation, _, _ = _ranges(changes, times_ns, store, here, here)
+    span_s = (times_ns[1] - times_ns[0]) * 1e-9
+    first = Sky(tuple(change.first for change in changes), times_ns[0], store.ionosphere, errors).geometry(position_e)
+    second = Sky(tuple(change.second for change in changes), times_ns[1], store.ionosphere, errors)
+    # Phase ranges at the second epoch, but for the change of the clock: to be compared with predicted ones.
+    measured = np.array([change.range_m for change in changes]) + _phase_range(first)
     mask = max(errors.elevation_mask_rad, model.elevation_mask_rad)
-    changes = [change for change, up in zip(changes, elevation.tolist(), strict=True) if up > mask]
-    while len(changes) >= 4:
-        found = _converged(changes, times_ns, store, position_e, model, errors)
+    rows = np.flatnonzero(second.geometry(position_e).elevation > mask).tolist()
+    while len(rows) >= 4:
+        kept = replace(second, sights=tuple(second.sights[row] for row in rows))
+        found = _converged(kept, measured[rows], first, span_s, model)
         if found is None:
             return None
-        fit, here, to_ned, slow = found
+        fit, here_e, slow = found
+        used = tuple(sight.satellite for sight in kept.sights)
         if fit.dof == 0 or fit.statistic <= chi_square_limit(fit.dof, FALSE_ALARM_RATE):
-            common_m = model.common_m_s * span_s
-            return _displacement(changes, slipped, fit, here, position_e, to_ned, slow, common_m)
+            return _displacement(used, slipped, fit, here_e, first, slow, model.common_m_s * span_s)
         if fit.dof < TESTED_REDUNDANCY:
             return None
         worst = int(fit.w.argmax())
-        slipped = [*slipped, changes[worst].satellite]
-        changes = [*changes[:worst], *changes[worst + 1 :]]
+        slipped = [*slipped, used[worst]]
+        rows.pop(worst)
     return None
 
 
 def _converged(
-    changes: list[_Change],
-    times_ns: tuple[int, int],
-    store: EphemerisStore,
-    position_e: FloatArray,
-    model: CarrierModel,
-    errors: ErrorModel,
-) -> tuple[Fit, FloatArray, FloatArray, FloatArray] | None:
-    """Fit, second position [m, ECEF], axes NED from ECEF at the first, and the slow part of the deviations [m]."""
-    here, measured = position_e, np.array([change.range_m for change in changes])
-    span_s, (_, to_ned) = (times_ns[1] - times_ns[0]) * 1e-9, _axes(position_e)
+    sky: Sky, measured: FloatArray, first: Geometry, span_s: float, model: CarrierModel
+) -> tuple[Fit, FloatArray, FloatArray] | None:
+    """Fit, second position [m, ECEF], and the slow part of the deviations [m].
+
+    `sky` is that of the second epoch, and `measured` its phase ranges [m] by those of the first and their change.
+    """
+    here_e, to_ned = first.position_e, first.ned_from_ecef
     for _ in range(ROUNDS):
-        elevation, sight_e, predicted = _ranges(changes, times_ns, store, position_e, here)
-        grown = 1.0 / np.sin(np.maximum(elevation, errors.elevation_mask_rad))
-        cn0 = np.array([model.usual_cn0_db_hz if change.cn0 is None else change.cn0 for change in changes])
+        geometry = sky.geometry(here_e)
+        grown = 1.0 / np.sin(np.maximum(geometry.elevation, sky.model.elevation_mask_rad))
+        cn0 = np.array([model.usual_cn0_db_hz if sight.cn0 is None else sight.cn0 for sight in sky.sights])
         thermal = WAVELENGTH / (2.0 * pi) * np.sqrt(model.loop_bandwidth_hz / 10.0 ** (cn0 / 10.0))
         shared = 1.0 - exp(-span_s / model.multipath_s)
         white = sqrt(2.0) * np.hypot(thermal, model.noise_m * grown)
-        slow = np.full(len(changes), model.slow_m_s * span_s)
+        slow = np.full(len(sky.sights), model.slow_m_s * span_s)
         sd = np.sqrt(white**2 + 2.0 * shared * (model.multipath_m * grown) ** 2 + slow**2)
-        fit = weighted_fit(np.hstack([-sight_e @ to_ned.T, np.ones((len(changes), 1))]), measured - predicted, sd)
+        sight_n = geometry.line_of_sight_n @ geometry.ned_from_ecef @ to_ned.T  # in the axes of the first epoch
+        H = np.hstack([-sight_n, np.ones((len(sky.sights), 1))])
+        fit = weighted_fit(H, measured - _phase_range(geometry), sd)
         if fit is None:
             return None
         step_e = to_ned.T @ fit.parameters[:3]
-        here = here + step_e
+        here_e = here_e + step_e
         if np.linalg.norm(step_e) < CONVERGED_M:
-            return fit, here, to_ned, slow
+            return fit, here_e, slow
     return None
 
 
-def _ranges(
-    changes: list[_Change], times_ns: tuple[int, int], store: EphemerisStore, first_e: FloatArray, second_e: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Elevations [rad] and lines of sight [ECEF] at the second epoch, and predicted changes of the phase range [m]."""
-    rows = []
-    for time_ns, place_e, satellites in (
-        (times_ns[0], first_e, np.array([change.first_e for change in changes])),
-        (times_ns[1], second_e, np.array([change.second_e for change in changes])),
-    ):
-        flight_s = np.linalg.norm(satellites - place_e, axis=1) / SPEED_OF_LIGHT
-        away = turned(satellites, EARTH_RATE * flight_s) - place_e
-        distance = np.linalg.norm(away, axis=1)
-        place, to_ned = _axes(place_e)
-        sight_e = away / distance[:, np.newaxis]
-        sight_n = sight_e @ to_ned.T
-        elevation = np.arcsin(np.clip(-sight_n[:, 2], -1.0, 1.0))
-        azimuth = np.arctan2(sight_n[:, 1], sight_n[:, 0])
-        zenith, second_of_day = saastamoinen_zenith_m(place.latitude, place.height), time_ns * 1e-9 % SECONDS_PER_DAY
-        delay = [
-            zenith * troposphere_mapping(up)
-            - klobuchar_delay_m(store.ionosphere, place, elevation=up, azimuth=towards, second_of_day=second_of_day)
-            for up, towards in zip(np.maximum(elevation, LOWEST_RAD).tolist(), azimuth.tolist(), strict=True)
-        ]
-        rows.append((elevation, sight_e, distance + np.array(delay)))
-    return rows[1][0], rows[1][1], rows[1][2] - rows[0][2]
-
-
-def _axes(position_e: FloatArray) -> tuple[Geodetic, FloatArray]:
-    """Place of a position [m, ECEF], and its axes NED from ECEF; the delays are evaluated near the ground."""
-    x, y, z = position_e.tolist()
-    place = geodetic_from_ecef((x, y, z))
-    near = Geodetic(place.latitude, place.longitude, min(max(place.height, LOWEST), HIGHEST))
-    return near, ned_from_ecef(place.latitude, place.longitude)
+def _phase_range(geometry: Geometry) -> FloatArray:
+    """Range [m] that a phase has: the ionosphere shortens it by as much as it lengthens that of the code."""
+    return geometry.distance + geometry.delay - 2.0 * geometry.ionosphere
 
 
 def _is_checked(fit: Fit, cov: FloatArray) -> bool:
@@ -333,12 +305,11 @@ def _is_checked(fit: Fit, cov: FloatArray) -> bool:
 
 
 def _displacement(
-    changes: list[_Change],
+    used: tuple[SatelliteId, ...],
     slipped: list[SatelliteId],
     fit: Fit,
-    here: FloatArray,
-    position_e: FloatArray,
-    to_ned: FloatArray,
+    here_e: FloatArray,
+    first: Geometry,
     slow: FloatArray,
     common_m: float,
 ) -> Displacement:
@@ -346,12 +317,12 @@ def _displacement(
     gain, common = fit.gain[:3], common_m**2 * np.eye(3)
     cov = inflation * fit.cov[:3, :3] + common
     return Displacement(
-        displacement_n=to_ned @ (here - position_e),
+        displacement_n=first.ned_from_ecef @ (here_e - first.position_e),
         cov=cov,
         slow_cov=inflation * (gain * slow**2) @ gain.T + common,
         clock_m=float(fit.parameters[3]),
-        position_e=here,
-        used=tuple(change.satellite for change in changes),
+        position_e=here_e,
+        used=used,
         slipped=tuple(slipped),
         redundancy=fit.dof,
         statistic=fit.statistic,

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from shared.messages.base import Symmetric3
 from shared.messages.gnss import CarrierDisplacement
 
 from ..broadcast.store import EphemerisStore
-from ..measurements import FloatArray, RawEpoch, SatelliteSolution
+from ..measurements import FloatArray, RawEpoch, SatelliteSolution, upper
 from ..satellites.model import ErrorModel
 from .displacement import Displacement, carrier_displacement
 
@@ -56,9 +55,3 @@ def _message(found: Displacement, source: str, since_ns: int, sampled_ns: int, r
         slow_cov_ned_m2=upper(found.slow_cov), satellites_used=len(found.used), redundancy=found.redundancy,
         satellites_slipped=tuple(map(str, found.slipped)), checked=found.checked,
     )  # fmt: skip
-
-
-def upper(cov: FloatArray) -> Symmetric3:
-    """Upper triangle of a covariance, shape (3, 3), row by row."""
-    (nn, ne, nd), (_, ee, ed), (_, _, dd) = cov.tolist()
-    return nn, ne, nd, ee, ed, dd

@@ -27,7 +27,7 @@ from shared.maths.gnss_signals import (
 )
 from shared.maths.rotation import Vector
 
-from ..broadcast.ephemeris import satellite_state
+from ..broadcast.ephemeris import Ephemeris, SatelliteState, satellite_state
 from ..broadcast.store import EphemerisStore
 from ..measurements import FloatArray, Measurement, RawEpoch, SatelliteId
 
@@ -110,15 +110,22 @@ def _sight(
     ephemeris = store.select(measurement.satellite, gps_time_ns)
     if isinstance(ephemeris, str):
         return ephemeris
-    flight_s = pseudorange / SPEED_OF_LIGHT
-    clock = satellite_state(ephemeris, gps_time_ns, flight_s).clock_s
-    # The pseudorange ends at the satellite's own clock, group delay included for this signal.
-    state = satellite_state(ephemeris, gps_time_ns, flight_s + clock)
+    state = at_transmission(ephemeris, pseudorange, gps_time_ns)
     range_rate = None
     if doppler is not None and isfinite(doppler) and abs(doppler) < MAX_DOPPLER:
         range_rate = -WAVELENGTH * doppler + SPEED_OF_LIGHT * state.clock_drift
     corrected = pseudorange + SPEED_OF_LIGHT * state.clock_s
     return SatelliteMeasurement(measurement.satellite, corrected, range_rate, cn0, state.position_e, state.velocity_e)
+
+
+def at_transmission(ephemeris: Ephemeris, pseudorange: float, gps_time_ns: int) -> SatelliteState:
+    """State of a satellite when it sent what is received at a time by the receiver's clock, by the pseudorange [m].
+
+    The pseudorange ends at the satellite's own clock, group delay included for this signal.
+    """
+    flight_s = pseudorange / SPEED_OF_LIGHT
+    clock_s = satellite_state(ephemeris, gps_time_ns, flight_s).clock_s
+    return satellite_state(ephemeris, gps_time_ns, flight_s + clock_s)
 
 
 @dataclass(frozen=True)
@@ -130,6 +137,7 @@ class Geometry:
     line_of_sight_n: FloatArray  # [-, NED] shape (n, 3), receiver to satellite
     distance: FloatArray  # [m] shape (n,), Earth rotation included
     delay: FloatArray  # [m] shape (n,), ionosphere and troposphere
+    ionosphere: FloatArray  # [m] shape (n,), that part of it; a carrier phase has it with the other sign
     sd: FloatArray  # [m] shape (n,)
     noise_sd: FloatArray  # [m] shape (n,), the part of it that is white from epoch to epoch
     elevation: FloatArray  # [rad] shape (n,)
@@ -165,12 +173,14 @@ class Sky:
         sight_n = away / distance[:, np.newaxis] @ to_ned.T
         elevation = np.arcsin(np.clip(-sight_n[:, 2], -1.0, 1.0))
         azimuth = np.arctan2(sight_n[:, 1], sight_n[:, 0])
-        delay, sd, noise_sd = self._delays(place, elevation, azimuth)
+        delay, ionosphere, sd, noise_sd = self._delays(place, elevation, azimuth)
         velocity_n = turned(velocities, EARTH_RATE * flight_s) @ to_ned.T
-        return Geometry(position_e, to_ned, sight_n, distance, delay, sd, noise_sd, elevation, azimuth, velocity_n)
+        return Geometry(
+            position_e, to_ned, sight_n, distance, delay, ionosphere, sd, noise_sd, elevation, azimuth, velocity_n
+        )  # fmt: skip
 
     def _delays(self, place: Geodetic, elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
-        """Delay, sd and sd of the noise [m], shape (3, n); what is below the mask is taken at the mask."""
+        """Delay, that of the ionosphere, sd and sd of the noise [m], shape (4, n); below the mask as at the mask."""
         rows = []
         second_of_day = self.gps_time_ns * 1e-9 % SECONDS_PER_DAY
         at_height = Geodetic(place.latitude, place.longitude, min(max(place.height, LOWEST), HIGHEST))
@@ -189,7 +199,7 @@ class Sky:
                 fraction * ionosphere,
                 model.zenith_troposphere_sd_m * mapping,
             )
-            rows.append((ionosphere + zenith * mapping, hypot(*parts, noise), noise))
+            rows.append((ionosphere + zenith * mapping, ionosphere, hypot(*parts, noise), noise))
         return np.array(rows).T
 
 
