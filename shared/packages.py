@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 
+AID_STATES, AIDS = "obu.aid_states", "obu.aids"  # groups: states of the navigation filter, and its measurements
+
 
 def brought(group: str) -> Iterator[object]:
     """Load what installed packages offer in a group of entry points, in the order of their names."""

@@ -15,11 +15,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..packages import offered
+from ..packages import AID_STATES, offered
 
 SOURCES = "shared", "services/core"  # folders of all code that is compiled, and of what it calls
 MAX_VERSIONS = 32  # versions of the code whose machine code is kept: 1.5 MB each; several trees have one each
-EXTERNAL_STATES = "obu.aid_states"  # entry points of packages that make the state of the filter longer
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -36,7 +35,7 @@ def machine_code() -> Path:
     root = Path(__file__).resolve().parents[2]
     files = sorted(path for folder in SOURCES for path in (root / folder).rglob("*.py"))
     stamps = ((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
-    version = sha256(repr([*stamps, *offered(EXTERNAL_STATES)]).encode()).hexdigest()[:16]
+    version = sha256(repr([*stamps, *offered(AID_STATES)]).encode()).hexdigest()[:16]
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "obu" / "numba"
     try:
         (cache / version).mkdir(parents=True, exist_ok=True)

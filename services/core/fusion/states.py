@@ -12,11 +12,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, cast
 
-from shared.packages import brought
+from shared.packages import AID_STATES, brought
 
 from .settings import Settings
 
-GROUP = "obu.aid_states"
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
@@ -120,7 +119,7 @@ class Layout:
 
 def external_blocks() -> tuple[Block, ...]:
     """Blocks of installed packages, in the order of the names of their entry points."""
-    return tuple(block for module in brought(GROUP) for block in cast(Any, module).BLOCKS)
+    return tuple(block for module in brought(AID_STATES) for block in cast(Any, module).BLOCKS)
 
 
 LAYOUT = Layout((*INERTIAL, *AIDS, *external_blocks()))

@@ -13,12 +13,11 @@ from typing import Any, cast
 
 from shared.messages.base import Message
 from shared.messages.navigation import AidingKind
-from shared.packages import brought
+from shared.packages import AIDS, brought
 
 from ..settings import Settings
 from .base import Measurement
 
-GROUP = "obu.aids"
 KIND = AidingKind.EXTERNAL
 Converter = Callable[[Any, Settings], Iterable[Measurement]]
 
@@ -27,7 +26,7 @@ Converter = Callable[[Any, Settings], Iterable[Measurement]]
 def external_kinds() -> Mapping[type[Message], tuple[Converter, ...]]:
     """Functions of all installed packages, by the class of message; read once a process."""
     found: dict[type[Message], tuple[Converter, ...]] = defaultdict(tuple)
-    for module in brought(GROUP):
+    for module in brought(AIDS):
         for message, converters in cast(Any, module).KINDS.items():
             found[message] += tuple(converters)
     return dict(found)
