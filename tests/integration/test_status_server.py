@@ -442,7 +442,8 @@ def test_the_solution_is_json_or_geojson_as_requested(server: RunningServer) -> 
 def test_without_a_solution_every_value_is_null_and_nothing_is_live(tmp_path: Path) -> None:
     with status_server(tmp_path, unit=False) as server:
         flat = get(server, "/api/solution")
-        assert (flat["state"], flat["live"], flat["latitude_deg"]) == ("starting", False, None)
+        assert (flat["live"], flat["latitude_deg"]) == (False, None)
+        assert flat["state"] in ("starting", "stale"), "a server that is slow to answer waits no longer"
         feature = get(server, "/api/solution?format=geojson")
         assert feature["geometry"] is None
         TypeAdapter(Solution).validate_json(json.dumps(flat))
