@@ -7,7 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from shared.processes import PROCESSES, Kind, ProcessRow
 from shared.programs import ROLES
 from shared.runtime.credentials import CHECK, OBSERVERS
-from shared.topics import BROKER_LOG, BY_NAME, REPLAY, Topic, measurements, on_request, publications, subscriptions
+from shared.topics import (
+    BROKER_LOG,
+    BY_NAME,
+    REPLAY,
+    SETTINGS,
+    Topic,
+    measurements,
+    on_request,
+    publications,
+    subscriptions,
+)
 
 ANY_VEHICLE = "+"
 
@@ -69,7 +79,8 @@ def _lines(row: ProcessRow, prefix: str) -> Iterator[str]:
     if row.observes_all:
         yield f"topic read {prefix}#\n"
     else:
-        yield from (f"topic read {prefix}{topic.name}\n" for topic in (*subscriptions(row.name), *on_request(row.name)))
+        read = (*subscriptions(row.name), *on_request(row.name), BY_NAME[SETTINGS])
+        yield from dict.fromkeys(f"topic read {prefix}{topic.name}\n" for topic in read)
     yield from (f"topic write {prefix}{_own(topic, row.name)}\n" for topic in publications(row.name))
     if row.name == "monitoring.health":
         yield f"topic read {BROKER_LOG}\n"

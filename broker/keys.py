@@ -11,7 +11,7 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from shared.processes import PROCESSES, Kind, ProcessRow, running
 from shared.programs import READER, ROLES
 from shared.runtime.config import VehicleFile
 from shared.runtime.credentials import ADDRESS, CHECK, OBSERVER, OBSERVERS, READERS, WATCH
+from shared.runtime.overlay import SETTINGS
 from shared.runtime.private import PAGE, UPLINK
 from shared.topics import REPLAY
 
@@ -94,23 +95,29 @@ def make(folder: Path, vehicle: VehicleFile, made: KeyFileOwners) -> tuple[Path,
     return passwords, rules
 
 
-def separate(private: Path, page_user: int, uplink_user: int, evidence_group: int) -> None:
+# Folder in the private one: process that alone writes into it.
+OWN_FOLDERS = {PAGE: "monitoring.status", UPLINK: "monitoring.uplink", SETTINGS: "controller.settings"}
+
+
+def separate(private: Path, owners: Mapping[str, int], group: int, evidence_group: int) -> None:
     """Make the folders of what not every process may touch, in a folder of root.
 
-    `page` is of the user of monitoring.status, `uplink`, the enrolment at a centre, of that of monitoring.uplink;
-    `keys` holds the key that signs, for the group of those that do.
+    `page` is of the user of monitoring.status, `uplink`, the enrolment at a centre, of that of monitoring.uplink, and
+    `settings`, which the group of the processes may read, of that of controller.settings; `owners` names them by
+    folder. `keys` holds the key that signs, for the group of those that do.
     """
     signing = keys_folder(private)
     try:
         _own_folder(private, 0o755)
-        for name, user in ((PAGE, page_user), (UPLINK, uplink_user)):
+        for name in OWN_FOLDERS:
             folder = private / name
             folder.mkdir(mode=0o700, exist_ok=True)
             if folder.is_symlink():
                 raise UserError(f"{folder} is a link: somebody may have put it there; remove it")
-            os.chown(folder, user, -1, follow_symlinks=False)
+            os.chown(folder, owners[name], group if name == SETTINGS else -1, follow_symlinks=False)
+            folder.chmod(0o750 if name == SETTINGS else 0o700)
         for path in (private / UPLINK).iterdir():  # of an enrolment before the folder was made
-            os.chown(path, uplink_user, -1, follow_symlinks=False)
+            os.chown(path, owners[UPLINK], -1, follow_symlinks=False)
         _own_folder(signing, 0o750)
         os.chown(signing, -1, evidence_group)
         signing.chmod(0o750)

@@ -3,6 +3,7 @@
 import grp
 import os
 import pwd
+import re
 import shutil
 from pathlib import Path
 
@@ -14,7 +15,6 @@ from shared.runtime.credentials import FOLDER, INSTALLED, OBSERVERS, folder_of
 from shared.runtime.private import private_folder
 
 MAX_READERS = 32
-PAGE_PROCESS, UPLINK_PROCESS = "monitoring.status", "monitoring.uplink"
 TAKE_EFFECT = (
     "to take effect: `sudo systemctl reload obu-broker`, with containers `docker compose kill -s HUP broker`, "
     "otherwise restart the broker"
@@ -70,19 +70,18 @@ def make(
     passwords, rules = keys.make(where, unit, made)
     if containers or group is not None:
         state = state_dir().resolve()
-        keys.share(state, keys.CONTAINER_GROUP if group is None else _group(group))
-        page_user, uplink_user = (
-            keys.CONTAINER_USERS[name] if group is None else _user(f"{group}-{name.replace('.', '-')}")
-            for name in (PAGE_PROCESS, UPLINK_PROCESS)
-        )
+        owners = {
+            name: keys.CONTAINER_USERS[process] if group is None else _user(f"{group}-{re.sub('[._]', '-', process)}")
+            for name, process in keys.OWN_FOLDERS.items()
+        }
+        shared_by = keys.CONTAINER_GROUP if group is None else _group(group)
+        keys.share(state, shared_by)
         signing = keys.CONTAINER_EVIDENCE_GROUP if group is None else _group(f"{group}-evidence")
-        keys.separate(private_folder(state), page_user, uplink_user, signing)
+        keys.separate(private_folder(state), owners, shared_by, signing)
         if socket_folder is not None:
             if made.owner is None:
                 raise UserError("whose socket is it? Name the broker's user with --broker-user")
-            keys.share_socket(
-                socket_folder, keys.user_number(made.owner), keys.CONTAINER_GROUP if group is None else _group(group)
-            )
+            keys.share_socket(socket_folder, keys.user_number(made.owner), shared_by)
     elif socket_folder is not None:
         raise UserError("--socket-folder needs --group or --containers: who may connect")
     print(f"secrets of {unit.name!r} in {where}; the broker's files: {passwords} and {rules}")

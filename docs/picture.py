@@ -43,7 +43,7 @@ DEMOS = (  # arguments, the topic that is waited for, the pages
     (
         ("--scenario", "urban"),
         "navigation/solution",
-        ("now", "map", "gnss", "charts", "trust", "recordings", "system"),
+        ("now", "map", "gnss", "charts", "trust", "recordings", "system", "settings"),
     ),
     (("--role", "rsu"), "toll/tracks", ("toll",)),
 )

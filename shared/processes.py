@@ -52,6 +52,7 @@ class ProcessRow:
     roles: tuple[Role, ...] = (Role.OBU,)
     passes_on: tuple[str, ...] = ()  # of what it produces: data of another device that came through its own
     on_request: tuple[str, ...] = ()
+    owns_loop: bool = False  # beside those of layers 1 and 5: it works with files
     pause_s: float = 0.0  # of a process of layers 2 to 4 whose output does not depend on such a delay
     container_user: int | None = (
         None  # owns the files of its container: never that of another process, also a former one
@@ -61,6 +62,11 @@ class ProcessRow:
     def layer(self) -> int:
         """Number of the layer, 1 to 5."""
         return list(LAYERS).index(self.name.split(".")[0]) + 1
+
+    @property
+    def is_function(self) -> bool:
+        """Whether the process is a function of its messages, which the runtime feeds; others own their loop."""
+        return self.layer not in (1, 5) and not self.owns_loop
 
     @property
     def short(self) -> str:
@@ -190,6 +196,14 @@ PROCESSES = (
         pause_s=0.1,
     ),
     ProcessRow(
+        "controller.settings", Kind.STANDING, "changes the settings of the unit, and takes a change back that harms it",
+        container_user=10_131,
+        consumes=("settings/command", "deadline/report"),
+        produces=("settings/answer", "settings/state", "settings/catalogue"),
+        on_request=("health/+",),
+        roles=BOTH, owns_loop=True,
+    ),
+    ProcessRow(
         "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
         container_user=10_116,
         consumes=("navigation/solution", "trust/state", "gnss/fix"),
@@ -283,7 +297,8 @@ PROCESSES = (
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
         container_user=10_128,
-        produces=("simulation/attack", "replay/control", "mode/command"), observes_all=True, roles=BOTH,
+        produces=("simulation/attack", "replay/control", "mode/command", "settings/command"),
+        observes_all=True, roles=BOTH,
     ),
     ProcessRow(
         "monitoring.uplink", Kind.OPTIONAL, "reports position, verdict and events to a control centre, each once",

@@ -52,6 +52,7 @@ from .messages.operation import (
 )
 from .messages.power import PowerEvent, PowerRaw, PowerState
 from .messages.replay import ReplayControl, ReplayEvents, ReplayState
+from .messages.settings import SettingsAnswer, SettingsCatalogue, SettingsCommand, SettingsState
 from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
@@ -93,7 +94,8 @@ from .programs import ROLES
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
 ONE_BYTES, MANY_BYTES = 131_072, 245_760  # with topic and header below `max_packet_size` of the broker
-OF_MANY = ("v2x/", "toll/", "plaza/", "simulation/", "replay/", "mode/")
+OF_MANY = ("v2x/", "toll/", "plaza/", "simulation/", "replay/", "mode/", "settings/")
+SETTINGS = "settings/state"  # every process listens to it: one whose settings differ ends, and starts again with them
 BROKER_LOG = "$SYS/broker/log/N"  # what the broker has refused, for monitoring.health
 REPLAY = "replay"  # the program `obu replay --broker`
 PROCESS_NAME = re.compile(rf"({'|'.join(LAYERS)})\.[a-z][a-z0-9_]*")
@@ -201,6 +203,12 @@ TOPICS = (
     Topic("mode/answer", ModeAnswer, "how far a command of the operator has come", qos=1),
     Topic("mode/state", ModeState, "operating mode of the unit, and the sources in use",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, advisory=True),
+    Topic("settings/command", SettingsCommand, "settings to be checked or changed", qos=1),
+    Topic("settings/answer", SettingsAnswer, "what a change of settings would do, or why it is refused", qos=1),
+    Topic("settings/state", SettingsState, "digests of the settings that hold, and the newest change",
+          qos=1, retain=True),
+    Topic("settings/catalogue", SettingsCatalogue, "every setting with its value, bounds and meaning",
+          qos=1, retain=True),
     Topic("navigation/last_position", LastPosition, "last known position of the vehicle",
           qos=1, retain=True, persist=True),
     Topic("navigation/solution", NavigationSolution, "position, velocity and attitude, with covariance",

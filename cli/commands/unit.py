@@ -198,4 +198,4 @@ def run(
         near = difflib.get_close_matches(process, BY_NAME, n=1)
         hint = f"did you mean {near[0]}?" if near else "`obu topics --processes` lists them"
         raise UserError(f"there is no process {process!r}; {hint}")
-    run_process(process, load_vehicle(vehicle))
+    run_process(process, load_vehicle(vehicle), lambda: load_vehicle(vehicle))

@@ -55,7 +55,8 @@ class Child:
 class Supervisor:
     """Starts each child, and restarts it with growing pauses when it ends by itself.
 
-    A child that exits with `EX_CONFIG` is not restarted: it would end again. One that has given signs of life and gives
+    A child that exits with `EX_CONFIG` is not restarted: it would end again; one that exits with `EX_TEMPFAIL` wants to
+    be started again with other settings. One that has given signs of life and gives
     no more is killed, and restarted.
     """
 
@@ -174,6 +175,10 @@ class Supervisor:
         if code == os.EX_CONFIG:
             child.misconfigured, child.next_start = True, math.inf
             log.error("%s rejects its configuration; correct it and restart the unit", child.name)
+            return
+        if code == os.EX_TEMPFAIL:
+            child.failures, child.next_start = 0, now
+            log.info("%s starts again with other settings", child.name)
             return
         child.failures = 0 if now - child.started > SETTLING_TIME_S else child.failures + 1
         pause = BACK_OFF_S[min(max(child.failures - 1, 0), len(BACK_OFF_S) - 1)]

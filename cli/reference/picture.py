@@ -78,7 +78,7 @@ def places_of(arranged: Boxes) -> dict[str, Place]:
     core = [row for row in arranged.columns[2] if row.layer == 4]
     controller = [row for row in arranged.columns[2] if row.layer == 3]
     places |= {row.name: _box(2, FIRST + group + 26 + ROW * n) for n, row in enumerate(core)}
-    places |= {row.name: _box(2, CORE_BOTTOM + 70 + 44 * n) for n, row in enumerate(reversed(controller))}
+    places |= {row.name: _box(2, CORE_BOTTOM + 70 + 34 * n) for n, row in enumerate(reversed(controller))}
     fusion = places["core.fusion"].y
     step = 144 / max(1, len(arranged.columns[3]) - 1)
     places |= {row.name: _box(3, fusion - 96 + step * n) for n, row in enumerate(arranged.columns[3])}

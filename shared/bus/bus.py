@@ -24,14 +24,16 @@ from paho.mqtt.reasoncodes import ReasonCode
 from ..errors import BadPayload, UserError
 from ..messages.base import Message, Sender
 from ..messages.operation import MessageKind, ProcessHealth, ProcessState, TopicTraffic
+from ..messages.settings import SettingsState
 from ..runtime.alive import LivenessSignal
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.credentials import OBSERVER, Identity, identity_of, observer_of, replay_of
 from ..runtime.last_end import LastEnd
 from ..runtime.usage import ProportionalSize, resident_bytes
+from ..settings.held import HeldSettings
 from ..tls import reason_of
-from ..topics import BROKER_LOG, BY_MESSAGE, BY_NAME, TOPICS, Topic, may_send, topic_of
+from ..topics import BROKER_LOG, BY_MESSAGE, BY_NAME, SETTINGS, TOPICS, Topic, may_send, topic_of
 from . import codec
 from .envelope import Envelope
 
@@ -76,6 +78,7 @@ class Bus:
     ) -> None:
         self.process, self.vehicle, self.address, self.state_dir = process, vehicle, address, state_dir
         self.vehicle_toml = ""
+        self.settings = HeldSettings()
         self.stopping = False
         self.connected = False
         self.rejects: Counter[str] = Counter()
@@ -101,6 +104,9 @@ class Bus:
         self._observer, self._guarded, self._hears_broker = observer, False, False
         self._identity = self._identify()
         self._filters = {self._prefix + topic.name: topic.qos for topic in subscriptions}
+        if not observer:
+            self._filters.setdefault(self._prefix + SETTINGS, BY_NAME[SETTINGS].qos)
+        self._awaits = frozenset(topic.name for topic in subscriptions)
         self._own = self._filters
         self._followed: frozenset[str] | None = None  # None: as constructed
         self._published: dict[str, tuple[int, int, bytes]] = {}  # of a fast topic: count, time and bytes of the newest
@@ -455,10 +461,19 @@ class Bus:
                 self.rejects["sender"] += 1
                 self.last_error = f"{name} of {envelope.producer}, which may not publish it: dropped"
                 continue
+            if name == SETTINGS and self._ends_for(envelope):
+                self.stopping = True
+            if name == SETTINGS and name not in self._awaits:
+                continue
             envelopes.append(envelope)
             if name in self._received:
                 self._received[name] = self._received[name][0] + 1, envelope
         return envelopes
+
+    def _ends_for(self, envelope: Envelope) -> bool:
+        """Whether the unit holds other settings than this process."""
+        state = decoded(self, envelope)
+        return isinstance(state, SettingsState) and self.settings.note(self.process, state)
 
 
 class _Client(mqtt.Client):

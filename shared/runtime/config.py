@@ -21,6 +21,7 @@ from ..messages.base import Vector3
 from ..processes import BY_NAME, Role, running
 from .clock import DISK_FAULTS
 from .old_keys import in_section, old_keys, successor
+from .overlay import text_over, without_basis
 from .private import page_folder
 
 log = logging.getLogger(__name__)
@@ -331,7 +332,10 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
 
 
 def load_vehicle(path: str | Path | None = None) -> VehicleFile:
-    """Read the vehicle's file named by the argument or by OBU_VEHICLE; without either, all defaults."""
+    """Read the vehicle's file named by the argument or by OBU_VEHICLE; without either, all defaults.
+
+    In the place of the file of OBU_VEHICLE the text holds that the settings of this unit were changed to.
+    """
     name = path or os.environ.get("OBU_VEHICLE")
     if not name:
         return parse_vehicle("", "<no vehicle file>")
@@ -340,6 +344,8 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
     except (OSError, UnicodeDecodeError, SizeExceeded) as error:
         reason = error.strerror if isinstance(error, OSError) else error if isinstance(error, SizeExceeded) else NO_TEXT
         raise UserError(f"cannot read the vehicle's file {name}: {reason}; see {EXAMPLES} for examples") from error
+    if path is None and (changed := text_over(text, _state_path())):
+        text = without_basis(changed[1])  # its paths are relative to the file of OBU_VEHICLE too
     return parse_vehicle(text, str(name))
 
 

@@ -26,9 +26,11 @@ from ..messages.base import Message, Persistent, RawBytes, StampedMessage, Tick
 from ..messages.imu import ImuSamples
 from ..messages.operation import ConsumptionOrder, ProcessLoad
 from ..processes import BY_NAME
+from ..settings.digests import digest_for
+from ..settings.held import HeldSettings
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .clock import boot_id
-from .config import Section, VehicleFile, broker_address, state_dir
+from .config import Section, VehicleFile, broker_address, load_vehicle, state_dir
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +76,7 @@ def handled(
 
 
 class Runner(Protocol):
-    """A process of layer 1 or 5: it owns its loop."""
+    """A process of layer 1 or 5, or one that works with files: it owns its loop."""
 
     def run(self, bus: Bus) -> None:
         """Work until `bus.stopping`."""
@@ -123,13 +125,23 @@ def load_process(name: str, vehicle: VehicleFile) -> object:
     return cast("Callable[[Section], object]", module.Process)(vehicle.section(name, kind))
 
 
-def run_process(name: str, vehicle: VehicleFile) -> None:
-    """Run one process until SIGTERM or SIGINT."""
+def settings_digest(name: str, vehicle: VehicleFile) -> str:
+    """Digest of what a process reads of a vehicle's file; raises `ConfigError`."""
+    module = importlib.import_module(f"services.{name}.process")
+    return digest_for(name, vehicle, vehicle.section(name, cast("type[Section]", module.Config)))
+
+
+def run_process(name: str, vehicle: VehicleFile, reread: Callable[[], VehicleFile] = load_vehicle) -> None:
+    """Run one process until SIGTERM or SIGINT, or until its settings have changed: it ends with `EX_TEMPFAIL` then.
+
+    `reread` reads the file again: a process ends only if its next life has other settings than this one.
+    """
     start_logging(name)
     os.umask(0o007)  # processes with users of their own share the state folder by their group
-    process = load_process(name, vehicle)
+    process, digest = load_process(name, vehicle), settings_digest(name, vehicle)
     bus = Bus(name, vehicle.name, broker_address(), subscriptions(name), state_dir())
     bus.vehicle_toml = vehicle.text
+    bus.settings = HeldSettings(digest, lambda: settings_digest(name, reread()))
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         bus.stopping = True
@@ -140,14 +152,16 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
     gc.collect()
     gc.freeze()  # excludes what exists now from garbage collection, which would take 4 to 9 ms
     try:
-        if BY_NAME[name].layer in (1, 5):
-            cast(Runner, process).run(bus)
-        else:
+        if BY_NAME[name].is_function:
             LiveReactor(cast(Reactor, process), bus, pause_s=BY_NAME[name].pause_s).run()
+        else:
+            cast(Runner, process).run(bus)
     except Exception as error:
         bus.failed(error)
         raise
     bus.close()
+    if bus.settings.have_changed:
+        raise SystemExit(os.EX_TEMPFAIL)
 
 
 class LiveReactor:

@@ -35,6 +35,7 @@ OWNERS = {
     "solve": "cli/solve",
     "import": "cli/import_drive",
     "recorder": "services/monitoring/recorder",
+    "settings": "services/controller/settings",
 }
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")

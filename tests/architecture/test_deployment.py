@@ -25,7 +25,8 @@ Service = dict[str, object]
 OBU = [row for row in PROCESSES if Role.OBU in row.roles and row.kind is not Kind.REPLAY]
 RSU = [row for row in PROCESSES if Role.RSU in row.roles and row.kind is not Kind.REPLAY]
 ON_REQUEST = (Kind.DEVICE_DRIVER, Kind.OPTIONAL)  # run where a profile asks for them
-PRIVATE_FOLDERS = ("monitoring-status", "monitoring-uplink")  # have a folder of their own in `private`
+# Have a folder of their own in `private`.
+PRIVATE_FOLDERS = ("monitoring-status", "monitoring-uplink", "controller-settings")
 DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 
 

@@ -38,6 +38,7 @@ RUN = {
     "broker.probe",
     "services.monitoring.status.series.recorded",
     "shared.recording.summary",
+    "shared.settings.check",
     *(f"cli.{module}" for module, _ in COMMANDS.values()),
 }
 PROGRAMS = (".process", ".__main__")  # imported by the name of the process, run as programs

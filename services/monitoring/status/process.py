@@ -40,6 +40,7 @@ from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
 from .web.routes import LIMITED_LOGS, Api, ClientStreams, make_app
 from .web.series import SeriesApi
+from .web.settings import SettingsApi
 from .web.simulation import SimulationApi
 from .web.stream.events import Events
 from .web.stream.websocket import Stream
@@ -132,14 +133,20 @@ class Process:
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
         simulation, operator = SimulationApi(state, lock, now_ns), CommandApi(state, lock, now_ns)
-        replay, errors = ReplayApi(feed, lock, bus.now_ns), PageErrorsApi()
+        replay, errors, unit_settings = (
+            ReplayApi(feed, lock, bus.now_ns),
+            PageErrorsApi(),
+            SettingsApi(state, lock, now_ns),
+        )
         library, job = (
             Library(recordings_folder(bus)),
             Job((bus.state_dir / "jobs").resolve(), tokens_folder(bus.state_dir).resolve()),
         )
         allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
         recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
-        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings, operator, errors))
+        server = self._make_server(
+            state, lock, bus, now_ns, (simulation, replay, recordings, operator, unit_settings, errors)
+        )
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
@@ -159,7 +166,7 @@ class Process:
             records = state.unsaved()
             if kept:
                 kept.append(records)
-            for commands in (simulation.commands, replay.commands, operator.commands):
+            for commands in (simulation.commands, replay.commands, operator.commands, unit_settings.commands):
                 while not commands.empty():
                     bus.publish(commands.get_nowait())
             count(errors, bus)
@@ -177,7 +184,7 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
-        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi, PageErrorsApi],
+        apis: tuple[SimulationApi, ReplayApi, RecordingsApi, CommandApi, SettingsApi, PageErrorsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         clients = self._config.clients_maximum

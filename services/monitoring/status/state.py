@@ -300,7 +300,7 @@ class State:
     def is_slowed(self) -> bool:
         """Whether this computer is too slow to send pages more than one frame a second."""
         load = self.topics["health/load"].message
-        return isinstance(load, ProcessLoad) and Work.PAGES in load.paused and not self._has_ended("core.fusion")
+        return isinstance(load, ProcessLoad) and Work.PAGES in load.paused and not self.has_ended("core.fusion")
 
     def is_earlier(self, name: str) -> bool:
         """Whether the newest message of a periodic topic is from before the last start of its producer.
@@ -328,7 +328,7 @@ class State:
         back = health is not None and health.state is ProcessState.READY and health.sent_ns >= self._counts_from_ns
         return self.judgement.statuses[process].down and not back
 
-    def _has_ended(self, process: str) -> bool:
+    def has_ended(self, process: str) -> bool:
         """Whether the newest health message of a process is its last one: a replay shows what was before it."""
         health = self.processes[process].health
         return health is not None and health.state.is_over and not self.replay
@@ -445,7 +445,7 @@ class State:
         """Collect what the banner shows."""
         solution = self.newest(NavigationSolution, "navigation/solution", now_ns)
         navigation = self.newest(NavigationState, "navigation/state", now_ns, live=True)
-        without_trust = self.is_earlier("trust/state") or self._has_ended("core.trust")
+        without_trust = self.is_earlier("trust/state") or self.has_ended("core.trust")
         trust = None if without_trust else self.newest(TrustState, "trust/state", now_ns)
         return Evidence(
             broker=not self._broker_lost(now_ns),
@@ -473,7 +473,7 @@ class State:
             alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
             set_up=self.newest(SetUpState, "navigation/set_up", now_ns),
             cause=self.judgement.cause("navigation/solution"),
-            load=None if self._has_ended("core.fusion") else self.newest(ProcessLoad, "health/load", now_ns),
+            load=None if self.has_ended("core.fusion") else self.newest(ProcessLoad, "health/load", now_ns),
         )
 
     def _awaited(self, trust: TrustState | None, now_ns: int) -> CodedText | None:

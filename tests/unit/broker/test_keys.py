@@ -134,14 +134,19 @@ def test_the_state_of_an_earlier_version_is_shared_once_and_no_link_is_followed(
     )
 
 
+OWNERS = {"page": 12_346, "uplink": 12_348, "settings": 12_349}
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
 def test_tokens_are_the_pages_and_the_key_that_signs_is_of_those_who_sign(tmp_path: Path) -> None:
     for _ in range(2):
-        keys.separate(tmp_path, 12_346, 12_348, 12_347)
+        keys.separate(tmp_path, OWNERS, 12_350, 12_347)
         page, key = tmp_path / "page", tmp_path / "keys" / "evidence.key"
         assert (page.stat().st_uid, stat.S_IMODE(page.stat().st_mode)) == (12_346, 0o700)
         uplink = tmp_path / "uplink"
         assert (uplink.stat().st_uid, stat.S_IMODE(uplink.stat().st_mode)) == (12_348, 0o700)
+        settings = (tmp_path / "settings").stat()
+        assert (settings.st_uid, settings.st_gid, stat.S_IMODE(settings.st_mode)) == (12_349, 12_350, 0o750)
         assert (key.stat().st_uid, key.stat().st_gid, stat.S_IMODE(key.stat().st_mode)) == (0, 12_347, 0o440)
         assert stat.S_IMODE(key.parent.stat().st_mode) == 0o750
     before = KeyFile(tmp_path / "keys").signer().key_id
@@ -151,14 +156,14 @@ def test_tokens_are_the_pages_and_the_key_that_signs_is_of_those_who_sign(tmp_pa
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
-@pytest.mark.parametrize("name", ["page", "uplink", "keys"])
+@pytest.mark.parametrize("name", ["page", "uplink", "settings", "keys"])
 def test_a_link_in_place_of_a_folder_of_root_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "file").touch(0o600)
     (tmp_path / "private").mkdir()
     (tmp_path / "private" / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(UserError, match="remove it"):
-        keys.separate(tmp_path / "private", 12_346, 12_348, 12_347)
+        keys.separate(tmp_path / "private", OWNERS, 12_350, 12_347)
     assert (tmp_path / "elsewhere" / "file").stat().st_uid == 0
 
 

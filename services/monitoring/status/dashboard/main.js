@@ -9,9 +9,9 @@ import { words } from "./words.js";
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
 const TRY_AGAIN_MS = 2000;
-const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
+const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system", "settings"];
 const WATCHED = ["now", "map", "gnss", "trust"];
-const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings" }; // after the key g
+const GO = { n: "now", m: "map", t: "trust", g: "gnss", c: "charts", l: "toll", s: "system", r: "recordings", e: "settings" }; // after the key g
 const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map/map.js").then((m) => m.MapPage),
@@ -21,6 +21,7 @@ const LATER = {
   toll: () => import("./toll.js").then((m) => m.TollPage),
   recordings: () => import("./recordings/recordings.js").then((m) => m.RecordingsPage),
   system: () => import("./system/system.js").then((m) => m.SystemPage),
+  settings: () => import("./settings/settings.js").then((m) => m.SettingsPage),
 };
 const loaded = { now: NowPage }; // the others when they are first opened
 
@@ -42,7 +43,7 @@ const go = (hash) => {
 // A unit that is seen from a control centre: what it passes on, and nothing that only it can do.
 const watch = () => state.value?.watch ?? null;
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(name === "recordings" && state.value?.replay));
+const pagesHere = () => PAGES.filter((name) => (!watch() || WATCHED.includes(name)) && !HIDDEN[role()].includes(name) && !(["recordings", "settings"].includes(name) && state.value?.replay));
 
 // That the vehicle is seen from afar, how old the newest message is, and the way back.
 function Watch() {

@@ -1,7 +1,7 @@
 // Every word of the page, in one place, so that it can be translated.
 export const words = {
   skip: "Skip to the content",
-  pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings" },
+  pages: { now: "Now", map: "Map", gnss: "GNSS", charts: "Charts", toll: "Toll", trust: "Trust", system: "System", recordings: "Recordings", settings: "Settings" },
   navigation: "Pages",
   unit: "OBU",
   connecting: "Connecting to the on-board unit ...",
@@ -698,6 +698,7 @@ export const words = {
       ["g l", "Toll (road-side unit)"],
       ["g r", "Recordings"],
       ["g s", "System"],
+      ["g e", "Settings"],
       ["/", "Find a topic"],
       ["p", "Pause or resume the display"],
       ["Space", "Play or pause a replay"],

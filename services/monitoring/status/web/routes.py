@@ -17,6 +17,7 @@ from shared.bus.contract import asyncapi
 from shared.library.library import Library
 from shared.messages.operation import ModeCommand
 from shared.messages.replay import ReplayControl
+from shared.messages.settings import SettingsCommand
 from shared.messages.simulation import SimulationAttack
 from shared.page.access.limits import quiet_accept
 from shared.page.answers import NOT_KEPT, Refusal, Responses, described, reference_to, refusals, schemas
@@ -47,6 +48,7 @@ from .page_errors import PageErrorsApi
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
 from .series import SeriesApi
+from .settings import SettingsApi
 from .simulation import SimulationApi
 from .stream.events import Events
 from .stream.websocket import Stream
@@ -66,12 +68,16 @@ TAGS = {
     "streams": "Connections that stay open",
     "simulation": "Attacks on a simulated vehicle",
     "command": "Commands of the operator",
+    "settings": "Settings of the unit: see, check, change, take back",
     "replay": "Controls of a replay",
     "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
 }
 GEOJSON = "application/geo+json"
 LIMITED_LOGS = (login.__name__, page_errors.__name__)  # of what visitors cause
-BODIES = (SimulationAttack, ReplayControl, Command, ModeCommand, LoginRequest, AddToken, RevokeToken, PageError)
+BODIES = (
+    SimulationAttack, ReplayControl, Command, ModeCommand, SettingsCommand, LoginRequest, AddToken, RevokeToken,
+    PageError,
+)  # fmt: skip
 T = TypeVar("T")
 
 
@@ -299,7 +305,8 @@ def app_without_unit() -> FastAPI:
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     commands = CommandApi(state, lock, now_ns)
     series = SeriesApi(state, lock, now_ns, 1)
-    apis = (series, simulation, replay, recordings, commands, maps, PageErrorsApi())
+    unit_settings = SettingsApi(state, lock, now_ns)
+    apis = (series, simulation, replay, recordings, commands, unit_settings, maps, PageErrorsApi())
     return make_app(api, apis, Pages({}, {}), watching, Access(Rules(), Tokens(pathlib.Path())))
 
 

@@ -22,5 +22,5 @@ MEANING = {
     Right.PUBLIC: "without a login: the login itself, and whether the unit runs",
     Right.VIEW: "see every page and all data",
     Right.OPERATE: "besides, send commands, attack a simulated vehicle, replay, solve, keep and download recordings",
-    Right.ADMIN: "besides, delete recordings and manage tokens",
+    Right.ADMIN: "besides, change settings, delete recordings and manage tokens",
 }

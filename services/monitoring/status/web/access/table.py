@@ -37,6 +37,8 @@ ROWS = (
     Row("GET", "/api/recordings/{name}", Right.OPERATE, "download a recording"),
     Row("GET", "/api/recordings/{name}/report", Right.VIEW, "report of a solution"),
     Row("POST", "/api/command", Right.OPERATE, "command to the unit; `confirm_position` needs admin"),
+    Row("GET", "/api/settings", Right.VIEW, "settings, without passwords, and the newest change"),
+    Row("POST", "/api/settings", Right.ADMIN, "check, change, confirm, take back, restore settings"),
     Row("POST", "/api/page-error", Right.VIEW, "report an error of the page's program"),
     Row("GET", "/api/track", Right.VIEW, "track of the drive"),
     Row("GET", "/api/track.gpx", Right.VIEW, "track as GPX"),

@@ -1,0 +1,20 @@
+"""Digests of what each process reads of a vehicle's file: with another digest it would run with other settings."""
+
+import hashlib
+import json
+
+from ..processes import BY_NAME
+from ..runtime.config import Section, VehicleFile
+
+DIGITS = 16
+WHOLE = ("monitoring.recorder",)  # writes the whole file into each recording
+
+
+def digest_for(process: str, file: VehicleFile, section: Section) -> str:
+    """Digest of the settings of a process, of the facts of the vehicle that it reads, and of what else it looks at."""
+    read: list[object] = [file.name, section.model_dump(mode="json")]
+    if BY_NAME[process].observes_all:
+        read.append(sorted(file.processes))
+    if process in WHOLE:
+        read.append(file.text)
+    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()[:DIGITS]
