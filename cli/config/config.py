@@ -15,6 +15,7 @@ from shared.bounded import TOML_BYTES, read_text
 from shared.errors import UserError
 from shared.recording.writer import without_users
 from shared.runtime.config import VehicleFile, parse_vehicle, state_dir
+from shared.runtime.overlay import over, settings_folder, text_over, without_basis
 from shared.settings.catalogue import Setting, catalogue, find, value_of
 from shared.settings.edit import REMOVED, Difference, checked, differences, edited, touched, value_from
 from shared.settings.history import History, Version, write
@@ -25,7 +26,6 @@ FileOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 DryOption = Annotated[bool, typer.Option("--dry-run", help="Print what would change, and write nothing.")]
 NameArgument = Annotated[str, typer.Argument(help="Name of a setting, such as core.fusion.gnss.delay_s.")]
-FOLDER = "settings"  # in the state folder: earlier texts
 
 
 def list_settings(
@@ -173,7 +173,10 @@ def _change(path: Path, values: dict[str, object], *, dry_run: bool) -> int:
 
 
 def _replace(path: Path, text: str, *, dry_run: bool) -> int:
-    """Check another text of a file, print what differs, and write it."""
+    """Check another text of a file, print what differs, and write it.
+
+    Where the page has changed the settings of this unit, its text holds in the place of the file, and is written.
+    """
     former = _text(path)
     before, after = parse_vehicle(former, str(path)), checked(text, str(path))
     changes = differences(before, after)
@@ -186,11 +189,13 @@ def _replace(path: Path, text: str, *, dry_run: bool) -> int:
         return 0
     try:
         _history().keep(former)
-        write(path, text, path.stat().st_mode & 0o777)
+        changed = _changed(path)
+        written = path if changed is None else changed[0]
+        write(written, text if changed is None else over(text, _shipped_text(path)), written.stat().st_mode & 0o777)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}; is it yours, and is there room?") from error
     names = touched(changes, after, before)
-    print(f"wrote {path}; `obu config undo` takes it back")
+    print(f"wrote {written}; `obu config undo` takes it back")
     if names:
         print(f"start again, for it to hold: {', '.join(names)}")
     return 0
@@ -221,7 +226,17 @@ def _path(vehicle: Path | None) -> Path:
     return Path(name)
 
 
+def _changed(path: Path) -> tuple[Path, str] | None:
+    """Text that the page of this unit has written over a file, and where; None where the file itself holds."""
+    return text_over(_shipped_text(path), state_dir()) if str(path) == os.environ.get("OBU_VEHICLE") else None
+
+
 def _text(path: Path) -> str:
+    changed = _changed(path)
+    return _shipped_text(path) if changed is None else without_basis(changed[1])
+
+
+def _shipped_text(path: Path) -> str:
     try:
         return read_text(path, TOML_BYTES)
     except (OSError, ValueError) as error:
@@ -235,7 +250,7 @@ def _read(vehicle: Path | None) -> VehicleFile:
 
 
 def _history() -> History:
-    return History(state_dir() / FOLDER)
+    return History(settings_folder(state_dir()))
 
 
 def _version(number: int) -> Version:

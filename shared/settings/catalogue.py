@@ -5,9 +5,10 @@ A name is that of the section and of the key, `core.fusion.gnss.delay_s`; facts 
 
 import importlib
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
 from typing import cast
 
 from pydantic import BaseModel
@@ -25,7 +26,7 @@ BOUNDS = (
 Json = dict[str, object]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Setting:
     """One setting as the models of the settings describe it."""
 
@@ -50,11 +51,12 @@ def section_of(name: str) -> type[Section]:
     return cast("type[Section]", importlib.import_module(f"services.{name}.process").Config)
 
 
-def settings_of(section: str) -> Iterator[Setting]:
-    """Yield every setting of a section."""
+@cache
+def settings_of(section: str) -> tuple[Setting, ...]:
+    """Every setting of a section."""
     kind = section_of(section)
     schema = kind.model_json_schema()
-    yield from _settings(section, "", kind, schema, cast("Json", schema.get("$defs", {})))
+    return tuple(_settings(section, "", kind, schema, cast("Json", schema.get("$defs", {}))))
 
 
 def catalogue(role: Role, sections: Sequence[str] = ()) -> list[Setting]:
@@ -89,10 +91,21 @@ def find(name: str) -> Setting:
 
 def value_of(file: VehicleFile, setting: Setting) -> object:
     """Value that holds: that of the file, or the default; raises `ConfigError` for an invalid section."""
-    found: object = file.section(setting.section, section_of(setting.section))
-    for step in setting.key.split("."):
-        found = getattr(found, step)
-    return plain(found)
+    return values_of(file, [setting])[setting]
+
+
+def values_of(file: VehicleFile, settings: Iterable[Setting]) -> dict[Setting, object]:
+    """Values that hold, as `value_of`; each section is read once."""
+    sections: dict[str, Section] = {}
+    values: dict[Setting, object] = {}
+    for setting in settings:
+        if setting.section not in sections:
+            sections[setting.section] = file.section(setting.section, section_of(setting.section))
+        found: object = sections[setting.section]
+        for step in setting.key.split("."):
+            found = getattr(found, step)
+        values[setting] = plain(found)
+    return values
 
 
 def plain(value: object) -> object:

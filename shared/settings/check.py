@@ -15,7 +15,7 @@ from ..messages.explanation import QUOTED_LENGTH, Explanation, QuotedText, expla
 from ..messages.settings import SettingDifference, SettingRow
 from ..recording.writer import without_users
 from ..runtime.config import VehicleFile, parse_vehicle
-from .catalogue import FACTS, Setting, catalogue, find, section_of, settings_of, value_of
+from .catalogue import FACTS, Setting, catalogue, find, section_of, settings_of, values_of
 from .digests import digest_for
 from .edit import REMOVED, checked, differences, edited, touched
 from .question import Answer, Question
@@ -44,10 +44,10 @@ def answer(question: Question) -> Answer:
         if fixed := [name for name in question.changes if name in FIXED]:
             return Answer(refusals=tuple(refusal(Code.FIXED, setting=name) for name in fixed))
         if question.replacement is None:
-            values, refusals = values_of(question.changes, (FACTS, *before.processes))
+            changed, refusals = asked_values(question.changes, (FACTS, *before.processes))
             if refusals:
                 return Answer(refusals=refusals)
-            text = edited(question.text, values) if values else question.text
+            text = edited(question.text, changed) if changed else question.text
         else:
             text = question.replacement
         after = checked(text, question.path)
@@ -72,7 +72,7 @@ def answer(question: Question) -> Answer:
     )  # fmt: skip
 
 
-def values_of(
+def asked_values(
     changes: Mapping[str, str | None], sections: Collection[str]
 ) -> tuple[dict[str, object], tuple[Explanation, ...]]:
     """Values of changes by name, and what is wrong with them; those of other sections are unknown."""
@@ -97,7 +97,7 @@ def values_of(
 
 def rows(file: VehicleFile) -> list[SettingRow]:
     """Every setting of a file's processes with its value."""
-    return [_row(setting, value_of(file, setting)) for setting in catalogue(file.role, file.processes)]
+    return [_row(setting, value) for setting, value in values_of(file, catalogue(file.role, file.processes)).items()]
 
 
 def digests(file: VehicleFile) -> dict[str, str]:

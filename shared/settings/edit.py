@@ -11,7 +11,7 @@ from tomlkit.exceptions import TOMLKitError
 from ..errors import UserError
 from ..runtime.config import VehicleFile, parse_vehicle
 from ..runtime.migration import table_at
-from .catalogue import FACTS, Setting, catalogue, uses_facts, validate, value_of
+from .catalogue import FACTS, Setting, catalogue, uses_facts, validate, values_of
 
 REMOVED = object()  # in the place of a value: the default holds
 
@@ -87,12 +87,9 @@ def checked(text: str, path: str) -> VehicleFile:
 def differences(before: VehicleFile, after: VehicleFile) -> list[Difference]:
     """Settings whose values differ, in the order of the processes; a section that a file lacks has its defaults."""
     sections = {*before.processes, *after.processes}
-    found = []
-    for setting in catalogue(after.role, tuple(sections)):
-        old, new = value_of(before, setting), value_of(after, setting)
-        if old != new:
-            found.append(Difference(setting, old, new))
-    return found
+    settings = catalogue(after.role, tuple(sections))
+    old, new = values_of(before, settings), values_of(after, settings)
+    return [Difference(one, old[one], new[one]) for one in settings if old[one] != new[one]]
 
 
 def touched(changes: list[Difference], after: VehicleFile, before: VehicleFile) -> list[str]:

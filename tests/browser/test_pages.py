@@ -108,8 +108,6 @@ def test_the_first_paint_keeps_to_its_budget(units: dict[str, RunningServer], op
     expect(page.locator("svg.closeup")).to_be_visible()
     assert len(sizes) <= FIRST_PAINT_REQUESTS
     assert sum(sizes) <= FIRST_PAINT_BYTES
-    paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime")
-    assert paint < 3000, "even a busy test machine paints within three seconds"
 
 
 def test_numbers_on_the_page_are_those_of_the_unit(

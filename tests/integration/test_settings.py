@@ -70,9 +70,12 @@ class Vehicle:
         newest = (cast("Json | None", found.get("answer")), cast("Json | None", state.get("change")))
         return next((one["stage"] for one in newest if one and one["request_id"] == request), None)
 
-    def device(self) -> object:
+    def value(self, name: str) -> object:
         rows = cast("list[Json]", self.report().get("settings", []))
-        return next((row["value"] for row in rows if row["name"] == "sensors.gnss.device"), None)
+        return next((row["value"] for row in rows if row["name"] == name), None)
+
+    def device(self) -> object:
+        return self.value("sensors.gnss.device")
 
     def is_received(self) -> bool:
         """Whether bytes of the receiver come, by the deadlines of the unit."""
@@ -136,6 +139,7 @@ def test_the_receivers_port_is_changed_watched_kept_or_taken_back(vehicle: Vehic
         assert len(versions) == 3 and all(one["differing"] for one in versions[:1]), "what was wrong is kept too"
 
 
+@pytest.mark.slow
 def test_a_change_is_watched_on_after_the_process_was_killed_and_a_hand_edit_holds(vehicle: Vehicle) -> None:
     unit = vehicle
     port = free_port()
@@ -153,6 +157,5 @@ def test_a_change_is_watched_on_after_the_process_was_killed_and_a_hand_edit_hol
     assert "unless it is confirmed" in str(unit.report()["reasons"])
 
     unit.file.write_text(unit.file.read_text().replace("[monitoring.status]", "[monitoring.status]\nhistory_s = 60.0"))
-    rows = lambda: {row["name"]: row["value"] for row in cast("list[Json]", unit.report().get("settings", []))}  # noqa: E731
-    unit.until(lambda: rows().get("monitoring.status.history_s") == "60.0")
+    unit.until(lambda: unit.value("monitoring.status.history_s") == "60.0")
     assert "edited by hand" in str(unit.report()["problem"])

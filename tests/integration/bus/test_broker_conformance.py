@@ -295,8 +295,8 @@ def test_a_hung_client_is_disconnected_after_its_keep_alive(broker: RunningBroke
     bob.subscribe(topic)
     with Client(broker.port) as hung:
         hung.will(topic, "lost")
-        hung.connect(keep_alive_s=1)
         started = time.monotonic()
+        hung.connect(keep_alive_s=1)
         assert bob.payloads(within_s=HANGS_S) == ["lost"]
         assert time.monotonic() - started > 1.4
         hung.ends()

@@ -21,6 +21,7 @@ from fleet.alarms.signing import new_secret, signed_headers
 from fleet.alarms.web_hook import AddressPolicy, WebHooks
 from fleet.database.roles import ROLES, dsn_of_process, let_in
 from tests.support.fleet.certificates import Authority
+from tests.support.patience import HANGS_S
 
 Serve = Callable[[bytes, asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 SECRET = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
@@ -225,7 +226,7 @@ def test_an_answer_without_end_is_not_read_and_a_slow_hook_keeps_nobody_else_wai
             await writer.drain()
 
     async def dripping(_head: bytes, _reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        for _ in range(60):
+        while not writer.is_closing():  # who waited for its end would hang
             writer.write(b"H")
             await asyncio.sleep(0.1)
 
@@ -234,9 +235,7 @@ def test_an_answer_without_end_is_not_read_and_a_slow_hook_keeps_nobody_else_wai
             await hooks.serve(serve)
         for number, tenant in enumerate(hooks.tenants):
             hooks.raise_alarm(tenant, f"car-{number}")
-        begun_s = time.monotonic()
-        await hooks.process.turn()
-        assert time.monotonic() - begun_s < 3.0
+        await asyncio.wait_for(hooks.process.turn(), HANGS_S)
         await hooks.close()
 
     run(work())
