@@ -107,7 +107,7 @@ class SettingsCommand(Message):
     changes: Annotated[dict[SettingName, ValueText | None], Field(max_length=CHANGES_MAXIMUM)] = Field(
         default_factory=dict
     )  # value as JSON; None: the default
-    version: Annotated[int, Field(ge=1, le=10)] | None = None  # of RESTORE
+    version: Count | None = None  # of RESTORE; 1: the newest
 
 
 class SettingsAnswer(Message):

@@ -1,4 +1,4 @@
-"""The offline runtime: all processes of layers 2 to 4 in one thread, in time order."""
+"""The offline runtime: all processes that are functions of their messages, in one thread, in time order."""
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,7 +21,7 @@ class OfflineUnit:
     """
 
     def __init__(self, vehicle: VehicleFile, processes: Sequence[str] | None = None, *, stopped: bool = True) -> None:
-        names = [name for name in processes or vehicle.processes if 2 <= BY_NAME[name].layer <= 4]
+        names = [name for name in processes or vehicle.processes if BY_NAME[name].is_function]
         self._vehicle = vehicle
         self._processes = {name: cast(Reactor, load_process(name, vehicle)) for name in names}
         self._consumers = {

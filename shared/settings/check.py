@@ -29,12 +29,12 @@ FIXED = (f"{FACTS}.name", f"{FACTS}.role", "sensors.power.power_off_command", "m
 class Code(StrEnum):
     """Why a change of settings is refused."""
 
-    UNKNOWN = "settings.unknown"
-    INVALID = "settings.invalid"
-    FIXED = "settings.fixed"
-    SECRET = "settings.secret"
-    NOTHING = "settings.nothing"
-    UNREADABLE = "settings.unreadable"
+    UNKNOWN = "setting.unknown"
+    INVALID = "setting.invalid"
+    FIXED = "setting.fixed"
+    SECRET = "setting.secret"
+    NOTHING = "setting.nothing"
+    UNREADABLE = "setting.unreadable"
 
 
 def answer(question: Question) -> Answer:

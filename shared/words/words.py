@@ -36,6 +36,7 @@ OWNERS = {
     "import": "cli/import_drive",
     "recorder": "services/monitoring/recorder",
     "settings": "services/controller/settings",
+    "setting": "shared/settings",
 }
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de", "fr")

@@ -42,6 +42,7 @@ USERS = {
     "sensors.power": 10_105,
     "sensors.simulator": 10_106,
     "sensors.plaza": 10_130,
+    "controller.settings": 10_131,
     "sensors.traffic": 10_107,
     "sensors.replay": 10_108,
     "parsers.gnss": 10_109,

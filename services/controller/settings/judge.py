@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from shared.messages.explanation import Explanation, explain, process, topic
 from shared.messages.operation import DeadlineReport, Freshness, ProcessHealth
 from shared.processes import BY_NAME
-from shared.topics import publications, subscriptions
+from shared.topics import needs, publications, subscriptions
 
 from .codes import Code
 
@@ -18,7 +18,7 @@ NS = 1_000_000_000
 
 
 def downstream(touched: Iterable[str]) -> frozenset[str]:
-    """Topics that processes publish, and those that follow from them."""
+    """Topics that processes publish, and those that need them further on."""
     found: set[str] = set()
     waiting = [name for name in touched if name in BY_NAME]
     seen = set(waiting)
@@ -26,7 +26,7 @@ def downstream(touched: Iterable[str]) -> frozenset[str]:
         topics = {row.name for row in publications(waiting.pop()) if not row.per_process}
         found |= topics
         for name in BY_NAME:
-            if name not in seen and not BY_NAME[name].observes_all and topics & {t.name for t in subscriptions(name)}:
+            if name not in seen and topics & {row.name for row in needs(name)}:
                 seen.add(name)
                 waiting.append(name)
     return frozenset(found)

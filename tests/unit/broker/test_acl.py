@@ -3,13 +3,14 @@
 import itertools
 
 import pytest
+from paho.mqtt.client import topic_matches_sub
 
 from broker.acl import access_list
 from broker.simulated import AclError, parse
 from shared.processes import PROCESSES, ProcessRow
 from shared.programs import ROLES
 from shared.runtime.credentials import OBSERVERS
-from shared.topics import TOPICS, may_send
+from shared.topics import SETTINGS, TOPICS, may_send
 from tests.support.cases import each
 
 NAMES = [row.name for row in PROCESSES]
@@ -20,7 +21,8 @@ PRINTED = parse(access_list())
 def test_a_process_may_read_and_write_the_topics_of_its_row_only(row: ProcessRow) -> None:
     for topic, owner in itertools.product(TOPICS, NAMES):
         name = "obu/any-vehicle/" + topic.name.replace("+", owner)
-        reads = row.observes_all or row.name in topic.consumers or topic.name in row.on_request
+        asked = any(topic_matches_sub(pattern, topic.name) for pattern in (*row.on_request, SETTINGS))
+        reads = row.observes_all or row.name in topic.consumers or asked
         writes = row.name in topic.producers and (not topic.per_process or owner == row.name)
         assert PRINTED.may_read(row.name, name) is reads
         assert PRINTED.may_write(row.name, name) is writes

@@ -96,6 +96,6 @@ def test_unchecked_messages_are_valid() -> None:
     assert {ImuRaw, GnssRaw, CanRaw, ImuSamples, NavigationSolution} <= kinds
 
 
-def test_only_processes_of_layers_two_to_four_are_created(echoes: dict[str, Echo]) -> None:
+def test_only_processes_that_are_functions_of_their_messages_are_created(echoes: dict[str, Echo]) -> None:
     OfflineUnit(parse_vehicle("[sensors.simulator]"))
-    assert set(echoes) == {row.name for row in running(Role.OBU) if 2 <= row.layer <= 4}
+    assert set(echoes) == {row.name for row in running(Role.OBU) if row.is_function}

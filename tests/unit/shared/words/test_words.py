@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from cli.import_drive import codes as importing
 from cli.solve import codes as solve
 from fleet.alarms import codes as fleet
+from services.controller.settings import codes as settings
 from services.core.cooperative.codes import Code as SatelliteCode
 from services.core.evidence.codes import Code as EvidenceCode
 from services.core.evidence.monitor import EvidenceMonitor, Part
@@ -39,6 +40,7 @@ from shared.messages.gnss import InterferenceState
 from shared.messages.navigation import NavigationPhase
 from shared.messages.trust import Hypothesis
 from shared.rejects import PARTS, reason_of
+from shared.settings import check
 from shared.trust.inputs import Input
 from shared.words import words as words_module
 from shared.words.words import (
@@ -80,6 +82,8 @@ CODES: dict[str, type[StrEnum]] = {
     "import": importing.Code,
     "solve": solve.Code,
     "recorder": recorder.Code,
+    "settings": settings.Code,
+    "setting": check.Code,
 }
 FIGURES = {"statistic", "threshold", "window_s"}  # of the test that an explanation belongs to, in its unit
 MONITORS = ("spoofing", "motion", "evidence", "cooperative")
