@@ -42,6 +42,10 @@ ENTRIES = (
     Entry(
         LOOK, "doctor", "Check this machine, its configuration and a running unit, and name the remedy of each fault."
     ),
+    Entry(
+        LOOK, "support",
+        "Collect what somebody who helps needs: checks, settings without secrets, health, logs, the last minutes.",
+    ),
     Entry(LOOK, "tail", "Print the messages of a running unit as they are received, one per line."),
     Entry(
         LOOK, "topics",
@@ -113,6 +117,7 @@ COMMANDS = {
     "command": ("commands.look", "command"),
     "doctor": ("commands.look", "doctor"),
     "reference": ("commands.look", "reference"),
+    "support": ("support", "support"),
     "import": ("import_drive.import_drive", "import_drive"),
     "solve": ("solve.solve", "solve"),
     "kpi": ("kpi.kpi", "kpi"),

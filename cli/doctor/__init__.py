@@ -26,7 +26,7 @@ LIBRARIES = Path(__file__).parents[2] / "services" / "monitoring" / "status" / "
 def examine(vehicle_path: Path | None, *, probe: bool = False) -> int:
     """Print every finding as it is made; return 0 if all checks passed, otherwise 1."""
     healthy = True
-    for finding in _findings(vehicle_path, probe=probe):
+    for finding in findings(vehicle_path, probe=probe):
         healthy &= finding.ok
         print(f"{'ok ' if finding.ok else 'NO '} {finding.what}", flush=True)
         if not finding.ok:
@@ -34,7 +34,8 @@ def examine(vehicle_path: Path | None, *, probe: bool = False) -> int:
     return 0 if healthy else 1
 
 
-def _findings(vehicle_path: Path | None, *, probe: bool) -> Iterator[Finding]:
+def findings(vehicle_path: Path | None, *, probe: bool) -> Iterator[Finding]:
+    """Yield every finding, in the order in which a fault leads to the next."""
     version = ".".join(str(part) for part in sys.version_info[:3])
     yield Finding(sys.version_info >= (3, 11), f"Python {version}", "install Python 3.11 or newer")
     yield Finding(LIBRARIES.is_dir(), "libraries of the dashboard", "run `make setup`")
