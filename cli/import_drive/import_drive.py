@@ -32,6 +32,7 @@ from ..progress import progress_on
 from .codes import Code
 from .conversion.convert import Accelerometer, Conversion, convert, wanted_columns
 from .devices.device_files import import_devices, insist_on_decoded, kind_of, shifts_of
+from .draft import draft_of
 from .estimates.agreement import Motion, motion_of, told
 from .estimates.clocks import offset_of, shifted
 from .estimates.delay import Delay, delay_of_fixes, delay_of_reference
@@ -88,6 +89,14 @@ def import_drive(
             help="Seconds to add to the stamps of a device file, in place of an estimate; may be repeated.",
         ),
     ] = None,
+    draft: Annotated[
+        bool,
+        typer.Option(
+            "--draft",
+            help="Guess the mapping of a table from the names and values of its columns, and write it beside the "
+            "table, with reasons and with what you have to check.",
+        ),
+    ] = False,
     more: Annotated[
         list[Path] | None, typer.Argument(help="Further device files of the same drive.", show_default=False)
     ] = None,
@@ -102,7 +111,10 @@ def import_drive(
     [bold]obu import rover.ubx mti.bin candump.log --vehicle car.toml -o drive.mcap[/]
     [bold]obu import rover.nmea mti.bin --shift mti.bin=12.5 -o drive.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt --axes "z,-x,-y" -o phone.mcap[/]
+    [bold]obu import logger.csv --draft[/]   (then check logger.toml, and import with it)
     """
+    if draft:
+        return _draft(mapping)
     if output.exists():
         raise UserError(f"{output} already exists; choose another file with --output, or remove it")
     beginning = [] if mapping.suffix == ".toml" else _beginning(mapping)
@@ -125,6 +137,23 @@ def import_drive(
     else:
         text = _text(mapping)
     return _import_tables(mapping, text, folder, output, vehicle)
+
+
+def _draft(table: Path) -> int:
+    """Write the draft of a mapping beside its table, and print it with a preview of the first minute."""
+    path = table.with_suffix(".toml")
+    if path.exists():
+        raise UserError(f"{path} exists already; remove it for another draft, or import with it")
+    found = draft_of(table)
+    try:
+        path.write_text(found.text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}; copy the table to a folder of yours") from error
+    for line in (*found.preview, "", "guessed:", *(f"  {one}" for one in found.reasons), "to be checked by you:",
+                 *(f"  {one}" for one in found.open)):  # fmt: skip
+        print(line)
+    print(f"wrote {path}; check it, then: obu import {path} {table.parent} -o drive.mcap")
+    return 0
 
 
 def _import_tables(mapping: Path, text: str, folder: Path, output: Path, vehicle: Path | None) -> int:
