@@ -606,3 +606,19 @@ def test_attacks_are_offered_only_where_the_data_are_simulated(
     page = open_page(units["empty"].address, path="trust")
     expect(page.get_by_role("region", name="Monitors")).to_be_visible()
     expect(page.get_by_role("region", name="Attacks")).to_have_count(0)
+
+
+def test_the_viewer_chooses_units_which_this_browser_keeps(
+    units: dict[str, RunningServer], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["normal"].address)
+    position = page.get_by_role("region", name="Position", exact=True)
+    expect(position).to_contain_text("32.4 km/h")
+    page.keyboard.press("?")
+    page.get_by_label("Speeds in").select_option("mph")
+    page.get_by_label("Lengths in").select_option("ft")
+    page.keyboard.press("Escape")
+    expect(position).to_contain_text("20.1 mph")
+    expect(position).to_contain_text(re.compile(r"± \d\.\d ft"))
+    page.reload()
+    expect(position).to_contain_text("20.1 mph")

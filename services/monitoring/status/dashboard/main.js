@@ -2,7 +2,7 @@
 import { render } from "preact";
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, isLive, isOld, link, logOut, nowMs, outdated, paused, remember, renew, session, settings, start, state, tellErrors, togglePause } from "./store.js";
-import { Drawer, Empty, Guard, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, told, verdict } from "./parts.js";
+import { Drawer, Empty, Guard, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, told, verdict, lengthUnit, speedUnit } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 
@@ -244,6 +244,9 @@ function HelpDrawer({ onClose }) {
   return html`<${Drawer} title=${t.title} onClose=${onClose}>
     <p class="lead-text">${t.intro}</p>
     <label class="switch"><input type="checkbox" checked=${settings.value.shortcuts} onChange=${(e) => remember({ shortcuts: e.target.checked })} /> ${t.enabled}</label>
+    <div class="toolbar units"><label>${t.speeds} <select value=${speedUnit()} onChange=${(e) => remember({ speed: e.target.value })}>${Object.keys(words.speed.unitNames).map((unit) => html`<option value=${unit}>${unit}</option>`)}</select></label>
+      <label>${t.lengths} <select value=${lengthUnit()[0]} onChange=${(e) => remember({ length: e.target.value })}>${Object.keys(words.lengthNames).map((unit) => html`<option value=${unit}>${unit}</option>`)}</select></label></div>
+    <p class="note">${t.unitsNote}</p>
     <dl class="keys">${t.rows.map(([key, what]) => html`<div><dt>${key.split(" ").map((k) => html`<kbd>${k}</kbd> `)}</dt><dd>${what}</dd></div>`)}</dl>
     <h3>${t.states}</h3>
     <ul class="checks long">${Object.entries(t.stateNotes).map(([s, note]) => html`<li><${StateIcon} state=${s} word="" /><span>${words.trust[s]}</span><span class="dim">${note}</span></li>`)}</ul>

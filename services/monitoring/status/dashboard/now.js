@@ -2,12 +2,10 @@
 import { useEffect, useState } from "preact/hooks";
 import { brokerAnswers, clock, history, isLive, isOld, isPast, link, nowMs, state } from "./store.js";
 import {
-  Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, themeName, timeOfDay, usePlot,
-} from "./parts.js";
+  Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, themeName, timeOfDay, usePlot, lengthFactor, lengthUnit, speedFactor, speedUnit } from "./parts.js";
 import { CloseUp, scene } from "./closeup.js";
 import { words } from "./words.js";
 
-const KMH = 3.6;
 
 function PositionCard() {
   const p = words.position;
@@ -28,9 +26,9 @@ function PositionCard() {
       <p class="accuracy">${stale ? p.upTo(metres(withinM)) : html`<span>±</span> ${metres(s.ellipse.semi_major_m)} <span class="note">${p.error95}</span>`}</p>
     </div>
     <dl class="rows ${old}">
-      <${Row} label=${p.speed} value=${fixed(s.speed_m_s * KMH, 1)} unit=${words.speed.unit} unitName=${words.speed.unitName} extra=${s.stationary ? p.standing : null} />
+      <${Row} label=${p.speed} value=${fixed(s.speed_m_s * speedFactor(), 1)} unit=${speedUnit()} unitName=${words.speed.unitNames[speedUnit()]} extra=${s.stationary ? p.standing : null} />
       <${Row} label=${p.heading} value=${`${fixed(compass(s.heading_rad), 1).padStart(5, "0")}°`} extra=${`± ${fixed(degrees(s.heading_sd_rad), 1)}° (${p.sigma})`} />
-      <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m, 1)} unit="m" unitName="metres" extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
+      <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m == null ? null : s.height_ellipsoid_m * lengthFactor(), 1)} unit=${lengthUnit()[0]} unitName=${lengthUnit()[1]} extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
       ${s.protection_level_horizontal_m != null && html`<${Row} label=${p.levels} value=${p.levelsValue(metres(s.protection_level_horizontal_m), metres(s.protection_level_vertical_m))}
         extra=${old ? p.levelsOld : p.levelsMeaning(Math.round(1 / s.integrity_risk).toLocaleString("en"))} />`}
       <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${why} />
@@ -67,7 +65,7 @@ function Glance() {
   const kind = !fix || isOld("gnss/fix", fix.updated_ns) ? words.topics.stale
     : words.position.carrier[fix.carrier_solution] || words.position.fixType[fix.fix_type];
   const cells = [
-    [g.speed, html`<span class="value">${fixed(s.speed_m_s * KMH, 1)}</span><small> ${words.speed.unit}</small>`],
+    [g.speed, html`<span class="value">${fixed(s.speed_m_s * speedFactor(), 1)}</span><small> ${speedUnit()}</small>`],
     [g.fix, kind],
     [sc.stale ? words.position.away : words.position.error95, html`${sc.stale ? "≤" : "±"} ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
     ...(s.protection_level_horizontal_m == null || sc.stale ? [] : [[g.level, metres(s.protection_level_horizontal_m)]]),
@@ -119,7 +117,7 @@ const SERIES = [["fused", "speed_fused_m_s", []], ["gnss", "speed_gnss_m_s", [8,
 
 function plotData() {
   const last = history.time_ns.at(-1) ?? 0;
-  const columns = SERIES.map(([, field]) => (history.fields[field] ?? []).map((v) => (v == null ? null : v * KMH)));
+  const columns = SERIES.map(([, field]) => (history.fields[field] ?? []).map((v) => (v == null ? null : v * speedFactor())));
   return [history.time_ns.map((ns) => (ns - last) / 1e9), ...columns];
 }
 
@@ -146,7 +144,7 @@ function Plot({ theme }) {
 
 function newest(field) {
   const value = history.fields[field]?.at(-1);
-  return value == null ? null : value * KMH;
+  return value == null ? null : value * speedFactor();
 }
 
 function SpeedCard() {
@@ -161,7 +159,7 @@ function SpeedCard() {
     aside=${any && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${!any ? html`<${Empty} title=${t.empty} />`
       : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${t.unit}</th>`)}</tr></thead>
-          <tbody>${rows.map(([ns, i]) => html`<tr><th scope="row">${timeOfDay(ns / 1e6)}</th>${SERIES.map(([, f]) => html`<td>${fixed(history.fields[f]?.[i] == null ? null : history.fields[f][i] * KMH, 1)}</td>`)}</tr>`)}</tbody></table></div>`
+          <tbody>${rows.map(([ns, i]) => html`<tr><th scope="row">${timeOfDay(ns / 1e6)}</th>${SERIES.map(([, f]) => html`<td>${fixed(history.fields[f]?.[i] == null ? null : history.fields[f][i] * speedFactor(), 1)}</td>`)}</tr>`)}</tbody></table></div>`
       : html`<div role="img" aria-label=${t.label(described)}><${Plot} theme=${themeName()} /></div>`}
     <ul class="legend">${values.map(([name, label, v]) => html`<li><span class="key ${name}"></span><span>${label}</span><strong>${fixed(v, 1)}</strong><span class="dim">${t.unit}</span></li>`)}</ul>
   </${Card}>`;

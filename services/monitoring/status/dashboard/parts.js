@@ -60,8 +60,22 @@ export const FRESH_STATE = { fresh: "safe", late: "caution", stale: "stale", ear
 
 export const fixed = (value, digits) => (value == null ? words.age.bar : value.toFixed(digits));
 
+// The viewer's units of speed and of length: factor of what messages hold, and how it is written.
+const SPEEDS = { "km/h": 3.6, mph: 3600 / 1609.344, kn: 3600 / 1852 };
+const FEET = 1 / 0.3048;
+export const speedUnit = () => (settings.value.speed in SPEEDS ? settings.value.speed : "km/h");
+export const speedFactor = () => SPEEDS[speedUnit()];
+export const inFeet = () => settings.value.length === "ft";
+export const lengthUnit = () => (inFeet() ? ["ft", words.lengthNames.ft] : ["m", words.lengthNames.m]);
+export const lengthFactor = () => (inFeet() ? FEET : 1);
+
+// A length, in metres or in the viewer's feet.
 export function metres(value) {
   if (value == null) return words.age.bar;
+  if (inFeet()) {
+    const feet = value * FEET;
+    return feet >= 5280 ? `${(feet / 5280).toFixed(feet < 52800 ? 1 : 0)} mi` : `${feet.toFixed(feet < 20 ? 1 : 0)} ft`;
+  }
   if (value >= 1000) return `${(value / 1000).toFixed(value < 10000 ? 1 : 0)} km`;
   return `${value.toFixed(value < 1 ? 2 : value < 20 ? 1 : 0)} m`;
 }

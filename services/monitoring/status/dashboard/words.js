@@ -283,12 +283,13 @@ export const words = {
     },
   },
 
+  lengthNames: { m: "metres", ft: "feet" },
+
   glance: { speed: "Speed", fix: "GNSS fix", level: "Protection level", age: "Age" },
 
   speed: {
     title: "Speed",
-    unit: "km/h",
-    unitName: "kilometres per hour",
+    unitNames: { "km/h": "kilometres per hour", mph: "miles per hour", kn: "knots" },
     fused: "Fused",
     gnss: "GNSS",
     odometer: "Odometer",
@@ -689,6 +690,9 @@ export const words = {
     title: "Help and shortcuts",
     intro: "This page shows the state of the on-board unit, and the age of every value. It sends no commands to a real vehicle.",
     enabled: "Keyboard shortcuts",
+    speeds: "Speeds in",
+    lengths: "Lengths in",
+    unitsNote: "in this browser; messages, files and charts of chosen fields keep SI units",
     rows: [
       ["g n", "Now"],
       ["g m", "Map"],

@@ -2,13 +2,12 @@
 // any field that was chosen in the topic inspector. The unit keeps all fields named here from its start.
 import { useEffect, useState } from "preact/hooks";
 import { contract, link, paused, remember, settings, togglePause } from "../store.js";
-import { Card, Empty, html, timeOfDay } from "../parts.js";
+import { Card, Empty, html, timeOfDay, speedFactor, speedUnit } from "../parts.js";
 import { Key, LIMIT_STYLE, Plot, STYLES, cursor, short } from "./plot.js";
 import { follow, resumeSeries, series } from "./series.js";
 import { chartWords as w } from "./chart_words.js";
 import { words } from "../words.js";
 
-const KMH = 3.6;
 const DEGREES = 180 / Math.PI;
 const SPANS_S = [60, 300, 900, 3600];
 const SIGMAS = [1, 2, 3];
@@ -25,7 +24,7 @@ const errorLines = (axis, limit, level) => [
 const axes = (field) => ["forward", "right", "down"].map((axis, i) => line(`${field}.${i}`, w.axis[axis]));
 
 const CHARTS = [
-  { id: "speed", unit: "km/h", factor: KMH, lines: [line("computed:speed_m_s", w.fused), line("gnss/fix:ground_speed_m_s", w.gnss), line("computed:speed_odometer_m_s", w.odometer), line("computed:speed_carrier_m_s", w.carrier), line("computed:speed_truth_m_s", w.truth)] },
+  { id: "speed", get unit() { return speedUnit(); }, get factor() { return speedFactor(); }, lines: [line("computed:speed_m_s", w.fused), line("gnss/fix:ground_speed_m_s", w.gnss), line("computed:speed_odometer_m_s", w.odometer), line("computed:speed_carrier_m_s", w.carrier), line("computed:speed_truth_m_s", w.truth)] },
   { id: "height", unit: "m", lines: [line("navigation/solution:height_ellipsoid_m", w.fused), line("gnss/fix:height_ellipsoid_m", w.gnss), line("truth/state:height_ellipsoid_m", w.truth, { style: STYLES[3] })] },
   { id: "horizontal", unit: "m", lines: errorLines("horizontal", "trust/state:alert_limit_horizontal_m", "navigation/solution:protection_level_horizontal_m") },
   { id: "vertical", unit: "m", lines: errorLines("vertical", "trust/state:alert_limit_vertical_m", "navigation/solution:protection_level_vertical_m") },
