@@ -463,6 +463,27 @@ class PulseEvidence(Message):
     backward: bool = False
 
 
+class RivalCrossing(Message):
+    """A passage around another one, that may be the one which a detector has counted; who it was is not kept."""
+
+    crossing_ns: Nanoseconds
+    crossing_sd_s: Seconds
+    lane: Name | None = None  # None: undecided
+    lanes: Annotated[tuple[LaneProbability, ...], Field(max_length=LANES)]
+
+
+class PulseAssignment(Message):
+    """What it follows from that a detector has counted a passage, in the lane of its pulse."""
+
+    pulses: Annotated[tuple[PulseEvidence, ...], Field(max_length=PULSES)]  # around it
+    rivals: Annotated[tuple[RivalCrossing, ...], Field(max_length=PULSES)]
+    detector_sd_s: Seconds
+    missed: Ratio  # share of vehicles that detectors miss
+    others_per_s: Annotated[float, Field(gt=0.0), unit("1/s")]  # pulses of a lane that are of no crossing
+    least_probability: Ratio  # that a charge requires
+    probability: Ratio
+
+
 class EvidencePack(Message):
     """Everything that a charge was derived from; its digest is in the transaction."""
 
@@ -482,6 +503,7 @@ class EvidencePack(Message):
     verdict: Explanation | None = None  # why it was charged, or went to review, by what was known then
     # Passages at the same place that no detector has counted.
     ghosts: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()
+    assignment: PulseAssignment | None = None  # None: alone with its ghosts, without a detector, or of earlier releases
 
 
 class RegisteredStation(Message):

@@ -3,10 +3,10 @@
 Everything is judged by the pack alone; tables of the ledger are not read.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from shared.errors import RejectedFrame
-from shared.messages.toll import EvidenceFrame, EvidencePack
+from shared.messages.toll import EvidenceFrame, EvidencePack, LaneProbability, PulseAssignment
 from shared.toll.plaza import Plaza
 from shared.toll.registration import certificate_of, fault_of, identity_of
 from shared.v2x.security.certificates import Certificate
@@ -14,6 +14,7 @@ from shared.v2x.security.envelope import without_envelope
 from shared.v2x.security.signatures import is_signed_by
 
 from .codes import Code
+from .reconciliation import Crossing, Pulse, PulseModel, ownership
 from .registrations import contracts_of, identities_of
 
 SD_GATE = 3.0  # standard deviations of the crossing within which a pulse may be its own
@@ -39,8 +40,12 @@ def pack_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
     if plaza.require_authenticated and not pack.charged.authenticated:
         yield "its CAM are not authenticated, and the plaza requires that"
     verdict = pack.verdict.code if pack.verdict else ""
-    if verdict in (Code.CONFIRMED, Code.ALONE):
+    if verdict in (Code.CONFIRMED, Code.ALONE, Code.LANE_BY_PULSE):
         yield from _pulse_faults(pack)
+    if pack.charged.lane is None and (verdict != Code.LANE_BY_PULSE or pack.assignment is None):
+        yield "its lane is undecided, and nothing in the pack decides it"
+    if pack.assignment is not None:
+        yield from _assignment_faults(pack, pack.assignment)
 
 
 def frame_faults(pack: EvidencePack) -> Iterator[str]:
@@ -110,6 +115,29 @@ def _registration_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
         signers = {frame.signer for frame in evidence.frames}
         if not signers <= set(pack.crossed.tickets):
             yield "a frame is of another ticket than the passage"
+
+
+def _assignment_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[str]:
+    """Assign the pulses around the crossing again."""
+    charged = pack.charged
+    crossing = Crossing(
+        -1, charged.crossing_ns or 0, charged.crossing_sd_s or 1.0, charged.lane, _probabilities(charged.lanes)
+    )
+    rivals = [
+        Crossing(number, rival.crossing_ns, rival.crossing_sd_s, rival.lane, _probabilities(rival.lanes))
+        for number, rival in enumerate(given.rivals)
+    ]
+    pulses = [Pulse(number, pulse.lane, pulse.sampled_ns) for number, pulse in enumerate(given.pulses)]
+    model = PulseModel(given.detector_sd_s, pack.match_gate_s or 0.0, given.missed, given.others_per_s)
+    found = ownership(crossing, pulses, rivals, model)
+    if found is None or found.probability < given.least_probability:
+        yield "the pulses around it do not say that it was counted in its lane"
+    elif (given.pulses[found.pulse.key],) != pack.pulses:
+        yield "another pulse around it is more probably its own"
+
+
+def _probabilities(lanes: Sequence[LaneProbability]) -> dict[str, float]:
+    return {lane.lane: lane.probability for lane in lanes}
 
 
 def _pulse_faults(pack: EvidencePack) -> Iterator[str]:
