@@ -6,22 +6,17 @@ made and not verified here: each carries the ticket that `parsers.v2x` would hav
 verified. What is charged is compared with who has passed, and each pulse of a charge with whose it was.
 """
 
-import argparse
-import json
-import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields
-from datetime import date
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks import tables
 from benchmarks.toll_campaign import near_gate
-from cli.campaign import Job, Size, options_of, run, worth_storing
-from services.core.toll.core import VERSION, Core
+from cli.campaign import Size
+from services.core.toll.core import Core
 from services.core.toll.settings import Settings as CoreSettings
 from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.store import Store

@@ -1026,9 +1026,7 @@ class Ledger:
     ) -> None:
         """Use the final statement on a passage."""
         contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
-        if message.state is PassageState.CHARGED:
-            self._charge(message, crossed, registrations, now_ns)
-        elif message.state is PassageState.UNDECIDED and contracts:
+        if message.state is PassageState.CHARGED or (message.state is PassageState.UNDECIDED and contracts):
             self._charge(message, crossed, registrations, now_ns)
         elif message.state is PassageState.VOID and contracts and crossed and self._may_be_counted(message):
             self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
@@ -1223,9 +1221,7 @@ class Ledger:
             self._review(passage_id, explain(Code.TWO_CONTRACTS), [], now_ns)
             return
         confirmed_by = verdict or explain(Code.CONFIRMED if pulses else Code.UNCONFIRMED)
-        pack = self._pack_of_held(
-            passage_id, pulses=pulses, verdict=confirmed_by, ghosts=ghosts, assignment=assignment
-        )
+        pack = self._pack_of_held(passage_id, pulses=pulses, verdict=confirmed_by, ghosts=ghosts, assignment=assignment)
         if pack is None:  # the plaza's file has changed while it was held
             self._review(passage_id, explain(Code.LOST_CLASS), [], now_ns)
             return

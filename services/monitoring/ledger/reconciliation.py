@@ -131,7 +131,7 @@ def _possible(
         k = np.repeat(rows, counts)
         at = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
         away_s = 1e-9 * (own_ns[at] - times_ns[k])
-        likelihood = np.array([crossings[row].probability(lane) for row in rows])
+        likelihood = np.array([crossings[row].probability(lane) for row in rows.tolist()])
         cost = away_s**2 / (sds[k] ** 2 + detector_sd_s**2) - 2.0 * np.log(np.repeat(likelihood, counts))
         found.append((np.array(indices)[order[at]], k, cost))
     i, k, costs = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -193,34 +193,34 @@ def ownership(
 
         P = exp(W) / (exp(W) + Σ_other lanes exp(W_l) + exp(W_none))
     """
-    worth = np.array([[_worth(each, pulse, model) for pulse in pulses] for each in (crossing, *rivals)])
-    worth = np.maximum(worth.reshape(1 + len(rivals), len(pulses)), 0.0)
-    best, chosen = _best(worth)
-    if (index := chosen.get(0)) is None:
+    worth = np.array([[_worth(each, pulse, model) for pulse in pulses] for each in rivals])
+    rest = np.maximum(worth.reshape(len(rivals), len(pulses)), 0.0)
+    none = _best(rest)
+    found: dict[str, tuple[float, int]] = {}  # the best sum of worths of each lane, and the pulse
+    for index, pulse in enumerate(pulses):
+        if np.isfinite(own := _worth(crossing, pulse, model)):
+            total = own + _best(np.delete(rest, index, axis=1))
+            if total > found.get(pulse.lane, (-np.inf, 0))[0]:
+                found[pulse.lane] = total, index
+    best, chosen = max(found.values(), default=(-np.inf, 0))
+    if best <= none:
         return None
-    against = 0.0
-    lanes = np.array([pulse.lane for pulse in pulses])
-    for lane in {*lanes.tolist(), None} - {pulses[index].lane}:
-        others = worth.copy()
-        others[0, lanes != lane] = 0.0
-        if lane is None or others[0].any():
-            against += exp(_best(others)[0] - best)
-    return Ownership(pulses[index], 1.0 / (1.0 + against))
+    against = exp(none - best) + sum(exp(total - best) for total, _ in found.values())  # 1 of it is the best itself
+    return Ownership(pulses[chosen], 1.0 / against)
 
 
 def _worth(crossing: Crossing, pulse: Pulse, model: PulseModel) -> float:
     away_s = 1e-9 * (pulse.time_ns - crossing.time_ns)
     lane, gate_s = crossing.probability(pulse.lane), max(model.gate_s, 3.0 * crossing.sd_s)
     if not lane or abs(away_s) > gate_s:
-        return 0.0
+        return -np.inf
     variance = crossing.sd_s**2 + model.detector_sd_s**2
     density = exp(-0.5 * away_s**2 / variance) / sqrt(2.0 * pi * variance)
     likelihood = (1.0 - OUTLIERS) * density + OUTLIERS / (2.0 * gate_s)
     return log((1.0 - model.missed) * lane * likelihood / (model.missed * model.others_per_s))
 
 
-def _best(worth: FloatArray) -> tuple[float, dict[int, int]]:
-    """The largest sum of worths, and its pairs; what is worth nothing belongs together as little as nothing."""
+def _best(worth: FloatArray) -> float:
+    """The largest sum of worths of pairs."""
     rows, columns = linear_sum_assignment(worth, maximize=True)
-    pairs = {int(row): int(column) for row, column in zip(rows, columns, strict=True) if worth[row, column] > 0.0}
-    return float(worth[rows, columns].sum()), pairs
+    return float(worth[rows, columns].sum())
