@@ -172,6 +172,7 @@ class TrackTable:
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[Sender, Track] = {}
+        self._of_id: dict[int, dict[Sender, Track]] = {}  # the same by station ID
         self._strays: dict[tuple[int, str | None], tuple[int, CamMeasurement]] = {}  # how many in a row, and the last
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
@@ -228,7 +229,7 @@ class TrackTable:
 
     def tracks_of(self, station_id: int) -> list[Track]:
         """Tracks that use a station ID now, under any ticket and at any place."""
-        return [track for sender, track in self.by_station.items() if sender[0] == station_id]
+        return list(self._of_id.get(station_id, {}).values())
 
     def delete_silent(self, now_ns: int) -> list[Track]:
         """Delete the tracks that have been silent for too long; return them."""
@@ -367,6 +368,8 @@ class TrackTable:
         tracks = [track for sender in senders if (track := self.by_station.get(sender))]
         if not tracks:
             return one
+        if len(tracks) == 1:
+            return replace(one, place=tracks[0].sender[2])
         return replace(one, place=min(tracks, key=lambda track: self._distance(track, one)).sender[2])
 
     def _distance(self, track: Track, one: CamMeasurement) -> float:
@@ -442,6 +445,7 @@ class TrackTable:
         track.predecessor, track.silent_for_ns = self._silent_here(one)
         track.born_ns = one.time_ns
         self.by_station[one.sender] = track
+        self._of_id.setdefault(one.sender[0], {})[one.sender] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
@@ -507,6 +511,9 @@ class TrackTable:
 
     def _delete(self, track: Track) -> None:
         del self.by_station[track.sender]
+        del self._of_id[track.sender[0]][track.sender]
+        if not self._of_id[track.sender[0]]:
+            del self._of_id[track.sender[0]]
         self._free.append(track.slot)
 
 

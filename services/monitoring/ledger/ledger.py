@@ -91,7 +91,6 @@ RATE_PRIOR_S = 600.0  # [s] of a lane's pulses that its settings are worth
 FORM = 2  # of evidence packs: with registrations, pulses and verdict
 SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
-CLAIMING = (PassageState.CHARGED, PassageState.HELD)  # what a pulse has to confirm
 MAX_STRANGERS = 2000  # crossings without a contract that are not authenticated and wait for their pulse
 UNCONFIRMED, NOT_AUTHENTICATED = "unconfirmed", "not authenticated"  # counts
 AnyMessage = TypeVar("AnyMessage", bound=Message)
@@ -603,7 +602,7 @@ class Ledger:
             passage_id: self._claim(row, pulse_of.get(row["number"]), around, now_ns)
             for passage_id, row in rows.items()
             if passage_id not in turned
-            and (row["state"] in CLAIMING or row["overlaps"] != "[]" or passage_id in named)
+            and (row["state"] == PassageState.HELD or row["overlaps"] != "[]" or passage_id in named)
         }  # fmt: skip
         claims = self._with_links(claims)
         for group in groups(claims):
@@ -658,15 +657,18 @@ class Ledger:
                         passage_id, now_ns, pulses=[pulse], verdict=judgement.why, ghosts=judgement.ghosts
                     )
             elif row["state"] == PassageState.HELD:
-                own = [matched.pulses[claim.pulse]] if claim.pulse is not None else []
-                for pulse in own:
-                    self._give_pulse(row, pulse)
-                verdict = None
-                if row["lane"] is None and claim.probability is not None:
-                    verdict = explain(Code.LANE_BY_PULSE, probability=claim.probability)
-                self._charge_held(
-                    passage_id, now_ns, pulses=own, verdict=verdict, assignment=around.evidence(row, claim.probability)
-                )
+                self._let_stand(claim, row, around, now_ns)
+
+    def _let_stand(self, claim: Claim, row: Row, around: "Around", now_ns: int) -> None:
+        """Charge a passage with the pulse that is its own, in the lane of that where its CAM leave the lane open."""
+        own = [around.matched.pulses[claim.pulse]] if claim.pulse is not None else []
+        for pulse in own:
+            self._give_pulse(row, pulse)
+        verdict = None
+        if row["lane"] is None and claim.probability is not None:
+            verdict = explain(Code.LANE_BY_PULSE, probability=claim.probability)
+        assignment = around.evidence(row, claim.probability)
+        self._charge_held(claim.passage_id, now_ns, pulses=own, verdict=verdict, assignment=assignment)
 
     def _give_pulse(self, row: Row, pulse: Row) -> None:
         """Assign a pulse to a passage that is charged: the ghosts around it cross nothing any more."""
