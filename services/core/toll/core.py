@@ -67,6 +67,8 @@ EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_00
 DELTA_ROUNDING = 4  # decimals of metres
 NO_VEHICLE = {StationType.ROAD_SIDE_UNIT, StationType.PEDESTRIAN, StationType.CYCLIST, StationType.TRAM}
 
+WITH_EVIDENCE = {PassageState.CROSSED, PassageState.CHARGED, PassageState.UNDECIDED}
+
 BoolArray = npt.NDArray[np.bool_]
 Statement = TollPassage | GateCommand
 
@@ -564,7 +566,7 @@ class Core:
         if passage.state is PassageState.CROSSED and crossing:
             passage.suspect(self._overlapped(passage, here))
         evidence = None
-        if passage.registered and passage.state in (PassageState.CROSSED, PassageState.CHARGED):
+        if passage.registered and passage.state in WITH_EVIDENCE:
             evidence = self._evidence(passage, track)
         statement = self._statement(passage, here.time_ns, evidence=evidence)
         return self._kept(statement) if passage.state.is_final else statement

@@ -14,6 +14,7 @@ from shared.words.words import CodedText, stated
 from .codes import Code
 from .settings import PassageSettings
 
+SLOWEST, LONGEST_S = 2.0, 30.0  # [m/s], [s] at least and at most to the gate line, of a vehicle that fell silent
 ACCELERATION, FASTEST = 3.0, 70.0  # [m/s²], [m/s] of a vehicle that is not seen
 
 
@@ -90,6 +91,17 @@ def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
     time_ns = before.time_ns + round(share * elapsed_ns)
     sd_s = hypot(after.along_sd / max(after.speed, mean_speed), interpolated_s)
     return Crossing(time_ns, sd_s, witness.decided(decided), witness.lanes, witness.delta_ns)
+
+
+def expected_crossing(here: Here) -> Crossing:
+    """When a vehicle that fell silent before the gate line would have crossed it, at its last speed or a walk.
+
+    The standard deviation is half the time until then, at least 1 s: it may have braked or queued.
+    """
+    ahead_s = min(max(-here.along, 0.0) / max(here.speed, SLOWEST), LONGEST_S)
+    return Crossing(
+        here.time_ns + round(ahead_s * 1e9), max(0.5 * ahead_s, 1.0), None, here.lanes, here.delta_ns
+    )
 
 
 def passage_id(plaza: str, frame: bytes) -> str:
@@ -205,14 +217,19 @@ class Passage:
         """End the passage of a vehicle that fell silent.
 
         Behind the gate line it has passed, whatever it says or does not say afterwards: a switch must be no free ride.
-        The ledger charges it if a detector confirms it, and leaves it to a person otherwise.
+        The ledger charges it if a detector confirms it, and leaves it to a person otherwise. Before the gate line it
+        may have passed: it is stated when that would have been, and a pulse which nothing else explains is a review.
         """
         if self.state is PassageState.OPEN:
+            if self.registered and self.here.aligned:
+                self.crossing = expected_crossing(self.here)
             self._end(PassageState.VOID, explain(Code.SILENT_BEFORE))
         elif not self.registered:
             self._end_unregistered()
-        elif self.crossing is None or self.crossing.lane is None:
+        elif self.crossing is None:
             self._end(PassageState.SUSPECT, explain(Code.SILENT_BETWEEN))
+        elif self.crossing.lane is None:
+            self._end(PassageState.UNDECIDED, explain(Code.SILENT_BETWEEN))
         else:
             self._end(PassageState.CHARGED, explain(Code.SILENT_BETWEEN))
 

@@ -34,6 +34,7 @@ class Code(StrEnum):
     DRIVE_ROUND = "ledger.drive_round"
     REPLAYED = "ledger.replayed"
     TURNED_COUNTED = "ledger.turned_counted"
+    SILENT_COUNTED = "ledger.silent_counted"  # before the gate line
     GHOST = "ledger.ghost"
     ALONE = "ledger.alone"  # explains the only pulse of its group
     CONFIRMED = "ledger.confirmed"

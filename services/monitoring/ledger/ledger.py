@@ -89,6 +89,7 @@ MAX_TICKETS = 2000
 RATES_NS, RATE_WINDOW_NS = 60 * NS, 1800 * NS  # how often pulses without a passage are counted, and over what time
 RATE_PRIOR_S = 600.0  # [s] of a lane's pulses that its settings are worth
 FORM = 2  # of evidence packs: with registrations, pulses and verdict
+SILENT_BEFORE = "toll.silent_before"  # code of core.toll: the gate line was not seen
 SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
 MAX_STRANGERS = 2000  # crossings without a contract that are not authenticated and wait for their pulse
@@ -689,16 +690,18 @@ class Ledger:
         )
 
     def _judge_turned(self, row: Row, pulse: Row | None, back: Row | None, now_ns: int, *, is_held: bool) -> None:
-        """Decide on a vehicle that says it has turned around behind the gate line.
+        """Decide on a vehicle that says it has turned around behind the gate line, or fell silent before it.
 
         The detector decides: without a pulse it has not passed, and neither with one backwards behind it, of its own.
         Otherwise it is reviewed, or counts as a vehicle without contract.
         """
         waited = now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS)
         if pulse is not None and back is None:
-            if is_held and (waited or row["lane"] not in self._directed):
+            is_silent = is_held and self._fell_silent(row["passage_id"])
+            if is_held and (waited or (row["lane"] not in self._directed and not is_silent)):
                 self.pictures.disputed(pulse)
-                self._review(row["passage_id"], explain(Code.TURNED_COUNTED), [], now_ns)
+                code = Code.SILENT_COUNTED if is_silent else Code.TURNED_COUNTED
+                self._review(row["passage_id"], explain(code), [], now_ns)
             elif not is_held:
                 self._store.execute(
                     "UPDATE crossing SET state = ? WHERE number = ?", PassageState.UNREGISTERED, row["number"]
@@ -707,6 +710,14 @@ class Ledger:
             self._store.execute("DELETE FROM held WHERE passage_id = ?", row["passage_id"])
             if back is not None:
                 self._store.execute("UPDATE pulse SET owner = ? WHERE rowid = ?", row["passage_id"], back["rowid"])
+
+    def _fell_silent(self, passage_id: str) -> bool:
+        """Whether a held passage is that of a vehicle that fell silent before the gate line."""
+        held = self._store.row("SELECT charged FROM held WHERE passage_id = ?", passage_id)
+        if held is None:
+            return False
+        why = self._read(TollPassage, held["charged"], passage_id).reason_code
+        return why is not None and why.code == SILENT_BEFORE
 
     def _pulses_backward(self, turned: Sequence[tuple[Row, Row]], held: Collection[str]) -> dict[str, Row]:
         """Assign pulses backwards to vehicles that say they have turned around, at most one to one.
@@ -1027,11 +1038,12 @@ class Ledger:
         self, message: TollPassage, crossed: TollPassage | None, registrations: list[TollRegistration], now_ns: int
     ) -> None:
         """Use the final statement on a passage."""
-        contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
+        contracts, crossing_ns = contracts_of(registrations), message.crossing_ns
+        at_ns = crossing_ns or message.sampled_ns
         if message.state is PassageState.CHARGED or (message.state is PassageState.UNDECIDED and contracts):
             self._charge(message, crossed, registrations, now_ns)
-        elif message.state is PassageState.VOID and contracts and crossed and self._may_be_counted(message):
-            self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
+        elif message.state is PassageState.VOID and contracts and crossing_ns and self._may_be_counted(message):
+            self._hold(message, crossed or message, registrations, now_ns, PassageState.VOID)
         elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
             self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
         else:
