@@ -30,7 +30,7 @@ from .progress import progress_on
 
 COMPARED = (
     "passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns", "tickets",
-    "authenticated",
+    "authenticated", "modes",
 )  # fmt: skip
 SQLITE = b"SQLite format 3\0"
 SEAL_FIELD = b',"signature":'

@@ -19,6 +19,24 @@ ACCELERATION, FASTEST = 3.0, 70.0  # [m/s²], [m/s] of a vehicle that is not see
 
 
 @dataclass(frozen=True)
+class Mode:
+    """Where a vehicle is if its receiver errs in one of the ways that are possible."""
+
+    away: float  # [m] along the road from where it most probably is
+    along_sd: float  # [m]
+    lanes: tuple[float, ...]  # probability that it errs so and is in each lane
+
+
+@dataclass(frozen=True)
+class TimeMode:
+    """When a vehicle crossed the gate line, and where, if its receiver errs in one of the ways that are possible."""
+
+    offset_s: float  # after the crossing time
+    sd_s: float
+    lanes: tuple[float, ...]  # probability that it errs so and is in each lane
+
+
+@dataclass(frozen=True)
 class Here:
     """Where a vehicle is after a CAM: corrected by the delta position where its track agrees with it."""
 
@@ -36,6 +54,7 @@ class Here:
     lanes: tuple[float, ...]  # probability of each lane of the plaza
     lane: int  # the most probable lane
     delta_ns: int | None  # stamp of the delta position that is applied
+    modes: tuple["Mode", ...] = ()  # by what is supposed of the receiver's error
 
     @property
     def sd(self) -> float:
@@ -56,6 +75,7 @@ class Crossing:
     lane: int | None  # None: undecided
     lanes: tuple[float, ...]
     delta_ns: int | None
+    modes: tuple[TimeMode, ...] = ()
 
     def widened(self, here: Here) -> "Crossing":
         """Give the time the standard deviation that a slow vehicle's has.
@@ -69,7 +89,9 @@ class Crossing:
         if here.along > 3.0 * here.along_sd:
             return self
         elapsed_s = (here.time_ns - self.time_ns) * 1e-9
-        return replace(self, sd_s=max(self.sd_s, elapsed_s * here.along_sd / max(here.along, here.along_sd)))
+        least_s = elapsed_s * here.along_sd / max(here.along, here.along_sd)
+        modes = tuple(replace(mode, sd_s=max(mode.sd_s, least_s)) for mode in self.modes)
+        return replace(self, sd_s=max(self.sd_s, least_s), modes=modes)
 
 
 def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
@@ -89,8 +111,12 @@ def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
     interpolated_s = min(ACCELERATION * gap_s**2 / (8.0 * mean_speed), gap_s / sqrt(12.0))
     witness = before if after.decided(decided) is None and before.decided(decided) is not None else after
     time_ns = before.time_ns + round(share * elapsed_ns)
-    sd_s = hypot(after.along_sd / max(after.speed, mean_speed), interpolated_s)
-    return Crossing(time_ns, sd_s, witness.decided(decided), witness.lanes, witness.delta_ns)
+    speed = max(after.speed, mean_speed)
+    sd_s = hypot(after.along_sd / speed, interpolated_s)
+    modes = tuple(
+        TimeMode(-mode.away / speed, hypot(mode.along_sd / speed, interpolated_s), mode.lanes) for mode in witness.modes
+    )
+    return Crossing(time_ns, sd_s, witness.decided(decided), witness.lanes, witness.delta_ns, modes)
 
 
 def expected_crossing(here: Here) -> Crossing:
@@ -99,9 +125,7 @@ def expected_crossing(here: Here) -> Crossing:
     The standard deviation is half the time until then, at least 1 s: it may have braked or queued.
     """
     ahead_s = min(max(-here.along, 0.0) / max(here.speed, SLOWEST), LONGEST_S)
-    return Crossing(
-        here.time_ns + round(ahead_s * 1e9), max(0.5 * ahead_s, 1.0), None, here.lanes, here.delta_ns
-    )
+    return Crossing(here.time_ns + round(ahead_s * 1e9), max(0.5 * ahead_s, 1.0), None, here.lanes, here.delta_ns)
 
 
 def passage_id(plaza: str, frame: bytes) -> str:

@@ -29,6 +29,7 @@ from shared.messages.toll import (
     PULSES,
     STATION_IDS,
     STATIONS,
+    CrossingMode,
     EvidencePack,
     LaneBalance,
     LaneProbability,
@@ -67,7 +68,7 @@ from .chain import Chain
 from .codes import DECIDED_BY, Code
 from .confirmation import TIGHT_SD, Claim, Judgement, Verdict, groups, judge
 from .pictures import Pictures
-from .reconciliation import MINIMUM_PROBABILITY, Crossing, Ownership, Pulse, PulseModel, match, near, ownership
+from .reconciliation import MINIMUM_PROBABILITY, Crossing, Mode, Ownership, Pulse, PulseModel, match, near, ownership
 from .registrations import Contract, Registrations, contracts_of, identities_of
 from .replays import Replays
 from .store import Row, Store
@@ -282,7 +283,11 @@ class Around:
             rivals=tuple(
                 RivalCrossing(
                     crossing_ns=rival.time_ns, crossing_sd_s=rival.sd_s, lane=rival.lane,
-                    lanes=tuple(LaneProbability(lane=name, probability=p) for name, p in rival.lanes.items()),
+                    lanes=_lanes(rival.lanes),
+                    modes=tuple(
+                        CrossingMode(offset_s=mode.offset_s, sd_s=mode.sd_s, lanes=_lanes(mode.lanes))
+                        for mode in rival.modes
+                    ),
                 )
                 for rival in map(_crossing, rivals)
             ),
@@ -674,7 +679,7 @@ class Ledger:
     def _give_pulse(self, row: Row, pulse: Row) -> None:
         """Assign a pulse to a passage that is charged: the ghosts around it cross nothing any more."""
         self._store.execute(
-            "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
+            "UPDATE crossing SET crossing_ns = ?, lane = ?, modes = '[]' WHERE number = ?",
             pulse["sampled_ns"], pulse["lane"], row["number"],
         )  # fmt: skip
 
@@ -1473,9 +1478,9 @@ class Ledger:
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
                 "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns, "
-                "authenticated) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                "authenticated, modes) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 message.crossing_ns, message.crossing_sd_s or 1.0, state, message.lane, lanes, message.passage_id,
-                json.dumps(message.overlaps), now_ns, message.authenticated,
+                json.dumps(message.overlaps), now_ns, message.authenticated, json.dumps(_modes_of(message.modes)),
             )  # fmt: skip
             if tickets := tickets_of(message):
                 self._tickets[message.passage_id] = tickets[-1]
@@ -1615,7 +1620,12 @@ def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:
 
 
 def _crossing(row: Row) -> Crossing:
-    return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]))
+    modes = tuple(Mode(*mode) for mode in json.loads(row["modes"]))
+    return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]), modes)
+
+
+def _modes_of(modes: Sequence[CrossingMode]) -> list[tuple[float, float, dict[str, float]]]:
+    return [(mode.offset_s, mode.sd_s, {lane.lane: lane.probability for lane in mode.lanes}) for mode in modes]
 
 
 def _missed(row: Row) -> PassageSummary:
@@ -1641,6 +1651,10 @@ def _probability(passage: TollPassage, lane: str | None = None) -> float | None:
     """Probability of a lane by the passage's CAM; of its own lane, or of that of its pulse."""
     of = lane or passage.lane
     return next((each.probability for each in passage.lanes if each.lane == of), None)
+
+
+def _lanes(probabilities: Mapping[str, float]) -> tuple[LaneProbability, ...]:
+    return tuple(LaneProbability(lane=name, probability=p) for name, p in probabilities.items())
 
 
 def _possible_lanes(crossing: Crossing) -> set[str]:

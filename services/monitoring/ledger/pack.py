@@ -6,7 +6,7 @@ Everything is judged by the pack alone; tables of the ledger are not read.
 from collections.abc import Iterator, Mapping, Sequence
 
 from shared.errors import RejectedFrame
-from shared.messages.toll import EvidenceFrame, EvidencePack, LaneProbability, PulseAssignment
+from shared.messages.toll import CrossingMode, EvidenceFrame, EvidencePack, LaneProbability, PulseAssignment
 from shared.toll.plaza import Plaza
 from shared.toll.registration import certificate_of, fault_of, identity_of
 from shared.v2x.security.certificates import Certificate
@@ -14,7 +14,7 @@ from shared.v2x.security.envelope import without_envelope
 from shared.v2x.security.signatures import is_signed_by
 
 from .codes import Code
-from .reconciliation import Crossing, Pulse, PulseModel, ownership
+from .reconciliation import Crossing, Mode, Pulse, PulseModel, ownership
 from .registrations import contracts_of, identities_of
 
 SD_GATE = 3.0  # standard deviations of the crossing within which a pulse may be its own
@@ -121,10 +121,13 @@ def _assignment_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[s
     """Assign the pulses around the crossing again."""
     charged = pack.charged
     crossing = Crossing(
-        -1, charged.crossing_ns or 0, charged.crossing_sd_s or 1.0, charged.lane, _probabilities(charged.lanes)
-    )
+        -1, charged.crossing_ns or 0, charged.crossing_sd_s or 1.0, charged.lane, _probabilities(charged.lanes),
+        _modes(charged.modes),
+    )  # fmt: skip
     rivals = [
-        Crossing(number, rival.crossing_ns, rival.crossing_sd_s, rival.lane, _probabilities(rival.lanes))
+        Crossing(
+            number, rival.crossing_ns, rival.crossing_sd_s, rival.lane, _probabilities(rival.lanes), _modes(rival.modes)
+        )
         for number, rival in enumerate(given.rivals)
     ]
     pulses = [Pulse(number, pulse.lane, pulse.sampled_ns) for number, pulse in enumerate(given.pulses)]
@@ -134,6 +137,10 @@ def _assignment_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[s
         yield "the pulses around it do not say that it was counted in its lane"
     elif (given.pulses[found.pulse.key],) != pack.pulses:
         yield "another pulse around it is more probably its own"
+
+
+def _modes(modes: Sequence[CrossingMode]) -> tuple[Mode, ...]:
+    return tuple(Mode(mode.offset_s, mode.sd_s, _probabilities(mode.lanes)) for mode in modes)
 
 
 def _probabilities(lanes: Sequence[LaneProbability]) -> dict[str, float]:

@@ -29,6 +29,15 @@ class Pulse:
 
 
 @dataclass(frozen=True)
+class Mode:
+    """Time and lane of a crossing if the vehicle's receiver errs in one of the ways that are possible."""
+
+    offset_s: float  # after the crossing's time
+    sd_s: float
+    lanes: Mapping[str, float]  # and that it errs so
+
+
+@dataclass(frozen=True)
 class Crossing:
     """A passage at the gate line: key, time and its standard deviation, lane (None: undecided) and posterior."""
 
@@ -37,6 +46,7 @@ class Crossing:
     sd_s: float
     lane: str | None
     lanes: Mapping[str, float]
+    modes: tuple[Mode, ...] = ()  # whose lanes add up to these; none: one mode
 
     def probability(self, lane: str) -> float:
         """Probability of a lane before any pulse is known; zero where another one is decided."""
@@ -187,7 +197,8 @@ def ownership(
 
         g_ij = ln [ (1 - m) p_j(lane_i) ((1 - ε) N(Δt; 0, σ_j² + σ_d²) + ε / 2T) / (m λ) ]
 
-    where m is the share of vehicles that detectors miss, λ the rate of pulses of a lane that belong to no crossing, ε
+    Where the vehicle's receiver may err in several ways h, p N is Σ_h p_j(h, lane_i) N(Δt - Δ_h; 0, σ_h² + σ_d²);
+    m is the share of vehicles that detectors miss, λ the rate of pulses of a lane that belong to no crossing, ε
     the share of times that err by more than they state, within the gate T. The best assignment has the largest sum of
     worths W. Against the crossing's lane stand the best assignments in which it has a pulse of another lane, or none::
 
@@ -214,10 +225,24 @@ def _worth(crossing: Crossing, pulse: Pulse, model: PulseModel) -> float:
     lane, gate_s = crossing.probability(pulse.lane), max(model.gate_s, 3.0 * crossing.sd_s)
     if not lane or abs(away_s) > gate_s:
         return -np.inf
-    variance = crossing.sd_s**2 + model.detector_sd_s**2
-    density = exp(-0.5 * away_s**2 / variance) / sqrt(2.0 * pi * variance)
+    modes = crossing.modes or (Mode(0.0, crossing.sd_s, {pulse.lane: lane}),)
+    total = sum(mode.lanes.get(pulse.lane, 0.0) for mode in modes)
+    density = (
+        sum(
+            mode.lanes.get(pulse.lane, 0.0) / total * _normal(away_s - mode.offset_s, mode.sd_s, model)
+            for mode in modes
+        )
+        if total > 0.0
+        else _normal(away_s, crossing.sd_s, model)
+    )
     likelihood = (1.0 - OUTLIERS) * density + OUTLIERS / (2.0 * gate_s)
     return log((1.0 - model.missed) * lane * likelihood / (model.missed * model.others_per_s))
+
+
+def _normal(away_s: float, sd_s: float, model: PulseModel) -> float:
+    """Density [1/s] of a pulse so far from its crossing."""
+    variance = sd_s**2 + model.detector_sd_s**2
+    return exp(-0.5 * away_s**2 / variance) / sqrt(2.0 * pi * variance)
 
 
 def _best(worth: FloatArray) -> float:
