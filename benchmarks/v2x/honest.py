@@ -6,17 +6,22 @@ made and not verified here: each carries the ticket that `parsers.v2x` would hav
 verified. What is charged is compared with who has passed, and each pulse of a charge with whose it was.
 """
 
+import argparse
+import json
+import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import Any
 
+from benchmarks import tables
 from benchmarks.toll_campaign import near_gate
-from cli.campaign import Size
-from services.core.toll.core import Core
+from cli.campaign import Job, Size, options_of, run, worth_storing
+from services.core.toll.core import VERSION, Core
 from services.core.toll.settings import Settings as CoreSettings
 from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.store import Store
@@ -46,20 +51,32 @@ START_NS = 1_790_000_000 * NS
 WARM_UP_NS = 30 * NS  # before the first delta position; these vehicles are not counted
 DRAIN_S = 330.0
 PASSAGES, VEHICLES = 850, 140  # of a part, all vehicles; a part has some 600 counted contracts
-SIZE = Size(short=1, usual=12, full=12, unit="parts")
+SIZE = Size(short=1, usual=12, full=12, unit="parts of each setting")
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
+SHORT_PASSAGES = 100
 RESULTS = Path(__file__).parents[1] / "results"
+EXPLANATION = Path(__file__).parents[2] / "docs/explanation/charging.md"
+BEGIN, END = "<!-- printed by `python -m benchmarks.v2x.honest` -->\n", "<!-- end of honest traffic -->\n"
+TITLE = """# Honest traffic
+
+By `python -m benchmarks.v2x.honest`: simulated vehicles on the example plaza, with the shares of the simulation that
+send nothing (10 %), have no contract (10 %), fall silent for seconds (3 %), change their ticket (10 %), use corrections
+(10 %) or turn around (2 %); 5 % of the frames lost.
+
+"""
 REAL_ELLIPSE_M = 2.84  # semi-major axis that the car of field_secured_cam.pcapng states
 SCENARIOS: dict[str, dict[str, Any]] = {
     "ideal pulses": {},
     "1 % of pulses missed": {"detectors": {"jitter_s": 0.02, "missed": 0.01}},
     "a real car's ellipse": {"errors": {"ellipse_m": REAL_ELLIPSE_M}},
+    "a real car's ellipse, and errors as stated": {"errors": {"ellipse_m": REAL_ELLIPSE_M, "common_sd_m": 0.9}},
     "detectors that err": {
         "detectors": {"jitter_s": 0.05, "missed": 0.01, "doubled": 0.005, "false_per_hour": 2.0},
     },
 }
+OUTCOMES = ("charged", "review", "undecided", "unregistered", "paid_otherwise", "suspect", "void", "missed", "held",
+            "pending", "detections", "charged_without_detection")  # fmt: skip
 GOALS = {"ideal pulses": 1.5, "1 % of pulses missed": 3.0, "a real car's ellipse": 3.5}  # [%] of reviews
-PULSE_OF_S = 1.0  # a pulse is that of the vehicle which crossed nearest to it, if that is so near
 
 
 class QuickStore(Store):
@@ -99,6 +116,7 @@ class AuthenticatedWorld(World):
 class Result:
     """What became of the contracts that have passed."""
 
+    passages: int = 0  # of all vehicles
     contracts: int = 0  # passages of contracts
     charged: int = 0
     reviews: int = 0
@@ -226,6 +244,7 @@ class Run:
         for lane in self.ledger.balances(0):
             outcomes.update({k: v for k, v in dict(lane).items() if k in OUTCOMES and v})
         return Result(
+            passages=len(counted),
             contracts=len(contracts),
             charged=sum(contract in number for contract in contracts),
             reviews=len(reviewed),
@@ -251,11 +270,79 @@ class Run:
         return owner is not None and owner.vehicle != passage.vehicle
 
 
-OUTCOMES = ("charged", "review", "undecided", "unregistered", "paid_otherwise", "suspect", "void", "missed", "held",
-            "pending", "detections", "charged_without_detection")  # fmt: skip
-
-
 def part(name: str, seed: int, passages: int, vehicles: int = VEHICLES) -> Result:
     """Compute a part of a scenario."""
     with tempfile.TemporaryDirectory() as folder:
         return Run(Path(folder), seed, vehicles, SCENARIOS[name]).run(passages)
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """Write the results as a table, a column for each setting."""
+    names = [name for name in SCENARIOS if name in results]
+    found = {name: Result(**results[name]["result"]) for name in names}
+    rows: dict[str, Callable[[str, Result], str]] = {
+        "passages, of contracts": lambda _, r: f"{r.passages}, {r.contracts}",
+        "charged": lambda _, r: f"{r.charged}",
+        "reviews": lambda _, r: f"{r.reviews} ({100.0 * r.review_share:.2f} %)",
+        "goal": lambda name, _: f"{GOALS[name]:g} %" if name in GOALS else "",
+        "because of": lambda _, r: ", ".join(f"{code} {n}" for code, n in sorted(r.reasons.items())) or "none",
+        "charged wrongly, twice; passed for free": lambda _, r: f"{r.wrong}, {r.double}; {r.free}",
+        "such passages, at 95 %": lambda _, r: "above 0" if not r.is_right else f"< {3.0 / max(r.contracts, 1):.1e}",
+        "charged with another vehicle's pulse": lambda _, r: f"{r.other_pulse}",
+        "in a wrong lane": lambda _, r: f"{r.lanes_wrong}",
+        "outcomes of all pulses": lambda _, r: ", ".join(f"{name} {n}" for name, n in r.outcomes.items()),
+        "measured": lambda name, _: f"{results[name]['date']}, algorithms {results[name]['version']}",
+        "processor time": lambda _, r: f"{r.seconds:.0f} s",
+    }
+    head = ["quantity", *names]
+    lines = [head, ["---"] * len(head)]
+    lines += [[title, *(cell(name, found[name]) for name in names)] for title, cell in rows.items()]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def stored() -> dict[str, dict[str, Any]]:
+    """Read the stored results."""
+    path = RESULTS / "toll_honest.json"
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
+
+
+def store(results: dict[str, Result]) -> None:
+    """Store the results of some settings beside those of the others, as JSON, as a page and in the documentation."""
+    now = {"date": date.today().isoformat(), "version": VERSION}
+    found = stored() | {name: now | {"result": asdict(result)} for name, result in results.items()}
+    (RESULTS / "toll_honest.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    tables.publish(RESULTS / "toll_honest.md", TITLE + table(found))
+    before, rest = EXPLANATION.read_text(encoding="utf-8").split(BEGIN)
+    EXPLANATION.write_text(before + BEGIN + table(found) + END + rest.split(END, 1)[1], encoding="utf-8")
+
+
+def main() -> None:
+    """Print the results as JSON; end with 1 if somebody was charged wrongly or passed for free, or a goal is missed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog='Example: python -m benchmarks.v2x.honest --runs 12 --setting "ideal pulses"',
+    )
+    parser.add_argument("--setting", choices=list(SCENARIOS), action="append", help="only this one; default: all")
+    parser.add_argument("--seed", type=int, default=1, help="of the first part; default: %(default)s")
+    options = options_of(parser, None, SIZE)
+    names = options.setting or list(SCENARIOS)
+    passages = SHORT_PASSAGES if options.short else PASSAGES
+    seeds = range(options.seed, options.seed + options.runs)
+    jobs = [Job(f"{name}, part {seed}", part, (name, seed, passages)) for name in names for seed in seeds]
+    outcome = run("toll-honest", jobs, workers=options.workers, fresh=options.fresh, smoke=options.smoke)
+    results: dict[str, Result] = {}
+    for job, result in zip(jobs, outcome.results, strict=False):
+        name = str(job.arguments[0])
+        results[name] = results.get(name, Result()).plus(result)
+    print(json.dumps({name: asdict(result) for name, result in results.items()}, indent=1))
+    if worth_storing(options, outcome):
+        store(results)
+    is_good = all(
+        result.is_right and (options.short or 100.0 * result.review_share <= GOALS.get(name, 100.0))
+        for name, result in results.items()
+    )
+    sys.exit(0 if outcome.complete and is_good else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -51,7 +51,9 @@ from .passages import Crossing, Here, Mode, Passage, TimeMode, can_reach, crossi
 from .settings import Settings
 from .tracks import REMEMBERED_NS, Received, Track, TrackTable, Update, away_from_prediction
 
-VERSION = "2"  # of the algorithms, for evidence: 2 states the crossing time of slow and silent vehicles wider
+# Of the algorithms, for evidence. 2 states the crossing time of slow and silent vehicles wider; 3 learns how vehicles
+# err from their innovations, and states a crossing for each way in which a receiver may err.
+VERSION = "3"
 SECOND_NS = 10**9
 ALIGNED = 0.5  # cosine between heading and lane above which a vehicle drives along it
 ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may open a passage

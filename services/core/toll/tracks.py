@@ -4,7 +4,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
-from math import hypot
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -32,6 +32,8 @@ Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and 
 # once is followed at both, so that who uses it first does not hide the other one.
 Sender = tuple[int, str | None, int]
 MAX_SPEED = 70.0  # [m/s]
+# Innovations of a consistent vehicle exceed their variance by chance: of the mean over 20 CAM the root is below 1.3.
+LEARNED_CAMS, CHANCE, MOST_INFLATION = 20.0, 1.3, 4.0
 # Frames are the sender's, up to 2,304 bytes each. Those of a passage are evidence, as far as one message holds them
 # (`EVIDENCE_BYTES`, in base64); before it begins, as many as a track can bring into one that it continues.
 TRACK_BYTES, TABLE_BYTES = 150_000, 32_000_000  # of the frames of one track, and of all
@@ -61,6 +63,19 @@ class Track:
     authentication: Authentication = Authentication.UNSIGNED  # least of its CAM
     unverified: Unverified | None = None  # why its newest CAM is signed and not authenticated
     sender: Sender = (0, None, 0)
+    innovation: float = 1.0  # mean square of its innovations over what they should be
+
+    @property
+    def inflation(self) -> float:
+        """Factor by which a vehicle's positions err more than the model, and it itself, say; never below 1.
+
+        Learned from the innovations since the track, or its passage, began.
+        """
+        return min(max(1.0, sqrt(self.innovation) / CHANCE), MOST_INFLATION)
+
+    def learn(self, ratio: float) -> None:
+        """Use the square of an innovation over its variance; one outlier counts no more than the largest factor."""
+        self.innovation += (min(ratio, MOST_INFLATION**2) - self.innovation) / LEARNED_CAMS
 
     @property
     def ticket(self) -> str | None:
@@ -217,7 +232,7 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns, track.authentication = update.measured.time_ns, update.measured.cam.authentication
-        track.frames, track.frame_bytes = deque(), 0
+        track.frames, track.frame_bytes, track.innovation = deque(), 0, 1.0
         track.keep(_received(update.measured.cam))
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
@@ -356,7 +371,11 @@ class TrackTable:
                 self._stray(item, new_tracks)
         used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
         if used:
-            seen = observation([measured for _, measured in used], self._white_sd)
+            inflation = [track.inflation for track, _ in used]
+            seen = observation([measured for _, measured in used], self._white_sd, inflation)
+            expected = variance[inside] + np.trace(seen.R[:, :2, :2], axis1=1, axis2=2)
+            for (track, _), ratio in zip(used, (np.vecdot(away, away)[inside] / expected).tolist(), strict=True):
+                track.learn(ratio * track.inflation**2)
             self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
         self._busy.update(track.number for track, _ in used)
         return [self._noted(track, measured, born=False) for track, measured in used]
