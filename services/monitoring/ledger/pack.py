@@ -4,14 +4,18 @@ Everything is judged by the pack alone; tables of the ledger are not read.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from shared.errors import RejectedFrame
 from shared.messages.toll import CrossingMode, EvidenceFrame, EvidencePack, LaneProbability, PulseAssignment
 from shared.toll.plaza import Plaza
 from shared.toll.registration import certificate_of, fault_of, identity_of
+from shared.v2x import its_time
 from shared.v2x.security.certificates import Certificate
 from shared.v2x.security.envelope import without_envelope
-from shared.v2x.security.signatures import is_signed_by
+from shared.v2x.security.signatures import is_issued_by, is_signed_by
+from shared.v2x.security.trust import Issuer, TrustStore
 
 from .codes import Code
 from .reconciliation import Crossing, Mode, Pulse, PulseModel, ownership
@@ -88,6 +92,79 @@ def _frame_fault(frame: EvidenceFrame, certificates: Mapping[str, Certificate]) 
     ):
         return "the signature of a frame does not verify"
     return None
+
+
+@dataclass(frozen=True)
+class ChainNote:
+    """What the trusted certificates and lists say of the ticket of a charge."""
+
+    text: str
+    is_fault: bool
+
+
+def chain_notes(pack: EvidencePack, store: TrustStore) -> Iterator[ChainNote]:
+    """Judge the chain above each ticket of an authenticated charge by certificates and lists of today.
+
+    The pack has the certificates of the tickets, and each names its authority. A revocation that was issued after the
+    crossing takes nothing from the charge, and is named.
+
+    Parameters
+    ----------
+    pack : EvidencePack
+        The pack.
+    store : TrustStore
+        Certificates and lists of a folder.
+    """
+    time_s = _signed_time_s(pack)
+    if time_s is None:
+        return
+    tickets = {
+        registration.ticket: certificate_of(registration.certificate)
+        for registration in pack.registrations if registration.ticket and registration.certificate
+    }  # fmt: skip
+    for ticket in sorted(set(pack.charged.tickets) & tickets.keys()):
+        certificate = tickets[ticket]
+        name = (certificate.issuer or b"").hex()
+        issuer = store.issuers.get(certificate.issuer or b"")
+        if issuer is None:
+            yield ChainNote(f"authority {name} of ticket {ticket}: not trusted by the folder", is_fault=True)
+        elif not is_issued_by(certificate, issuer.certificate):
+            yield ChainNote(f"authority {name} has not signed ticket {ticket}", is_fault=True)
+        elif not certificate.start_s <= time_s <= certificate.end_s:
+            yield ChainNote(f"ticket {ticket} was not valid at the crossing", is_fault=True)
+        else:
+            yield _chain_note(issuer, name, time_s)
+
+
+def _signed_time_s(pack: EvidencePack) -> float | None:
+    """ITS time [s] that the last signed frame of the crossing states; None: no frame is signed."""
+    frames = pack.crossed.evidence.frames if pack.crossed.evidence else ()
+    for frame in reversed(frames):
+        try:
+            signed = without_envelope(frame.data)[1]
+        except RejectedFrame:
+            continue  # `frame_faults` names it
+        if signed is not None and (time_us := signed.data.header.get("generationTime")) is not None:
+            return float(time_us) / 1e6
+    return None
+
+
+def _chain_note(issuer: Issuer, name: str, time_s: float) -> ChainNote:
+    root, crl = issuer.root.certificate.digest.hex(), issuer.root.crl
+    chain = f"authority {name}, root {root}"
+    if not all(certificate.start_s <= time_s <= certificate.end_s for certificate in issuer.chain):
+        return ChainNote(f"{chain}: not valid at the crossing", is_fault=True)
+    if crl is None:
+        return ChainNote(f"{chain}: no list of revocations", is_fault=False)
+    issued = _date(crl.issued_s)
+    if any(certificate.digest in crl.revoked for certificate in issuer.chain):
+        is_since = crl.issued_s > time_s
+        return ChainNote(f"{chain}: revoked {'since, ' if is_since else ''}by the list of {issued}", not is_since)
+    return ChainNote(f"{chain}: trusted, by the list of revocations of {issued}", is_fault=False)
+
+
+def _date(its_s: int) -> str:
+    return datetime.fromtimestamp(its_time.utc_ns_from_its_time(its_s * 1000) // 10**9, UTC).date().isoformat()
 
 
 def is_authenticated(pack: EvidencePack) -> bool:
