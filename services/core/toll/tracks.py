@@ -59,10 +59,12 @@ class Track:
     has_passage: bool = False
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
+    others: tuple["Track", ...] = ()  # that it may continue as well, if they stay silent
     born_ns: int = 0  # time of the first CAM
     authentication: Authentication = Authentication.UNSIGNED  # least of its CAM
     unverified: Unverified | None = None  # why its newest CAM is signed and not authenticated
     sender: Sender = (0, None, 0)
+    is_continued: bool = False  # by another one
     innovation: float = 1.0  # mean square of its innovations over what they should be
 
     @property
@@ -461,27 +463,28 @@ class TrackTable:
             authentication=one.cam.authentication,
             sender=one.sender,
         )
-        track.predecessor, track.silent_for_ns = self._silent_here(one)
+        track.predecessor, track.silent_for_ns, track.others = self._silent_here(one)
         track.born_ns = one.time_ns
         self.by_station[one.sender] = track
         self._of_id.setdefault(one.sender[0], {})[one.sender] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
-    def _silent_here(self, one: CamMeasurement) -> tuple[Track | None, int]:
+    def _silent_here(self, one: CamMeasurement) -> tuple[Track | None, int, tuple[Track, ...]]:
         """Find the nearest track whose prediction is where an unknown station appears.
 
         Returns
         -------
-        Track or None, int
-            The track, and [ns] the silence of its station ID that confirms that it has changed.
+        Track or None, int, tuple of Track
+            The track, [ns] the silence of its station ID that confirms that it has changed, and the other tracks that
+            are possible.
         """
         tracks = [
             track for track in self.tracks
             if 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
         ]  # fmt: skip
         if not tracks:
-            return None, 0
+            return None, 0, ()
         state = self.estimates(tracks).mean
         dt = (one.time_ns - np.array([track.updated_ns for track in tracks])) * 1e-9
         speed = state[:, 3] if one.cam.speed_m_s is None else np.full(len(dt), one.cam.speed_m_s)
@@ -489,8 +492,9 @@ class TrackTable:
         distance = away_from_prediction(moved, dt, state[:, 2], state[:, 3], speed, self._settings.link_gate_m)
         nearest = int(np.argmin(distance))
         if not np.isfinite(distance[nearest]):
-            return None, 0
-        return tracks[nearest], self._settings.silence_ns(state[nearest, 3])
+            return None, 0, ()
+        others = tuple(tracks[k] for k in np.flatnonzero(np.isfinite(distance)) if k != nearest)
+        return tracks[nearest], self._settings.silence_ns(state[nearest, 3]), others
 
     def _noted(self, track: Track, one: CamMeasurement, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
@@ -502,7 +506,11 @@ class TrackTable:
         return Update(track, one, born, self._confirmed_predecessor(track))
 
     def _confirmed_predecessor(self, track: Track) -> Track | None:
-        """Decide whether a track continues its predecessor: only if the old station ID is not used any more."""
+        """Decide whether a track continues its predecessor.
+
+        Only if the old station ID is not used any more, and if neither another silent track can be this one, nor
+        another new one that: which of two has which contract is not guessed.
+        """
         old = track.predecessor
         if old is None:
             return None
@@ -512,7 +520,13 @@ class TrackTable:
             return None
         if old.number in self._busy or track.updated_ns - max(old.updated_ns, self.seen_since_ns) < track.silent_for_ns:
             return None
-        track.predecessor = None
+        track.predecessor, others, track.others = None, track.others, ()
+        if any(other.updated_ns < track.born_ns and not other.is_continued for other in others) or any(
+            claimant.predecessor is old or old in claimant.others for claimant in self.by_station.values()
+        ):
+            self.rejected["ambiguous_continuation"] += 1
+            return None
+        old.is_continued = True
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
         own, track.frames, track.frame_bytes = track.frames, deque(), 0
         track.has_passage = track.has_passage or old.has_passage
