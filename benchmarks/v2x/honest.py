@@ -49,7 +49,7 @@ NS = 1_000_000_000
 BATCH_NS = 100_000_000
 START_NS = 1_790_000_000 * NS
 WARM_UP_NS = 30 * NS  # before the first delta position; these vehicles are not counted
-DRAIN_S = 330.0
+DRAIN_S = 200.0  # until each pulse has its outcome
 PASSAGES, VEHICLES = 850, 140  # of a part, all vehicles; a part has some 600 counted contracts
 SIZE = Size(short=1, usual=12, full=12, unit="parts of each setting")
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
@@ -168,7 +168,7 @@ class Run:
         self.reasons: dict[str, str] = {}  # of reviews, by contract
         self.passage_of: dict[str, str] = {}  # contract by passage
 
-    def run(self, passages: int) -> Result:
+    def run(self, passages: int, drain_s: float = DRAIN_S) -> Result:
         """Drive until so many vehicles have passed, then let everything settle."""
         started = time.process_time()
         stop_ns: int | None = None
@@ -178,7 +178,7 @@ class Run:
             if step % (NS // BATCH_NS) == 0:
                 self._second(now_ns)
             if stop_ns is None and len(self.truth) >= passages:
-                stop_ns = now_ns + round(DRAIN_S * NS)
+                stop_ns = now_ns + round(drain_s * NS)
                 counted = {n for n, p in self.truth.items() if p.crossing_ns >= START_NS + WARM_UP_NS}
                 self.world.entry_open = False
             if stop_ns is not None and now_ns >= stop_ns:
@@ -270,10 +270,10 @@ class Run:
         return owner is not None and owner.vehicle != passage.vehicle
 
 
-def part(name: str, seed: int, passages: int, vehicles: int = VEHICLES) -> Result:
-    """Compute a part of a scenario."""
+def part(name: str, seed: int, passages: int, drain_s: float = DRAIN_S) -> Result:
+    """Compute a part of a setting."""
     with tempfile.TemporaryDirectory() as folder:
-        return Run(Path(folder), seed, vehicles, SCENARIOS[name]).run(passages)
+        return Run(Path(folder), seed, VEHICLES, SCENARIOS[name]).run(passages, drain_s)
 
 
 def table(results: dict[str, dict[str, Any]]) -> str:
