@@ -8,8 +8,6 @@ from math import exp, log, pi, sqrt
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 MINIMUM_PROBABILITY = 1e-3  # of a lane that the posterior excludes: detectors contradict it rarely, not never
 OUTLIERS = 0.01  # share of pulses whose time errs by more than is stated, uniformly within the gate
@@ -106,12 +104,9 @@ def match(
     if not pulses or not crossings:
         return {}
     pulses, crossings = sorted(pulses, key=lambda p: p.key), sorted(crossings, key=lambda c: c.key)
-    i, k, cost = _possible(pulses, crossings, detector_sd_s, gate_s)
+    i, k, cost, group = _possible(pulses, crossings, detector_sd_s, gate_s)
     if not len(i):
         return {}
-    n = len(pulses) + len(crossings)
-    graph = coo_array((np.ones(len(i), dtype=np.int8), (i, len(pulses) + k)), shape=(n, n))
-    group = connected_components(graph, directed=False)[1][i]
     order = np.argsort(group, kind="stable")
     found = {}
     for part in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
@@ -122,8 +117,11 @@ def match(
 
 def _possible(
     pulses: Sequence[Pulse], crossings: Sequence[Crossing], detector_sd_s: float, gate_s: float
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Pairs that may belong together: indices of pulse and crossing, and the cost."""
+) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+    """Pairs that may belong together: indices of pulse and crossing, the cost, and the group that pairs connect.
+
+    The pulses of a lane that a crossing reaches follow each other: crossings of several lanes join such blocks.
+    """
     of_lane: dict[str, list[int]] = defaultdict(list)
     for index, pulse in enumerate(pulses):
         of_lane[pulse.lane].append(index)
@@ -131,6 +129,8 @@ def _possible(
     sds = np.array([crossing.sd_s for crossing in crossings])
     reach_ns = np.maximum(gate_s, 3.0 * sds) * 1e9
     found = []
+    parent: list[int] = []  # of each block
+    block_of: dict[int, int] = {}  # of each crossing
     for lane, indices in of_lane.items():
         own_ns = np.array([pulses[index].time_ns for index in indices])
         order = np.argsort(own_ns, kind="stable")
@@ -138,14 +138,32 @@ def _possible(
         rows = np.flatnonzero([crossing.lane in (None, lane) for crossing in crossings])
         first = np.searchsorted(own_ns, times_ns[rows] - reach_ns[rows], side="left")
         counts = np.searchsorted(own_ns, times_ns[rows] + reach_ns[rows], side="right") - first
+        reached = np.zeros(len(own_ns) + 1, dtype=np.int64)
+        np.add.at(reached, first[counts > 1], 1)
+        np.add.at(reached, (first + counts - 1)[counts > 1], -1)
+        begins = np.cumsum(reached)[:-1] == 0  # whether no crossing reaches this pulse and the next
+        block = len(parent) + np.concatenate([[0], np.cumsum(begins)[:-1]])
+        parent += range(len(parent), int(block[-1]) + 1)
+        for row, own in zip(rows[counts > 0].tolist(), block[first[counts > 0]].tolist(), strict=True):
+            one, other = _root(parent, block_of.setdefault(row, own)), _root(parent, own)
+            parent[max(one, other)] = min(one, other)
         k = np.repeat(rows, counts)
         at = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
         away_s = 1e-9 * (own_ns[at] - times_ns[k])
         likelihood = np.array([crossings[row].probability(lane) for row in rows.tolist()])
         cost = away_s**2 / (sds[k] ** 2 + detector_sd_s**2) - 2.0 * np.log(np.repeat(likelihood, counts))
-        found.append((np.array(indices)[order[at]], k, cost))
-    i, k, costs = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return i.astype(np.int64), k.astype(np.int64), costs
+        found.append((np.array(indices)[order[at]], k, cost, block[at]))
+    i, k, costs, blocks = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    roots = np.array([_root(parent, block) for block in range(len(parent))])
+    return i.astype(np.int64), k.astype(np.int64), costs, roots[blocks]
+
+
+def _root(parent: list[int], block: int) -> int:
+    """The first block of those that are joined with one; the way there is shortened."""
+    while parent[block] != block:
+        parent[block] = parent[parent[block]]
+        block = parent[block]
+    return block
 
 
 def _chosen(i: IntArray, k: IntArray, cost: FloatArray) -> IntArray:
