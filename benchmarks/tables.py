@@ -39,6 +39,7 @@ TABLES = {
     "benchmarks/results/security.md": Table("benchmarks.security.__main__", "make security"),
     "benchmarks/results/starts.md": Table("benchmarks.starts.report", "make starts"),
     "benchmarks/results/toll_campaign.md": Table("benchmarks.toll_campaign", "python -m benchmarks.toll_campaign"),
+    "benchmarks/results/toll_honest.md": Table("benchmarks.v2x.honest", "python -m benchmarks.v2x.honest"),
     "benchmarks/results/tracking.md": Table("benchmarks.tracking", "python -m benchmarks.tracking"),
     "benchmarks/results/v2x.md": Table("benchmarks.v2x.report", "make v2x"),
     "benchmarks/results/v2x_signed.md": Table("benchmarks.v2x.signed", "make v2x"),

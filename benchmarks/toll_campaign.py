@@ -178,7 +178,7 @@ class Campaign:
         self.rng = np.random.default_rng((seed, 7))
         self.plaza = load_plaza(PLAZA_FILE)
         channel = Channel(loss=0.05, duplicates=0.02, reordered=0.05, reorder_s=1.0)
-        self.world = World(_near_gate(self.plaza), Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
+        self.world = World(near_gate(self.plaza), Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
         self.path = folder / "ledger.sqlite"
         self.gnss, self.v2x = GnssParser(GnssConfig()), V2xParser(V2xConfig())
         self.core: Toll | None = Toll(TollConfig())
@@ -430,7 +430,7 @@ class Campaign:
         return dict(Counter(" + ".join(sorted(self.ends[c])) or "no passage" for c in contracts))
 
 
-def _near_gate(plaza: Plaza) -> Plaza:
+def near_gate(plaza: Plaza) -> Plaza:
     """Shorten the lanes to what the passages need."""
     return plaza.model_copy(update={"lanes": tuple(_shortened(lane) for lane in plaza.lanes)})
 

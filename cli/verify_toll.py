@@ -14,7 +14,7 @@ from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
-from services.monitoring.ledger.pack import frame_faults, pack_faults
+from services.monitoring.ledger.pack import chain_notes, frame_faults, pack_faults
 from services.monitoring.ledger.proof import pack_fault, prove_ledger
 from shared.bounded import SizeExceeded, read_bytes
 from shared.errors import ConfigError, RejectedFrame, UserError
@@ -24,13 +24,14 @@ from shared.messages.toll import EvidencePack, PassageState, TollPassage, TollTr
 from shared.toll.plaza import parse_plaza
 from shared.unpacked import MIN_LIMIT_BYTES, BadPack, unpacked
 from shared.v2x.evidence import cam_of
+from shared.v2x.security.trust import TrustStore, load
 
 from .evidence_key import KeyOption, accepted_keys
 from .progress import progress_on
 
 COMPARED = (
     "passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns", "tickets",
-    "authenticated",
+    "authenticated", "modes",
 )  # fmt: skip
 SQLITE = b"SQLite format 3\0"
 SEAL_FIELD = b',"signature":'
@@ -60,22 +61,33 @@ def verify_toll(
         list[Path] | None,
         typer.Option(metavar="FILE", help="Signed entries that the operator has kept (`toll/seal`, `seal_file`)."),
     ] = None,
+    trust: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Also judge the chain above each ticket by the certificates and lists of this folder.",
+        ),
+    ] = None,
 ) -> int:
     """Derive each charge again from its evidence, compare it bit for bit, and check chain and signatures.
 
     Lane, probabilities, crossing time, passage ID, tariff and digest are computed from the received frames, the delta
     positions, the plaza's file and the settings in the evidence pack; the contract follows from the registrations in
-    it, the confirmation from the pulse in it. Of an authenticated charge the signature of every frame is verified. Of a
-    ledger every booking is compared with the signed chain. Ends with 1 if a charge does not follow from its evidence, 3
-    unsigned, 5 edited, 6 signed by an unknown key. The graver one counts: 5, 6, 1, 3.
+    it, the confirmation from the pulse in it, its lane from the pulses around it where the CAM leave it open. Of an
+    authenticated charge the signature of every frame is verified; with `--trust` also its authority and root, and
+    whether they are revoked, then or since. Of a ledger every booking is compared with the signed chain.
+    Ends with 1 if a charge does not follow from its evidence, 3 unsigned, 5 edited, 6 signed by an unknown key. The
+    graver one counts: 5, 6, 1, 3.
 
     Examples:
     [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
     [bold]obu verify-toll ledger.sqlite --passage 3f9a --export packs[/]
     [bold]obu verify-toll packs/3f9a.json --key plaza.pub[/]
+    [bold]obu verify-toll packs/3f9a.json --trust .obu/trust[/]
     """
     ring = accepted_keys(key)
     seals = [text for path in seal or () for text in _bytes(path).decode(errors="replace").splitlines() if text.strip()]
+    store = None if trust is None else _trusted(trust)
     wrong = number = 0
     outcomes: list[Outcome] = []
     with progress_on(Console(stderr=True)) as progress:
@@ -88,9 +100,14 @@ def verify_toll(
                 continue
             number += 1
             outcomes.append(outcome)
+            notes = [] if pack is None or store is None else list(chain_notes(pack, store))
             problems = [item.damage] if pack is None else differences_of(item, pack)
+            problems += [note.text for note in notes if note.is_fault]
             wrong += bool(problems) or outcome in (Outcome.EDITED, Outcome.FOREIGN)
             _print(passage_id, pack, problems, text)
+            for note in notes:
+                if not note.is_fault:
+                    print(f"  {note.text}")
             if export and pack is not None:
                 export.mkdir(parents=True, exist_ok=True)
                 (export / f"{passage_id}.json").write_bytes(with_seal(item))
@@ -99,6 +116,16 @@ def verify_toll(
     print(f"{number - wrong} of {number} charges verified")
     outcome = gravest(outcomes)
     return 1 if wrong and outcome in (Outcome.VERIFIED, Outcome.UNSIGNED) else outcome
+
+
+def _trusted(folder: Path) -> TrustStore:
+    """Read the certificates and lists of a folder; what cannot be used is named."""
+    if not folder.is_dir():
+        raise UserError(f"{folder} is no folder; name the one with the certificates and lists (trust_folder)")
+    store = load(folder)
+    for fault in store.faults:
+        print(f"{folder.name}: {fault}")
+    return store
 
 
 def _print(passage_id: str, pack: EvidencePack | None, problems: list[str], signature: str) -> None:

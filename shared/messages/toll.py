@@ -37,6 +37,7 @@ OVERLAPS = 16  # of one passage with others in its lane
 LANES = 500  # of a plaza
 FRAMES, DELTAS, POSTERIORS = 3000, 1800, 600  # of one passage, as evidence
 CONTRACTS = 16  # registrations of one passage
+MODES = 3  # ways in which a receiver may err
 PULSES = 16  # in an evidence pack
 KeyName = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # the first digits of the SHA-256 of an Ed25519 key
 Ed25519Signature = Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
@@ -223,6 +224,14 @@ class LaneProbability(Message):
     probability: Ratio
 
 
+class CrossingMode(Message):
+    """Time and lane of a crossing if the receiver errs in one way: as the unit's, not at all, or independently."""
+
+    offset_s: Quantity  # after the crossing time
+    sd_s: Seconds
+    lanes: Annotated[tuple[LaneProbability, ...], Field(max_length=LANES)]  # and that it errs so
+
+
 LaneProbabilities = Annotated[tuple[LaneProbability, ...], Field(max_length=LANES)]
 
 
@@ -331,6 +340,7 @@ class TollPassage(Message):
     exit_ns: Nanoseconds | None = None
     lane: Name | None = None  # None: undecided
     lanes: LaneProbabilities = ()
+    modes: Annotated[tuple[CrossingMode, ...], Field(max_length=MODES)] = ()  # of the crossing; their lanes add up
     # Where the front point is, for a process that continues the passage after a restart.
     latitude_deg: Latitude
     longitude_deg: Longitude
@@ -463,6 +473,28 @@ class PulseEvidence(Message):
     backward: bool = False
 
 
+class RivalCrossing(Message):
+    """A passage around another one, that may be the one which a detector has counted; who it was is not kept."""
+
+    crossing_ns: Nanoseconds
+    crossing_sd_s: Seconds
+    lane: Name | None = None  # None: undecided
+    lanes: Annotated[tuple[LaneProbability, ...], Field(max_length=LANES)]
+    modes: Annotated[tuple[CrossingMode, ...], Field(max_length=MODES)] = ()
+
+
+class PulseAssignment(Message):
+    """What it follows from that a detector has counted a passage, in the lane of its pulse."""
+
+    pulses: Annotated[tuple[PulseEvidence, ...], Field(max_length=PULSES)]  # around it
+    rivals: Annotated[tuple[RivalCrossing, ...], Field(max_length=PULSES)]
+    detector_sd_s: Seconds
+    missed: Ratio  # share of vehicles that detectors miss
+    others_per_s: Annotated[float, Field(gt=0.0), unit("1/s")]  # pulses of a lane that are of no crossing
+    least_probability: Ratio  # that a charge requires
+    probability: Ratio
+
+
 class EvidencePack(Message):
     """Everything that a charge was derived from; its digest is in the transaction."""
 
@@ -482,6 +514,7 @@ class EvidencePack(Message):
     verdict: Explanation | None = None  # why it was charged, or went to review, by what was known then
     # Passages at the same place that no detector has counted.
     ghosts: Annotated[tuple[Digest, ...], Field(max_length=OVERLAPS)] = ()
+    assignment: PulseAssignment | None = None  # None: alone with its ghosts, without a detector, or of earlier releases
 
 
 class RegisteredStation(Message):

@@ -14,6 +14,9 @@ from .security.envelope import SignedPacket, without_envelope
 def cam_of(frame: EvidenceFrame) -> Cam:
     """Decode a frame as `parsers.v2x` did; its times, and what is known of its sender, are those of the evidence.
 
+    The label `authentication` is believed: it is that of `parsers.v2x` then, on a topic that it alone may write.
+    Whoever has the frame from a file verifies its signature as well (`frame_faults` of the ledger's packs).
+
     Raises
     ------
     RejectedFrame

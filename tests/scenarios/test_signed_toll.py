@@ -6,11 +6,13 @@ from pathlib import Path
 import pytest
 
 from cli.verify_toll import differences_of, parse, read
-from services.monitoring.ledger.pack import frame_faults
+from services.monitoring.ledger.pack import chain_notes, frame_faults
 from shared.messages.toll import EvidencePack, PassageState, TollReview
 from shared.v2x import its_time
+from shared.v2x.security.issuing import signing
+from shared.v2x.security.trust import load
 from tests.support.v2x.role import COMMON
-from tests.support.v2x.signed_role import SignedRole, plain_packet, station, utc_ns
+from tests.support.v2x.signed_role import PKI, UTC_NS, SignedRole, plain_packet, station, utc_ns
 from tests.support.v2x.signing import Pki
 from tests.support.v2x.toll import Vehicle
 
@@ -50,11 +52,30 @@ def test_a_signed_vehicle_is_charged_as_authenticated(tmp_path: Path) -> None:
     evidence_of = pack.crossed.evidence
     assert evidence_of is not None
     data = evidence_of.frames[0].data
+    check_chain(pack, tmp_path)
     forged = data[:-1] + bytes([data[-1] ^ 1])
     assert [*frame_faults(with_first_frame(pack, forged))] == ["the signature of a frame does not verify"]
     assert [*frame_faults(pack.model_copy(update={"registrations": ()}))] == [
         "no registration has the certificate of a frame's ticket"
     ]
+
+
+def check_chain(pack: EvidencePack, folder: Path) -> None:
+    """The authority of a charge is judged by the lists of then, and what was revoked since takes nothing from it."""
+    start_s = its_time.its_time_ms(UTC_NS) // 1000
+    for name, revoked, issued_s, is_fault, text in (
+        ("trusted", (), start_s, False, "trusted, by the list of revocations of"),
+        ("then", (PKI.authority.certificate.digest,), start_s, True, "revoked by the list of"),
+        ("since", (PKI.authority.certificate.digest,), start_s + 86_400, False, "revoked since, by the list of"),
+    ):
+        crl = signing.revocation_list(PKI.root, issued_s, start_s + 100 * 86_400, revoked)
+        folder_of = PKI.write(folder / name)
+        (folder_of / "crl").write_bytes(crl)
+        (note,) = chain_notes(pack, load(folder_of))
+        assert (note.is_fault, text in note.text) == (is_fault, True), note
+    (folder / "nothing").mkdir()
+    (note,) = chain_notes(pack, load(folder / "nothing"))
+    assert note.is_fault and "not trusted by the folder" in note.text
 
 
 def with_first_frame(pack: EvidencePack, data: bytes) -> EvidencePack:

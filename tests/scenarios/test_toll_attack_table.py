@@ -78,7 +78,11 @@ ATTACKS = {
     ),
     "silence before the gate line": Attack(
         (CAR,), (CROSSING_S,), silent=lambda t, _: t > 11.5,
-        signed=((), {"missed": 1}), unsigned=((), {"missed": 1}),
+        signed=((), {"review": 1}), unsigned=((), {"review": 1}),
+        reviews=({"ledger.silent_counted"}, {"ledger.silent_counted"}),
+    ),
+    "silence before the gate line, and no pulse": Attack(
+        (CAR,), (), silent=lambda t, _: t > 11.5, signed=((), {}), unsigned=((), {}),
     ),
     "U-turn that no detector has counted": Attack(
         REVERSED, (), tickets=(VICTIM, VICTIM), silent=FORWARD_THEN_BACK, signed=((), {}), unsigned=((), {}),
@@ -101,11 +105,11 @@ ATTACKS = {
     ),
     "motorcycle with a contract between two lanes": Attack(
         (replace(CAR, left=1.75),), (CROSSING_S,),
-        signed=((), {"review": 1}), unsigned=((), {"review": 1}), reviews=({"toll.undecided"}, {"toll.undecided"}),
+        signed=(("victim",), {"charged": 1}), unsigned=(("victim",), {"charged": 1}),
     ),
     "stated accuracy of 12 m, in a mixed lane": Attack(
         (replace(CAR, stated_sd=12.0),), (CROSSING_S,), plaza_file=MIXED,
-        signed=((), {"review": 1}), unsigned=((), {"review": 1}), reviews=({"toll.undecided"}, {"toll.undecided"}),
+        signed=(("victim",), {"charged": 1}), unsigned=(("victim",), {"charged": 1}),
     ),
     "trailer that is counted twice": Attack(
         (CAR,), (CROSSING_S, CROSSING_S + 0.35),

@@ -18,6 +18,7 @@ from shared.messages.toll import (
     MAX_USED,
     STATION_IDS,
     AlarmKind,
+    CrossingMode,
     EvidenceFrame,
     GateCommand,
     GateMode,
@@ -46,11 +47,13 @@ from .gates import Arrival, is_near, refusal
 from .lanes import LaneGeometry
 from .location import COMMON, Fixes, Location, locate
 from .measurement import ELLIPSE_95, ticket_of
-from .passages import Crossing, Here, Passage, can_reach, crossing_between, overlap, passage_id
+from .passages import Crossing, Here, Mode, Passage, TimeMode, can_reach, crossing_between, overlap, passage_id
 from .settings import Settings
 from .tracks import REMEMBERED_NS, Received, Track, TrackTable, Update, away_from_prediction
 
-VERSION = "2"  # of the algorithms, for evidence: 2 states the crossing time of slow and silent vehicles wider
+# Of the algorithms, for evidence. 2 states the crossing time of slow and silent vehicles wider; 3 learns how vehicles
+# err from their innovations, and states a crossing for each way in which a receiver may err.
+VERSION = "3"
 SECOND_NS = 10**9
 ALIGNED = 0.5  # cosine between heading and lane above which a vehicle drives along it
 ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may open a passage
@@ -66,6 +69,8 @@ MIN_PROBABILITY = 1e-9  # that is published
 EVIDENCE_BYTES, TRACKS_BYTES, USED_BYTES, USED_OVERHEAD, DELTAS_AT_ONCE = 200_000, 240_000, 120_000, 240, 150
 DELTA_ROUNDING = 4  # decimals of metres
 NO_VEHICLE = {StationType.ROAD_SIDE_UNIT, StationType.PEDESTRIAN, StationType.CYCLIST, StationType.TRAM}
+
+WITH_EVIDENCE = {PassageState.CROSSED, PassageState.CHARGED, PassageState.UNDECIDED}
 
 BoolArray = npt.NDArray[np.bool_]
 Statement = TollPassage | GateCommand
@@ -457,6 +462,7 @@ class Core:
             lanes=tuple(location.lanes.tolist()),
             lane=lane,
             delta_ns=delta.sampled_ns if delta and applied else None,
+            modes=_modes(location),
         )
 
     def _delta_for(self, received_ns: int) -> tuple[TollDelta | None, float]:
@@ -564,7 +570,7 @@ class Core:
         if passage.state is PassageState.CROSSED and crossing:
             passage.suspect(self._overlapped(passage, here))
         evidence = None
-        if passage.registered and passage.state in (PassageState.CROSSED, PassageState.CHARGED):
+        if passage.registered and passage.state in WITH_EVIDENCE:
             evidence = self._evidence(passage, track)
         statement = self._statement(passage, here.time_ns, evidence=evidence)
         return self._kept(statement) if passage.state.is_final else statement
@@ -691,8 +697,9 @@ class Core:
             names = [lane.name for lane in self._plaza.lanes]
             decided = names.index(statement.lane) if statement.lane in names else None
             crossing = Crossing(
-                statement.crossing_ns, statement.crossing_sd_s or 0.0, decided, lanes, statement.delta_ns
-            )
+                statement.crossing_ns, statement.crossing_sd_s or 0.0, decided, lanes, statement.delta_ns,
+                tuple(self._mode_of(mode) for mode in statement.modes),
+            )  # fmt: skip
         return Passage(
             statement.passage_id,
             opened_ns=statement.opened_ns,
@@ -707,6 +714,10 @@ class Core:
             stated_ns=statement.sampled_ns,
             overlaps=list(statement.overlaps),
         )
+
+    def _mode_of(self, mode: CrossingMode) -> TimeMode:
+        probability = {lane.lane: lane.probability for lane in mode.lanes}
+        return TimeMode(mode.offset_s, mode.sd_s, tuple(probability.get(lane.name, 0.0) for lane in self._plaza.lanes))
 
     def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
         """Continue the older passage of a station ID with the track that opened a younger one."""
@@ -827,10 +838,17 @@ class Core:
             position_sd_m=here.sd,
             delta_ns=crossing.delta_ns if crossing else here.delta_ns,
             trust=self._trust(here.time_ns),
+            modes=self._time_modes(crossing),
             authenticated=passage.authenticated,
             tickets=tuple(passage.tickets),
             overlaps=tuple(passage.overlaps),
             evidence=evidence,
+        )
+
+    def _time_modes(self, crossing: Crossing | None) -> tuple[CrossingMode, ...]:
+        return tuple(
+            CrossingMode(offset_s=mode.offset_s, sd_s=mode.sd_s, lanes=self._probabilities(mode.lanes))
+            for mode in (crossing.modes if crossing else ())
         )
 
     def _probabilities(self, lanes: Sequence[float]) -> tuple[LaneProbability, ...]:
@@ -925,6 +943,17 @@ def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequen
 def _is_of(passage: Passage, track: Track) -> bool:
     """Whether a track with a station ID of a passage may be its vehicle: its ticket, or neither is authenticated."""
     return track.ticket in passage.tickets if passage.tickets else track.ticket is None
+
+
+def _modes(location: Location) -> tuple[Mode, ...]:
+    """Where the vehicle of one row is by each hypothesis that is possible."""
+    return tuple(
+        Mode(float(along - location.along), float(sd), tuple(lanes.tolist()))
+        for lanes, along, sd in zip(
+            location.by_hypothesis, location.along_by_hypothesis, location.along_sd_by_hypothesis, strict=True
+        )
+        if lanes.max() > MIN_PROBABILITY
+    )
 
 
 def _row(location: Location, k: int) -> Location:

@@ -47,6 +47,9 @@ class Location(NamedTuple):
     along: FloatArray  # shape (n,) [m] after the gate line, in the most probable lane, corrected
     along_sd: FloatArray  # shape (n,) [m]
     left: FloatArray  # shape (n,) [m] from the centre of the most probable lane
+    by_hypothesis: FloatArray  # shape (n, 3, L) probability of each hypothesis and lane
+    along_by_hypothesis: FloatArray  # shape (n, 3) [m] after the gate line, in the most probable lane
+    along_sd_by_hypothesis: FloatArray  # shape (n, 3) [m]
 
 
 def locate(
@@ -119,7 +122,8 @@ def locate(
     n = np.arange(len(total))
     best, lane = hypotheses.argmax(axis=1), np.where(allowed, lanes, -1.0).argmax(axis=1)
     own_direction, best_shift = d[n, lane], shift[best, n]
-    along_variance = np.vecdot(own_direction, np.matvec(fixes.cov, own_direction)) + variance[best, n]
+    filtered_variance = np.vecdot(own_direction, np.matvec(fixes.cov, own_direction))
+    along_variance = filtered_variance + variance[best, n]
     return Location(
         lanes,
         hypotheses,
@@ -128,6 +132,9 @@ def locate(
         projection.along[n, lane] + np.vecdot(own_direction, best_shift),
         np.sqrt(along_variance),
         projection.left[n, lane] + np.vecdot(left_of[n, lane], best_shift),
+        (joint / total[:, None]).transpose(1, 0, 2),
+        projection.along[n, lane][:, None] + np.vecdot(own_direction[:, None], shift.transpose(1, 0, 2)),
+        np.sqrt(filtered_variance[:, None] + variance.T),
     )
 
 

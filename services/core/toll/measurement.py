@@ -60,7 +60,9 @@ class CamMeasurement:
         return None if major is None else major / ELLIPSE_95
 
 
-def observation(measured: Sequence[CamMeasurement], white_sd: float) -> Observation:
+def observation(
+    measured: Sequence[CamMeasurement], white_sd: float, inflation: Sequence[float] | None = None
+) -> Observation:
     """Observation of n vehicles; R holds the white noise only, the larger part of GNSS errors is not white.
 
     Parameters
@@ -69,6 +71,8 @@ def observation(measured: Sequence[CamMeasurement], white_sd: float) -> Observat
         One CAM of each vehicle.
     white_sd : float
         [m] Of positions; less where the vehicle states less.
+    inflation : sequence of float, optional
+        Factors by which the vehicles' positions have erred more than that; 1 without them.
 
     Returns
     -------
@@ -92,6 +96,7 @@ def observation(measured: Sequence[CamMeasurement], white_sd: float) -> Observat
         )
         z[k] = (item.east, item.north, *(value or 0.0 for value in values))
         position_sd = max(min(white_sd, item.stated_sd or white_sd), MIN_POSITION_SD)
+        position_sd *= inflation[k] if inflation else 1.0
         sd[k] = (
             position_sd,
             position_sd,

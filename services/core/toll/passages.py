@@ -14,7 +14,26 @@ from shared.words.words import CodedText, stated
 from .codes import Code
 from .settings import PassageSettings
 
+SLOWEST, LONGEST_S = 2.0, 30.0  # [m/s], [s] at least and at most to the gate line, of a vehicle that fell silent
 ACCELERATION, FASTEST = 3.0, 70.0  # [m/s²], [m/s] of a vehicle that is not seen
+
+
+@dataclass(frozen=True)
+class Mode:
+    """Where a vehicle is if its receiver errs in one of the ways that are possible."""
+
+    away: float  # [m] along the road from where it most probably is
+    along_sd: float  # [m]
+    lanes: tuple[float, ...]  # probability that it errs so and is in each lane
+
+
+@dataclass(frozen=True)
+class TimeMode:
+    """When a vehicle crossed the gate line, and where, if its receiver errs in one of the ways that are possible."""
+
+    offset_s: float  # after the crossing time
+    sd_s: float
+    lanes: tuple[float, ...]  # probability that it errs so and is in each lane
 
 
 @dataclass(frozen=True)
@@ -35,6 +54,7 @@ class Here:
     lanes: tuple[float, ...]  # probability of each lane of the plaza
     lane: int  # the most probable lane
     delta_ns: int | None  # stamp of the delta position that is applied
+    modes: tuple["Mode", ...] = ()  # by what is supposed of the receiver's error
 
     @property
     def sd(self) -> float:
@@ -55,6 +75,7 @@ class Crossing:
     lane: int | None  # None: undecided
     lanes: tuple[float, ...]
     delta_ns: int | None
+    modes: tuple[TimeMode, ...] = ()
 
     def widened(self, here: Here) -> "Crossing":
         """Give the time the standard deviation that a slow vehicle's has.
@@ -68,7 +89,9 @@ class Crossing:
         if here.along > 3.0 * here.along_sd:
             return self
         elapsed_s = (here.time_ns - self.time_ns) * 1e-9
-        return replace(self, sd_s=max(self.sd_s, elapsed_s * here.along_sd / max(here.along, here.along_sd)))
+        least_s = elapsed_s * here.along_sd / max(here.along, here.along_sd)
+        modes = tuple(replace(mode, sd_s=max(mode.sd_s, least_s)) for mode in self.modes)
+        return replace(self, sd_s=max(self.sd_s, least_s), modes=modes)
 
 
 def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
@@ -88,8 +111,21 @@ def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
     interpolated_s = min(ACCELERATION * gap_s**2 / (8.0 * mean_speed), gap_s / sqrt(12.0))
     witness = before if after.decided(decided) is None and before.decided(decided) is not None else after
     time_ns = before.time_ns + round(share * elapsed_ns)
-    sd_s = hypot(after.along_sd / max(after.speed, mean_speed), interpolated_s)
-    return Crossing(time_ns, sd_s, witness.decided(decided), witness.lanes, witness.delta_ns)
+    speed = max(after.speed, mean_speed)
+    sd_s = hypot(after.along_sd / speed, interpolated_s)
+    modes = tuple(
+        TimeMode(-mode.away / speed, hypot(mode.along_sd / speed, interpolated_s), mode.lanes) for mode in witness.modes
+    )
+    return Crossing(time_ns, sd_s, witness.decided(decided), witness.lanes, witness.delta_ns, modes)
+
+
+def expected_crossing(here: Here) -> Crossing:
+    """When a vehicle that fell silent before the gate line would have crossed it, at its last speed or a walk.
+
+    The standard deviation is half the time until then, at least 1 s: it may have braked or queued.
+    """
+    ahead_s = min(max(-here.along, 0.0) / max(here.speed, SLOWEST), LONGEST_S)
+    return Crossing(here.time_ns + round(ahead_s * 1e9), max(0.5 * ahead_s, 1.0), None, here.lanes, here.delta_ns)
 
 
 def passage_id(plaza: str, frame: bytes) -> str:
@@ -205,14 +241,19 @@ class Passage:
         """End the passage of a vehicle that fell silent.
 
         Behind the gate line it has passed, whatever it says or does not say afterwards: a switch must be no free ride.
-        The ledger charges it if a detector confirms it, and leaves it to a person otherwise.
+        The ledger charges it if a detector confirms it, and leaves it to a person otherwise. Before the gate line it
+        may have passed: it is stated when that would have been, and a pulse which nothing else explains is a review.
         """
         if self.state is PassageState.OPEN:
+            if self.registered and self.here.aligned:
+                self.crossing = expected_crossing(self.here)
             self._end(PassageState.VOID, explain(Code.SILENT_BEFORE))
         elif not self.registered:
             self._end_unregistered()
-        elif self.crossing is None or self.crossing.lane is None:
+        elif self.crossing is None:
             self._end(PassageState.SUSPECT, explain(Code.SILENT_BETWEEN))
+        elif self.crossing.lane is None:
+            self._end(PassageState.UNDECIDED, explain(Code.SILENT_BETWEEN))
         else:
             self._end(PassageState.CHARGED, explain(Code.SILENT_BETWEEN))
 

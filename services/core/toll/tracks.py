@@ -4,7 +4,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
-from math import hypot
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -32,6 +32,8 @@ Received = tuple[int, int, bytes, str, str | None]  # with `Authentication` and 
 # once is followed at both, so that who uses it first does not hide the other one.
 Sender = tuple[int, str | None, int]
 MAX_SPEED = 70.0  # [m/s]
+# Innovations of a consistent vehicle exceed their variance by chance: of the mean over 20 CAM the root is below 1.3.
+LEARNED_CAMS, CHANCE, MOST_INFLATION = 20.0, 1.3, 4.0
 # Frames are the sender's, up to 2,304 bytes each. Those of a passage are evidence, as far as one message holds them
 # (`EVIDENCE_BYTES`, in base64); before it begins, as many as a track can bring into one that it continues.
 TRACK_BYTES, TABLE_BYTES = 150_000, 32_000_000  # of the frames of one track, and of all
@@ -57,10 +59,25 @@ class Track:
     has_passage: bool = False
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
     silent_for_ns: int = 0  # ... once that has been silent for so long
+    others: tuple["Track", ...] = ()  # that it may continue as well, if they stay silent
     born_ns: int = 0  # time of the first CAM
     authentication: Authentication = Authentication.UNSIGNED  # least of its CAM
     unverified: Unverified | None = None  # why its newest CAM is signed and not authenticated
     sender: Sender = (0, None, 0)
+    is_continued: bool = False  # by another one
+    innovation: float = 1.0  # mean square of its innovations over what they should be
+
+    @property
+    def inflation(self) -> float:
+        """Factor by which a vehicle's positions err more than the model, and it itself, say; never below 1.
+
+        Learned from the innovations since the track, or its passage, began.
+        """
+        return min(max(1.0, sqrt(self.innovation) / CHANCE), MOST_INFLATION)
+
+    def learn(self, ratio: float) -> None:
+        """Use the square of an innovation over its variance; one outlier counts no more than the largest factor."""
+        self.innovation += (min(ratio, MOST_INFLATION**2) - self.innovation) / LEARNED_CAMS
 
     @property
     def ticket(self) -> str | None:
@@ -172,6 +189,7 @@ class TrackTable:
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[Sender, Track] = {}
+        self._of_id: dict[int, dict[Sender, Track]] = {}  # the same by station ID
         self._strays: dict[tuple[int, str | None], tuple[int, CamMeasurement]] = {}  # how many in a row, and the last
         self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
@@ -216,7 +234,7 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns, track.authentication = update.measured.time_ns, update.measured.cam.authentication
-        track.frames, track.frame_bytes = deque(), 0
+        track.frames, track.frame_bytes, track.innovation = deque(), 0, 1.0
         track.keep(_received(update.measured.cam))
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
@@ -228,7 +246,7 @@ class TrackTable:
 
     def tracks_of(self, station_id: int) -> list[Track]:
         """Tracks that use a station ID now, under any ticket and at any place."""
-        return [track for sender, track in self.by_station.items() if sender[0] == station_id]
+        return list(self._of_id.get(station_id, {}).values())
 
     def delete_silent(self, now_ns: int) -> list[Track]:
         """Delete the tracks that have been silent for too long; return them."""
@@ -355,7 +373,11 @@ class TrackTable:
                 self._stray(item, new_tracks)
         used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
         if used:
-            seen = observation([measured for _, measured in used], self._white_sd)
+            inflation = [track.inflation for track, _ in used]
+            seen = observation([measured for _, measured in used], self._white_sd, inflation)
+            expected = variance[inside] + np.trace(seen.R[:, :2, :2], axis1=1, axis2=2)
+            for (track, _), ratio in zip(used, (np.vecdot(away, away)[inside] / expected).tolist(), strict=True):
+                track.learn(ratio * track.inflation**2)
             self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
         self._busy.update(track.number for track, _ in used)
         return [self._noted(track, measured, born=False) for track, measured in used]
@@ -367,6 +389,8 @@ class TrackTable:
         tracks = [track for sender in senders if (track := self.by_station.get(sender))]
         if not tracks:
             return one
+        if len(tracks) == 1:
+            return replace(one, place=tracks[0].sender[2])
         return replace(one, place=min(tracks, key=lambda track: self._distance(track, one)).sender[2])
 
     def _distance(self, track: Track, one: CamMeasurement) -> float:
@@ -439,26 +463,28 @@ class TrackTable:
             authentication=one.cam.authentication,
             sender=one.sender,
         )
-        track.predecessor, track.silent_for_ns = self._silent_here(one)
+        track.predecessor, track.silent_for_ns, track.others = self._silent_here(one)
         track.born_ns = one.time_ns
         self.by_station[one.sender] = track
+        self._of_id.setdefault(one.sender[0], {})[one.sender] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
-    def _silent_here(self, one: CamMeasurement) -> tuple[Track | None, int]:
+    def _silent_here(self, one: CamMeasurement) -> tuple[Track | None, int, tuple[Track, ...]]:
         """Find the nearest track whose prediction is where an unknown station appears.
 
         Returns
         -------
-        Track or None, int
-            The track, and [ns] the silence of its station ID that confirms that it has changed.
+        Track or None, int, tuple of Track
+            The track, [ns] the silence of its station ID that confirms that it has changed, and the other tracks that
+            are possible.
         """
         tracks = [
             track for track in self.tracks
             if 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
         ]  # fmt: skip
         if not tracks:
-            return None, 0
+            return None, 0, ()
         state = self.estimates(tracks).mean
         dt = (one.time_ns - np.array([track.updated_ns for track in tracks])) * 1e-9
         speed = state[:, 3] if one.cam.speed_m_s is None else np.full(len(dt), one.cam.speed_m_s)
@@ -466,8 +492,9 @@ class TrackTable:
         distance = away_from_prediction(moved, dt, state[:, 2], state[:, 3], speed, self._settings.link_gate_m)
         nearest = int(np.argmin(distance))
         if not np.isfinite(distance[nearest]):
-            return None, 0
-        return tracks[nearest], self._settings.silence_ns(state[nearest, 3])
+            return None, 0, ()
+        others = tuple(tracks[k] for k in np.flatnonzero(np.isfinite(distance)) if k != nearest)
+        return tracks[nearest], self._settings.silence_ns(state[nearest, 3]), others
 
     def _noted(self, track: Track, one: CamMeasurement, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
@@ -479,7 +506,11 @@ class TrackTable:
         return Update(track, one, born, self._confirmed_predecessor(track))
 
     def _confirmed_predecessor(self, track: Track) -> Track | None:
-        """Decide whether a track continues its predecessor: only if the old station ID is not used any more."""
+        """Decide whether a track continues its predecessor.
+
+        Only if the old station ID is not used any more, and if neither another silent track can be this one, nor
+        another new one that: which of two has which contract is not guessed.
+        """
         old = track.predecessor
         if old is None:
             return None
@@ -489,7 +520,13 @@ class TrackTable:
             return None
         if old.number in self._busy or track.updated_ns - max(old.updated_ns, self.seen_since_ns) < track.silent_for_ns:
             return None
-        track.predecessor = None
+        track.predecessor, others, track.others = None, track.others, ()
+        if any(other.updated_ns < track.born_ns and not other.is_continued for other in others) or any(
+            claimant.predecessor is old or old in claimant.others for claimant in self.by_station.values()
+        ):
+            self.rejected["ambiguous_continuation"] += 1
+            return None
+        old.is_continued = True
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
         own, track.frames, track.frame_bytes = track.frames, deque(), 0
         track.has_passage = track.has_passage or old.has_passage
@@ -507,6 +544,9 @@ class TrackTable:
 
     def _delete(self, track: Track) -> None:
         del self.by_station[track.sender]
+        del self._of_id[track.sender[0]][track.sender]
+        if not self._of_id[track.sender[0]]:
+            del self._of_id[track.sender[0]]
         self._free.append(track.slot)
 
 

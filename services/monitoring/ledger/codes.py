@@ -21,6 +21,8 @@ class Code(StrEnum):
     OVERLAP_WITHOUT_DETECTOR = "ledger.overlap_without_detector"
     OVERLAP_COUNTED = "ledger.overlap_counted"
     NOT_COUNTED = "ledger.not_counted"
+    UNSURE = "ledger.unsure"  # whether the pulse near it is its own
+    LANE_BY_PULSE = "ledger.lane_by_pulse"
     UNCONFIRMED = "ledger.unconfirmed"
     MISSED = "ledger.missed"
     CHANGED = "ledger.changed"  # in the file, beside the ledger
@@ -32,6 +34,7 @@ class Code(StrEnum):
     DRIVE_ROUND = "ledger.drive_round"
     REPLAYED = "ledger.replayed"
     TURNED_COUNTED = "ledger.turned_counted"
+    SILENT_COUNTED = "ledger.silent_counted"  # before the gate line
     GHOST = "ledger.ghost"
     ALONE = "ledger.alone"  # explains the only pulse of its group
     CONFIRMED = "ledger.confirmed"

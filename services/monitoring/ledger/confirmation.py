@@ -35,11 +35,16 @@ class Claim:
     authenticated: bool = False
     pulse: int | None = None  # key of its pulse
     explains: frozenset[int] = frozenset()  # pulses of its lane within three standard deviations of its crossing
+    is_counted: bool = True  # with the probability that is required, given all pulses and crossings around it
+    has_lane: bool = True  # by its CAM; without one it waits for what is around it
+    probability: float | None = None  # that it was counted, in the lane of its pulse
 
     @property
     def is_confirmed(self) -> bool:
         """Whether it has a pulse, which a vehicle before or behind it cannot claim any more."""
-        return self.pulse_sds is not None and (self.waited or self.pulse_sds <= TIGHT_SD)
+        if self.pulse_sds is None or not self.is_counted:
+            return False
+        return self.waited or (self.has_lane and self.pulse_sds <= TIGHT_SD)
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,9 @@ def _doubt(claims: list[Claim], charges: int, *, counted: bool) -> Explanation:
     if not counted:
         return explain(Code.OVERLAP_WITHOUT_DETECTOR, passage_count=charges)
     if len(claims) == 1:
-        return explain(Code.NOT_COUNTED)
+        claim = claims[0]
+        if claim.pulse_sds is None:
+            return explain(Code.NOT_COUNTED)
+        return explain(Code.UNSURE, probability=claim.probability or 0.0)
     pulses = sum(claim.pulse_sds is not None for claim in claims)
     return explain(Code.OVERLAP_COUNTED, passage_count=len(claims), pulse_count=pulses)

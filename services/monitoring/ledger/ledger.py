@@ -29,8 +29,10 @@ from shared.messages.toll import (
     PULSES,
     STATION_IDS,
     STATIONS,
+    CrossingMode,
     EvidencePack,
     LaneBalance,
+    LaneProbability,
     LaneTraffic,
     LedgerHead,
     LedgerState,
@@ -40,9 +42,11 @@ from shared.messages.toll import (
     PictureAction,
     PictureState,
     PlazaDetector,
+    PulseAssignment,
     PulseEvidence,
     RestoredCams,
     ReviewSummary,
+    RivalCrossing,
     TollPassage,
     TollPayment,
     TollReceipt,
@@ -64,7 +68,7 @@ from .chain import Chain
 from .codes import DECIDED_BY, Code
 from .confirmation import TIGHT_SD, Claim, Judgement, Verdict, groups, judge
 from .pictures import Pictures
-from .reconciliation import Crossing, Pulse, match
+from .reconciliation import MINIMUM_PROBABILITY, Crossing, Mode, Ownership, Pulse, PulseModel, match, near, ownership
 from .registrations import Contract, Registrations, contracts_of, identities_of
 from .replays import Replays
 from .store import Row, Store
@@ -83,10 +87,12 @@ OUTCOMES = (
 )  # fmt: skip
 SHOWN_REVIEWS = 50
 MAX_TICKETS = 2000
+RATES_NS, RATE_WINDOW_NS = 60 * NS, 1800 * NS  # how often pulses without a passage are counted, and over what time
+RATE_PRIOR_S = 600.0  # [s] of a lane's pulses that its settings are worth
 FORM = 2  # of evidence packs: with registrations, pulses and verdict
+SILENT_BEFORE = "toll.silent_before"  # code of core.toll: the gate line was not seen
 SILENT_BETWEEN = "toll.silent_between"  # code of core.toll: the exit line was not seen
 UNCHARGED = (PassageState.VOID, PassageState.UNDECIDED, PassageState.SUSPECT)  # as core.toll states it
-CLAIMING = (PassageState.CHARGED, PassageState.HELD)  # what a pulse has to confirm
 MAX_STRANGERS = 2000  # crossings without a contract that are not authenticated and wait for their pulse
 UNCONFIRMED, NOT_AUTHENTICATED = "unconfirmed", "not authenticated"  # counts
 AnyMessage = TypeVar("AnyMessage", bound=Message)
@@ -119,6 +125,19 @@ class Settings(Section):
         description="largest time between a pulse and its crossing, or three standard deviations of that",
     )
     detector_sd_s: float = Field(default=0.1, gt=0, description="standard deviation of a pulse's time")
+    detector_missed: float = Field(default=0.01, gt=0, lt=0.5, description="share of vehicles that detectors miss")
+    other_pulses_per_s: float = Field(
+        default=0.03,
+        gt=0,
+        le=10.0,
+        description="pulses of a lane that are of no vehicle which sends CAM, until the lane has shown how many",
+    )
+    counted_probability: float = Field(
+        default=0.99,
+        gt=0.5,
+        lt=1.0,
+        description="probability that a detector has counted a passage in its lane, below which it goes to review",
+    )
     confirm_wait_s: float = Field(
         default=30.0,
         gt=0,
@@ -202,6 +221,81 @@ class PulseTimes:
         return [key for _, key in pulses[begin : bisect_left(pulses, (time_ns + within_ns + 1, -1))]]
 
 
+class Around:
+    """What is around a crossing: pulses, and the other crossings that they may be of."""
+
+    def __init__(self, matched: PulseMatches, settings: Settings, rates: Mapping[str, float]) -> None:
+        self.matched, self.times = matched, PulseTimes(matched.pulses)
+        self._settings, self._rates = settings, rates
+        self._crossings: dict[bool, dict[int, Crossing]] = {True: {}, False: {}}  # by whether they are authenticated
+        for number, row in matched.crossings.items():
+            self._crossings[bool(row["authenticated"])][number] = _crossing(row)
+
+    def _model(self, crossing: Crossing) -> PulseModel:
+        """The model of the lanes that a crossing may be in: the rate is that of the busiest."""
+        settings = self._settings
+        rates = [rate for lane, rate in self._rates.items() if crossing.probability(lane) > MINIMUM_PROBABILITY]
+        return PulseModel(
+            settings.detector_sd_s, settings.match_gate_s, settings.detector_missed,
+            max(rates, default=settings.other_pulses_per_s),
+        )  # fmt: skip
+
+    def _near(self, row: Row) -> tuple[Crossing, list[Row], list[Row], PulseModel]:
+        """A crossing with its pulses and rivals; nothing that is not authenticated is a rival of what is."""
+        crossing = _crossing(row)
+        matched, known = self.matched, bool(row["authenticated"])
+        within_ns = round(max(self._settings.match_gate_s, 3.0 * crossing.sd_s) * NS)
+        possible = _possible_lanes(crossing)
+        others = {
+            number: other.time_ns for number, other in self._crossings[known].items()
+            if number != crossing.key and abs(other.time_ns - crossing.time_ns) <= within_ns
+            and possible & _possible_lanes(other)
+        }  # fmt: skip
+        rivals = [matched.crossings[number] for number in near(crossing, others)]
+        lanes = possible.union(*(_possible_lanes(self._crossings[known][row["number"]]) for row in rivals))
+        free = {
+            key: matched.pulses[key]["sampled_ns"]
+            for lane in sorted(lanes)
+            for key in self.times.near(lane, crossing.time_ns, within_ns)
+            if known or not self._is_of_known(key)
+        }
+        pulses = [matched.pulses[key] for key in near(crossing, free)]
+        return crossing, pulses, rivals, self._model(crossing)
+
+    def _is_of_known(self, key: int) -> bool:
+        """Whether a pulse is that of an authenticated vehicle."""
+        number = self.matched.found.get(key)
+        return number is not None and bool(self.matched.crossings[number]["authenticated"])
+
+    def ownership(self, row: Row) -> Ownership | None:
+        """Find the lane in which a crossing was counted."""
+        crossing, pulses, rivals, model = self._near(row)
+        keyed = [Pulse(pulse["rowid"], pulse["lane"], pulse["sampled_ns"]) for pulse in pulses]
+        return ownership(crossing, keyed, [_crossing(rival) for rival in rivals], model)
+
+    def evidence(self, row: Row, probability: float | None) -> PulseAssignment | None:
+        """What the ownership of a crossing follows from."""
+        if probability is None:
+            return None
+        _, pulses, rivals, model = self._near(row)
+        return PulseAssignment(
+            pulses=tuple(map(_pulse_evidence, pulses)),
+            rivals=tuple(
+                RivalCrossing(
+                    crossing_ns=rival.time_ns, crossing_sd_s=rival.sd_s, lane=rival.lane,
+                    lanes=_lanes(rival.lanes),
+                    modes=tuple(
+                        CrossingMode(offset_s=mode.offset_s, sd_s=mode.sd_s, lanes=_lanes(mode.lanes))
+                        for mode in rival.modes
+                    ),
+                )
+                for rival in map(_crossing, rivals)
+            ),
+            detector_sd_s=model.detector_sd_s, missed=model.missed, others_per_s=model.others_per_s,
+            least_probability=self._settings.counted_probability, probability=probability,
+        )  # fmt: skip
+
+
 class Ledger:
     """Charges passages, keeps what proves them, and accounts for every detection."""
 
@@ -242,6 +336,8 @@ class Ledger:
         newest_ns = newest["stored_ns"] if newest is not None else None
         doubtful = isinstance(newest_ns, int) and now_ns - newest_ns > DOUBTFUL_NS
         self._trusted_ns = now_ns + DAY_NS if doubtful else now_ns  # from when on the date decides what is deleted
+        self._rates: Mapping[str, float] = {}  # of pulses that no passage explains, by lane
+        self._rates_ns = -RATES_NS
         self._cleaned_ns = 0  # what was settled before and not charged is deleted
 
     # Received messages
@@ -506,13 +602,13 @@ class Ledger:
         for passage_id, row in turned.items():
             pulse, back = pulse_of.get(row["number"]), back_of.get(passage_id)
             self._judge_turned(row, pulse, back, now_ns, is_held=passage_id in held)
-        times = PulseTimes(matched.pulses)
+        around = Around(matched, self._settings, self._others_per_s(now_ns))
         named = {other for row in rows.values() if row["overlaps"] != "[]" for other in json.loads(row["overlaps"])}
         claims = {
-            passage_id: self._claim(row, pulse_of.get(row["number"]), times, now_ns)
+            passage_id: self._claim(row, pulse_of.get(row["number"]), around, now_ns)
             for passage_id, row in rows.items()
             if passage_id not in turned
-            and (row["state"] in CLAIMING or row["overlaps"] != "[]" or passage_id in named)
+            and (row["state"] == PassageState.HELD or row["overlaps"] != "[]" or passage_id in named)
         }  # fmt: skip
         claims = self._with_links(claims)
         for group in groups(claims):
@@ -521,7 +617,7 @@ class Ledger:
                 continue
             judgement = judge(group, {claim.passage_id for claim in group})
             if judgement.verdict is not Verdict.WAITS:
-                self._carry_out(judgement, group, rows, matched, now_ns)
+                self._carry_out(judgement, group, rows, around, now_ns)
 
     def _with_links(self, claims: dict[str, Claim]) -> dict[str, Claim]:
         """Link what is not authenticated to the authenticated vehicles that it overlaps, not the other way round."""
@@ -540,9 +636,10 @@ class Ledger:
         return linked
 
     def _carry_out(
-        self, judgement: Judgement, group: list[Claim], rows: Mapping[str, Row], matched: PulseMatches, now_ns: int
+        self, judgement: Judgement, group: list[Claim], rows: Mapping[str, Row], around: "Around", now_ns: int
     ) -> None:
         """Charge, review or drop the passages of a group."""
+        matched = around.matched
         members = {claim.passage_id for claim in group}
         pulses = [matched.pulses[claim.pulse] for claim in group if claim.pulse is not None]
         for claim in group:
@@ -566,13 +663,23 @@ class Ledger:
                         passage_id, now_ns, pulses=[pulse], verdict=judgement.why, ghosts=judgement.ghosts
                     )
             elif row["state"] == PassageState.HELD:
-                own = [matched.pulses[claim.pulse]] if claim.pulse is not None else []
-                self._charge_held(passage_id, now_ns, pulses=own)
+                self._let_stand(claim, row, around, now_ns)
+
+    def _let_stand(self, claim: Claim, row: Row, around: "Around", now_ns: int) -> None:
+        """Charge a passage with the pulse that is its own, in the lane of that where its CAM leave the lane open."""
+        own = [around.matched.pulses[claim.pulse]] if claim.pulse is not None else []
+        for pulse in own:
+            self._give_pulse(row, pulse)
+        verdict = None
+        if row["lane"] is None and claim.probability is not None:
+            verdict = explain(Code.LANE_BY_PULSE, probability=claim.probability)
+        assignment = around.evidence(row, claim.probability)
+        self._charge_held(claim.passage_id, now_ns, pulses=own, verdict=verdict, assignment=assignment)
 
     def _give_pulse(self, row: Row, pulse: Row) -> None:
         """Assign a pulse to a passage that is charged: the ghosts around it cross nothing any more."""
         self._store.execute(
-            "UPDATE crossing SET crossing_ns = ?, lane = ? WHERE number = ?",
+            "UPDATE crossing SET crossing_ns = ?, lane = ?, modes = '[]' WHERE number = ?",
             pulse["sampled_ns"], pulse["lane"], row["number"],
         )  # fmt: skip
 
@@ -588,16 +695,18 @@ class Ledger:
         )
 
     def _judge_turned(self, row: Row, pulse: Row | None, back: Row | None, now_ns: int, *, is_held: bool) -> None:
-        """Decide on a vehicle that says it has turned around behind the gate line.
+        """Decide on a vehicle that says it has turned around behind the gate line, or fell silent before it.
 
         The detector decides: without a pulse it has not passed, and neither with one backwards behind it, of its own.
         Otherwise it is reviewed, or counts as a vehicle without contract.
         """
         waited = now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS)
         if pulse is not None and back is None:
-            if is_held and (waited or row["lane"] not in self._directed):
+            is_silent = is_held and self._fell_silent(row["passage_id"])
+            if is_held and (waited or (row["lane"] not in self._directed and not is_silent)):
                 self.pictures.disputed(pulse)
-                self._review(row["passage_id"], explain(Code.TURNED_COUNTED), [], now_ns)
+                code = Code.SILENT_COUNTED if is_silent else Code.TURNED_COUNTED
+                self._review(row["passage_id"], explain(code), [], now_ns)
             elif not is_held:
                 self._store.execute(
                     "UPDATE crossing SET state = ? WHERE number = ?", PassageState.UNREGISTERED, row["number"]
@@ -606,6 +715,14 @@ class Ledger:
             self._store.execute("DELETE FROM held WHERE passage_id = ?", row["passage_id"])
             if back is not None:
                 self._store.execute("UPDATE pulse SET owner = ? WHERE rowid = ?", row["passage_id"], back["rowid"])
+
+    def _fell_silent(self, passage_id: str) -> bool:
+        """Whether a held passage is that of a vehicle that fell silent before the gate line."""
+        held = self._store.row("SELECT charged FROM held WHERE passage_id = ?", passage_id)
+        if held is None:
+            return False
+        why = self._read(TollPassage, held["charged"], passage_id).reason_code
+        return why is not None and why.code == SILENT_BEFORE
 
     def _pulses_backward(self, turned: Sequence[tuple[Row, Row]], held: Collection[str]) -> dict[str, Row]:
         """Assign pulses backwards to vehicles that say they have turned around, at most one to one.
@@ -645,7 +762,30 @@ class Ledger:
                     break
         return found
 
-    def _claim(self, row: Row, pulse: Row | None, times: PulseTimes, now_ns: int) -> Claim:
+    def _others_per_s(self, now_ns: int) -> Mapping[str, float]:
+        """Rate of each lane's pulses that no passage explains, as far as it has shown one; computed once a minute.
+
+        A lane in which few vehicles send CAM has many: there a pulse says less of who has caused it.
+        """
+        if not 0 <= now_ns - self._rates_ns < RATES_NS:
+            self._rates_ns = now_ns
+            settings = self._settings
+            from_ns = now_ns - RATE_WINDOW_NS
+            rows = self._store.rows(
+                "SELECT lane, COUNT(*) AS n FROM pulse WHERE done = 2 AND sampled_ns > ? GROUP BY lane", from_ns
+            )
+            prior_s, seen_s = RATE_PRIOR_S, max((now_ns - max(self._started_ns, from_ns)) / NS, 0.0)
+            counts = {row["lane"]: row["n"] for row in rows}
+            self._rates = {
+                lane: max(
+                    settings.other_pulses_per_s,
+                    (settings.other_pulses_per_s * prior_s + counts.get(lane, 0)) / (prior_s + seen_s),
+                )
+                for lane in self._detectors
+            }
+        return self._rates
+
+    def _claim(self, row: Row, pulse: Row | None, around: "Around", now_ns: int) -> Claim:
         def sds_of(other: Row) -> float:
             away_s = abs(other["sampled_ns"] - row["crossing_ns"]) * 1e-9
             return float(away_s / hypot(row["sd_s"], self._settings.detector_sd_s))
@@ -653,19 +793,33 @@ class Ledger:
         held = self._store.row("SELECT crossed FROM held WHERE passage_id = ?", row["passage_id"])
         crossed = self._read(TollPassage, held["crossed"], row["passage_id"]) if held else None
         within_ns = round(TIGHT_SD * hypot(row["sd_s"], self._settings.detector_sd_s) * NS)
-        near = times.near(row["lane"], row["crossing_ns"], within_ns)
+        explains = around.times.near(row["lane"], row["crossing_ns"], within_ns)
+        owned = around.ownership(row) if row["state"] == PassageState.HELD else None
+        if owned is not None and owned.probability >= self._settings.counted_probability:
+            pulse = around.matched.pulses[owned.pulse.key]
         return Claim(
             passage_id=row["passage_id"],
             overlaps=frozenset(json.loads(row["overlaps"])),
-            has_detector=row["lane"] in self._detectors,
+            has_detector=self._is_counted(row["lane"], json.loads(row["lanes"])),
             is_charge=row["state"] in (PassageState.CHARGED, PassageState.HELD),
             is_derivable=crossed is None or crossed.derivable,
             pulse_sds=None if pulse is None else sds_of(pulse),
             authenticated=bool(row["authenticated"]),
             pulse=None if pulse is None else pulse["rowid"],
-            explains=frozenset(near),
+            explains=frozenset(explains),
+            is_counted=row["state"] != PassageState.HELD
+            or (owned is not None and owned.probability >= self._settings.counted_probability),
+            probability=None if owned is None else owned.probability,
+            has_lane=row["lane"] is not None,
             waited=now_ns - row["settled_ns"] >= round(self._settings.confirm_wait_s * NS),
         )
+
+    def _is_counted(self, lane: str | None, lanes: Mapping[str, float]) -> bool:
+        """Whether a vehicle is counted wherever it may have crossed the gate line."""
+        if lane is not None:
+            return lane in self._detectors
+        possible = {name for name, probability in lanes.items() if probability > MINIMUM_PROBABILITY}
+        return bool(possible) and possible <= self._detectors
 
     def _read(self, kind: type[AnyMessage], text: str, passage_id: str) -> AnyMessage:
         """Read a stored message.
@@ -889,14 +1043,12 @@ class Ledger:
         self, message: TollPassage, crossed: TollPassage | None, registrations: list[TollRegistration], now_ns: int
     ) -> None:
         """Use the final statement on a passage."""
-        contracts, at_ns = contracts_of(registrations), message.crossing_ns or message.sampled_ns
-        if message.state is PassageState.CHARGED:
+        contracts, crossing_ns = contracts_of(registrations), message.crossing_ns
+        at_ns = crossing_ns or message.sampled_ns
+        if message.state is PassageState.CHARGED or (message.state is PassageState.UNDECIDED and contracts):
             self._charge(message, crossed, registrations, now_ns)
-        elif message.state is PassageState.UNDECIDED and contracts:
-            why = message.reason_code or explain(Code.NO_LANE)
-            self._leave_to_person(message, crossed or message, registrations, why, now_ns)
-        elif message.state is PassageState.VOID and contracts and crossed and self._may_be_counted(message):
-            self._hold(message, crossed, registrations, now_ns, PassageState.VOID)
+        elif message.state is PassageState.VOID and contracts and crossing_ns and self._may_be_counted(message):
+            self._hold(message, crossed or message, registrations, now_ns, PassageState.VOID)
         elif message.state is PassageState.UNREGISTERED and self.registrations.is_of_another(message, at_ns):
             self._settle(message, PassageState.SUSPECT, stated(explain(Code.IDENTITY)), now_ns)
         else:
@@ -972,7 +1124,8 @@ class Ledger:
         is_covered = {identity_of(each) for each in registrations} >= set(identities_of(message))
         if not is_covered and waited_ns < self._settings.registration_wait_s * NS:
             return
-        if message.lane is None:
+        lanes = {lane.lane: lane.probability for lane in message.lanes}
+        if message.lane is None and not (contracts and self._is_counted(None, lanes)):
             why = _why(message) if message.reason else stated(explain(Code.NO_LANE))
             if contracts:
                 code = message.reason_code or explain(Code.NO_LANE)
@@ -985,7 +1138,7 @@ class Ledger:
             self._leave_to_person(message, proof, registrations, doubt, now_ns)
         else:
             self._hold(message, proof, registrations, now_ns)
-            if message.lane not in self._detectors and proof.derivable and not message.overlaps:
+            if not self._is_counted(message.lane, lanes) and proof.derivable and not message.overlaps:
                 self._charge_held(message.passage_id, now_ns)
 
     def _leave_to_person(
@@ -1014,7 +1167,7 @@ class Ledger:
             return explain(Code.NEW_TICKET)
         if needs_ticket and not message.authenticated:
             return explain(Code.NOT_AUTHENTICATED)
-        if is_silent and message.lane not in self._detectors:
+        if is_silent and message.lane is not None and message.lane not in self._detectors:
             return explain(Code.SILENT)
         if message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
             return explain(Code.NO_EVIDENCE)
@@ -1076,6 +1229,7 @@ class Ledger:
         pulses: Sequence[Row] = (),
         verdict: Explanation | None = None,
         ghosts: Sequence[str] = (),
+        assignment: PulseAssignment | None = None,
     ) -> None:
         """Store charge, outbox row and evidence; `passage` has made sure that none is there, and UNIQUE insists."""
         held = self._store.row("SELECT * FROM held WHERE passage_id = ?", passage_id)
@@ -1086,7 +1240,7 @@ class Ledger:
             self._review(passage_id, explain(Code.TWO_CONTRACTS), [], now_ns)
             return
         confirmed_by = verdict or explain(Code.CONFIRMED if pulses else Code.UNCONFIRMED)
-        pack = self._pack_of_held(passage_id, pulses=pulses, verdict=confirmed_by, ghosts=ghosts)
+        pack = self._pack_of_held(passage_id, pulses=pulses, verdict=confirmed_by, ghosts=ghosts, assignment=assignment)
         if pack is None:  # the plaza's file has changed while it was held
             self._review(passage_id, explain(Code.LOST_CLASS), [], now_ns)
             return
@@ -1100,7 +1254,7 @@ class Ledger:
             booked_ns=now_ns,
             plaza=self._plaza.name,
             lane=lane,
-            lane_probability=_probability(message) or 0.0,
+            lane_probability=_probability(message, lane) or 0.0,
             crossing_ns=message.crossing_ns or 0,
             crossing_sd_s=message.crossing_sd_s or 0.0,
             contract=pack.contract,
@@ -1120,7 +1274,7 @@ class Ledger:
         for pulse in pulses:
             self.pictures.charged(pulse)
         self._change(
-            passage_id, state=PassageState.CHARGED, reason=transaction.reason,
+            passage_id, state=PassageState.CHARGED, lane=lane, reason=transaction.reason,
             reason_code=verdict or (None if is_confirmed else unconfirmed), tariff_class=pack.tariff_class,
             amount_cents=pack.amount_cents, currency=tariff.currency, confirmed=is_confirmed,
             authenticated=message.authenticated, ghosts=len(ghosts), evidence_digest=transaction.evidence_digest,
@@ -1138,6 +1292,7 @@ class Ledger:
         pulses: Sequence[Row] = (),
         verdict: Explanation | None = None,
         ghosts: Sequence[str] = (),
+        assignment: PulseAssignment | None = None,
     ) -> EvidencePack | None:
         """Make the evidence pack of a held passage.
 
@@ -1154,14 +1309,10 @@ class Ledger:
         contract, tariff_class = min(contracts)
         return EvidencePack(
             plaza_file=self._plaza_file, tariff_version=tariff.version, contract=contract,
-            tariff_class=tariff_class, lane=charged.lane or "", amount_cents=cents, crossed=crossed,
+            tariff_class=tariff_class, lane=charged.lane or _lane_of(pulses), amount_cents=cents, crossed=crossed,
             charged=charged, form=FORM, registrations=tuple(registrations), match_gate_s=self._settings.match_gate_s,
-            pulses=tuple(
-                PulseEvidence(lane=pulse["lane"], since_ns=pulse["since_ns"], pulse=pulse["number"],
-                              sampled_ns=pulse["sampled_ns"], backward=bool(pulse["backward"]))
-                for pulse in pulses[:PULSES]
-            ),
-            verdict=verdict, ghosts=tuple(ghosts[:OVERLAPS]),
+            pulses=tuple(_pulse_evidence(pulse) for pulse in pulses[:PULSES]),
+            verdict=verdict, ghosts=tuple(ghosts[:OVERLAPS]), assignment=assignment,
         )  # fmt: skip
 
     def _keep(self, pack: EvidencePack, now_ns: int) -> None:
@@ -1327,9 +1478,9 @@ class Ledger:
             lanes = json.dumps({lane.lane: lane.probability for lane in message.lanes})
             self._store.execute(
                 "INSERT INTO crossing (crossing_ns, sd_s, state, lane, lanes, passage_id, overlaps, settled_ns, "
-                "authenticated) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                "authenticated, modes) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 message.crossing_ns, message.crossing_sd_s or 1.0, state, message.lane, lanes, message.passage_id,
-                json.dumps(message.overlaps), now_ns, message.authenticated,
+                json.dumps(message.overlaps), now_ns, message.authenticated, json.dumps(_modes_of(message.modes)),
             )  # fmt: skip
             if tickets := tickets_of(message):
                 self._tickets[message.passage_id] = tickets[-1]
@@ -1469,7 +1620,12 @@ def _balance(lane: str, hour_ns: int, counts: Mapping[str, int]) -> LaneBalance:
 
 
 def _crossing(row: Row) -> Crossing:
-    return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]))
+    modes = tuple(Mode(*mode) for mode in json.loads(row["modes"]))
+    return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]), modes)
+
+
+def _modes_of(modes: Sequence[CrossingMode]) -> list[tuple[float, float, dict[str, float]]]:
+    return [(mode.offset_s, mode.sd_s, {lane.lane: lane.probability for lane in mode.lanes}) for mode in modes]
 
 
 def _missed(row: Row) -> PassageSummary:
@@ -1491,8 +1647,32 @@ def _quoted(text: str) -> QuotedText:
     return QuotedText(quoted=text[:QUOTED_LENGTH])
 
 
-def _probability(passage: TollPassage) -> float | None:
-    return next((lane.probability for lane in passage.lanes if lane.lane == passage.lane), None)
+def _probability(passage: TollPassage, lane: str | None = None) -> float | None:
+    """Probability of a lane by the passage's CAM; of its own lane, or of that of its pulse."""
+    of = lane or passage.lane
+    return next((each.probability for each in passage.lanes if each.lane == of), None)
+
+
+def _lanes(probabilities: Mapping[str, float]) -> tuple[LaneProbability, ...]:
+    return tuple(LaneProbability(lane=name, probability=p) for name, p in probabilities.items())
+
+
+def _possible_lanes(crossing: Crossing) -> set[str]:
+    """Lanes that a crossing may be in."""
+    if crossing.lane is not None:
+        return {crossing.lane}
+    return {lane for lane, probability in crossing.lanes.items() if probability > MINIMUM_PROBABILITY}
+
+
+def _lane_of(pulses: Sequence[Row]) -> str:
+    return str(pulses[0]["lane"]) if pulses else ""
+
+
+def _pulse_evidence(pulse: Row) -> PulseEvidence:
+    return PulseEvidence(
+        lane=pulse["lane"], since_ns=pulse["since_ns"], pulse=pulse["number"], sampled_ns=pulse["sampled_ns"],
+        backward=bool(pulse["backward"]),
+    )  # fmt: skip
 
 
 def _summary(passage: TollPassage) -> PassageSummary:

@@ -3,17 +3,22 @@
 Everything is judged by the pack alone; tables of the ledger are not read.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from shared.errors import RejectedFrame
-from shared.messages.toll import EvidenceFrame, EvidencePack
+from shared.messages.toll import CrossingMode, EvidenceFrame, EvidencePack, LaneProbability, PulseAssignment
 from shared.toll.plaza import Plaza
 from shared.toll.registration import certificate_of, fault_of, identity_of
+from shared.v2x import its_time
 from shared.v2x.security.certificates import Certificate
 from shared.v2x.security.envelope import without_envelope
-from shared.v2x.security.signatures import is_signed_by
+from shared.v2x.security.signatures import is_issued_by, is_signed_by
+from shared.v2x.security.trust import Issuer, TrustStore
 
 from .codes import Code
+from .reconciliation import Crossing, Mode, Pulse, PulseModel, ownership
 from .registrations import contracts_of, identities_of
 
 SD_GATE = 3.0  # standard deviations of the crossing within which a pulse may be its own
@@ -39,8 +44,12 @@ def pack_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
     if plaza.require_authenticated and not pack.charged.authenticated:
         yield "its CAM are not authenticated, and the plaza requires that"
     verdict = pack.verdict.code if pack.verdict else ""
-    if verdict in (Code.CONFIRMED, Code.ALONE):
+    if verdict in (Code.CONFIRMED, Code.ALONE, Code.LANE_BY_PULSE):
         yield from _pulse_faults(pack)
+    if pack.charged.lane is None and (verdict != Code.LANE_BY_PULSE or pack.assignment is None):
+        yield "its lane is undecided, and nothing in the pack decides it"
+    if pack.assignment is not None:
+        yield from _assignment_faults(pack, pack.assignment)
 
 
 def frame_faults(pack: EvidencePack) -> Iterator[str]:
@@ -85,6 +94,79 @@ def _frame_fault(frame: EvidenceFrame, certificates: Mapping[str, Certificate]) 
     return None
 
 
+@dataclass(frozen=True)
+class ChainNote:
+    """What the trusted certificates and lists say of the ticket of a charge."""
+
+    text: str
+    is_fault: bool
+
+
+def chain_notes(pack: EvidencePack, store: TrustStore) -> Iterator[ChainNote]:
+    """Judge the chain above each ticket of an authenticated charge by certificates and lists of today.
+
+    The pack has the certificates of the tickets, and each names its authority. A revocation that was issued after the
+    crossing takes nothing from the charge, and is named.
+
+    Parameters
+    ----------
+    pack : EvidencePack
+        The pack.
+    store : TrustStore
+        Certificates and lists of a folder.
+    """
+    time_s = _signed_time_s(pack)
+    if time_s is None:
+        return
+    tickets = {
+        registration.ticket: certificate_of(registration.certificate)
+        for registration in pack.registrations if registration.ticket and registration.certificate
+    }  # fmt: skip
+    for ticket in sorted(set(pack.charged.tickets) & tickets.keys()):
+        certificate = tickets[ticket]
+        name = (certificate.issuer or b"").hex()
+        issuer = store.issuers.get(certificate.issuer or b"")
+        if issuer is None:
+            yield ChainNote(f"authority {name} of ticket {ticket}: not trusted by the folder", is_fault=True)
+        elif not is_issued_by(certificate, issuer.certificate):
+            yield ChainNote(f"authority {name} has not signed ticket {ticket}", is_fault=True)
+        elif not certificate.start_s <= time_s <= certificate.end_s:
+            yield ChainNote(f"ticket {ticket} was not valid at the crossing", is_fault=True)
+        else:
+            yield _chain_note(issuer, name, time_s)
+
+
+def _signed_time_s(pack: EvidencePack) -> float | None:
+    """ITS time [s] that the last signed frame of the crossing states; None: no frame is signed."""
+    frames = pack.crossed.evidence.frames if pack.crossed.evidence else ()
+    for frame in reversed(frames):
+        try:
+            signed = without_envelope(frame.data)[1]
+        except RejectedFrame:
+            continue  # `frame_faults` names it
+        if signed is not None and (time_us := signed.data.header.get("generationTime")) is not None:
+            return float(time_us) / 1e6
+    return None
+
+
+def _chain_note(issuer: Issuer, name: str, time_s: float) -> ChainNote:
+    root, crl = issuer.root.certificate.digest.hex(), issuer.root.crl
+    chain = f"authority {name}, root {root}"
+    if not all(certificate.start_s <= time_s <= certificate.end_s for certificate in issuer.chain):
+        return ChainNote(f"{chain}: not valid at the crossing", is_fault=True)
+    if crl is None:
+        return ChainNote(f"{chain}: no list of revocations", is_fault=False)
+    issued = _date(crl.issued_s)
+    if any(certificate.digest in crl.revoked for certificate in issuer.chain):
+        is_since = crl.issued_s > time_s
+        return ChainNote(f"{chain}: revoked {'since, ' if is_since else ''}by the list of {issued}", not is_since)
+    return ChainNote(f"{chain}: trusted, by the list of revocations of {issued}", is_fault=False)
+
+
+def _date(its_s: int) -> str:
+    return datetime.fromtimestamp(its_time.utc_ns_from_its_time(its_s * 1000) // 10**9, UTC).date().isoformat()
+
+
 def is_authenticated(pack: EvidencePack) -> bool:
     """Whether the passage of a pack was authenticated."""
     return pack.charged.authenticated
@@ -110,6 +192,36 @@ def _registration_faults(pack: EvidencePack, plaza: Plaza) -> Iterator[str]:
         signers = {frame.signer for frame in evidence.frames}
         if not signers <= set(pack.crossed.tickets):
             yield "a frame is of another ticket than the passage"
+
+
+def _assignment_faults(pack: EvidencePack, given: PulseAssignment) -> Iterator[str]:
+    """Assign the pulses around the crossing again."""
+    charged = pack.charged
+    crossing = Crossing(
+        -1, charged.crossing_ns or 0, charged.crossing_sd_s or 1.0, charged.lane, _probabilities(charged.lanes),
+        _modes(charged.modes),
+    )  # fmt: skip
+    rivals = [
+        Crossing(
+            number, rival.crossing_ns, rival.crossing_sd_s, rival.lane, _probabilities(rival.lanes), _modes(rival.modes)
+        )
+        for number, rival in enumerate(given.rivals)
+    ]
+    pulses = [Pulse(number, pulse.lane, pulse.sampled_ns) for number, pulse in enumerate(given.pulses)]
+    model = PulseModel(given.detector_sd_s, pack.match_gate_s or 0.0, given.missed, given.others_per_s)
+    found = ownership(crossing, pulses, rivals, model)
+    if found is None or found.probability < given.least_probability:
+        yield "the pulses around it do not say that it was counted in its lane"
+    elif (given.pulses[found.pulse.key],) != pack.pulses:
+        yield "another pulse around it is more probably its own"
+
+
+def _modes(modes: Sequence[CrossingMode]) -> tuple[Mode, ...]:
+    return tuple(Mode(mode.offset_s, mode.sd_s, _probabilities(mode.lanes)) for mode in modes)
+
+
+def _probabilities(lanes: Sequence[LaneProbability]) -> dict[str, float]:
+    return {lane.lane: lane.probability for lane in lanes}
 
 
 def _pulse_faults(pack: EvidencePack) -> Iterator[str]:

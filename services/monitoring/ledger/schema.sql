@@ -45,7 +45,8 @@ CREATE TABLE IF NOT EXISTS crossing (
     overlaps TEXT NOT NULL DEFAULT '[]',  -- passages in the same place; empty once that is judged
     settled_ns INTEGER NOT NULL DEFAULT 0,
     authenticated INTEGER NOT NULL DEFAULT 0,
-    in_review INTEGER NOT NULL DEFAULT 0  -- of a contract
+    in_review INTEGER NOT NULL DEFAULT 0,  -- of a contract
+    modes TEXT NOT NULL DEFAULT '[]'  -- by what is supposed of its receiver's error
 );
 -- Complete passages that wait for the pulse of a detector: their final statement, and that of the crossing; also those
 -- that say they have turned around behind the gate line.

@@ -17,6 +17,7 @@ ADDED_COLUMNS = {
     "crossing": (
         "passage_id TEXT", "overlaps TEXT NOT NULL DEFAULT '[]'", "settled_ns INTEGER NOT NULL DEFAULT 0",
         "authenticated INTEGER NOT NULL DEFAULT 0", "in_review INTEGER NOT NULL DEFAULT 0",
+        "modes TEXT NOT NULL DEFAULT '[]'",
     ),
     "pulse": ("backward INTEGER NOT NULL DEFAULT 0", "owner TEXT"),
     "passage": ("registrations TEXT NOT NULL DEFAULT '[]'", "seal TEXT"),

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from shared.runtime.config import Section
 
+ELLIPSE_95 = 2.45  # standard deviations of an axis in an ellipse of 95 %
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -32,6 +34,19 @@ class ErrorModel(Section):
         default=0.3, ge=0.0, le=100.0, description="standard deviation of the multipath error of the unit's own antenna"
     )
     unit_s: float = Field(default=60.0, gt=0.0, description="correlation time of the error of the unit's own antenna")
+    ellipse_m: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=40.0,
+        description="semi-axis of the 95 % ellipse that vehicles state; without it, that of their errors",
+    )
+
+    def stated_sd(self, *, corrected: bool) -> float:
+        """Standard deviation [m] of a horizontal axis that a vehicle states."""
+        if self.ellipse_m is not None:
+            return self.ellipse_m / ELLIPSE_95
+        common_sd = 0.0 if corrected else self.common_sd_m
+        return sqrt(common_sd**2 + self.multipath_sd_m**2 + self.white_sd_m**2)
 
 
 class GaussMarkov:

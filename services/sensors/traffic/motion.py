@@ -1,5 +1,6 @@
 """Paths along lanes, and how vehicles follow each other on them."""
 
+from bisect import bisect_right
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin, sqrt
 
@@ -47,7 +48,7 @@ class Path:
 
     def pose(self, distance: float, offset: float) -> Pose:
         """Give the pose at an arc length, `offset` metres to the right of the line."""
-        k = max(0, min(int(np.searchsorted(self._begin, distance, side="right")) - 1, len(self._lengths) - 1))
+        k = max(0, min(bisect_right(self._begin, distance) - 1, len(self._lengths) - 1))
         share = (distance - self._begin[k]) / self._lengths[k]
         (north, east), (along_n, along_e) = self._points[k], self._steps[k]
         heading = atan2(along_e, along_n)

@@ -11,7 +11,7 @@ from shared.toll.plaza import Lane, Plaza
 from shared.v2x import cam, geonetworking, its_time
 from shared.v2x.generation import Dynamics, GenerationRules
 
-from .errors import ErrorModel, GaussMarkov
+from .errors import ELLIPSE_95, ErrorModel, GaussMarkov
 from .motion import Path, Pose
 from .station import Station
 
@@ -68,11 +68,11 @@ class Vehicle:
         return self.path.pose(self.distance + max(moved, 0.0), self.offset)
 
 
-def frame_of(
+def content_of(
     vehicle: Vehicle, plaza: Plaza, common: GaussMarkov, model: ErrorModel, utc_ns: int, ahead_s: float,
     rng: np.random.Generator,
-) -> bytes | None:  # fmt: skip
-    """Make the frame that a vehicle sends at an instant; None if the generation rules ask for none.
+) -> CamContent | None:  # fmt: skip
+    """Say what a vehicle sends at an instant; None if the generation rules ask for nothing.
 
     What the vehicle states and what the rules compare is what its own sensors measure, not the truth.
     """
@@ -86,9 +86,8 @@ def frame_of(
     generation = vehicle.rules.check(Dynamics(utc_ns, position, heading, speed))
     if generation is None:
         return None
-    common_sd = 0.0 if vehicle.corrected else model.common_sd_m
-    stated = 2.45 * float(np.sqrt(common_sd**2 + model.multipath_sd_m**2 + model.white_sd_m**2))
-    content = CamContent(
+    stated = ELLIPSE_95 * model.stated_sd(corrected=vehicle.corrected)
+    return CamContent(
         station_id=vehicle.station_id,
         station_type=STATION_TYPES[vehicle.tariff_class],
         latitude_deg=place.latitude_deg,
@@ -111,15 +110,20 @@ def frame_of(
         yaw_rate_confidence_rad_s=1.96 * YAW_RATE_SD,
         low_frequency=LowFrequencyContainer() if generation.low_frequency else None,
     )
+
+
+def packet_of(content: CamContent, utc_ns: int) -> bytes:
+    """Encode what a vehicle sends at an instant as a GeoNetworking packet."""
+    latitude_deg, longitude_deg = content.latitude_deg or 0.0, content.longitude_deg or 0.0
     time_ms = its_time.its_time_ms(utc_ns)
     sender = geonetworking.PositionVector(
-        mac_address=geonetworking.pseudonymous_address(vehicle.station_id),
+        mac_address=geonetworking.pseudonymous_address(content.station_id),
         station_type=cam.STATION_TYPE_CODES[content.station_type],
         its_time_ms=time_ms,
-        latitude_deg=place.latitude_deg,
-        longitude_deg=place.longitude_deg,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
         accurate=True,
-        speed_m_s=speed,
-        heading_rad=heading,
+        speed_m_s=content.speed_m_s or 0.0,
+        heading_rad=content.heading_rad or 0.0,
     )
     return geonetworking.encode_packet(cam.encode(content, time_ms % its_time.CYCLE_MS), sender)

@@ -25,13 +25,15 @@ from shared.messages.toll import (
     TrafficPassage,
     TrafficVehicle,
 )
+from shared.messages.v2x import CamContent
 from shared.runtime.config import Section
 from shared.toll.plaza import Lane, Plaza
 
+from .detectors import Detector, Detectors
 from .errors import ErrorModel, GaussMarkov
 from .motion import TURN_SPEED, acceleration, gate_distance, lane_path, turning_path
 from .station import Station
-from .vehicle import REGISTRATION_NS, SIZES_M, Vehicle, frame_of
+from .vehicle import REGISTRATION_NS, SIZES_M, Vehicle, content_of, packet_of
 
 NS = 1_000_000_000
 STEP_NS = NS // 10
@@ -93,6 +95,7 @@ class Traffic(Section):
     errors: ErrorModel = ErrorModel()
     channel: Channel = Channel()
     mix: TrafficMix = TrafficMix()
+    detectors: Detectors = Detectors()
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,7 @@ class World:
         self.plaza, self._traffic, self._seed, self._start_ns = plaza, traffic, seed, start_ns
         self._rng = np.random.default_rng(seed)
         self._signing = np.random.default_rng((seed, 2))  # of its own: who signs changes nothing else
+        self._detector = Detector(traffic.detectors, np.random.default_rng((seed, 3)))
         model = traffic.errors
         self._common = GaussMarkov(model.common_sd_m, model.common_s, STEP_S, self._rng)
         self._unit = GaussMarkov(model.unit_sd_m, model.unit_s, STEP_S, self._rng)
@@ -195,6 +199,8 @@ class World:
                 if vehicle.path.turn is None or vehicle.distance < vehicle.path.turn[0]:
                     leader = vehicle
             queue[:] = [vehicle for vehicle in queue if vehicle.distance < vehicle.path.length - 1.0]
+        for number, pulse_ns in self._detector.of_nothing(begin_ns, STEP_S, len(self.plaza.lanes)):
+            self._detect(self.plaza.lanes[number].name, pulse_ns)
         self._replace()
 
     def _replace(self) -> None:
@@ -247,9 +253,14 @@ class World:
                 TollPayment(sampled_ns=crossing_ns, plaza=self.plaza.name, lane=lane,
                             payment=f"payment-{self._seed}-{vehicle.number}"),
             )  # fmt: skip
-        self._pulses[lane].appendleft(crossing_ns)
+        for pulse_ns in self._detector.of_vehicle(crossing_ns):
+            self._detect(lane, pulse_ns)
+
+    def _detect(self, lane: str, pulse_ns: int) -> None:
+        """Push the pulses of a lane with a new one."""
+        self._pulses[lane].appendleft(pulse_ns)
         self._pulse_numbers[lane] += 1
-        self._push(crossing_ns + STEP_NS, self._pulse(lane))
+        self._push(pulse_ns + STEP_NS, self._pulse(lane))
 
     # Arrivals at the unit
 
@@ -264,15 +275,19 @@ class World:
         if vehicle.silent and vehicle.silent[0] <= vehicle.distance < vehicle.silent[1]:
             return
         sent_ns = begin_ns + vehicle.phase_ns
-        frame = frame_of(vehicle, self.plaza, self._common, self._traffic.errors, sent_ns, vehicle.phase_ns * 1e-9,
-                         self._rng)  # fmt: skip
-        if frame is None:
+        content = content_of(vehicle, self.plaza, self._common, self._traffic.errors, sent_ns, vehicle.phase_ns * 1e-9,
+                             self._rng)  # fmt: skip
+        if content is None:
             return
-        if vehicle.station:
-            frame = vehicle.station.sign(frame, sent_ns)
         self.frames += 1
+        sent = self.sent(vehicle, content, sent_ns)
         for arrival_ns in self._arrivals(sent_ns):
-            self._push(arrival_ns, Frame(frame))
+            self._push(arrival_ns, sent)
+
+    def sent(self, vehicle: Vehicle, content: CamContent, sent_ns: int) -> Frame:
+        """Make the frame that a vehicle sends."""
+        packet = packet_of(content, sent_ns)
+        return Frame(vehicle.station.sign(packet, sent_ns) if vehicle.station else packet)
 
     def _registration(self, vehicle: Vehicle, now_ns: int) -> TollRegistration:
         """Statement of the vehicle's application: of its ticket, or of its station ID where it signs nothing."""

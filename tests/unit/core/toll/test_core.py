@@ -321,6 +321,23 @@ def test_a_final_statement_is_repeated_until_it_is_settled() -> None:
     assert not plant.statements
 
 
+def test_a_new_station_id_continues_none_of_two_silent_ones_that_it_may_be() -> None:
+    """Two stations 3 m apart fall silent at once: which contract the one that comes has is not guessed."""
+    plant = Plant((1.0, 1.0))
+    plant.register(7, 8)
+    first, second = Vehicle(7, "n2", error=(1.0, 1.0)), Vehicle(8, "n2", start=-247.0, error=(1.0, 1.0))
+    plant.drive(first, second, until=8.0)
+    plant.drive(first.named(9), until=20.0, since=8.0)
+    assert plant.core.rejected["ambiguous_continuation"] == 1
+    assert {passage.station_ids for passage in plant.passages} == {(7,), (8,), (9,)}
+    plant.statements.clear()
+    while plant.clock_s < 60.0:
+        plant.second()
+    silent = [passage for passage in plant.passages if passage.reason_code and passage.state is PassageState.VOID]
+    assert {passage.station_ids for passage in silent} == {(7,), (8,)}
+    assert all(passage.crossing_ns is not None for passage in silent)  # a pulse of their time is a review
+
+
 @each("kill", [2.4, 5.0, 11.1, 11.8, 12.6, 13.3])
 @each("renamed", [False, True])
 def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool) -> None:

@@ -83,17 +83,23 @@ def test_a_vehicle_that_is_heard_again_behind_the_exit_line_is_charged_by_eviden
 def test_a_delta_that_came_too_late_is_not_used_after_a_restart_either(
     tmp_path: Path, kill: float, late_s: float
 ) -> None:
-    """As on a busy machine: without a delta the lane is not certain, and a restart must not make it so."""
+    """As on a busy machine: without a delta the CAM leave the lane open, and a restart must not decide it.
+
+    The pulse decides, and the charge follows from the evidence all the same.
+    """
     unit = unit_of(tmp_path)
     unit.drive(3.0)
     unit.fixes_late_s = late_s
     unit.drive(kill)
     assert unit.core is not None and unit.core.rejects["late_delta"] > 2
     unit.restart_core()
-    unit.drive(40.0)
+    unit.drive(60.0)
     (final,) = unit.state().recent
-    assert final.in_review and final.amount_cents is None, "a person decides on a contract that crossed"
-    assert final.reason_code == explain("toll.undecided", decided_probability=0.99)
+    assert final.reason_code and final.reason_code.code == "ledger.lane_by_pulse"
+    found = evidence_of(unit, final.passage_id)
+    pack = parse(found)
+    assert pack.charged.lane is None and pack.lane == final.lane == "n2"
+    assert not is_continued(pack) and differences_of(found, pack) == []
 
 
 def test_without_the_memory_a_passage_that_cannot_be_derived_again_is_reviewed_and_not_charged(tmp_path: Path) -> None:

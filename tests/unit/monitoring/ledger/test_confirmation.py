@@ -12,9 +12,17 @@ from pydantic import ValidationError
 
 from services.monitoring.ledger.confirmation import Claim, Verdict, groups, judge
 from services.monitoring.ledger.ledger import Ledger, Settings
+from services.monitoring.ledger.pack import pack_faults
 from services.monitoring.ledger.store import LedgerFault, Store
 from shared.messages.explanation import explain, passage
-from shared.messages.toll import LedgerState, PassageState, TollReview, TransactionKind
+from shared.messages.toll import (
+    EvidencePack,
+    LaneProbability,
+    LedgerState,
+    PassageState,
+    TollReview,
+    TransactionKind,
+)
 from shared.unpacked import MIN_LIMIT_BYTES
 from tests.support.cases import each
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, answer, ledger_at
@@ -126,6 +134,54 @@ def test_a_charge_without_a_pulse_is_held_and_then_reviewed_and_never_booked(gat
     assert gate.ledger.evidence(car.passage_id) is not None, "whoever judges it needs its evidence"
     gate.ledger.reviewed(review)
     assert gate.reviews() == {}
+
+
+LANES = (LaneProbability(lane="n1", probability=0.3), LaneProbability(lane="n2", probability=0.7))
+
+
+def test_the_lane_of_an_undecided_passage_is_that_of_its_pulse(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.ledger.register(car.registration(), car.opened_ns)
+    crossed = car.says(CROSSED).model_copy(update={"lane": None, "lanes": LANES})
+    gate.ledger.passage(crossed, car.crossing_ns)
+    gate.pulse(replace(car, lane="n1"), 0.05)
+    gate.end(car, lane=None, lanes=LANES, state=PassageState.UNDECIDED, evidence=None)
+    assert gate.outcome(car, 4) is HELD  # whatever is beside it may still come
+    assert gate.outcome(car, EXIT_S + 31) is CHARGED
+    (charge,) = gate.ledger.due(car.crossing_ns + 40 * NS)
+    assert (charge.lane, charge.lane_probability, charge.confirmed) == ("n1", 0.3, True)
+    pack = EvidencePack.model_validate_json(gate.ledger.evidence(car.passage_id) or b"")
+    assert pack.verdict and pack.verdict.code == "ledger.lane_by_pulse" and list(pack_faults(pack, COUNTED)) == []
+    assert pack.assignment is not None
+    for forged in (
+        pack.model_copy(update={"assignment": None}),
+        pack.model_copy(update={"lane": "n2", "pulses": (pack.pulses[0].model_copy(update={"lane": "n2"}),)}),
+        pack.model_copy(
+            update={"assignment": pack.assignment.model_copy(
+                update={"pulses": (*pack.assignment.pulses, pack.pulses[0].model_copy(update={"lane": "n2"}))})}
+        ),
+    ):  # fmt: skip
+        assert list(pack_faults(forged, COUNTED))
+
+
+def test_an_undecided_passage_with_a_vehicle_beside_it_is_left_to_a_person(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.ledger.register(car.registration(), car.opened_ns)
+    gate.ledger.passage(car.says(CROSSED).model_copy(update={"lane": None, "lanes": LANES}), car.crossing_ns)
+    for lane in ("n1", "n2"):
+        gate.pulse(replace(car, lane=lane), 0.02)
+    gate.end(car, lane=None, lanes=LANES, state=PassageState.UNDECIDED, evidence=None)
+    assert gate.outcome(car, EXIT_S + 31) is SUSPECT
+    review = gate.reviews()[car.passage_id]
+    assert review.reason_code and review.reason_code.code == "ledger.unsure" and not gate.state(car).transactions
+
+
+def test_a_pulse_two_seconds_away_is_that_of_another_vehicle(gate: Gate) -> None:
+    car = gate.vehicle("a")
+    gate.pulse(car, 2.0)
+    gate.end(car)
+    assert gate.outcome(car, EXIT_S + 31) is SUSPECT
+    assert not gate.state(car).transactions
 
 
 def test_a_void_statement_ends_what_is_held(gate: Gate) -> None:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from services.monitoring.ledger.ledger import Ledger, PulseTimes
-from services.monitoring.ledger.reconciliation import Crossing, Pulse, match
+from services.monitoring.ledger.reconciliation import Crossing, Pulse, PulseModel, match, ownership
 from shared.messages.toll import LaneBalance, PassageState
 from tests.support.v2x.tolling import COUNTED, NS, START_NS, Vehicle, ledger_at
 
@@ -191,3 +192,85 @@ def test_pulses_near_a_crossing_are_those_of_its_lane_and_time() -> None:
         }  # fmt: skip
         assert set(times.near("n1", at, 6)) == expected
     assert times.near(None, 10, 6) == []
+
+
+MODEL = PulseModel(detector_sd_s=0.1, gate_s=5.0)
+
+
+def best_by_trying(crossings: list[Crossing], pulses: list[Pulse]) -> dict[str | None, float]:
+    """Likelihood of the best assignment for each lane of the first crossing, by trying all of them."""
+    found: dict[str | None, float] = {}
+    for chosen in itertools.product([None, *pulses], repeat=len(crossings)):
+        taken = [pulse.key for pulse in chosen if pulse]
+        if len(set(taken)) < len(taken):
+            continue
+        likelihood = MODEL.others_per_s ** (len(pulses) - len(taken))
+        for crossing, pulse in zip(crossings, chosen, strict=True):
+            if pulse is None:
+                likelihood *= MODEL.missed
+                continue
+            away_s, variance = 1e-9 * (pulse.time_ns - crossing.time_ns), crossing.sd_s**2 + MODEL.detector_sd_s**2
+            lane = max(crossing.lanes.get(pulse.lane, 0.0), 1e-3)
+            normal = np.exp(-0.5 * away_s**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+            likelihood *= (1.0 - MODEL.missed) * lane * (0.99 * normal + 0.01 / 10.0) * (abs(away_s) <= 5.0)
+        own = chosen[0].lane if chosen[0] else None
+        found[own] = max(found.get(own, 0.0), likelihood)
+    return found
+
+
+def test_the_lane_of_a_crossing_is_that_of_the_best_assignment_of_all_around_it() -> None:
+    rng = np.random.default_rng(11)
+    sure = 0
+    for _ in range(60):
+        pulses = [Pulse(n, f"n{rng.integers(1, 4)}", int(rng.normal(0.0, 0.3) * NS)) for n in range(rng.integers(1, 5))]
+        crossings = [
+            Crossing(
+                n, int(rng.normal(0.0, 0.3) * NS), float(rng.uniform(0.05, 0.3)), None,
+                dict(zip(("n1", "n2", "n3"), rng.dirichlet([1.0, 1.0, 1.0]).tolist(), strict=True)),
+            )
+            for n in range(rng.integers(1, 4))
+        ]  # fmt: skip
+        likelihoods = best_by_trying(crossings, pulses)
+        best = max(likelihoods, key=lambda lane: likelihoods[lane])
+        found = ownership(crossings[0], pulses, crossings[1:], MODEL)
+        assert (found.pulse.lane if found else None) == best
+        if found:
+            assert found.probability == pytest.approx(likelihoods[best] / sum(likelihoods.values()), rel=1e-9)
+            sure += found.probability > 0.99
+    assert 5 < sure < 55
+
+
+def test_a_vehicle_that_sends_nothing_beside_an_undecided_one_leaves_its_lane_open() -> None:
+    undecided = Crossing(7, 0, 0.05, None, {"n1": 0.6, "n2": 0.4})
+    alone = ownership(undecided, [Pulse(1, "n2", 50_000_000)], [], MODEL)
+    assert alone and alone.pulse.lane == "n2" and alone.probability > 0.99
+    both = ownership(undecided, [Pulse(1, "n2", 50_000_000), Pulse(2, "n1", 0)], [], MODEL)
+    assert both and both.probability < 0.8
+
+
+def test_a_pulse_that_another_vehicle_behind_has_caused_says_nothing_of_a_missed_one() -> None:
+    crossing = Crossing(7, 0, 0.05, "n1", {"n1": 0.995})
+    late = ownership(crossing, [Pulse(1, "n1", 2 * NS)], [], MODEL)
+    assert late is None or late.probability < 0.99
+
+
+def test_groups_that_nothing_connects_are_assigned_as_all_together() -> None:
+    """The sum of costs is that of one table of all pulses and crossings."""
+    rng = np.random.default_rng(6)
+    pulses = [Pulse(n, f"n{rng.integers(1, 4)}", int(rng.integers(0, 120 * NS))) for n in range(60)]
+    lanes = [None, "n1", "n2", "n3"]
+    crossings = [
+        Crossing(n, int(rng.integers(0, 120 * NS)), float(rng.uniform(0.05, 2.5)), lanes[rng.integers(0, 4)],
+                 {"n1": 0.5, "n2": 0.3, "n3": 0.2})
+        for n in range(50)
+    ]  # fmt: skip
+    found = match(pulses, crossings, **LIMITS)
+    away_s = np.array([[1e-9 * abs(p.time_ns - c.time_ns) for c in crossings] for p in pulses])
+    sds = np.array([crossing.sd_s for crossing in crossings])
+    lane = np.array([[crossing.probability(pulse.lane) for crossing in crossings] for pulse in pulses])
+    possible = (away_s <= np.maximum(5.0, 3.0 * sds)) & (lane > 0.0)
+    cost = np.where(possible, away_s**2 / (sds**2 + 0.01) - 2.0 * np.log(np.maximum(lane, 1e-9)), 1e6)
+    rows, columns = linear_sum_assignment(cost)
+    whole = [(i, k) for i, k in zip(rows, columns, strict=True) if possible[i, k]]
+    assert len(found) == len(whole) < 50
+    assert sum(cost[i, k] for i, k in found.items()) == pytest.approx(sum(cost[i, k] for i, k in whole))
