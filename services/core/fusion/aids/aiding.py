@@ -18,12 +18,15 @@ from ..settings import Settings
 from .base import Measurement, Outcome
 from .gate import REJECTED, Gate
 from .gnss.comparison import Comparison
+from .gnss.correlated import position_errors_of
 from .gnss.duplicate_epochs import Epochs
 from .gnss.fix import GnssPosition, GnssVelocity
 from .gnss.lever_arm import LeverArmMonitor
-from .magnetometer import CompassCheck, MagneticHeading
-from .non_holonomic import NonHolonomic
-from .odometer import WheelSpeed
+from .magnetometer.aid import CompassCheck, MagneticHeading
+from .non_holonomic.aid import NonHolonomic
+from .odometer.aid import WheelSpeed
+from .odometer.zero_speeds import NO_TIME_NS, ODOMETER_SILENT_NS, ZeroSpeeds
+from .standstill.aid import Standstill
 from .updates import (
     AFTER,
     AXES,
@@ -40,8 +43,6 @@ from .updates import (
     Speeds,
     Standing,
 )
-from .zero_speeds import NO_TIME_NS, ODOMETER_SILENT_NS, ZeroSpeeds
-from .zero_velocity import Standstill
 
 # Kind and class of the measurement of each update that a segment makes.
 KINDS: tuple[tuple[AidingKind, type], ...] = (
@@ -120,7 +121,7 @@ class Aids:
             estimated = (
                 isinstance(measurement, GnssPosition)
                 and measurement.time_correlated
-                and not navigation.gnss_errors.follows
+                and not position_errors_of(navigation).follows
             )
             self.error_monitor = self.error_monitor.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated,
@@ -209,7 +210,7 @@ class Aids:
         if used is not None and _is_other(used, seen):
             if _is_in_use(used, seen):
                 return True
-            navigation.reset_odometer_scale()
+            navigation.reset_block("odometer_scale")
             self._zeros = ZeroSpeeds()
         self._odometer = seen
         return False

@@ -14,9 +14,9 @@ from shared.messages.navigation import AidingKind
 from ..inertial.filter import ErrorStateFilter
 
 if TYPE_CHECKING:
-    from .dual_antenna import BaselineHeading
+    from .dual_antenna.aid import BaselineHeading
     from .gnss.fix import GnssPosition, GnssVelocity
-    from .odometer import WheelSpeed
+    from .odometer.aid import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from ..settings import Settings
 from .base import Height, Measurement, Observation, Outcome
 from .gnss.antenna import antenna_velocity
 from .gnss.comparison import Comparison, Corrections
+from .gnss.correlated import GNSS_ERROR
 from .gnss.fix import GnssPosition, GnssVelocity
 from .gnss.lever_arm import FloatArray, LeverArmMonitor
 
@@ -101,12 +102,12 @@ class Gate:
         """
         correction, ratio = self._test(navigation, observation)
         limit = self._settings.gating.robust_limit if observation.kind in INFLATION else 1.0
-        if ratio > limit and isinstance(measurement, GnssPosition) and observation.H[:, em.GNSS_ERROR].any():
+        if ratio > limit and isinstance(measurement, GnssPosition) and observation.H[:, GNSS_ERROR].any():
             other = navigation.unrecorded()
-            other.reset_gnss_error()
+            other.set_parameters(GNSS_ERROR, 1.0)
             with_other_error = measurement.observe(other)
             if self._test(other, with_other_error)[1] <= 1.0:
-                navigation.reset_gnss_error()
+                navigation.set_parameters(GNSS_ERROR, 1.0)
                 observation = with_other_error
                 correction, ratio = self._test(navigation, observation)
         if ratio > limit and observation.kind is AidingKind.GNSS_POSITION and len(observation.z) == 3:
@@ -178,7 +179,7 @@ class Gate:
                 else navigation.innovate(observation.z, observation.H, observation.R / weight)
             )
             navigation.apply(weighted)
-            self.corrections = self.corrections.after(measurement.time_ns, weighted.x[:5].tolist())
+            self.corrections = self.corrections.after(measurement.time_ns, weighted.x[em.LEVEL].tolist())
         if gnss and reason and ratio > 1.0:
             navigation.inflate(**INFLATION[observation.kind])
         if observation.kind is AidingKind.ODOMETER:
