@@ -19,12 +19,11 @@ from ..inertial import error_model as em
 from ..inertial.filter import inflated_along
 from ..inertial.row import Row
 from ..settings import Settings
-from .gate import SPEED_INFLATION_AFTER_NS, SPEED_INFLATION_M_S_SQRT_S, SPEED_INFLATION_PERIOD_NS
 from .non_holonomic import aid as non_holonomic
 from .non_holonomic.aid import ConstraintModel, constraint
 from .odometer import aid as odometer
 from .odometer.aid import OdometerModel, speed_observation
-from .odometer.zero_speeds import NO_TIME_NS
+from .odometer.inflation import INFLATION_M_S_SQRT_S, inflation_after
 from .rear_axle import MOUNTING, rear_axle
 from .standstill.aid import zero_rate, zero_velocity
 
@@ -129,12 +128,8 @@ def observation(
 @inlined
 def inflated(row: Row, inflation_ns: int, H: FloatArray, rejected: bool) -> tuple[Row, int]:
     """Inflate the velocity along the vehicle, once a second, while speeds are rejected for long."""
-    time_ns = row.state.time_ns
-    if not rejected:
-        return row, NO_TIME_NS
-    inflation_ns = time_ns + SPEED_INFLATION_AFTER_NS if inflation_ns == NO_TIME_NS else inflation_ns
-    if time_ns >= inflation_ns:
-        inflation_ns = time_ns + SPEED_INFLATION_PERIOD_NS
-        P = inflated_along(row.P, em.VELOCITY, SPEED_INFLATION_M_S_SQRT_S * H[0, em.VELOCITY])
+    inflation_ns, due = inflation_after(row.state.time_ns, inflation_ns, rejected)
+    if due:
+        P = inflated_along(row.P, em.VELOCITY, INFLATION_M_S_SQRT_S * H[0, em.VELOCITY])
         row = Row(row.state, P, row.imu, row.parameters, row.position_correction)
     return row, inflation_ns

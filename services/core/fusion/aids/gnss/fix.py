@@ -1,9 +1,10 @@
 """GNSS position and velocity of the antenna as measurements of the filter."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
-from typing import NamedTuple, Self
+from types import MappingProxyType
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +63,7 @@ class GnssPosition(Kind):
     """Position of the antenna with its covariance [m², NED]; of its height only the value if `axes` is 2."""
 
     sensor, is_fix, epoch = Sensor.GNSS, True, True
+    inflation: ClassVar[Mapping[str, float]] = MappingProxyType({"position_sd": 0.1, "velocity_sd": 0.1})  # [m, m/s]
 
     time_ns: int
     received_ns: int
@@ -148,6 +150,7 @@ class GnssVelocity(Kind):
     """Velocity of the antenna [m/s, NED] with its covariance; without its vertical part if `axes` is 2."""
 
     sensor, epoch = Sensor.GNSS, True
+    inflation: ClassVar[Mapping[str, float]] = MappingProxyType({"velocity_sd": 0.1})  # [m/s]
 
     time_ns: int
     received_ns: int

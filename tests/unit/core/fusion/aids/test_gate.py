@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.base import Height, Outcome
-from services.core.fusion.aids.gate import FaultStatus, Gate, _weight
+from services.core.fusion.aids.gate import Gate, _weight
 from services.core.fusion.aids.gnss.correlated import GNSS_ERROR, POSITION
+from services.core.fusion.aids.gnss.faults import FaultStatus
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN_ERRORS
 from services.core.fusion.codes import Code
