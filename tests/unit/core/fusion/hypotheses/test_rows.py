@@ -89,3 +89,16 @@ def test_rows_by_increments_are_those_by_samples(together: Navigator) -> None:
         apart = ned_from_geodetic_difference(a.position, b.position)
         assert np.abs(apart / sd[em.POSITION]).max() < 0.03
         assert np.abs(np.subtract(a.velocity, b.velocity) / sd[em.VELOCITY]).max() < 0.03
+
+
+def test_nothing_that_runs_on_changes_an_array_of_a_snapshot() -> None:
+    """Rows and their snapshots share arrays, which are replaced and never written to."""
+    nav = begun()
+    cursors = [*nav.verdicts.cursors, *(member.cursor for member in nav.bank._members)]
+    kept = [snapshot.engine.filter for cursor in cursors for snapshot in cursor._snapshots]
+    kept += [cursor.engine.unrecorded().filter for cursor in cursors]
+    arrays = [array for f in kept if f is not None for array in (f.P, *f.numbers[1:], *f.noise[:3])]
+    before = [array.tobytes() for array in arrays]
+    run(nav, SPLIT_S, SPLIT_S + 2.0)
+    alternatives(nav)
+    assert len(arrays) > 20 and [array.tobytes() for array in arrays] == before
