@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.compiled import COMPILED
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import Vector
@@ -47,7 +46,6 @@ MEAN_OF = 30  # innovations whose mean is published
 PART, FASTEST_HZ = 20, 100.0  # samples used again for each new one of this rate: two minutes take 6 s
 ODOMETER_SILENT_S = 10.0  # after which there is nothing to leave out
 INFINITE_AGE_S = 1e9
-BY_INCREMENTS = not COMPILED  # compiled, a sample costs less than to combine it
 
 
 class Alternative(NamedTuple):
@@ -134,11 +132,11 @@ class Member:
         """Start at the place of the main cursor, or at its snapshot before a suspect time."""
         self.kept = kept
         if since_ns is None:
-            self.cursor = Cursor(main.engine.unrecorded(), kept.events(main.engine.time_ns + 1), combines=BY_INCREMENTS)
+            self.cursor = Cursor(main.engine.unrecorded(), kept.events(main.engine.time_ns + 1), combines=True)
             self.cursor.forget_all()  # keeps one snapshot of now
         else:
             events = kept.events(max(since_ns, main.before(since_ns).time_ns) + 1)
-            self.cursor = main.fork(since_ns, events, combines=BY_INCREMENTS)
+            self.cursor = main.fork(since_ns, events, combines=True)
         self.anchor_ns = self.cursor.engine.time_ns
         self.is_behind = since_ns is not None  # it has not caught up yet
         self._uncertainty = UncertaintyCache(settings)

@@ -59,28 +59,26 @@ def combined(samples: RawSamples, starts: IntArray) -> FloatArray:
     P. Savage, "Strapdown inertial navigation integration algorithm design, part 1 and 2", JGCD 21(1, 2), 1998.
     """
     times_ns, rows, before_ns, before = samples
-    n, m = len(times_ns), len(starts)
-    ends = np.empty(m, np.int64)  # of the groups: after the last sample
+    n = len(times_ns)
+    ends = np.empty(len(starts), np.int64)  # of the groups: after the last sample
     ends[:-1], ends[-1] = starts[1:], n
-    counts = ends - starts
-    gains, changes = np.empty((n, 7)), np.empty((n, 6))
-    step = gains[:, 6:]
+    step, changes = np.empty((n, 1)), np.empty((n, 6))
     step[0], step[1:, 0] = (times_ns[0] - before_ns) * 1e-9, (times_ns[1:] - times_ns[:-1]) * 1e-9
     changes[0], changes[1:] = rows[0] - before, rows[1:] - rows[:-1]
+    gains = rows * step
+    v, a = gains[:, :3], gains[:, 3:]
+    summed = np.add.reduceat(gains, starts)
+    V, phi, span = summed[:, :3], summed[:, 3:], np.add.reduceat(step, starts)
+    A, counts = np.zeros((n, 3)), ends - starts
+    for j in range(1, int(counts.max())):  # each group by itself, so that its bits depend on no other
+        at = starts[counts > j] + j
+        A[at] = A[at - 1] + a[at - 1]
+    made = np.empty((len(starts), WIDTH))
+    made[:, :3] = (V + np.add.reduceat(_cross(A + 0.5 * a, v), starts) - 0.5 * _cross(phi, V)) / span
+    made[:, 3:6] = (phi + 0.5 * np.add.reduceat(_cross(A, a), starts)) / span
     changes *= changes
     changes *= step * step / 6.0
-    gains[:, :6] = rows * step
-    # Each group by itself and filled with zeros, so that its bits depend on no other.
-    of_groups, group = np.zeros((m, int(counts.max()), 7)), np.arange(m).repeat(counts)
-    of_groups[group, np.arange(n) - starts[group]] = gains
-    v, a = of_groups[..., :3], of_groups[..., 3:6]
-    earlier = a.cumsum(axis=1)  # with the sample itself
-    summed, power = of_groups.sum(axis=1), np.add.reduceat(changes, starts)
-    V, phi, span = summed[:, :3], summed[:, 3:6], summed[:, 6:]
-    made = np.empty((m, WIDTH))
-    made[:, :3] = (V + _cross(earlier - 0.5 * a, v).sum(axis=1) - 0.5 * _cross(phi, V)) / span
-    made[:, 3:6] = (phi + 0.5 * _cross(earlier, a).sum(axis=1)) / span
-    power /= span
+    power = np.add.reduceat(changes, starts) / span
     made[:, INCREMENT_VIBRATION] = power[:, :3].sum(axis=1)
     made[:, INCREMENT_VIBRATION + 1] = power[:, 3:].sum(axis=1)
     made[:, INCREMENT_RATE:] = rows[ends - 1, 3:]
@@ -118,6 +116,6 @@ def group_starts(times_ns: IntArray, marks_ns: IntArray, stamps_ns: IntArray) ->
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Vector products of the last axes, shape (..., 3)."""
-    c: FloatArray = (a * b[..., CYCLIC] - a[..., CYCLIC] * b)[..., CYCLIC]
+    """Vector products of rows, shape (n, 3)."""
+    c: FloatArray = (a * b[:, CYCLIC] - a[:, CYCLIC] * b)[:, CYCLIC]
     return c

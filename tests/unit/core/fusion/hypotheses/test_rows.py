@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.core.fusion.hypotheses.bank import BY_INCREMENTS, Member
+from services.core.fusion.hypotheses.bank import Member
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.navigator import Navigator
@@ -72,14 +72,14 @@ def test_looking_at_the_rows_changes_none_of_their_bits(together: Navigator) -> 
 
 def test_rows_by_increments_are_those_by_samples(together: Navigator) -> None:
     """Updates between measurements come at other instants, of the same information: a thirtieth of 1 σ."""
-    other = begun()
-    for member in other.bank._members:
-        member.cursor._combines = not BY_INCREMENTS
-    run(other, SPLIT_S, END_S)
-    alternatives(other)
+    exact = begun()
+    for member in exact.bank._members:
+        member.cursor._combines = False
+    run(exact, SPLIT_S, END_S)
+    alternatives(exact)
     alternatives(together)
     others = {key(member): member.cursor.engine.filter for member in together.bank._members}
-    for member in other.bank._members:
+    for member in exact.bank._members:
         a, b = member.cursor.engine.filter, others[key(member)]
         assert a is not None and b is not None and a.time_ns == b.time_ns
         a.propagate_covariance()
