@@ -132,11 +132,10 @@ class Member:
         """Start at the place of the main cursor, or at its snapshot before a suspect time."""
         self.kept = kept
         if since_ns is None:
-            self.cursor = Cursor(main.engine.unrecorded(), kept.events(main.engine.time_ns + 1), combines=True)
+            self.cursor = Cursor(main.engine.unrecorded(), kept.events(main.engine.time_ns + 1))
             self.cursor.forget_all()  # keeps one snapshot of now
         else:
-            events = kept.events(max(since_ns, main.before(since_ns).time_ns) + 1)
-            self.cursor = main.fork(since_ns, events, combines=True)
+            self.cursor = main.fork(since_ns, kept.events(max(since_ns, main.before(since_ns).time_ns) + 1))
         self.anchor_ns = self.cursor.engine.time_ns
         self.is_behind = since_ns is not None  # it has not caught up yet
         self._uncertainty = UncertaintyCache(settings)

@@ -260,7 +260,7 @@ class ErrorStateFilter:
     def begin_samples(self, row: Sequence[float] | FloatArray) -> None:
         """Measure vibration from the first sample on."""
         if not self._has_sample:
-            fx, fy, fz, wx, wy, wz = map(float, row[:6])
+            fx, fy, fz, wx, wy, wz = map(float, row)
             self.state, self._has_sample = self.state._replace(force=(fx, fy, fz), rate=(wx, wy, wz)), True
 
     def propagate(

@@ -26,7 +26,6 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 GAP_S = 0.05  # longest step between two samples; a longer one is a gap
 VIBRATION_S = 1.0  # time constant of the measured vibration
 NEVER_NS = 2**62
-INCREMENT_VIBRATION, INCREMENT_RATE = 6, 8  # columns of an increment
 INTERVAL_SHARE = 0.99  # share of an interval after which it has ended: sums of sampling periods jitter
 MAX_SPEED_M_S = 500.0  # plausible speed
 HIGHEST_LATITUDE = 0.4999 * pi  # [rad] 2 km from the pole, where NED is singular
@@ -90,8 +89,7 @@ class Samples(NamedTuple):
     """Contiguous IMU samples: arrays for compiled code, lists for Python, which reads them faster."""
 
     times_ns: Sequence[int] | IntArray  # ends of the sampling intervals, shape (n,)
-    # [m/s², rad/s, body] mean force and rate, shape (n, 6); of increments (n, 11): see `increments.combined`
-    rows: Sequence[Sequence[float]] | FloatArray
+    rows: Sequence[Sequence[float]] | FloatArray  # [m/s², rad/s, body] mean force and rate, shape (n, 6)
     faults: Mapping[int, str]  # fault of each suspect sample, by row
 
     def part(self, begin: int, end: int) -> "Samples":
@@ -115,7 +113,7 @@ def initial_state(inertial: InertialState, force: Vector, rate: Vector) -> State
 
 
 @compilable
-def propagate(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and compiled code takes numbers and arrays
+def propagate(  # noqa: PLR0913, PLR0915, PLR0917  # one loop, and compiled code takes numbers and arrays
     state: State,
     times_ns: Sequence[int] | IntArray,
     rows: Sequence[Sequence[float]] | FloatArray,
@@ -134,8 +132,8 @@ def propagate(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, an
         At the end of the sample before.
     times_ns : ndarray of int64, shape (n,), or list
         Ends of the samples; a sample that is not newer than the state is skipped.
-    rows : ndarray, shape (n, 6) or (n, 11), or list
-        [m/s², rad/s, body] Mean specific force and angular rate over the samples, as measured, or increments.
+    rows : ndarray, shape (n, 6), or list
+        [m/s², rad/s, body] Mean specific force and angular rate over the samples, as measured.
     begin, end : int
         Rows to propagate over: from `begin` to before `end`.
     errors : ImuErrors
@@ -212,14 +210,10 @@ def propagate(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, an
         rx, ry, rz = rx + rate_b[0] * step, ry + rate_b[1] * step, rz + rate_b[2] * step
 
         share, scale = min(1.0, step / VIBRATION_S), step / 6.0
-        if len(row) > INCREMENT_VIBRATION:
-            force_psd += share * (row[INCREMENT_VIBRATION] - force_psd)
-            rate_psd += share * (row[INCREMENT_VIBRATION + 1] - rate_psd)
-        else:
-            dx, dy, dz = fx - lfx, fy - lfy, fz - lfz
-            force_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - force_psd)
-            dx, dy, dz = wx - lwx, wy - lwy, wz - lwz
-            rate_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - rate_psd)
+        dx, dy, dz = fx - lfx, fy - lfy, fz - lfz
+        force_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - force_psd)
+        dx, dy, dz = wx - lwx, wy - lwy, wz - lwz
+        rate_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - rate_psd)
         lfx, lfy, lfz, lwx, lwy, lwz = fx, fy, fz, wx, wy, wz
 
         quiet = detect(quiet, rate_b, acceleration_n, norm(velocity), step, limits)
@@ -229,9 +223,6 @@ def propagate(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, an
         else:
             standstill_s, zx, zy, zz = 0.0, 0.0, 0.0, 0.0
         non_holonomic_s += step
-        if len(row) > INCREMENT_VIBRATION and end_ns == times_ns[k - 1]:  # at the end of an increment
-            wx, wy, wz = row[INCREMENT_RATE], row[INCREMENT_RATE + 1], row[INCREMENT_RATE + 2]
-            rate_b = wx - gbx - gsx * wx, wy - gby - gsy * wy, wz - gbz - gsz * wz
     after = State(
         time_ns,
         quaternion,

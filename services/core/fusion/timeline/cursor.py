@@ -38,21 +38,19 @@ class Cursor:
     own : sequence of Event
         Events of this cursor alone. Verdicts of the log on the same source are not its own: it leaves GNSS or the
         odometer out or not by these.
-    combines : bool
-        It uses samples combined to increments, at a fifth of the cost: see `increments`.
     """
 
-    def __init__(self, engine: Engine, own: Sequence[Event] = (), *, combines: bool = False) -> None:
-        self.engine, self._combines = engine, combines
+    def __init__(self, engine: Engine, own: Sequence[Event] = ()) -> None:
+        self.engine = engine
         self.own = tuple(own)
         self._snapshots: deque[Snapshot] = deque()
         self._outcomes: list[Outcome] = []  # not reported yet
         self._late_ns: int | None = None  # stamp of the first entry that came behind the cursor
         self._new: set[Key] = set()  # entries that came behind it and have no outcome yet
 
-    def fork(self, time_ns: int, own: Sequence[Event] = (), *, combines: bool = False) -> "Cursor":
+    def fork(self, time_ns: int, own: Sequence[Event] = ()) -> "Cursor":
         """Start another cursor from the newest snapshot of a time or earlier, or the oldest one, with own events."""
-        forked = Cursor(self.before(time_ns).engine.unrecorded(), own, combines=combines)
+        forked = Cursor(self.before(time_ns).engine.unrecorded(), own)
         forked._keep()
         return forked
 
@@ -127,20 +125,15 @@ class Cursor:
         while most is None or used < most:
             begin_ns = self.engine.time_ns
             wanted = BATCH_SAMPLES if most is None else min(BATCH_SAMPLES, most - used)
-            if self._combines:
-                stamps_ns = (entry.time_ns for entry in self.entries(log, begin_ns, until_ns))
-                samples, count = log.increments(begin_ns, until_ns, wanted, stamps_ns)
-            else:
-                samples = log.samples(begin_ns, until_ns, wanted)
-                count = len(samples.times_ns)
-            if not count:
+            samples = log.samples(begin_ns, until_ns, wanted)
+            if not len(samples.times_ns):
                 break
             end_ns = int(samples.times_ns[-1])
             self._outcomes += self.engine.process(samples, self.entries(log, begin_ns, end_ns))
-            used += count
+            used += len(samples.times_ns)
             if not self._snapshots or end_ns // PERIOD_NS > self._snapshots[-1].time_ns // PERIOD_NS:
                 self._keep()
-            if end_ns >= until_ns:
+            if len(samples.times_ns) < wanted:
                 break
         return used
 

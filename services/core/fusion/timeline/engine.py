@@ -578,5 +578,5 @@ class Engine:
 
 
 def _sample(samples: Samples, k: int) -> Sample:
-    fx, fy, fz, wx, wy, wz = map(float, samples.rows[k][:6])
+    fx, fy, fz, wx, wy, wz = map(float, samples.rows[k])
     return Sample(int(samples.times_ns[k]), (fx, fy, fz), (wx, wy, wz), samples.faults.get(k))

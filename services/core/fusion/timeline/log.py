@@ -1,7 +1,7 @@
 """The log of the timeline: inertial samples as arrays, and measurements and events, in the order of their stamps."""
 
-from bisect import bisect_left, bisect_right, insort
-from collections.abc import Callable, Iterable
+from bisect import bisect_right, insort
+from collections.abc import Callable
 from operator import attrgetter
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from ..aids.base import Measurement
 from ..inertial.imu_faults import Sample
-from ..inertial.increments import RawSamples, combined, group_starts
 from ..inertial.propagation import Samples, samples_of
 
 IntArray = npt.NDArray[np.int64]
@@ -39,38 +38,6 @@ class Log:
         self._begin = self._end = 0  # of the samples that are kept, in the arrays
         self._faults: dict[int, str] = {}  # of suspect samples, by stamp
         self._entries: list[Measurement] = []
-        self._marks_ns: list[int] = []  # places of the horizon, at which increments end
-
-    def mark(self, time_ns: int) -> None:
-        """Let an increment end at a time, which must be later than all before."""
-        if not self._marks_ns or time_ns > self._marks_ns[-1]:
-            self._marks_ns.append(time_ns)
-
-    def increments(self, after_ns: int, until_ns: int, most: int, stamps_ns: Iterable[int]) -> tuple[Samples, int]:
-        """Increments of at most so many samples after one time and up to another, and how many samples they are of.
-
-        They end at marks and at the `stamps_ns` of measurements, and depend on nothing else: one that is not complete
-        because there are too many samples is left for the next call. Suspect samples are not combined.
-        """
-        times_ns = self._times_ns[self._begin : self._end]
-        first = int(times_ns.searchsorted(after_ns, side="right"))
-        last = min(int(times_ns.searchsorted(until_ns, side="right")), first + most + 1)
-        times_ns = times_ns[first:last]
-        if not len(times_ns) or (self._faults and any(t in self._faults for t in times_ns.tolist())):
-            samples = self.samples(after_ns, until_ns, most)
-            return samples, len(samples.times_ns)
-        marked = bisect_left(self._marks_ns, after_ns), bisect_left(self._marks_ns, int(times_ns[-1])) + 1
-        marks_ns = np.array(self._marks_ns[max(0, marked[0] - 1) : marked[1]], np.int64)
-        stamps = np.array([t for t in stamps_ns if after_ns < t <= times_ns[-1]], np.int64)
-        whole, starts = group_starts(times_ns, marks_ns, stamps)
-        if len(times_ns) > most:  # the last increment is not complete
-            end = int(whole[-1]) or most
-            times_ns, starts = times_ns[:end], starts[starts < end]
-        place = self._begin + first
-        rows = self._rows[place : place + len(times_ns)]
-        before = self._rows[place - 1] if first else rows[0]
-        made = combined(RawSamples(times_ns, rows, after_ns, before), starts)
-        return samples_of(times_ns[np.append(starts[1:], len(times_ns)) - 1], made, {}), len(times_ns)
 
     def add(self, sample: Sample) -> None:
         """Append a sample, newer than all before."""
@@ -142,7 +109,6 @@ class Log:
         """Drop samples and entries up to a time."""
         self._begin += int(self._times_ns[self._begin : self._end].searchsorted(until_ns, side="right"))
         del self._entries[: bisect_right(self._entries, until_ns, key=STAMP)]
-        del self._marks_ns[: max(0, bisect_left(self._marks_ns, until_ns) - 1)]
         if self._faults:
             self._faults = {time_ns: fault for time_ns, fault in self._faults.items() if time_ns > until_ns}
 

@@ -194,7 +194,6 @@ class Timeline:
 
     def _advance(self, until_ns: int) -> list[Outcome]:
         samples = self.verdicts.main.advance(self.log, until_ns)
-        self.log.mark(self.verdicts.main.engine.time_ns)
         self._pending -= samples
         self.verdicts.advance(until_ns, samples)
         self._forget()

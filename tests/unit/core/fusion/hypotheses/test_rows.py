@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from services.core.fusion.hypotheses.bank import Member
-from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from shared.maths.earth import ned_from_geodetic_difference
 from tests.unit.core.fusion.hypotheses.test_bank import alternatives, drive, run
 
 BEGIN_S, SPLIT_S, END_S = 0.0, 62.0, 72.0
@@ -68,27 +66,6 @@ def test_looking_at_the_rows_changes_none_of_their_bits(together: Navigator) -> 
         run(looked_at, 0.1 * tenths, 0.1 * (tenths + 1))
         alternatives(looked_at)
     assert bits_of_rows(looked_at) == bits_of_rows(together)
-
-
-def test_rows_by_increments_are_those_by_samples(together: Navigator) -> None:
-    """Updates between measurements come at other instants, of the same information: a thirtieth of 1 σ."""
-    exact = begun()
-    for member in exact.bank._members:
-        member.cursor._combines = False
-    run(exact, SPLIT_S, END_S)
-    alternatives(exact)
-    alternatives(together)
-    others = {key(member): member.cursor.engine.filter for member in together.bank._members}
-    for member in exact.bank._members:
-        a, b = member.cursor.engine.filter, others[key(member)]
-        assert a is not None and b is not None and a.time_ns == b.time_ns
-        a.propagate_covariance()
-        b.propagate_covariance()
-        sd = np.sqrt(a.P.diagonal())
-        assert np.sqrt(b.P.diagonal()[em.POSITION]) == pytest.approx(sd[em.POSITION], rel=0.01)
-        apart = ned_from_geodetic_difference(a.position, b.position)
-        assert np.abs(apart / sd[em.POSITION]).max() < 0.03
-        assert np.abs(np.subtract(a.velocity, b.velocity) / sd[em.VELOCITY]).max() < 0.03
 
 
 def test_nothing_that_runs_on_changes_an_array_of_a_snapshot() -> None:
