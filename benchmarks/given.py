@@ -4,7 +4,7 @@ import numpy as np
 
 from services.core.fusion.aids.base import Measurement
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
-from services.core.fusion.aids.odometer import WheelSpeed
+from services.core.fusion.aids.odometer.aid import WheelSpeed
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic

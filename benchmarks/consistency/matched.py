@@ -13,13 +13,16 @@ import numpy as np
 
 from services.core.fusion.aids.aiding import Aids
 from services.core.fusion.aids.base import Measurement
+from services.core.fusion.aids.gnss.correlated import POSITION
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
 from services.core.fusion.aids.gnss.position_errors import UNKNOWN_ERRORS, KnownGnssErrors
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.propagation import Intervals, samples_of
 from services.core.fusion.inertial.standstill import CERTAIN_LIMITS
-from services.core.fusion.settings import GnssSettings, ImuSettings, Settings
+from services.core.fusion.settings import ImuSettings, Settings
+from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE
@@ -94,7 +97,7 @@ def _started(
     bias_sd = settings.imu.accelerometer_bias_sd_m_s2, settings.imu.gyroscope_bias_sd_rad_s
     sd = np.zeros(em.SIZE)
     sd[STATES] = *START_SD, *np.repeat(bias_sd, 3)
-    sd[em.GNSS_ERROR] = 1.0
+    sd[LAYOUT.place("gnss_error")] = 1.0
     x = (sd[STATES] * rng.standard_normal(sd[STATES].shape)).tolist()
     true = quaternion_from_matrix(ned_from_body(*drive.attitude[first].tolist()))
     north, east, down = drive.velocity_n[first].tolist()
@@ -105,7 +108,7 @@ def _started(
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
     gnss_errors = KnownGnssErrors(CORRELATION_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN_ERRORS
-    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), gnss_errors=gnss_errors)
+    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), errors={POSITION: gnss_errors})
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 
 

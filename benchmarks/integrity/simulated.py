@@ -7,9 +7,10 @@ import numpy as np
 from benchmarks.given import fixes_of, speeds_of
 from cli.campaign import Job, Kept
 from cli.papers.navigation import YAW_SD, saved_heading
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error

@@ -159,7 +159,7 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
     import numpy as np
 
     from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
-    from services.core.fusion.aids.odometer import WheelSpeed
+    from services.core.fusion.aids.odometer.aid import WheelSpeed
     from services.core.fusion.navigator import Navigator
     from services.core.fusion.settings import Settings
     from services.core.fusion.start.heading import Prior

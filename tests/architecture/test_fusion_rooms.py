@@ -13,7 +13,8 @@ ROOMS = ("inertial", "aids", "start", "timeline", "hypotheses")  # each may impo
 # What a room may import of fusion beside the rooms. Every entry is in use, or this test fails.
 BESIDE = {
     "inertial": {"settings", "states", "smoothing.history"},  # noise, states, and what the smoother needs
-    "aids": {"settings", "integrity.error_monitor", "integrity.undetected_shift"},  # updated with each outcome
+    # its states; what is updated with each outcome
+    "aids": {"settings", "states", "blocks", "integrity.error_monitor", "integrity.undetected_shift"},
     "start": {"settings", "states", "codes", "integrity.disagreement"},  # a saved state has what the level holds
     # of two solutions: what they contradict each other by, and what is left of it
     "timeline": {"settings", "codes", "smoothing.history", "solution",
@@ -22,8 +23,6 @@ BESIDE = {
     "hypotheses": {"settings", "codes", "solution", *(f"integrity.{name}" for name in (
         "disagreement", "error_monitor", "protection_levels", "separation"))},
 }  # fmt: skip
-# The filter has the models of GNSS errors as states, until an aid with a state brings its own row.
-UPWARD = {"inertial/filter.py": {"aids.gnss.velocity_errors", "aids.gnss.position_errors"}}
 CONSUMERS = ("integrity", "smoothing", "set_up")  # stand beside the rooms
 
 
@@ -85,7 +84,7 @@ def test_a_room_imports_those_below_it_alone(room: str) -> None:
         place = path.relative_to(FUSION).as_posix()
         foreign = {module for module in modules_of(path) if room_of(module) not in below}
         upward = {module for module in foreign if room_of(module) in ROOMS}
-        assert upward == UPWARD.get(place, set()), f"{place} imports {upward}: arrows go down"
+        assert not upward, f"{place} imports {upward}: arrows go down"
         beside |= foreign - upward
     assert beside == BESIDE[room], f"{room} imports {beside} beside the rooms"
 
@@ -100,7 +99,35 @@ def test_consumers_of_outcomes_know_nothing_of_start_and_timeline(consumer: str)
 def test_every_folder_is_a_room_or_a_consumer() -> None:
     folders = {path.name for path in FUSION.iterdir() if path.is_dir() and any(path.glob("*.py"))}
     assert folders == {*ROOMS, *CONSUMERS}
-    assert all((FUSION / place).exists() for place in UPWARD)
+
+
+def numbers_in(index: ast.expr) -> Iterator[int]:
+    """Numbers in an index, but those that count from the end, or that are the first."""
+    yield from (
+        n.value for n in ast.walk(index) if isinstance(n, ast.Constant) and type(n.value) is int and n.value > 3
+    )
+
+
+def test_nothing_names_a_state_by_number() -> None:
+    """Covariance, errors and parameters are indexed by names: of vectors with three elements more is no index."""
+    of_states = {"P", "x", "H", "F", "Phi", "Q", "psd", "parameters", "covariance", "decay", "variance"}
+    found = {}
+    for path in FUSION.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Subscript):
+                name = node.value.attr if isinstance(node.value, ast.Attribute) else getattr(node.value, "id", "")
+                if name in of_states and (numbers := list(numbers_in(node.slice))):
+                    found[path.relative_to(FUSION).as_posix(), node.lineno] = numbers
+    assert not found
+
+
+def test_every_aid_is_a_folder_with_its_settings_and_states() -> None:
+    """What an aid estimates and what may be adjusted stands beside it; the whole is only a list of them."""
+    for name in ("settings", "states"):
+        whole = modules_of(FUSION / f"{name}.py")
+        assert {module for module in whole if module.startswith("aids.")} == {
+            ".".join(path.relative_to(FUSION).with_suffix("").parts) for path in (FUSION / "aids").glob(f"*/{name}.py")
+        }
 
 
 def test_no_file_outside_aids_asks_for_the_kind_of_a_measurement() -> None:

@@ -10,8 +10,9 @@ from benchmarks.given import fixes_of
 from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.aids.base import Measurement
 from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
 from shared.maths.earth import Geodetic, ned_track
 from shared.runtime.config import GnssAntenna, Vehicle

@@ -10,9 +10,10 @@ import numpy as np
 from benchmarks.given import fixes_of
 from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.aids.kinds import measurements_of
+from services.core.fusion.aids.odometer.settings import OdometerSettings
 from services.core.fusion.batch import solve
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import OdometerSettings, Settings
+from services.core.fusion.settings import Settings
 from services.core.fusion.start.warm_start import fingerprint
 from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import simulate

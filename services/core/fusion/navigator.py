@@ -23,7 +23,7 @@ from shared.messages.trust import Hypothesis
 from .aids.base import Counts, Measurement, Outcome
 from .aids.devices import Devices
 from .aids.gnss.fix import Reading, Stamp, gnss_measurements
-from .aids.odometer import WheelSpeed
+from .aids.odometer.aid import WheelSpeed
 from .codes import Code
 from .hypotheses.bank import Bank
 from .hypotheses.motion_model import State

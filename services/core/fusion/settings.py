@@ -1,11 +1,17 @@
 """Settings of the navigation filter in sections; the defaults suit an MTi-630 in a car."""
 
-from math import pi, radians
+from math import radians
 
 from pydantic import Field
 
-from shared.messages.base import Vector3
 from shared.runtime.config import Section, VehicleSettings
+
+from .aids.barometer.settings import BarometerSettings
+from .aids.gnss.settings import GnssSettings
+from .aids.magnetometer.settings import MagnetometerSettings
+from .aids.non_holonomic.settings import NonHolonomicSettings
+from .aids.odometer.settings import OdometerSettings
+from .aids.standstill.settings import StandstillSettings
 
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
@@ -55,146 +61,6 @@ class ImuSettings(Section):
         ge=0.0,
         le=0.1,
         description="standard deviation of the scale error of each accelerometer at switch-on; 0: not estimated",
-    )
-
-
-class GnssSettings(Section):
-    """Delays and error model of the GNSS receiver; its antenna is `[vehicle.gnss]`."""
-
-    delay_s: float = Field(
-        default=0.0,
-        ge=-2.0,
-        le=2.0,
-        description="delay of fixes: by how much they are older than their stamps, on the clock of the IMU",
-    )
-    delay_sd_s: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=2.0,
-        description="standard deviation of the delay of fixes, which the protection levels hold, times the speed, "
-        "until the check of the set-up agrees; if not given, 0.12 s, or 0.05 s where `delay_s` is not zero",
-    )
-    stamps_exact: bool = Field(
-        default=False,
-        description="the stamps of fixes are those of GNSS time: a delay that the check of the set-up finds is that of "
-        "the inertial samples, and positions are published for the receiver's time",
-    )
-    velocity_delay_s: float = Field(
-        default=0.0,
-        ge=-1.0,
-        le=1.0,
-        description="delay of the velocity beyond that of the position of the same fix, where a receiver smooths it",
-    )
-    time_sd_s: float = Field(
-        default=0.002,
-        ge=0.0,
-        le=1.0,
-        description="standard deviation of the stamps of fixes; times the speed it adds to the position error",
-    )
-    position_only: bool = Field(default=False, description="do not use the velocity that the receiver measures")
-    coasting_after_s: float = Field(
-        default=3.0, gt=0.0, description="time without an accepted position after which the phase is `coasting`"
-    )
-    position_sd_ned_m: Vector3 = Field(
-        default=(2.5, 2.5, 5.0), description="standard deviation of positions, NED, where the receiver states none"
-    )
-    velocity_sd_ned_m_s: Vector3 = Field(
-        default=(0.2, 0.2, 0.4), description="standard deviation of velocities, NED, where the receiver states none"
-    )
-    position_sd_floor_m: float = Field(
-        default=0.01, gt=0.0, description="lower limit of the standard deviation of a position"
-    )
-    velocity_sd_floor_m_s: float = Field(
-        default=0.03, gt=0.0, description="lower limit of the standard deviation of a velocity"
-    )
-    position_sd_factor: float = Field(
-        default=1.0, gt=0.0, description="factor on the standard deviations of positions that the receiver states"
-    )
-    time_correlated_errors: bool = Field(
-        default=True,
-        description="estimate the time-correlated part of position errors where the receiver states more than 0.1 m",
-    )
-    correlation_time_s: float | None = Field(
-        default=None,
-        ge=0.1,
-        le=1e6,
-        description="correlation time of position errors, if known, as from an Allan plot; otherwise it is estimated",
-    )
-    white_noise_share: float = Field(
-        default=0.01,
-        ge=1e-6,
-        lt=1.0,
-        description="share of white noise in the variance of positions, used if `correlation_time_s` is given",
-    )
-    zero_error_at_start: bool = Field(
-        default=False,
-        description="set the time-correlated error to zero at the first fix: the start is a known point or the origin",
-    )
-
-
-class OdometerSettings(Section):
-    """Speed of the wheels."""
-
-    enabled: bool = Field(default=True, description="aid the filter by the speed of the wheels")
-    speed_sd_m_s: float = Field(
-        default=0.05, gt=0.0, description="standard deviation of a wheel speed, apart from its resolution"
-    )
-    scale: float = Field(default=1.0, gt=0.0, le=10.0, description="ratio of the true speed to the indicated speed")
-    scale_sd: float = Field(
-        default=0.02,
-        gt=0.0,
-        description="standard deviation of the scale error of the odometer at switch-on; the error is estimated",
-    )
-
-
-class NonHolonomicSettings(Section):
-    """Non-holonomic constraint (NHC): `[vehicle] rear_axle_body_m` moves neither sideways nor vertically."""
-
-    enabled: bool = Field(default=True, description="aid the filter by the non-holonomic constraint")
-    lateral_sd_m_s: float = Field(
-        default=0.05, gt=0.0, description="standard deviation of the lateral speed, apart from slip in bends"
-    )
-    vertical_sd_m_s: float = Field(
-        default=0.1,
-        gt=0.0,
-        description="standard deviation of the vertical speed, by pitch and heave of the suspension",
-    )
-    mounting_sd_rad: float = Field(
-        default=radians(3.0),
-        gt=0.0,
-        description="standard deviation of the mounting angles (pitch and yaw of the IMU in the vehicle) at switch-on; "
-        "they are estimated",
-    )
-
-
-class StandstillSettings(Section):
-    """Zero-velocity and zero-angular-rate updates (ZUPT, ZARU)."""
-
-    enabled: bool = Field(default=True, description="aid the filter by zero velocity and zero rate at standstill")
-
-
-class BarometerSettings(Section):
-    """Height from the air pressure that some IMUs measure."""
-
-    enabled: bool = Field(default=True, description="aid the filter by the barometric height, if the IMU measures it")
-    height_sd_m: float = Field(
-        default=0.5, gt=0.0, description="standard deviation of the barometric height, apart from its offset"
-    )
-    offset_random_walk_m_sqrt_s: float = Field(
-        default=0.1,
-        gt=0.0,
-        description="random walk of the offset of the barometric height, by weather and open windows",
-    )
-
-
-class MagnetometerSettings(Section):
-    """Heading from the magnetic field."""
-
-    enabled: bool = Field(
-        default=False, description="aid the filter by the magnetic heading after it has agreed with known headings"
-    )
-    declination_rad: float = Field(
-        default=0.0, ge=-pi, le=pi, description="declination of magnetic north from true north, positive to the east"
     )
 
 

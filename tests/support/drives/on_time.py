@@ -12,7 +12,7 @@ import numpy as np
 
 from services.core.fusion.aids.base import Measurement, Outcome
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
-from services.core.fusion.aids.odometer import WheelSpeed
+from services.core.fusion.aids.odometer.aid import WheelSpeed
 from services.core.fusion.inertial.imu_faults import Sample
 from services.core.fusion.messages import solution_message
 from services.core.fusion.settings import Settings

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.core.fusion.aids.gnss.epoch import of_fix
+from services.core.fusion.aids.gnss.aid import of_fix
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
 from services.core.fusion.aids.kinds import measurements_of
-from services.core.fusion.aids.odometer import WheelSpeed
+from services.core.fusion.aids.odometer.aid import WheelSpeed
 from services.core.fusion.set_up.findings import Check
 from services.core.fusion.set_up.monitor import ArmError, evaluate
 from services.core.fusion.set_up.motion import MotionLog

@@ -15,8 +15,9 @@ AID: Example = (
         ),
     ),
     (
+        Edit("services/core/fusion/aids/stated_heading/__init__.py", '"""Aid: heading that a receiver states."""\n'),
         Edit(
-            "services/core/fusion/aids/stated_heading.py",
+            "services/core/fusion/aids/stated_heading/aid.py",
             '''"""Heading that a receiver states by its own filter."""
 
 from collections.abc import Callable, Iterator
@@ -30,10 +31,10 @@ from shared.maths.earth import wrap_angle
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind
 
-from ..inertial import error_model as em
-from ..inertial.filter import ErrorStateFilter
-from ..settings import Settings
-from .base import Kind, Observation, Sensor
+from ...inertial import error_model as em
+from ...inertial.filter import ErrorStateFilter
+from ...settings import Settings
+from ..base import Kind, Observation, Sensor
 
 SD = 0.05  # [rad] of a heading that a receiver states
 
@@ -66,12 +67,19 @@ def of_fix(fix: GnssFix, _settings: Settings) -> Iterator[StatedHeading]:
     """Heading of a fix, if it has one."""
     if fix.stated_heading_rad is not None:
         yield StatedHeading(fix.sampled_ns, fix.received_ns, fix.source, fix.stated_heading_rad)
+
+
+KINDS = {GnssFix: (of_fix,)}
 ''',
         ),
     ),
     (
-        Edit(KINDS, ", stated_heading", after="from . import barometer, dual_antenna, magnetometer, odometer"),
-        Edit(KINDS, ", stated_heading.of_fix", after="epoch.of_fix, dual_antenna.of_fix"),
+        Edit(
+            KINDS,
+            "from .stated_heading import aid as stated_heading\n",
+            after="from .odometer import aid as odometer\n",
+        ),
+        Edit(KINDS, ", stated_heading", after="barometer, magnetometer, dual_antenna"),
     ),
     (
         Edit(

@@ -2,15 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
-
-import numpy as np
 
 from shared.copies import shallow
 from shared.messages.navigation import AidingKind
 
 from ..inertial.filter import ErrorStateFilter
-from ..inertial.propagation import NEVER_NS
 from ..inertial.standstill import Limits, limits_of
 from ..integrity.error_monitor import NO_BLOCK, ErrorMonitor, block
 from ..integrity.undetected_shift import UndetectedShift
@@ -18,12 +14,16 @@ from ..settings import Settings
 from .base import Measurement, Outcome
 from .gate import REJECTED, Gate
 from .gnss.comparison import Comparison
+from .gnss.correlated import position_errors_of
 from .gnss.duplicate_epochs import Epochs
 from .gnss.fix import GnssPosition, GnssVelocity
 from .gnss.lever_arm import LeverArmMonitor
-from .magnetometer import CompassCheck, MagneticHeading
-from .non_holonomic import NonHolonomic
-from .odometer import WheelSpeed
+from .magnetometer.aid import CompassCheck, MagneticHeading
+from .non_holonomic.aid import NonHolonomic
+from .odometer.aid import WheelSpeed
+from .odometer.selection import PreparedSpeeds, is_in_use, is_other, prepared
+from .odometer.zero_speeds import ZeroSpeeds
+from .standstill.aid import Standstill
 from .updates import (
     AFTER,
     AXES,
@@ -37,18 +37,14 @@ from .updates import (
     UNFIT,
     USED,
     VERDICT,
-    Speeds,
     Standing,
 )
-from .zero_speeds import NO_TIME_NS, ODOMETER_SILENT_NS, ZeroSpeeds
-from .zero_velocity import Standstill
 
 # Kind and class of the measurement of each update that a segment makes.
 KINDS: tuple[tuple[AidingKind, type], ...] = (
     (AidingKind.ZERO_VELOCITY, Standstill), (AidingKind.ZERO_ANGULAR_RATE, Standstill),
     (AidingKind.NON_HOLONOMIC, NonHolonomic), (AidingKind.ODOMETER, WheelSpeed),
 )  # fmt: skip
-NO_TIMES, NO_READINGS = np.empty(0, np.int64), np.empty((0, 6))
 
 
 class Aids:
@@ -120,7 +116,7 @@ class Aids:
             estimated = (
                 isinstance(measurement, GnssPosition)
                 and measurement.time_correlated
-                and not navigation.gnss_errors.follows
+                and not position_errors_of(navigation).follows
             )
             self.error_monitor = self.error_monitor.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated,
@@ -146,26 +142,11 @@ class Aids:
     @property
     def standing(self) -> Standing:
         """What speeds have left behind."""
-        inflation_ns = self.gate.inflation_ns
-        return Standing(self._zeros.stand_until_ns, NO_TIME_NS if inflation_ns is None else inflation_ns)
+        return Standing(self._zeros.stand_until_ns, self.gate.inflation_ns)
 
     def speeds(self, measurements: Sequence[Measurement], begin: int, *, excluded: bool) -> "PreparedSpeeds":
         """Prepare the speeds from a place in the list on, up to the next measurement that the engine decides about."""
-        odometer, zeros = self._odometer, self._zeros
-        found: list[PreparedSpeed] = []
-        for place in range(begin, len(measurements)):
-            measurement = measurements[place]
-            if not isinstance(measurement, WheelSpeed):
-                return PreparedSpeeds(found, measurement.time_ns, place)
-            if not excluded:
-                if odometer is not None and _is_other(odometer, measurement):
-                    if not _is_in_use(odometer, measurement):
-                        return PreparedSpeeds(found, measurement.time_ns, place)
-                    found.append(PreparedSpeed(place, measurement, odometer, zeros, excluded=False, ignored=True))
-                    continue
-                odometer, zeros = measurement, zeros.after(measurement.time_ns, measurement.speed)
-            found.append(PreparedSpeed(place, measurement, odometer, zeros, excluded))
-        return PreparedSpeeds(found, NEVER_NS, len(measurements))
+        return prepared(measurements, begin, self._odometer, self._zeros, excluded=excluded)
 
     def took(
         self, prepared: "PreparedSpeeds", used: int, standing: Standing, begin_ns: int,
@@ -178,8 +159,7 @@ class Aids:
         if used:
             self._odometer, self._zeros = prepared.speeds[used - 1][2:4]
         if prepared.speeds and not prepared.speeds[0].excluded:
-            inflation_ns = standing.inflation_ns
-            self.gate.inflation_ns = None if inflation_ns == NO_TIME_NS else inflation_ns
+            self.gate.inflation_ns = standing.inflation_ns
         outcomes, corrections, speeds = (
             [],
             self.gate.corrections,
@@ -206,56 +186,10 @@ class Aids:
     def _is_redundant(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
         """Whether another odometer is in use. When the odometer changes, its scale is reset."""
         used = self._odometer
-        if used is not None and _is_other(used, seen):
-            if _is_in_use(used, seen):
+        if used is not None and is_other(used, seen):
+            if is_in_use(used, seen):
                 return True
-            navigation.reset_odometer_scale()
+            navigation.reset_block("odometer_scale")
             self._zeros = ZeroSpeeds()
         self._odometer = seen
         return False
-
-
-class PreparedSpeed(NamedTuple):
-    """A speed, and the odometer in use after it."""
-
-    place: int  # in the list of measurements
-    measurement: WheelSpeed
-    odometer: WheelSpeed | None
-    zeros: ZeroSpeeds
-    excluded: bool
-    ignored: bool = False  # of another odometer than the one in use
-
-
-class PreparedSpeeds(NamedTuple):
-    """Speeds up to the next other measurement."""
-
-    speeds: list[PreparedSpeed]
-    due_ns: int  # stamp of the other measurement
-    next: int  # its place in the list of measurements
-
-    @property
-    def arrays(self) -> Speeds:
-        """For a segment."""
-        if not self.speeds:
-            return Speeds(NO_TIMES, NO_READINGS, NO_TIMES, self.due_ns)
-        of = [speed.measurement for speed in self.speeds]
-        in_doubt = [speed.zeros.doubt is not None and not speed.excluded for speed in self.speeds]
-        readings = [
-            (m.speed, m.resolution, m.exact, doubt, speed.excluded, speed.ignored)
-            for m, doubt, speed in zip(of, in_doubt, self.speeds, strict=True)
-        ]
-        return Speeds(
-            np.array([m.time_ns for m in of]), np.array(readings, np.float64),
-            np.array([speed.zeros.stand_until_ns for speed in self.speeds]), self.due_ns,
-        )  # fmt: skip
-
-
-def _is_other(used: WheelSpeed, seen: WheelSpeed) -> bool:
-    """Whether a speed is of another odometer than the one in use."""
-    return (used.source, used.of_wheels) != (seen.source, seen.of_wheels)
-
-
-def _is_in_use(used: WheelSpeed, seen: WheelSpeed) -> bool:
-    """Whether the odometer in use stays in use beside another one."""
-    better = seen.of_wheels and not used.of_wheels
-    return not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS

@@ -1,7 +1,8 @@
 """Base of all measurements. A new kind is one file with one class, and one row where its message is converted."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from enum import Enum, auto
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -14,9 +15,9 @@ from shared.messages.navigation import AidingKind
 from ..inertial.filter import ErrorStateFilter
 
 if TYPE_CHECKING:
-    from .dual_antenna import BaselineHeading
+    from .dual_antenna.aid import BaselineHeading
     from .gnss.fix import GnssPosition, GnssVelocity
-    from .odometer import WheelSpeed
+    from .odometer.aid import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -86,6 +87,9 @@ class Kind:
     epoch: ClassVar[bool] = False  # it is of an epoch of a receiver, which a fault-free fix may replace
     quantity: ClassVar[str] = ""  # of which one value in a period is used
     period_ns: ClassVar[int] = 0  # 0: all
+    # Standard deviations by which each rejected one inflates the covariance, as `ErrorStateFilter.inflate` names them;
+    # not empty of measurements of GNSS: those are down-weighted beyond the gate, and their receiver may be excluded.
+    inflation: ClassVar[Mapping[str, float]] = MappingProxyType({})
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
     def implausible(self) -> str | None:
@@ -119,6 +123,7 @@ class Measurement(Protocol):
     epoch: ClassVar[bool]
     quantity: ClassVar[str]
     period_ns: ClassVar[int]
+    inflation: ClassVar[Mapping[str, float]]
 
     @property
     def left_out(self) -> tuple[str, ...]:

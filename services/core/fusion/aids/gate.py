@@ -1,7 +1,6 @@
-"""Gating by the normalised innovation squared (NIS), down-weighting, exclusion and readmission of GNSS receivers."""
+"""Gating by the normalised innovation squared (NIS), and down-weighting."""
 
 from math import radians
-from typing import NamedTuple
 
 from shared.maths.kalman import Correction
 from shared.maths.quantiles import chi_square_limit
@@ -13,53 +12,16 @@ from ..settings import Settings
 from .base import Height, Measurement, Observation, Outcome
 from .gnss.antenna import antenna_velocity
 from .gnss.comparison import Comparison, Corrections
+from .gnss.correlated import GNSS_ERROR
+from .gnss.faults import FaultStatus
 from .gnss.fix import GnssPosition, GnssVelocity
 from .gnss.lever_arm import FloatArray, LeverArmMonitor
+from .odometer.inflation import INFLATION_M_S_SQRT_S, inflation_after
+from .odometer.zero_speeds import NO_TIME_NS
 
-# Standard deviations [m, m/s] by which each rejected GNSS measurement inflates the covariance.
-INFLATION = {
-    AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
-    AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
-}
 CORRECTED_HEADING_SD = radians(3.0)  # smallest standard deviation of a corrected heading
-# Wheel speeds that are rejected for long inflate the velocity along the vehicle, once a second; for a short time wheels
-# may spin.
-SPEED_INFLATION_M_S_SQRT_S = 0.1
-SPEED_INFLATION_AFTER_NS, SPEED_INFLATION_PERIOD_NS = 2_000_000_000, 1_000_000_000
 LEVER_ARM_LIMIT = 9.0  # largest multiple of the gate up to which innovations are used for the lever arm
 REJECTED = "beyond the gate"  # reason of an observation that is not used
-FAULT_MEMORY_S = 60.0  # time without a fault after which earlier faults are not counted
-
-
-class FaultStatus(NamedTuple):
-    """Fault status of a receiver for one kind of observation."""
-
-    rejected_since_ns: int | None = None  # since when all observations have been rejected
-    agreeing_since_ns: int | None = None  # since when all observations of an excluded receiver have agreed
-    faults: int = 0
-    fault_ns: int = 0  # begin or end of the newest fault
-    excluded: bool = False
-
-    def after(self, time_ns: int, agrees: bool, settings: Settings) -> "FaultStatus":
-        """Status after one more observation, which is within the gate or not.
-
-        A receiver that is rejected for `gating.fault_after_s` is excluded until all its observations have agreed for
-        `gating.readmission_s`, twice as long after each further fault within a minute, at most
-        `gating.readmission_max_s`.
-        """
-        if not agrees:
-            since = time_ns if self.rejected_since_ns is None else self.rejected_since_ns
-            if self.excluded or time_ns - since < settings.gating.fault_after_s * 1e9:
-                return self._replace(rejected_since_ns=since, agreeing_since_ns=None)
-            recent = time_ns - self.fault_ns < FAULT_MEMORY_S * 1e9
-            return FaultStatus(since, None, 1 + (self.faults if recent else 0), time_ns, excluded=True)
-        if not self.excluded:
-            return self if self.rejected_since_ns is None else self._replace(rejected_since_ns=None)
-        since = time_ns if self.agreeing_since_ns is None else self.agreeing_since_ns
-        needed_s = min(settings.gating.readmission_s * 2.0 ** (self.faults - 1), settings.gating.readmission_max_s)
-        if time_ns - since >= needed_s * 1e9:
-            return FaultStatus(faults=self.faults, fault_ns=time_ns)
-        return self._replace(rejected_since_ns=None, agreeing_since_ns=since)
 
 
 class Gate:
@@ -71,7 +33,7 @@ class Gate:
         self.comparison = Comparison()  # of the filter's heading with GNSS
         self.lever_arm = LeverArmMonitor()
         self._height_ns: int | None = None  # since when heights have been rejected
-        self.inflation_ns: int | None = None  # time of the next inflation, while wheel speeds are rejected
+        self.inflation_ns = NO_TIME_NS  # next inflation while wheel speeds are rejected
         self._status: dict[tuple[str, AidingKind], FaultStatus] = {}
 
     def restart(self, comparison: Comparison) -> None:
@@ -100,13 +62,13 @@ class Gate:
         of which only the height is beyond the gate is used without its height.
         """
         correction, ratio = self._test(navigation, observation)
-        limit = self._settings.gating.robust_limit if observation.kind in INFLATION else 1.0
-        if ratio > limit and isinstance(measurement, GnssPosition) and observation.H[:, em.GNSS_ERROR].any():
+        limit = self._settings.gating.robust_limit if measurement.inflation else 1.0
+        if ratio > limit and isinstance(measurement, GnssPosition) and observation.H[:, GNSS_ERROR].any():
             other = navigation.unrecorded()
-            other.reset_gnss_error()
+            other.set_parameters(GNSS_ERROR, 1.0)
             with_other_error = measurement.observe(other)
             if self._test(other, with_other_error)[1] <= 1.0:
-                navigation.reset_gnss_error()
+                navigation.set_parameters(GNSS_ERROR, 1.0)
                 observation = with_other_error
                 correction, ratio = self._test(navigation, observation)
         if ratio > limit and observation.kind is AidingKind.GNSS_POSITION and len(observation.z) == 3:
@@ -145,14 +107,9 @@ class Gate:
         self, navigation: ErrorStateFilter, observation: Observation, time_ns: int, rejected: bool
     ) -> None:
         """Inflate the velocity along the vehicle once a second while wheel speeds are rejected for long."""
-        if not rejected:
-            self.inflation_ns = None
-            return
-        if self.inflation_ns is None:
-            self.inflation_ns = time_ns + SPEED_INFLATION_AFTER_NS
-        if time_ns >= self.inflation_ns:
-            self.inflation_ns = time_ns + SPEED_INFLATION_PERIOD_NS
-            navigation.inflate_along(em.VELOCITY, SPEED_INFLATION_M_S_SQRT_S * observation.H[0, em.VELOCITY])
+        self.inflation_ns, due = inflation_after(time_ns, self.inflation_ns, rejected)
+        if due:
+            navigation.inflate_along(em.VELOCITY, INFLATION_M_S_SQRT_S * observation.H[0, em.VELOCITY])
 
     def _decide(
         self,
@@ -163,7 +120,7 @@ class Gate:
         ratio: float,
         remark: str | None,
     ) -> Outcome:
-        gnss = observation.kind in INFLATION
+        gnss = bool(measurement.inflation)
         if gnss and ratio < LEVER_ARM_LIMIT:
             self._monitor_lever_arm(navigation, measurement, observation, correction.S)
         limit = self._settings.gating.robust_limit if gnss else 1.0
@@ -178,9 +135,9 @@ class Gate:
                 else navigation.innovate(observation.z, observation.H, observation.R / weight)
             )
             navigation.apply(weighted)
-            self.corrections = self.corrections.after(measurement.time_ns, weighted.x[:5].tolist())
+            self.corrections = self.corrections.after(measurement.time_ns, weighted.x[em.LEVEL].tolist())
         if gnss and reason and ratio > 1.0:
-            navigation.inflate(**INFLATION[observation.kind])
+            navigation.inflate(**measurement.inflation)
         if observation.kind is AidingKind.ODOMETER:
             self._inflate_speed(
                 navigation, observation, measurement.time_ns, reason is not None and observation.unfit is None

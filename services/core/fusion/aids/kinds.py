@@ -1,31 +1,42 @@
-"""All aids: which measurements a message holds. A new aid is one file, and one row here."""
+"""All aids: which measurements a message holds. A new aid is one folder, and one row here.
 
+The module `aid` of an aid has a mapping `KINDS`: of a class of message, the functions that make measurements of it. So
+has that of a package that is installed beside the unit, an entry point of the group `obu.aids`; what it observes is of
+`AidingKind.EXTERNAL`. States are named by other modules (`states.py`), which are read before any of this.
+"""
+
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from itertools import chain
-from typing import Any
+from typing import Any, cast
 
+from shared import packages
 from shared.messages.base import Message
-from shared.messages.gnss import FaultFreeFix, GnssFix
-from shared.messages.imu import ImuSamples
-from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from ..settings import Settings
-from . import barometer, dual_antenna, magnetometer, odometer
+from .barometer import aid as barometer
 from .base import Measurement
-from .external import external_kinds
-from .gnss import epoch
+from .dual_antenna import aid as dual_antenna
+from .gnss import aid as gnss
+from .magnetometer import aid as magnetometer
+from .odometer import aid as odometer
 
-KINDS: Mapping[type[Message], tuple[Callable[[Any, Settings], Iterable[Measurement]], ...]] = {
-    GnssFix: (epoch.of_fix, dual_antenna.of_fix),
-    FaultFreeFix: (epoch.of_fault_free_fix,),
-    VehicleSpeed: (odometer.of_speed,),
-    WheelSpeeds: (odometer.of_wheels,),
-    ImuSamples: (barometer.of_samples, magnetometer.of_samples),
-}
+AIDS = gnss, odometer, barometer, magnetometer, dual_antenna
+Converter = Callable[[Any, Settings], Iterable[Measurement]]
+
+
+@cache
+def converters() -> Mapping[type[Message], tuple[Converter, ...]]:
+    """Functions of all aids by the class of message, those of installed packages last; read once a process."""
+    found: dict[type[Message], tuple[Converter, ...]] = defaultdict(tuple)
+    for module in (*AIDS, *packages.brought(packages.AIDS)):
+        for message, functions in cast(Any, module).KINDS.items():
+            found[message] += functions
+    return dict(found)
 
 
 def measurements_of(message: Message, settings: Settings) -> list[Measurement]:
     """Measurements that a message holds; none of a message that is no aid."""
-    kind = type(message)
-    converters = (*KINDS.get(kind, ()), *external_kinds().get(kind, ()))
-    return list(chain.from_iterable(convert(message, settings) for convert in converters))
+    functions = converters().get(type(message), ())
+    return list(chain.from_iterable(convert(message, settings) for convert in functions))

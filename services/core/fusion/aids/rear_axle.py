@@ -9,15 +9,17 @@ from shared.maths.rotation import Quaternion, Vector, cross, matrix_from_quatern
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..settings import Settings
+from ..states import LAYOUT
 
 FloatArray = npt.NDArray[np.float64]
 
+MOUNTING = LAYOUT.place("mounting")  # [rad] pitch, yaw
 UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where its position is not configured
 
 
 def rear_axle_of(navigation: ErrorStateFilter, settings: Settings) -> tuple[FloatArray, FloatArray]:
     """Velocity of the rear axle by a filter [m/s, vehicle], and the matrix of its errors: see `rear_axle`."""
-    first, arm = em.MOUNTING.start, settings.vehicle.rear_axle_body_m or (0.0, 0.0, 0.0)
+    first, arm = MOUNTING.start, settings.vehicle.rear_axle_body_m or (0.0, 0.0, 0.0)
     pitch, yaw = navigation.parameter(first), navigation.parameter(first + 1)
     return rear_axle(navigation.quaternion, navigation.velocity, navigation.rate, arm, pitch, yaw)
 
@@ -61,6 +63,6 @@ def rear_axle(
     H[:, em.ATTITUDE] = -vehicle_from_ned @ skew(velocity_n)
     H[:, em.VELOCITY] = -vehicle_from_ned
     H[:, em.GYROSCOPE_BIAS] = -M @ skew(arm_b)
-    H[:, em.MOUNTING.start] = -M @ np.array([u[2], 0.0, -u[0]])
-    H[:, em.MOUNTING.start + 1] = np.array([Mu[1], -Mu[0], 0.0])
+    H[:, MOUNTING.start] = -M @ np.array([u[2], 0.0, -u[0]])
+    H[:, MOUNTING.start + 1] = np.array([Mu[1], -Mu[0], 0.0])
     return Mu, H

@@ -19,20 +19,21 @@ from ..inertial import error_model as em
 from ..inertial.filter import inflated_along
 from ..inertial.row import Row
 from ..settings import Settings
-from . import non_holonomic, odometer
-from .gate import SPEED_INFLATION_AFTER_NS, SPEED_INFLATION_M_S_SQRT_S, SPEED_INFLATION_PERIOD_NS
-from .non_holonomic import ConstraintModel, constraint
-from .odometer import OdometerModel, speed_observation
-from .rear_axle import rear_axle
-from .zero_speeds import NO_TIME_NS
-from .zero_velocity import zero_rate, zero_velocity
+from .non_holonomic import aid as non_holonomic
+from .non_holonomic.aid import ConstraintModel, constraint
+from .odometer import aid as odometer
+from .odometer.aid import OdometerModel, speed_observation
+from .odometer.inflation import INFLATION_M_S_SQRT_S, inflation_after
+from .rear_axle import MOUNTING, rear_axle
+from .standstill.aid import zero_rate, zero_velocity
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 # Columns of a record of an update: time since the begin of the call [ns], which, what became of it, test ratio,
 # dimension, innovation, its standard deviations, and the estimated errors of attitude and of the horizontal velocity.
-AFTER, KIND, VERDICT, RATIO, AXES, INNOVATION, SDS, ERRORS, COLUMNS = 0, 1, 2, 3, 4, 5, 8, 11, 16
+AFTER, KIND, VERDICT, RATIO, AXES, INNOVATION, SDS, ERRORS = 0, 1, 2, 3, 4, 5, 8, 11
+COLUMNS = ERRORS + em.LEVEL.stop
 ZERO_VELOCITY, ZERO_ANGULAR_RATE, NON_HOLONOMIC, ODOMETER = 0, 1, 2, 3  # kinds
 COVARIANCE, NOTHING_DUE, NO_UPDATE = 4, 5, 6  # what is no update
 USED, BEYOND_GATE, UNFIT, EXCLUDED = 0, 1, 2, 3  # verdicts
@@ -92,13 +93,13 @@ def record(  # a row of numbers
     columns[RATIO], columns[AXES] = ratio, axes
     for k in range(axes):
         columns[INNOVATION + k], columns[SDS + k] = z[k], sqrt(S[k, k])
-    columns[ERRORS:] = x[: COLUMNS - ERRORS]
+    columns[ERRORS:] = x[em.LEVEL]
 
 
 @compilable
 def axle_of(row: Row, model: Model) -> tuple[FloatArray, FloatArray]:
     """Velocity of the rear axle, and the matrix of its errors: see `rear_axle`."""
-    state, first = row.state, em.MOUNTING.start - em.DRIVING
+    state, first = row.state, MOUNTING.start - em.DRIVING
     pitch, yaw = float(row.parameters[first]), float(row.parameters[first + 1])
     return rear_axle(state.quaternion, state.velocity, state.rate_b, model.arm_b, pitch, yaw)
 
@@ -127,12 +128,8 @@ def observation(
 @inlined
 def inflated(row: Row, inflation_ns: int, H: FloatArray, rejected: bool) -> tuple[Row, int]:
     """Inflate the velocity along the vehicle, once a second, while speeds are rejected for long."""
-    time_ns = row.state.time_ns
-    if not rejected:
-        return row, NO_TIME_NS
-    inflation_ns = time_ns + SPEED_INFLATION_AFTER_NS if inflation_ns == NO_TIME_NS else inflation_ns
-    if time_ns >= inflation_ns:
-        inflation_ns = time_ns + SPEED_INFLATION_PERIOD_NS
-        P = inflated_along(row.P, em.VELOCITY, SPEED_INFLATION_M_S_SQRT_S * H[0, em.VELOCITY])
+    inflation_ns, due = inflation_after(row.state.time_ns, inflation_ns, rejected)
+    if due:
+        P = inflated_along(row.P, em.VELOCITY, INFLATION_M_S_SQRT_S * H[0, em.VELOCITY])
         row = Row(row.state, P, row.imu, row.parameters, row.position_correction)
     return row, inflation_ns

@@ -15,13 +15,13 @@ from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import NavigationPhase
 
 from ..aids.base import Measurement
+from ..aids.gnss.correlated import position_errors_at_start, position_errors_of
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.odometer import WheelSpeed
+from ..aids.odometer.aid import WheelSpeed
 from ..inertial.filter import ErrorStateFilter
 from ..integrity.protection_levels import horizontal_level, vertical_level
 from ..settings import Settings
 from ..solution import Solution, upper
-from ..start.alignment import gnss_error_model
 from ..start.course import STANDING_M_S, UNKNOWN_HEADING_VARIANCE, CourseFollower, course_of
 
 FloatArray = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ class GnssOnly:
     def __init__(self, settings: Settings, lost: ErrorStateFilter | None = None) -> None:
         self._settings = settings
         self._heading = CourseFollower(settings)
-        self._errors = gnss_error_model(settings) if lost is None else lost.gnss_errors.at_start()
+        self._errors = position_errors_at_start(settings) if lost is None else position_errors_of(lost).at_start()
         if lost is not None:
             self._heading.course = course_of(lost)
         self._velocity: GnssVelocity | None = None

@@ -19,7 +19,7 @@ from shared.maths.rotation import Vector
 
 from ..aids.base import Measurement
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.odometer import WheelSpeed
+from ..aids.odometer.aid import WheelSpeed
 from ..settings import Settings
 
 FloatArray = npt.NDArray[np.float64]

@@ -9,10 +9,12 @@ z = measured - predicted = H x + noise with H = -d(predicted)/d(state). The atti
 vector in NED axes, C_estimated = (I + sk(psi)) C; the position error is in metres NED.
 
 The errors grow by x' = F x + noise. Attitude, velocity and position are driven by each other and by the errors of the
-IMU; every other state is constant, a random walk, or (the time-correlated GNSS errors) a Gauss-Markov process.
+IMU; every other state is constant, a random walk, or a Gauss-Markov process: those of the aids, which find their own by
+name (`states.LAYOUT`).
 """
 
-from math import exp, inf, sqrt
+from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,17 +30,13 @@ FloatArray = npt.NDArray[np.float64]
 
 ATTITUDE = LAYOUT.place("attitude")  # [rad, NED]
 VELOCITY = LAYOUT.place("velocity")  # [m/s, NED]
+LEVEL = slice(ATTITUDE.start, VELOCITY.start + 2)  # attitude, and velocity north and east
 POSITION = LAYOUT.place("position")  # [m, NED]
 ACCELEROMETER_BIAS = LAYOUT.place("accelerometer_bias")  # [m/s², body]
 GYROSCOPE_BIAS = LAYOUT.place("gyroscope_bias")  # [rad/s, body]
 ACCELEROMETER_SCALE = LAYOUT.place("accelerometer_scale")  # [-]
 GYROSCOPE_SCALE = LAYOUT.place("gyroscope_scale")  # [-]
 SCALES = slice(ACCELEROMETER_SCALE.start, GYROSCOPE_SCALE.stop)  # accelerometers and gyroscopes
-ODOMETER_SCALE = LAYOUT.index("odometer_scale")  # [-]
-MOUNTING = LAYOUT.place("mounting")  # [rad] pitch, yaw
-GNSS_ERROR = LAYOUT.place("gnss_error")  # [-] time-correlated error of GNSS positions over its standard deviation
-BAROMETER_OFFSET = LAYOUT.index("barometer_offset")  # [m] of barometric height
-GNSS_VELOCITY_ERROR = LAYOUT.place("gnss_velocity_error")  # [m/s, NED] time-correlated error of GNSS velocities
 SIZE = LAYOUT.size
 MOVING = POSITION.stop  # number of states whose derivative F gives: attitude, velocity, position
 DRIVING = SCALES.stop  # number of states on which that derivative depends: these and the errors of the IMU
@@ -181,32 +179,30 @@ def system_matrix(
     return F
 
 
-def transition_matrix(Ft: FloatArray, gnss_decay: float, velocity_decay: float) -> FloatArray:
-    """Transition matrix Phi, shape (31, 31), of a short step: I + F t, but for the time-correlated errors, which decay.
+def transition_matrix(Ft: FloatArray, decay: FloatArray) -> FloatArray:
+    """Transition matrix Phi, shape (31, 31), of a short step: I + F t, but for time-correlated errors, which decay.
 
     Parameters
     ----------
     Ft : ndarray, shape (9, 21)
         Nonzero block of F t.
-    gnss_decay, velocity_decay : float
-        [-] exp(-t/T) of the errors of GNSS positions and velocities, exact for any step: no other state acts on them.
+    decay : ndarray, shape (31,)
+        [-] exp(-t/T) of each error, exact for any step where no other error acts on it; 1 of one that does not decay.
     """
-    Phi = np.eye(SIZE)
+    Phi = np.diag(decay)
     Phi[:MOVING, :DRIVING] += Ft
-    Phi[GNSS_ERROR, GNSS_ERROR] *= gnss_decay
-    Phi[GNSS_VELOCITY_ERROR, GNSS_VELOCITY_ERROR] *= velocity_decay
     return Phi
 
 
 @inlined
-def predicted(P: FloatArray, Ft: FloatArray, gnss_decay: float, velocity_decay: float, Q: FloatArray) -> FloatArray:
+def predicted(P: FloatArray, Ft: FloatArray, decay: FloatArray, Q: FloatArray) -> FloatArray:
     """Covariance after a step, Phi P Phi^T + diag(Q), with Phi of `transition_matrix`: only its blocks are multiplied.
 
     Parameters
     ----------
     P : ndarray, shape (31, 31)
         Covariance before.
-    Ft, gnss_decay, velocity_decay
+    Ft, decay
         Of `transition_matrix`.
     Q : ndarray, shape (31,)
         Diagonal of the covariance of the noise.
@@ -219,10 +215,7 @@ def predicted(P: FloatArray, Ft: FloatArray, gnss_decay: float, velocity_decay: 
     after = P.copy()
     after[:MOVING] += Ft @ P[:DRIVING]
     after[:, :MOVING] += np.ascontiguousarray(after[:, :DRIVING]) @ Ft.T
-    after[GNSS_ERROR] *= gnss_decay
-    after[:, GNSS_ERROR] *= gnss_decay
-    after[GNSS_VELOCITY_ERROR] *= velocity_decay
-    after[:, GNSS_VELOCITY_ERROR] *= velocity_decay
+    after *= decay.reshape(-1, 1) * decay
     symmetric: FloatArray = 0.5 * (after + after.T)
     symmetric += np.diag(Q)
     return symmetric
@@ -252,37 +245,50 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
     return diagonal
 
 
+class ProcessNoise(NamedTuple):
+    """Noise that drives the errors of one filter."""
+
+    psd: FloatArray  # [unit²/s] shape (31,): see `process_noise_psd`
+    correlation_s: FloatArray  # [s] shape (31,), time T of each Gauss-Markov process; infinite of all other errors
+    variance: FloatArray  # [unit²] shape (31,), s² of each Gauss-Markov process; zero of all other errors
+    vibration_factor: float  # [-] on the measured vibration PSD
+
+
 @compilable
 def process_noise(
-    psd: FloatArray, attitude_psd: float, velocity_psd: float, step_s: float, gnss_correlation_s: float = inf
-) -> FloatArray:
-    """Diagonal of the process noise Q of a step.
+    noise: ProcessNoise, attitude_psd: float, velocity_psd: float, step_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Diagonal of the process noise Q of a step, and the decays of the errors in it.
 
     Parameters
     ----------
-    psd : ndarray, shape (31,)
-        [unit²/s] See `process_noise_psd`.
+    noise : ProcessNoise
+        Of the filter.
     attitude_psd, velocity_psd : float
         [rad²/s], [m²/s³] Least densities of attitude and velocity, from the measured vibration.
     step_s : float
         [s] Length t of the step.
-    gnss_correlation_s : float
-        [s] Correlation time T of the GNSS error, whose stationary variance is one: Q = 1 - exp(-2t/T).
 
     Returns
     -------
-    ndarray, shape (31,)
-        [unit²]
+    tuple of ndarray
+        [unit²], shape (31,); [-], shape (31,).
+
+    Notes
+    -----
+    With the density q of a random walk, the stationary variance s² and the correlation time T::
+
+        Q = q t + s² (1 - exp(-2t/T)),  decay = exp(-t/T)
 
     References
     ----------
     Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6, of first-order Gauss-Markov states.
     """
-    Q: FloatArray = psd * step_s
-    Q[ATTITUDE] = max(psd[ATTITUDE.start], attitude_psd) * step_s
-    Q[VELOCITY] = max(psd[VELOCITY.start], velocity_psd) * step_s
-    Q[GNSS_ERROR] = 1.0 - exp(-2.0 * step_s / gnss_correlation_s)
-    return Q
+    decay = np.exp(-step_s / noise.correlation_s)
+    Q: FloatArray = noise.psd * step_s + noise.variance * (1.0 - decay * decay)
+    Q[ATTITUDE] = max(noise.psd[ATTITUDE.start], attitude_psd) * step_s
+    Q[VELOCITY] = max(noise.psd[VELOCITY.start], velocity_psd) * step_s
+    return Q, decay
 
 
 @compiled
@@ -295,13 +301,10 @@ def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arr
     velocity_gain_n: Vector,
     rotation_b: Vector,
     step_s: float,
-    psd: FloatArray,
+    noise: ProcessNoise,
     attitude_psd: float,
     velocity_psd: float,
-    gnss_correlation_s: float,
-    velocity_correlation_s: float,
-    velocity_variance: FloatArray,
-) -> tuple[FloatArray, FloatArray, float, float]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Covariance after a step, and its transition: see `predicted` and `transition_matrix`.
 
     Parameters
@@ -312,22 +315,17 @@ def propagated(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arr
         At the end of the step: see `system_matrix`.
     velocity_gain_n, rotation_b : tuple of float
         [m/s, NED], [rad, body] Integrals of specific force and angular rate over the step.
-    step_s, psd, attitude_psd, velocity_psd, gnss_correlation_s
+    step_s, noise, attitude_psd, velocity_psd
         See `process_noise`.
-    velocity_correlation_s, velocity_variance : float, ndarray of shape (3,)
-        [s], [m²/s²] Correlation time T and stationary variance s² of the error of GNSS velocities, NED:
-        Q = s² (1 - exp(-2t/T)).
 
     Returns
     -------
-    tuple of ndarray and float
-        P, shape (31, 31), the block F t, shape (9, 21), and the decays of the errors of positions and velocities.
+    tuple of ndarray
+        P, shape (31, 31), the block F t, shape (9, 21), and the decays, shape (31,).
     """
     (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
     force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)
     F = system_matrix(quaternion, velocity, position, earth, force_n, rate_b)
     Ft = F[:MOVING, :DRIVING] * step_s
-    gnss_decay, velocity_decay = exp(-step_s / gnss_correlation_s), exp(-step_s / velocity_correlation_s)
-    Q = process_noise(psd, attitude_psd, velocity_psd, step_s, gnss_correlation_s)
-    Q[GNSS_VELOCITY_ERROR] = velocity_variance * (1.0 - exp(-2.0 * step_s / velocity_correlation_s))
-    return predicted(P, Ft, gnss_decay, velocity_decay, Q), Ft, gnss_decay, velocity_decay
+    Q, decay = process_noise(noise, attitude_psd, velocity_psd, step_s)
+    return predicted(P, Ft, decay, Q), Ft, decay

@@ -1,9 +1,10 @@
 """Error-state Kalman filter (ESKF): inertial state, IMU errors and parameters, with the covariance of their errors."""
 
-from collections.abc import Sequence
-from math import exp, sqrt
+from collections.abc import Mapping, Sequence
+from math import exp, inf, sqrt
 from operator import is_not
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,6 @@ from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion
 
-from ..aids.gnss import velocity_errors as gnss_velocity_errors
-from ..aids.gnss.position_errors import UNKNOWN_ERRORS, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..states import LAYOUT
@@ -35,7 +34,6 @@ from .propagation import (
 from .row import (
     PARAMETERS,
     Numbers,
-    ProcessNoise,
     Row,
     diverged,
     fault_of,
@@ -53,6 +51,22 @@ SCATTER = 0.25  # [-] of delays that are found
 UNCERTAIN_SHARE = 0.5  # [-] of the way in a delay that has just been found
 NO_ERRORS = ImuErrors()
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
+
+
+class CorrelatedErrors(Protocol):
+    """What is known of the time-correlated errors of an aid, a block of states of the filter."""
+
+    @property
+    def correlation_s(self) -> float:
+        """Correlation time [s]."""
+        ...
+
+    def stationary(self, estimated: bool) -> FloatArray | float:
+        """Stationary variances [unit²] of the block, which has a variance already or not; zero: no noise drives it."""
+        ...
+
+
+NO_ERRORS_KNOWN: Mapping[str, CorrelatedErrors] = MappingProxyType({})
 
 
 class FixDelay(NamedTuple):
@@ -106,8 +120,8 @@ class ErrorStateFilter:
         Estimated biases and scale factors at the start.
     parameters : tuple of float
         Parameters of the aiding sensors at the start, in the order of `error_model.PARAMETERS`.
-    gnss_errors : GnssErrorBank or KnownGnssErrors
-        Statistics of the errors of GNSS positions.
+    errors : mapping of str to CorrelatedErrors
+        Statistics of time-correlated errors, by the name of their block.
     """
 
     def __init__(
@@ -117,21 +131,21 @@ class ErrorStateFilter:
         P: FloatArray,
         imu: ImuErrors = NO_ERRORS,
         parameters: tuple[float, ...] = NO_PARAMETERS,
-        gnss_errors: GnssErrorBank | KnownGnssErrors = UNKNOWN_ERRORS,
+        errors: Mapping[str, CorrelatedErrors] = NO_ERRORS_KNOWN,
     ) -> None:
         self.state = initial_state(inertial, ZERO, ZERO)
         self.P = P
         self.imu = imu
         self.parameters = parameters
-        self.gnss_errors = gnss_errors
-        self.velocity_errors = gnss_velocity_errors.UNKNOWN_ERRORS
+        self.errors = errors  # replaced and never changed in place
         self.position_correction: Vector = ZERO  # [m, NED] sum of all corrections
         self.late: FixDelay | None = None  # fixes that seem to be older than their stamps
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
         self._has_sample = False
         self._values: tuple[tuple[object, ...], FloatArray] | None = None  # of `numbers`, and what they are made of
-        self._noise_psd = em.process_noise_psd(*((LAYOUT.place(b.name), b.psd(settings)) for b in LAYOUT.blocks))
+        self._psd = em.process_noise_psd(*((LAYOUT.place(b.name), b.psd(settings)) for b in LAYOUT.blocks))
+        self._noise: tuple[object, list[bool], em.ProcessNoise] | None = None  # of `noise`, and what it is made of
 
     def unrecorded(self) -> "ErrorStateFilter":
         """Independent copy without a history for the smoother."""
@@ -164,13 +178,17 @@ class ErrorStateFilter:
         self._values = (self.state, self.imu, self.parameters, self.position_correction), values
 
     @property
-    def noise(self) -> ProcessNoise:
+    def noise(self) -> em.ProcessNoise:
         """Noise that drives the errors of now."""
-        errors = self.velocity_errors
-        return ProcessNoise(
-            self._noise_psd, self._settings.imu.vibration_factor, self.gnss_errors.correlation_s,
-            gnss_velocity_errors.CORRELATION_S, errors.variance, errors.follows,
-        )  # fmt: skip
+        places = [LAYOUT.place(name) for name in self.errors]
+        estimated = [float(self.P[place.start, place.start]) > 0.0 for place in places]
+        if self._noise is None or self._noise[0] is not self.errors or self._noise[1] != estimated:
+            correlation_s, variance = np.full(em.SIZE, inf), np.zeros(em.SIZE)
+            for place, errors, is_estimated in zip(places, self.errors.values(), estimated, strict=True):
+                correlation_s[place], variance[place] = errors.correlation_s, errors.stationary(is_estimated)
+            made = em.ProcessNoise(self._psd, correlation_s, variance, self._settings.imu.vibration_factor)
+            self._noise = self.errors, estimated, made
+        return self._noise[2]
 
     @property
     def inertial(self) -> InertialState:
@@ -235,21 +253,9 @@ class ErrorStateFilter:
         """Value of a parameter, by the index of its error in the state."""
         return self.parameters[place - em.DRIVING]
 
-    @property
-    def gnss_error(self) -> FloatArray:
-        """Time-correlated error of GNSS positions over its standard deviation, shape (3,)."""
-        place = em.GNSS_ERROR
+    def parameters_of(self, place: slice) -> FloatArray:
+        """Values of a block of parameters, by the indices of their errors in the state."""
         return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
-
-    @property
-    def gnss_velocity_error(self) -> FloatArray:
-        """Time-correlated error of GNSS velocities [m/s, NED], shape (3,)."""
-        place = em.GNSS_VELOCITY_ERROR
-        return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
-
-    def _set_parameters(self, place: slice, values: FloatArray) -> None:
-        begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
-        self.parameters = (*self.parameters[:begin], *values.tolist(), *self.parameters[end:])
 
     def begin_samples(self, row: Sequence[float] | FloatArray) -> None:
         """Measure vibration from the first sample on."""
@@ -273,26 +279,31 @@ class ErrorStateFilter:
         span_s = self.state.span_s
         if span_s == 0.0:
             return
-        row, Ft, gnss_decay, velocity_decay = step_of(self.row, self.noise)
+        row, Ft, decay = step_of(self.row, self.noise)
         self.take(row)
         if self.late is not None:
             self._lag(self.late, span_s)
         self._check()
         if self.recorder is not None:
-            self.recorder.record_step(self, Ft, span_s, (gnss_decay, velocity_decay))
+            self.recorder.record_step(self, Ft, span_s, decay)
 
-    def set_gnss_errors(self, gnss_errors: GnssErrorBank | KnownGnssErrors) -> None:
-        """Use new statistics of GNSS errors; the estimate of the error [m] is kept, and its variance is scaled."""
-        if gnss_errors is self.gnss_errors:
-            return
-        ratios, place = gnss_errors.unit / self.gnss_errors.unit, em.GNSS_ERROR
-        self.gnss_errors = gnss_errors
+    def use_errors(self, name: str, errors: CorrelatedErrors) -> None:
+        """Use other statistics of the time-correlated errors of a block."""
+        self.errors = {**self.errors, name: errors}
+
+    def change_unit(self, place: slice, ratios: FloatArray) -> None:
+        """Change the unit of a block: its values in the old unit are kept, and its variances are scaled.
+
+        `ratios` are the new unit over the old one, shape (m,).
+        """
         if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():
             return
         if self.recorder is not None:
             self.recorder.record_rescaling(self.time_ns, place, ratios, self.P[place])
         self.P = rescaled(self.P, place, ratios)
-        self._set_parameters(place, self.gnss_error / ratios)
+        begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
+        values = self.parameters_of(place) / ratios
+        self.parameters = (*self.parameters[:begin], *values.tolist(), *self.parameters[end:])
 
     def correct_delay(self, position_s: float, velocity_s: float, *, moved: bool = True) -> None:
         """Take fixes to be older than their stamps from now on, and go the way that they were behind, if `moved`.
@@ -345,19 +356,15 @@ class ErrorStateFilter:
         """Add to P the covariance of an error along a direction, shape (3,), of one block of the state, in its unit."""
         self.P = inflated_along(self.P, block, error)
 
-    def reset_odometer_scale(self) -> None:
-        """Reset the scale factor of the odometer and its variance, for another odometer."""
-        self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer.scale_sd)
+    def reset_block(self, name: str) -> None:
+        """Set the parameters of a block and their variances to those of a start."""
+        block = LAYOUT.block(name)
+        self.set_parameters(LAYOUT.place(name), block.sd(self._settings))
 
-    def reset_gnss_error(self) -> None:
-        """Reset the time-correlated GNSS error to zero with unit variance, independent of the error before."""
-        for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
-            self.set_parameter(place, 0.0, 1.0)
-
-    def zero_gnss_velocity_error(self) -> None:
-        """Set the time-correlated error of GNSS velocities to zero, and its variance too."""
-        for place in range(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.stop):
-            self.set_parameter(place, 0.0, 0.0)
+    def set_parameters(self, place: slice, sd: float) -> None:
+        """Set parameters of a block to zero with a standard deviation, independent of the estimate before."""
+        for k in range(place.start, place.stop):
+            self.set_parameter(k, 0.0, sd)
 
     def set_parameter(self, place: int, value: float, sd: float) -> None:
         """Set a parameter and its variance, independent of the estimate before."""

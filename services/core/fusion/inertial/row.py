@@ -5,7 +5,7 @@ Nothing of a row is changed in place, so that rows may share what they have in c
 
 from collections.abc import Sequence
 from enum import IntEnum
-from math import inf, isfinite, sqrt
+from math import isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -57,17 +57,6 @@ class Row(NamedTuple):
     position_correction: Vector  # [m, NED] sum of all corrections
 
 
-class ProcessNoise(NamedTuple):
-    """Noise that drives the errors of one filter."""
-
-    psd: FloatArray  # [unit²/s] shape (31,): see `error_model.process_noise_psd`
-    vibration_factor: float  # [-] on the measured vibration PSD
-    gnss_correlation_s: float  # of the errors of GNSS positions, where they are estimated
-    velocity_correlation_s: float  # of the errors of GNSS velocities
-    velocity_variance: FloatArray  # [m²/s²] shape (3,), of these
-    velocity_follows: bool  # these have a variance
-
-
 def diverged(fault: int) -> FilterDiverged:
     """Exception of a fault."""
     text, cause = TEXTS[Fault(fault)]
@@ -87,28 +76,18 @@ def minus(old: Vector, errors: Vector) -> Vector:
     return old[0] - errors[0], old[1] - errors[1], old[2] - errors[2]
 
 
-@compilable
-def decayed(parameters: FloatArray, place: slice, decay: float) -> FloatArray:
-    """Parameters of which one block has decayed."""
-    after = parameters.copy()
-    begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
-    after[begin:end] = decay * parameters[begin:end]
-    return after
-
-
 @inlined
-def step_of(row: Row, noise: ProcessNoise) -> tuple[Row, FloatArray, float, float]:
+def step_of(row: Row, noise: em.ProcessNoise) -> tuple[Row, FloatArray, FloatArray]:
     """Propagate the covariance to the instant of the state, P = Phi P Phi^T + Q, as the smoother needs it.
 
     Returns
     -------
     tuple
-        The row, the block F t, shape (9, 21), and the decays of the errors of GNSS positions and velocities.
+        The row, the block F t, shape (9, 21), and the decays of the errors, shape (31,).
     """
-    state, P, parameters = row.state, row.P, row.parameters
-    estimated = P[em.GNSS_ERROR.start, em.GNSS_ERROR.start] > 0.0
-    P, Ft, gnss_decay, velocity_decay = em.propagated(
-        P,
+    state = row.state
+    P, Ft, decay = em.propagated(
+        row.P,
         state.quaternion,
         state.velocity,
         state.position,
@@ -116,23 +95,16 @@ def step_of(row: Row, noise: ProcessNoise) -> tuple[Row, FloatArray, float, floa
         state.velocity_gain_n,
         state.rotation_b,
         state.span_s,
-        noise.psd,
+        noise,
         noise.vibration_factor * state.rate_vibration_psd,
         noise.vibration_factor * state.force_vibration_psd,
-        noise.gnss_correlation_s if estimated else inf,
-        noise.velocity_correlation_s,
-        noise.velocity_variance,
     )
-    if gnss_decay != 1.0:
-        parameters = decayed(parameters, em.GNSS_ERROR, gnss_decay)
-    if noise.velocity_follows:
-        parameters = decayed(parameters, em.GNSS_VELOCITY_ERROR, velocity_decay)
-    after = Row(_without_span(state), P, row.imu, parameters, row.position_correction)
-    return after, Ft, gnss_decay, velocity_decay
+    parameters = decay[em.PARAMETERS] * row.parameters
+    return Row(_without_span(state), P, row.imu, parameters, row.position_correction), Ft, decay
 
 
 @inlined
-def step(row: Row, noise: ProcessNoise) -> Row:
+def step(row: Row, noise: em.ProcessNoise) -> Row:
     """Propagate the covariance to the instant of the state."""
     return step_of(row, noise)[0]
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from shared.runtime.config import GnssAntenna
 
-from ..settings import GnssSettings, Settings
+from ..aids.gnss.settings import GnssSettings
+from ..settings import Settings
 
 ARM_SD_M = 0.35  # of a lever arm that was measured by hand: 3.3 of them hold one that is a metre off, and the filter
 UNKNOWN_ARM_SD_M = 0.5  # of one that is not given: an antenna on the roof of a car, an IMU anywhere in it

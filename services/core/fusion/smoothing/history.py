@@ -27,16 +27,16 @@ class Start(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Covariance step x+ = Phi x + noise, with Phi = I + F t except for the time-correlated GNSS errors."""
+    """Covariance step x+ = Phi x + noise, with Phi = I + F t except for time-correlated errors."""
 
     time_ns: int  # end of the step
     Ft: FloatArray  # nonzero block of F t, shape (9, 21)
-    decays: tuple[float, float]  # diagonal of Phi for the time-correlated errors of GNSS positions and velocities
+    decay: FloatArray  # diagonal of Phi but for that block, shape (31,)
 
     @property
     def transition(self) -> FloatArray:
         """Matrix Phi, shape (31, 31)."""
-        return em.transition_matrix(self.Ft, *self.decays)
+        return em.transition_matrix(self.Ft, self.decay)
 
 
 class CorrectionRecord(NamedTuple):
@@ -114,12 +114,10 @@ class HistoryRecorder:
         self._store.push(Start(filter_.inertial.time_ns))
         self._add_knot(filter_)
 
-    def record_step(
-        self, filter_: "ErrorStateFilter", Ft: FloatArray, step_s: float, decays: tuple[float, float]
-    ) -> None:
+    def record_step(self, filter_: "ErrorStateFilter", Ft: FloatArray, step_s: float, decay: FloatArray) -> None:
         """Record a covariance step of `step_s` with the block F t and the decays of its transition."""
         time_ns = filter_.time_ns
-        self._store.push(Step(time_ns, Ft, decays))
+        self._store.push(Step(time_ns, Ft, decay))
         before_ns = time_ns - round(step_s * 1e9)
         if time_ns // self._period_ns != before_ns // self._period_ns:
             self._add_knot(filter_)

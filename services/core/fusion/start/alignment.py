@@ -13,10 +13,10 @@ from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, qu
 from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import NavigationPhase
 
-from ..aids.dual_antenna import BaselineHeading
+from ..aids.dual_antenna.aid import BaselineHeading
 from ..aids.gnss.comparison import STANDSTILL_OFFSET_SD, Comparison
+from ..aids.gnss.correlated import GNSS_ERROR, POSITION, position_errors_at_start, position_errors_of
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.gnss.position_errors import UNKNOWN_ERRORS, GnssErrorBank, KnownGnssErrors
 from ..codes import Code, HeadingMethod
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
@@ -270,19 +270,17 @@ class Alignment:
         P[em.SCALES, em.SCALES] = self._scales_cov()
         P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
         P[em.POSITION, em.POSITION] = first.cov
-        P[em.GNSS_ERROR, :] = P[:, em.GNSS_ERROR] = 0.0
-        P[em.GNSS_ERROR, em.GNSS_ERROR] = first.error_cov
-        P[em.POSITION, em.GNSS_ERROR] = first.cross_cov
-        P[em.GNSS_ERROR, em.POSITION] = first.cross_cov.T
+        P[GNSS_ERROR, :] = P[:, GNSS_ERROR] = 0.0
+        P[GNSS_ERROR, GNSS_ERROR] = first.error_cov
+        P[em.POSITION, GNSS_ERROR] = first.cross_cov
+        P[GNSS_ERROR, em.POSITION] = first.cross_cov.T
         inertial = InertialState(fix.time_ns, quaternion, velocity, position)
         known = self._lost.parameters if self._lost else NO_PARAMETERS
-        begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
+        begin, end = GNSS_ERROR.start - em.DRIVING, GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
         imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
-        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.gnss_errors)
-        if self._lost is not None:
-            started.velocity_errors = self._lost.velocity_errors
-        return started
+        errors = {**(self._lost.errors if self._lost else {}), POSITION: first.gnss_errors}
+        return ErrorStateFilter(settings, inertial, P, imu, parameters, errors)
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes at standstill, or the newest fix on the move."""
@@ -291,7 +289,8 @@ class Alignment:
             for standstill_fix in self._standstill_fixes
             if (standstill_fix.axes, standstill_fix.time_correlated) == (fix.axes, fix.time_correlated)
         ]
-        gnss_errors = self._lost.gnss_errors.at_start() if self._lost else gnss_error_model(self._settings)
+        known = self._lost and position_errors_of(self._lost).at_start()
+        gnss_errors = known or position_errors_at_start(self._settings)
         return first_place(fixes or [fix], gnss_errors, self._zero_ns)
 
     def _scales_cov(self) -> FloatArray:
@@ -324,12 +323,6 @@ class Alignment:
         vertical = min(self._settings.imu.gyroscope_bias_sd_rad_s, VERTICAL_BIAS_SD_LIMIT)
         cov = np.diag([horizontal, horizontal, vertical**2])
         return self.levelling.rate_bias, C.T @ cov @ C
-
-
-def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:
-    """Statistics of GNSS errors before the first fix: those of the settings, or unknown."""
-    correlation_s = settings.gnss.correlation_time_s
-    return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN_ERRORS
 
 
 def _tilt_by_bias_error(ned_from_body: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector
 
 from ..aids.gnss.fix import GnssPosition, GnssVelocity
-from ..aids.odometer import WheelSpeed
+from ..aids.odometer.aid import WheelSpeed
 from ..inertial import error_model as em
 from ..inertial.filter import ErrorStateFilter
 from ..settings import Settings

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 
+from ..aids.gnss.correlated import PositionErrors
 from ..aids.gnss.fix import GnssPosition
-from ..aids.gnss.position_errors import GnssErrorBank, KnownGnssErrors, mean_at_rest
+from ..aids.gnss.position_errors import mean_at_rest
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,12 +29,10 @@ class FirstPlace(NamedTuple):
     error: tuple[float, ...]
     error_cov: FloatArray  # shape (3, 3)
     cross_cov: FloatArray  # shape (3, 3) [m] of position and error
-    gnss_errors: GnssErrorBank | KnownGnssErrors
+    gnss_errors: PositionErrors
 
 
-def first_place(
-    fixes: Sequence[GnssPosition], gnss_errors: GnssErrorBank | KnownGnssErrors, zero_ns: int | None = None
-) -> FirstPlace:
+def first_place(fixes: Sequence[GnssPosition], gnss_errors: PositionErrors, zero_ns: int | None = None) -> FirstPlace:
     """Weighted mean of fixes at standstill, newest last.
 
     A time-correlated error is common to all of them: the mean of many is hardly better than one fix, and the errors of
@@ -43,7 +42,7 @@ def first_place(
     ----------
     fixes : sequence of GnssPosition
         Of one receiver mode; the last one is the time of the result.
-    gnss_errors : GnssErrorBank or KnownGnssErrors
+    gnss_errors : PositionErrors
         Statistics of their errors before the first of them.
     zero_ns : int, optional
         Stamp at which the time-correlated error is zero.

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from shared.inertial.strapdown import InertialState
 from shared.maths.rotation import Vector
 
+from ..aids.gnss.correlated import GNSS_ERROR, POSITION, position_errors_at_start, position_errors_of
 from ..inertial import error_model as em
 from ..inertial.filter import NO_PARAMETERS, ErrorStateFilter
 from ..inertial.imu_faults import Sample, credible, mean
@@ -27,7 +28,6 @@ from ..inertial.standstill import CERTAIN_LIMITS, UNSETTLED
 from ..integrity.disagreement import NO_DISAGREEMENT, Disagreement
 from ..settings import Settings
 from ..states import LAYOUT
-from .alignment import gnss_error_model
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def saved_state(
 ) -> SavedState:
     """State of a filter, whose covariance is of its time, for saving."""
     units = np.ones(em.SIZE)
-    units[em.GNSS_ERROR] = navigation.gnss_errors.unit
+    units[GNSS_ERROR] = position_errors_of(navigation).unit
     return SavedState(
         inertial=navigation.inertial,
         accelerometer_bias=navigation.imu.accelerometer_bias,
@@ -152,16 +152,16 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
     FilterDiverged
         The state after the gap is implausible.
     """
-    gnss_errors = gnss_error_model(settings)
+    gnss_errors = position_errors_at_start(settings)
     units = np.ones(em.SIZE)
-    units[em.GNSS_ERROR] = gnss_errors.unit
+    units[GNSS_ERROR] = gnss_errors.unit
     navigation = ErrorStateFilter(
         settings,
         saved.inertial,
         covariance_of(saved) / np.outer(units, units),
         ImuErrors(saved.accelerometer_bias, saved.gyroscope_bias, saved.accelerometer_scale, saved.gyroscope_scale),
         tuple((np.array(saved.parameters) / units[em.PARAMETERS]).tolist()),
-        gnss_errors,
+        {POSITION: gnss_errors},
     )
     force, rate = mean(saved.sample[0], sample.force), mean(saved.sample[1], sample.rate)
     bias, down = np.array(saved.gyroscope_bias), navigation.ned_from_body[2]

@@ -14,14 +14,15 @@ from shared.maths.earth import ned_from_geodetic_difference
 from shared.messages.explanation import Explanation, explain
 from shared.messages.navigation import AidingKind, NavigationPhase
 
-from ..aids import non_holonomic, zero_velocity
 from ..aids.aiding import Aids
 from ..aids.base import Counts, Measurement, Outcome, Sensor
 from ..aids.gnss.comparison import Comparison
 from ..aids.gnss.fix import GnssPosition
-from ..aids.non_holonomic import NonHolonomic
+from ..aids.non_holonomic import aid as non_holonomic
+from ..aids.non_holonomic.aid import NonHolonomic
+from ..aids.standstill import aid as standstill
+from ..aids.standstill.aid import Standstill
 from ..aids.updates import model_of
-from ..aids.zero_velocity import Standstill
 from ..codes import Code, HeadingMethod
 from ..inertial.filter import ErrorStateFilter
 from ..inertial.imu_faults import Sample, mean
@@ -73,7 +74,7 @@ class Engine:
         self._model = model_of(settings)
         self._intervals = Intervals(
             settings.covariance_period_s,
-            zero_velocity.PERIOD_S if settings.standstill.enabled else inf,
+            standstill.PERIOD_S if settings.standstill.enabled else inf,
             non_holonomic.PERIOD_S if settings.non_holonomic.enabled else inf,
         )
         self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0

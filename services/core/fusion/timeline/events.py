@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import methodcaller
 from typing import TYPE_CHECKING, ClassVar
 
 from ..aids.base import Kind, Observation, Sensor
@@ -147,7 +148,7 @@ class OdometerExclusion(Event):
         begins = self.excluded and not engine.exclusions.odometer
         engine.exclusions = replace(engine.exclusions, odometer=self.excluded)
         if begins:
-            engine.attempt(ErrorStateFilter.reset_odometer_scale)
+            engine.attempt(methodcaller("reset_block", "odometer_scale"))
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from shared.maths.compiled import compilable, compiled
 from shared.maths.kalman import correct_one
 
-from ..aids.non_holonomic import MIN_SPEED_M_S, ConstraintModel
-from ..aids.odometer import OdometerModel
+from ..aids.non_holonomic.aid import MIN_SPEED_M_S, ConstraintModel
+from ..aids.odometer.aid import OdometerModel
 from ..aids.updates import (
     BEYOND_GATE,
     COLUMNS,
@@ -39,12 +39,12 @@ from ..aids.updates import (
     observation,
     record,
 )
+from ..inertial.error_model import ProcessNoise
 from ..inertial.propagation import ZERO, Intervals, Samples, Stop, propagate
 from ..inertial.row import (
     PARAMETERS,
     Fault,
     Numbers,
-    ProcessNoise,
     Row,
     begun,
     fault_of,
@@ -75,19 +75,18 @@ def constants_of(rules: Rules) -> FloatArray:
     """Numbers of the rules in one array, without arrays of their own: compiled code reads tuples slowly."""
     noise, model, intervals = rules
     return np.array([
-        noise.vibration_factor, noise.gnss_correlation_s, noise.velocity_correlation_s, noise.velocity_follows,
-        *model.arm_b, *model.constraint, *model.odometer, *model.limits, *intervals,
+        noise.vibration_factor, *model.arm_b, *model.constraint, *model.odometer, *model.limits, *intervals,
     ], np.float64)  # fmt: skip
 
 
 @compilable
-def rules_of(c: FloatArray, psd: FloatArray, velocity_variance: FloatArray) -> Rules:
+def rules_of(c: FloatArray, psd: FloatArray, correlation_s: FloatArray, variance: FloatArray) -> Rules:
     """Rules of their numbers and arrays: the inverse of `constants_of`."""
-    noise = ProcessNoise(psd, float(c[0]), float(c[1]), float(c[2]), velocity_variance, bool(c[3] > 0.0))
-    constraint = ConstraintModel(float(c[7]), float(c[8]), float(c[9]))
-    odometer = OdometerModel(float(c[10]), float(c[11]))
-    model = Model(three(c, 4), constraint, odometer, three(c, 12))
-    intervals = Intervals(float(c[15]), float(c[16]), float(c[17]), float(c[18]), bool(c[19] > 0.0))
+    noise = ProcessNoise(psd, correlation_s, variance, float(c[0]))
+    constraint = ConstraintModel(float(c[4]), float(c[5]), float(c[6]))
+    odometer = OdometerModel(float(c[7]), float(c[8]))
+    model = Model(three(c, 1), constraint, odometer, three(c, 9))
+    intervals = Intervals(float(c[12]), float(c[13]), float(c[14]), float(c[15]), bool(c[16] > 0.0))
     return Rules(noise, model, intervals)
 
 
@@ -120,11 +119,12 @@ def run(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917  # one loop, and comp
     inflation_ns: int,
     constants: FloatArray,
     psd: FloatArray,
-    velocity_variance: FloatArray,
+    correlation_s: FloatArray,
+    variance: FloatArray,
 ) -> tuple[int, FloatArray, FloatArray, int, int, int, int, int, int, FloatArray]:
     """See `segment`: `Numbers` of the row; `Standing`; samples, speeds, stop and fault; records."""
     row = row_of(time_ns, values, P, values[PARAMETERS:].copy())
-    noise, model, intervals = rules_of(constants, psd, velocity_variance)
+    noise, model, intervals = rules_of(constants, psd, correlation_s, variance)
     records = np.zeros((MAX_RECORDS, COLUMNS))
     k, used, n, fault, stop = begin, 0, 0, 0, 0
     rate_is_due, rate, rate_sd = False, ZERO, 0.0  # of a standstill, after its zero velocity
@@ -224,7 +224,7 @@ def segment(
     of = speeds
     time_ns, values, P, wheels_until_ns, inflation_ns, taken, used, stop, fault, records = run(
         *numbers, times_ns, rows, begin, end, of.times_ns, of.readings, of.stand_until_ns, of.due_ns, *standing,
-        constants_of(rules), rules.noise.psd, rules.noise.velocity_variance,
+        constants_of(rules), rules.noise.psd, rules.noise.correlation_s, rules.noise.variance,
     )  # fmt: skip
     standing = Standing(wheels_until_ns, inflation_ns)
     return Segment(Numbers(time_ns, values, P), standing, taken, used, Stop(stop), fault, records.tolist())

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.core.fusion.aids.base import Kind, Observation
-from services.core.fusion.aids.external import KIND
 from services.core.fusion.aids.rear_axle import rear_axle_of
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.settings import Settings
 from services.core.fusion.states import LAYOUT
+from shared.messages.navigation import AidingKind
 from shared.messages.vehicle import VehicleSpeed
 
 PLACE, SPEED_SD = LAYOUT.index("radar_scale"), 0.05  # [m/s]
@@ -36,7 +36,7 @@ class RadarSpeed(Kind):
         scale, forward = 1.0 + navigation.parameter(PLACE), float(ahead[0])
         H = scale * rows[:1]
         H[0, PLACE] = -forward
-        return Observation(KIND, np.array([self.speed - scale * forward]), H, np.array([[SPEED_SD**2]]))
+        return Observation(AidingKind.EXTERNAL, np.array([self.speed - scale * forward]), H, np.array([[SPEED_SD**2]]))
 
 
 def of_speed(message: VehicleSpeed, settings: Settings) -> Iterator[RadarSpeed]:

@@ -12,10 +12,11 @@ import pytest
 
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.gnss.fix import Reading, Stamp, gnss_measurements
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.codes import Code
 from services.core.fusion.inertial.imu_faults import Repeats
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import AlignmentSettings, GnssSettings, Settings
+from services.core.fusion.settings import AlignmentSettings, Settings
 from services.core.fusion.solution import Solution
 from services.core.fusion.start.heading import Prior
 from services.sensors.simulator.drive import Drive, simulate

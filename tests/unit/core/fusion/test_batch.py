@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from services.core.fusion.aids.base import Measurement
-from services.core.fusion.aids.odometer import WheelSpeed
+from services.core.fusion.aids.odometer.aid import WheelSpeed
 from services.core.fusion.batch import solve
 from services.core.fusion.inertial.imu_faults import Repeats, faults
 from services.core.fusion.inertial.propagation import samples_of

@@ -10,9 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.core.fusion.aids.devices import DEVICES, SILENCE_TIMEOUT_NS, Devices
+from services.core.fusion.aids.magnetometer.settings import MagnetometerSettings
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, In, Process
-from services.core.fusion.settings import AlignmentSettings, ImuSettings, MagnetometerSettings
+from services.core.fusion.settings import AlignmentSettings, ImuSettings
 from services.core.fusion.timeline import timeline
 from services.core.fusion.timeline.timeline import HELD_LIMIT
 from shared.maths.dates import END_DATE_NS

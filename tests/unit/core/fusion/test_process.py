@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.core.fusion.aids.gnss.epoch import of_fix
+from services.core.fusion.aids.gnss.aid import of_fix
+from services.core.fusion.aids.odometer.settings import OdometerSettings
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.messages import state_message
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.process import Config, Process
-from services.core.fusion.settings import OdometerSettings
 from services.sensors.simulator.drive import Drive, simulate
 from shared.bus.codec import decode, encode
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference

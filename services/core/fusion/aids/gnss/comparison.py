@@ -236,7 +236,7 @@ class Corrections(NamedTuple):
         return Corrections(time_ns, self.velocity + span_s * self.tilt, self.tilt, self.yaw)
 
     def after(self, time_ns: int, x: Sequence[float]) -> "Corrections":
-        """Corrections with one more estimate of the errors of attitude [rad, NED] and velocity [m/s, NED]."""
-        now = self.at(time_ns)
-        tilt = now.tilt + STANDARD_GRAVITY * complex(-x[1], x[0])
-        return Corrections(time_ns, now.velocity + complex(x[3], x[4]), tilt, now.yaw + x[2])
+        """Corrections with one more estimate of the errors `error_model.LEVEL` [rad, NED; m/s]."""
+        now, (roll, pitch, yaw, north, east) = self.at(time_ns), x
+        tilt = now.tilt + STANDARD_GRAVITY * complex(-pitch, roll)
+        return Corrections(time_ns, now.velocity + complex(north, east), tilt, now.yaw + yaw)

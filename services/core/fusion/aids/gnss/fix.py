@@ -1,9 +1,10 @@
 """GNSS position and velocity of the antenna as measurements of the filter."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
-from typing import NamedTuple, Self
+from types import MappingProxyType
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,14 @@ from ...inertial.standstill import is_standstill
 from ...settings import Settings
 from ..base import Kind, Measurement, MotionSink, NonInertial, Observation, Sensor, Start
 from .antenna import antenna_position_matrix, antenna_velocity, antenna_velocity_matrix
+from .correlated import (
+    GNSS_ERROR,
+    GNSS_VELOCITY_ERROR,
+    position_errors_of,
+    use_position_errors,
+    use_velocity_errors,
+    velocity_errors_of,
+)
 from .position_errors import KnownGnssErrors
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,6 +63,7 @@ class GnssPosition(Kind):
     """Position of the antenna with its covariance [m², NED]; of its height only the value if `axes` is 2."""
 
     sensor, is_fix, epoch = Sensor.GNSS, True, True
+    inflation: ClassVar[Mapping[str, float]] = MappingProxyType({"position_sd": 0.1, "velocity_sd": 0.1})  # [m, m/s]
 
     time_ns: int
     received_ns: int
@@ -105,29 +115,29 @@ class GnssPosition(Kind):
         arm_n, velocity = rotate(navigation.quaternion, self.lever_arm), navigation.velocity
         z, H = self._beside(navigation, arm_n), antenna_position_matrix(arm_n)
         along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
-        correlated_share = max(navigation.gnss_errors.correlated_share, 1e-6) if self.time_correlated else 0.0
-        cov = navigation.gnss_errors.scaled(self.cov) if self.time_correlated else self.cov
+        errors = position_errors_of(navigation)
+        correlated_share = max(errors.correlated_share, 1e-6) if self.time_correlated else 0.0
+        cov = errors.scaled(self.cov) if self.time_correlated else self.cov
         R = (1.0 - correlated_share) * cov + along * along[:, np.newaxis]
         if correlated_share > 0.0:
             root = sqrt(correlated_share) * root_of(cov, "a measurement")
-            z -= root @ navigation.gnss_error
-            H[:, em.GNSS_ERROR] = -root
+            z -= root @ navigation.parameters_of(GNSS_ERROR)
+            H[:, GNSS_ERROR] = -root
         n = self.axes
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
 
     def unestimated_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
         """Variances [m²] on ground and up of its error that the filter follows, and its covariance lacks."""
-        return navigation.gnss_errors.unestimated(self.cov) if self.time_correlated else (0.0, 0.0)
+        return position_errors_of(navigation).unestimated(self.cov) if self.time_correlated else (0.0, 0.0)
 
     def update_statistics(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
         """Update the model of GNSS errors of the filter that has used it."""
-        if self.time_correlated and self.axes == 3 and navigation.gnss_errors.is_due(self.time_ns):
+        errors = position_errors_of(navigation)
+        if self.time_correlated and self.axes == 3 and errors.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
             path = self._beside(navigation, arm_n) + navigation.position_correction
             variances = navigation.P.diagonal()[em.VELOCITY]
-            navigation.set_gnss_errors(
-                navigation.gnss_errors.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances)
-            )
+            use_position_errors(navigation, errors.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances))
 
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
         """Measured minus predicted antenna position [m, NED] at its time of validity."""
@@ -140,6 +150,7 @@ class GnssVelocity(Kind):
     """Velocity of the antenna [m/s, NED] with its covariance; without its vertical part if `axes` is 2."""
 
     sensor, epoch = Sensor.GNSS, True
+    inflation: ClassVar[Mapping[str, float]] = MappingProxyType({"velocity_sd": 0.1})  # [m/s]
 
     time_ns: int
     received_ns: int
@@ -185,8 +196,8 @@ class GnssVelocity(Kind):
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
         H = antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         if self.time_correlated:
-            z -= navigation.gnss_velocity_error
-            H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT
+            z -= navigation.parameters_of(GNSS_VELOCITY_ERROR)
+            H[:, GNSS_VELOCITY_ERROR] = -em.UNIT
         n = self.axes
         late = navigation.late
         R = self.cov if late is None else self.cov + late.velocity_cov(navigation.velocity)
@@ -194,17 +205,14 @@ class GnssVelocity(Kind):
 
     def update_statistics(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
         """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
-        known = isinstance(navigation.gnss_errors, KnownGnssErrors)
+        known = isinstance(position_errors_of(navigation), KnownGnssErrors)
         if known or not self.time_correlated or is_standstill(navigation.state.quiet):
             return
         n = self.axes
-        residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
+        residual = np.array(innovation) + navigation.parameters_of(GNSS_VELOCITY_ERROR)[:n]
         variances = self.cov.diagonal()[:n]
-        errors = navigation.velocity_errors.after(self.time_ns, residual, variances, stated=self.stated)
-        if navigation.velocity_errors.follows and not errors.follows:
-            navigation.zero_gnss_velocity_error()
-        navigation.velocity_errors = errors
-        navigation.set_gnss_errors(navigation.gnss_errors.following(errors.follows))
+        learned = velocity_errors_of(navigation).after(self.time_ns, residual, variances, stated=self.stated)
+        use_velocity_errors(navigation, learned)
 
 
 def true_time_ns(settings: Settings, sampled_ns: int) -> int:

@@ -95,6 +95,10 @@ class GnssErrorBank:
         weight = self.weight * CORRELATED_SHARES + 1e-12
         return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
+    def stationary(self, estimated: bool) -> float:
+        """Variance of the error over its own standard deviation, if it is a state of the filter."""
+        return float(estimated)
+
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
@@ -245,6 +249,10 @@ class KnownGnssErrors:
 
     correlation_s: float
     correlated_share: float  # share of the variance
+
+    def stationary(self, estimated: bool) -> float:
+        """Variance of the error over its own standard deviation, if it is a state of the filter."""
+        return float(estimated)
 
     @property
     def scale(self) -> FloatArray:

@@ -43,6 +43,15 @@ class GnssVelocityErrors:
     prior: float = WHITE_PRIOR[0]
     follows: bool = False  # positions are followed, for velocity errors are not white
 
+    @property
+    def correlation_s(self) -> float:
+        """Correlation time of errors that are not white [s]."""
+        return CORRELATION_S
+
+    def stationary(self, _estimated: bool) -> FloatArray:
+        """Variance [m²/s²] of the time-correlated error, shape (3,); zero where errors are white."""
+        return self.variance
+
     @cached_property
     def white(self) -> float:
         """Probability that velocity errors are white; one while no velocity is known."""

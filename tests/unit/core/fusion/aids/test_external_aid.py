@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
+from services.core.fusion.blocks import MOST_STATES, Block, Layout
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.warm_start import fingerprint
-from services.core.fusion.states import AIDS, INERTIAL, LAYOUT, MOST_STATES, Block, Layout
+from services.core.fusion.states import AIDS, INERTIAL, LAYOUT
 from tests.support.data import REPOSITORY
 from tests.support.patience import HANGS_S
 

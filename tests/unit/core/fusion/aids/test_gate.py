@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.base import Height, Outcome
-from services.core.fusion.aids.gate import FaultStatus, Gate, _weight
+from services.core.fusion.aids.gate import Gate, _weight
+from services.core.fusion.aids.gnss.correlated import GNSS_ERROR, POSITION
+from services.core.fusion.aids.gnss.faults import FaultStatus
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import HYPOTHESES, SCALES, UNKNOWN_ERRORS
 from services.core.fusion.codes import Code
@@ -272,9 +274,9 @@ def filter_with_long_correlation_time() -> ErrorStateFilter:
     evidence = UNKNOWN_ERRORS.evidence.copy()
     evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
     twin, P = copy(inside), inside.P.copy()
-    twin.gnss_errors = replace(UNKNOWN_ERRORS, evidence=evidence)
+    twin.use_errors(POSITION, replace(UNKNOWN_ERRORS, evidence=evidence))
     twin.parameters = tuple(0.0 for _ in twin.parameters)
-    for part, variance in ((em.POSITION, 0.04), (em.GNSS_ERROR, 0.01)):
+    for part, variance in ((em.POSITION, 0.04), (GNSS_ERROR, 0.01)):
         P[part], P[:, part] = 0.0, 0.0
         P[part, part] = variance * np.eye(3)
     twin.P = P
@@ -292,7 +294,7 @@ def test_a_jump_within_the_stated_accuracy_changes_the_time_correlated_error_and
     fix = fix_beside(twin, 6.0)
     outcome = Gate(SETTINGS).use(twin, fix, fix.observe(twin))
     assert outcome.used and outcome.weight == 1.0
-    assert twin.gnss_error[0] == pytest.approx(2.0, rel=0.02)
+    assert twin.parameters_of(GNSS_ERROR)[0] == pytest.approx(2.0, rel=0.02)
     assert abs(twin.position_correction[0] - filter_with_long_correlation_time().position_correction[0]) < 0.1
 
 
@@ -300,7 +302,7 @@ def test_a_jump_beyond_the_stated_accuracy_is_rejected() -> None:
     twin = copy(filter_with_long_correlation_time())
     fix = fix_beside(twin, 15.0)
     assert not Gate(SETTINGS).use(twin, fix, fix.observe(twin)).used
-    assert twin.gnss_error[0] == 0.0
+    assert twin.parameters_of(GNSS_ERROR)[0] == 0.0
 
 
 def test_the_time_before_readmission_has_a_maximum() -> None:

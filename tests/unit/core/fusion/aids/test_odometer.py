@@ -13,15 +13,16 @@ from benchmarks.starts.start import Receiver, Start
 from cli.papers.navigation import give_fix
 from services.core.fusion.aids.base import Outcome
 from services.core.fusion.aids.gate import Gate
-from services.core.fusion.aids.non_holonomic import NonHolonomic
-from services.core.fusion.aids.odometer import WheelSpeed
-from services.core.fusion.aids.zero_speeds import ZeroSpeeds
+from services.core.fusion.aids.non_holonomic.aid import NonHolonomic
+from services.core.fusion.aids.odometer.aid import WheelSpeed
+from services.core.fusion.aids.odometer.zero_speeds import ZeroSpeeds
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.standstill import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, is_standstill
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.start.heading import Prior
+from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
@@ -108,7 +109,7 @@ def aided() -> tuple[Navigator, list[Outcome]]:
 
 def mounting(navigation: ErrorStateFilter) -> FloatArray:
     """Vehicle from body, by the mounting angles of a filter."""
-    pitch, yaw = (navigation.parameter(place) for place in range(em.MOUNTING.start, em.MOUNTING.stop))
+    pitch, yaw = (navigation.parameter(place) for place in range(em.SIZE)[LAYOUT.place("mounting")])
     return ned_from_body(0.0, pitch, yaw)
 
 
@@ -122,7 +123,7 @@ def test_scale_and_mounting_are_estimated_within_four_sigma() -> None:
     moving = d.odometer > 1.0
     truth = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])
     scale = 1.03 * float(np.median(d.odometer[1:][moving[1:]] / truth[9::10][moving[1:]])) - 1.0
-    sd = np.sqrt(inside.P.diagonal()[em.ODOMETER_SCALE : em.MOUNTING.stop])
+    sd = np.sqrt(inside.P.diagonal()[LAYOUT.index("odometer_scale") : LAYOUT.place("mounting").stop])
     errors = np.array(inside.parameters[:3]) - (scale, MOUNTING[1], MOUNTING[2])
     assert (np.abs(errors) < 4.0 * sd).all()
     assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much smaller than the initial ones"
@@ -141,7 +142,7 @@ def test_disabled_odometer_and_nhc_are_not_used_and_estimate_nothing() -> None:
     kinds = {o.kind for o in outcomes}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
-    cross = filter_of(made).P[em.ODOMETER_SCALE : em.MOUNTING.stop, :15]
+    cross = filter_of(made).P[LAYOUT.index("odometer_scale") : LAYOUT.place("mounting").stop, :15]
     assert not cross.any(), "no correlation with the other fifteen states"
 
 

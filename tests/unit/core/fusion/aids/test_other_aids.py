@@ -11,22 +11,20 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cli.papers.navigation import give_fix
-from services.core.fusion.aids.barometer import BarometricHeight, pressure_height
+from services.core.fusion.aids.barometer.aid import BarometricHeight, pressure_height
 from services.core.fusion.aids.base import Outcome
-from services.core.fusion.aids.dual_antenna import BaselineHeading
-from services.core.fusion.aids.magnetometer import MAX_SECTOR_ERROR, SECTORS, CompassCheck, MagneticHeading
+from services.core.fusion.aids.dual_antenna.aid import BaselineHeading
+from services.core.fusion.aids.magnetometer.aid import MAX_SECTOR_ERROR, SECTORS, CompassCheck, MagneticHeading
+from services.core.fusion.aids.magnetometer.settings import MagnetometerSettings
+from services.core.fusion.aids.non_holonomic.settings import NonHolonomicSettings
+from services.core.fusion.aids.odometer.settings import OdometerSettings
+from services.core.fusion.aids.standstill.settings import StandstillSettings
 from services.core.fusion.codes import Code, HeadingMethod
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import (
-    AlignmentSettings,
-    MagnetometerSettings,
-    NonHolonomicSettings,
-    OdometerSettings,
-    Settings,
-    StandstillSettings,
-)
+from services.core.fusion.settings import AlignmentSettings, Settings
+from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import Drive, simulate
 from shared.inertial.strapdown import InertialState
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
@@ -159,8 +157,8 @@ def test_a_barometer_halves_the_height_deviation_in_an_outage() -> None:
     assert len(heights) > 80 and np.mean([o.used for o in heights]) > 0.97
     filtered = made.engine.filter
     assert filtered is not None
-    offset_sd = float(filtered.P[em.BAROMETER_OFFSET, em.BAROMETER_OFFSET]) ** 0.5
-    assert abs(filtered.parameter(em.BAROMETER_OFFSET) - OFFSET_M) < 3.0 * offset_sd < 5.0
+    offset_sd = float(filtered.P[LAYOUT.index("barometer_offset"), LAYOUT.index("barometer_offset")]) ** 0.5
+    assert abs(filtered.parameter(LAYOUT.index("barometer_offset")) - OFFSET_M) < 3.0 * offset_sd < 5.0
 
 
 def test_a_pressure_step_is_rejected_and_the_height_stays_within_three_sigma() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
-from services.core.fusion.aids.odometer import WheelSpeed
+from services.core.fusion.aids.odometer.aid import WheelSpeed
 from services.core.fusion.hypotheses.motion_model import MAX_GAP_S, REJECTIONS, MotionModel, State
 from services.core.fusion.settings import Settings
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference

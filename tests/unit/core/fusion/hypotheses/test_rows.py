@@ -66,3 +66,16 @@ def test_looking_at_the_rows_changes_none_of_their_bits(together: Navigator) -> 
         run(looked_at, 0.1 * tenths, 0.1 * (tenths + 1))
         alternatives(looked_at)
     assert bits_of_rows(looked_at) == bits_of_rows(together)
+
+
+def test_nothing_that_runs_on_changes_an_array_of_a_snapshot() -> None:
+    """Rows and their snapshots share arrays, which are replaced and never written to."""
+    nav = begun()
+    cursors = [*nav.verdicts.cursors, *(member.cursor for member in nav.bank._members)]
+    kept = [snapshot.engine.filter for cursor in cursors for snapshot in cursor._snapshots]
+    kept += [cursor.engine.unrecorded().filter for cursor in cursors]
+    arrays = [array for f in kept if f is not None for array in (f.P, *f.numbers[1:], *f.noise[:3])]
+    before = [array.tobytes() for array in arrays]
+    run(nav, SPLIT_S, SPLIT_S + 2.0)
+    alternatives(nav)
+    assert len(arrays) > 20 and [array.tobytes() for array in arrays] == before

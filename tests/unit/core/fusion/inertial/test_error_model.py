@@ -1,7 +1,7 @@
 """The error model against finite differences of the mechanisation, and against matrix products."""
 
 from collections.abc import Sequence
-from math import cos, exp, hypot, sin, tan
+from math import cos, hypot, inf, sin, tan
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from services.core.fusion.aids.gnss.antenna import antenna_velocity
 from services.core.fusion.aids.gnss.fix import GnssPosition, GnssVelocity
-from services.core.fusion.aids.non_holonomic import NonHolonomic
-from services.core.fusion.aids.odometer import WheelSpeed
+from services.core.fusion.aids.non_holonomic.aid import NonHolonomic
+from services.core.fusion.aids.odometer.aid import WheelSpeed
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.settings import Settings
+from services.core.fusion.states import LAYOUT
 from shared.inertial import strapdown
 from shared.inertial.strapdown import InertialState
 from shared.maths.earth import (
@@ -132,7 +133,7 @@ def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differe
 def test_the_transition_is_that_of_the_matrix_exponential_to_first_order() -> None:
     step_s = 1e-4
     F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
-    Phi = em.transition_matrix(step_s * F[: em.MOVING, : em.DRIVING], 1.0, 1.0)
+    Phi = em.transition_matrix(step_s * F[: em.MOVING, : em.DRIVING], np.ones(em.SIZE))
     assert Phi == pytest.approx(expm(F * step_s), abs=1e-6)
     assert Phi == pytest.approx(np.eye(em.SIZE) + F * step_s, abs=1e-15)
 
@@ -141,33 +142,37 @@ def test_the_covariance_step_by_blocks_equals_the_product_of_whole_matrices() ->
     rng = np.random.default_rng(5)
     root, Q = rng.standard_normal((em.SIZE, em.SIZE)), rng.random(em.SIZE)
     P, Ft = root @ root.T, rng.standard_normal((em.MOVING, em.DRIVING))
-    after = em.predicted(P, Ft, 0.7, 0.4, Q)
-    assert after == pytest.approx(predict(P, em.transition_matrix(Ft, 0.7, 0.4), np.diag(Q)), rel=1e-12, abs=1e-12)
+    decay = np.where(np.arange(em.SIZE) < em.DRIVING, 1.0, rng.uniform(0.3, 1.0, em.SIZE))
+    after = em.predicted(P, Ft, decay, Q)
+    assert after == pytest.approx(predict(P, em.transition_matrix(Ft, decay), np.diag(Q)), rel=1e-12, abs=1e-12)
     assert (after == after.T).all()
 
 
 def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
     """Two half steps equal one step, other states are unchanged, and the limit has variance one."""
     root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
-    still, no_noise, correlation_s = np.zeros((em.MOVING, em.DRIVING)), np.zeros(em.SIZE), 20.0
+    still, place = np.zeros((em.MOVING, em.DRIVING)), LAYOUT.place("gnss_error")
+    noise = em.ProcessNoise(np.zeros(em.SIZE), np.full(em.SIZE, inf), np.zeros(em.SIZE), 1.0)
+    noise.correlation_s[place], noise.variance[place] = 20.0, 1.0
 
     def decayed(P: FloatArray, step_s: float) -> FloatArray:
-        Q = em.process_noise(no_noise, 0.0, 0.0, step_s, correlation_s)
-        return em.predicted(P, still, exp(-step_s / correlation_s), 1.0, Q)
+        Q, decay = em.process_noise(noise, 0.0, 0.0, step_s)
+        return em.predicted(P, still, decay, Q)
 
     P = root @ root.T
     whole = decayed(P, 20.0)
     assert decayed(decayed(P, 10.0), 10.0) == pytest.approx(whole, abs=1e-12)
     assert (whole[: em.DRIVING, : em.DRIVING] == P[: em.DRIVING, : em.DRIVING]).all()
-    assert decayed(P, 1e4)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
+    assert decayed(P, 1e4)[place, place] == pytest.approx(np.eye(3))
 
 
 def test_vibration_increases_the_process_noise_to_the_measured_psd() -> None:
     psd = em.process_noise_psd((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0))
-    Q = em.process_noise(psd, attitude_psd=0.5, velocity_psd=5.0, step_s=0.1)
+    noise = em.ProcessNoise(psd, np.full(em.SIZE, inf), np.zeros(em.SIZE), 1.0)
+    Q, decay = em.process_noise(noise, attitude_psd=0.5, velocity_psd=5.0, step_s=0.1)
     assert Q[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
     assert Q[em.VELOCITY] == pytest.approx(np.full(3, 0.5))
-    assert not Q[em.POSITION.start :].any()
+    assert not Q[em.POSITION.start :].any() and (decay == 1.0).all()
 
 
 def test_the_system_matrix_equals_the_matrix_products_of_its_docstring() -> None:
@@ -214,7 +219,7 @@ def navigation(error: FloatArray) -> ErrorStateFilter:
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     rate = vector(np.array(RATE) - error[em.GYROSCOPE_BIAS])
     wrong.state = wrong.state._replace(rate_b=rate)
-    vehicle = slice(em.ODOMETER_SCALE, em.MOUNTING.stop)
+    vehicle = slice(LAYOUT.index("odometer_scale"), LAYOUT.place("mounting").stop)
     wrong.parameters = (*(np.array(VEHICLE) + error[vehicle]).tolist(), *error[vehicle.stop :].tolist())
     return wrong
 
@@ -284,9 +289,9 @@ def test_odometer_and_nhc_matrices_agree_with_finite_differences(
 
 
 def test_each_noise_setting_is_on_the_diagonal_of_its_states() -> None:
-    noise = em.process_noise_psd((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
+    noise = em.process_noise_psd((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (LAYOUT.index("odometer_scale"), 5.0))
     assert noise[em.ATTITUDE].tolist() == [1.0] * 3 and noise[em.GYROSCOPE_BIAS].tolist() == [4.0] * 3
-    assert noise[em.ODOMETER_SCALE] == 5.0 and noise.sum() == 20.0
+    assert noise[LAYOUT.index("odometer_scale")] == 5.0 and noise.sum() == 20.0
 
 
 def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from services.core.fusion.aids.zero_velocity import PERIOD_S, RATE_SD, SETTLING_S, Standstill
+from services.core.fusion.aids.standstill.aid import PERIOD_S, RATE_SD, SETTLING_S, Standstill
 from services.core.fusion.inertial.error_model import SIZE, VELOCITY
 from services.core.fusion.inertial.filter import ErrorStateFilter
 from services.core.fusion.inertial.standstill import (

@@ -5,12 +5,13 @@ from math import hypot
 
 import pytest
 
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.integrity.error_monitor import ErrorMonitor
 from services.core.fusion.integrity.protection_levels import Levels, protection_levels
 from services.core.fusion.integrity.set_up_spread import NO_SPREAD, CheckDifference, SetUpSpread
 from services.core.fusion.set_up.findings import Check, Verdict
 from services.core.fusion.set_up.monitor import SetUpMonitor
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from shared.runtime.config import GnssAntenna, Vehicle
 
 GIVEN = Settings(vehicle=Vehicle(gnss=GnssAntenna(lever_arm_body_m=(0.3, 0.0, -1.2))))

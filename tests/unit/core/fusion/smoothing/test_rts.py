@@ -13,14 +13,16 @@ from scipy.stats import chi2
 
 from cli.papers.navigation import saved_heading
 from services.core.fusion.aids.gnss.antenna import antenna_position_matrix
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.filter import ErrorStateFilter, rescaled
 from services.core.fusion.inertial.propagation import Intervals, samples_of
 from services.core.fusion.inertial.standstill import CERTAIN_LIMITS
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import Settings
 from services.core.fusion.smoothing.history import CorrectionRecord, HistoryRecorder, Knot, Start, Step
 from services.core.fusion.smoothing.rts import BackwardRecursion, smoothed_filters
+from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
@@ -441,7 +443,7 @@ def matched(seed: int) -> World:
     inertial = InertialState(int(drive.t_ns[first]), attitude, (velocity[0], velocity[1], velocity[2]), position)
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2))
     start = np.zeros(em.SIZE)  # GNSS velocities are not used, and their errors not drawn
-    start[: em.GNSS_VELOCITY_ERROR.start] = rng.standard_normal(em.GNSS_VELOCITY_ERROR.start)
+    start[: LAYOUT.place("gnss_velocity_error").start] = rng.standard_normal(LAYOUT.place("gnss_velocity_error").start)
     start *= sd
     navigation.subtract_errors(start, np.diag(sd**2))
     force_bias, rate_bias = np.zeros(3), np.zeros(3)

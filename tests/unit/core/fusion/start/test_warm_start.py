@@ -27,6 +27,7 @@ from services.core.fusion.start.warm_start import (
     restored,
     unmeasured_motion,
 )
+from services.core.fusion.states import LAYOUT
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
@@ -174,12 +175,10 @@ def test_biases_and_parameters_are_restored_with_the_state() -> None:
     saved, again = states()[9000], restored(settings(), states()[9000], sample(9100))
     assert again.imu.accelerometer_bias == saved.accelerometer_bias
     assert again.imu.gyroscope_bias == saved.gyroscope_bias
-    unit = np.ones(em.SIZE - em.DRIVING)
-    unit[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING] = again.gnss_errors.unit
-    fading = [3, 4, 5, 7, 8, 9]  # the time-correlated errors of position and velocity
-    kept = np.delete(np.array(again.parameters) * unit, fading)
-    assert kept == pytest.approx(np.delete(np.array(saved.parameters), fading))
-    odometer = em.ODOMETER_SCALE, em.ODOMETER_SCALE
+    lasting = [place - em.DRIVING for name in ("odometer_scale", "mounting", "barometer_offset")
+               for place in range(em.SIZE)[LAYOUT.place(name)]]  # fmt: skip
+    assert np.array(again.parameters)[lasting] == pytest.approx(np.array(saved.parameters)[lasting])
+    odometer = LAYOUT.index("odometer_scale"), LAYOUT.index("odometer_scale")
     assert again.P[odometer] == pytest.approx(covariance_of(saved)[odometer], rel=0.02)
 
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.base import Outcome
-from services.core.fusion.aids.dual_antenna import BaselineHeading
+from services.core.fusion.aids.dual_antenna.aid import BaselineHeading
+from services.core.fusion.aids.gnss.correlated import position_errors_of
 from services.core.fusion.codes import Code
-from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.imu_faults import Sample
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
+from services.core.fusion.states import LAYOUT
 from services.core.fusion.timeline import conflict as conflicts
 from services.core.fusion.timeline.conflict import SAMPLES_PER_STEP
 from services.core.fusion.timeline.cursor import Cursor
@@ -175,10 +176,10 @@ def test_the_solution_and_the_state_confirm_the_exclusion_and_count_the_fixes() 
 def test_excluded_gnss_does_not_change_error_model_and_vehicle_parameters() -> None:
     nav, plain = rolled_back()[0].engine, without_gnss().engine
     assert nav.filter is not None and plain.filter is not None
-    assert nav.filter.gnss_errors.unit == pytest.approx(plain.filter.gnss_errors.unit)
-    assert nav.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING] == pytest.approx(
-        plain.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING], abs=1e-3
-    ), "scale of the odometer and mounting"
+    assert position_errors_of(nav.filter).unit == pytest.approx(position_errors_of(plain.filter).unit)
+    for name in ("odometer_scale", "mounting"):
+        place = LAYOUT.place(name)
+        assert nav.filter.parameters_of(place) == pytest.approx(plain.filter.parameters_of(place), abs=1e-3)
     assert (nav.aids.error_monitor.position, nav.counts.resets) == (
         plain.aids.error_monitor.position,
         plain.counts.resets,
@@ -412,12 +413,13 @@ def test_a_position_that_comes_back_closes_a_conflict_and_nothing_is_held() -> N
 def test_an_excluded_odometer_is_not_used_and_its_scale_covariance_is_reset() -> None:
     nav = fault_free(80)
     assert nav.engine.filter is not None
-    known = nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE]
+    known = nav.engine.filter.P[LAYOUT.index("odometer_scale"), LAYOUT.index("odometer_scale")]
     nav.apply_exclusions(None, odometer_excluded=True)
     outcomes = [o for o in run(nav, 80.0, 85.0, odometer=0.5) if o.kind is AidingKind.ODOMETER]
     late = [o for o in outcomes if o.time_ns > 80.1 * SECOND_NS]
     assert late and {(o.used, o.reason) for o in late} == {(False, "odometer is excluded by core.trust")}
-    assert nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] > max(known, 0.9 * 0.02**2)
+    scale = LAYOUT.index("odometer_scale")
+    assert nav.engine.filter.P[scale, scale] > max(known, 0.9 * 0.02**2)
     nav.apply_exclusions(None, odometer_excluded=False)
     again = [o for o in run(nav, 85.0, 88.0) if o.kind is AidingKind.ODOMETER and o.time_ns > 85.1 * SECOND_NS]
     assert again and any(o.used for o in again)

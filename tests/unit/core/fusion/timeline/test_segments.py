@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aids.base import Outcome
-from services.core.fusion.aids.non_holonomic import ConstraintModel
-from services.core.fusion.aids.odometer import OdometerModel
+from services.core.fusion.aids.non_holonomic.aid import ConstraintModel
+from services.core.fusion.aids.odometer.aid import OdometerModel
 from services.core.fusion.aids.updates import Model
 from services.core.fusion.inertial import error_model as em
 from services.core.fusion.inertial.propagation import ImuErrors, Intervals, State
-from services.core.fusion.inertial.row import PARAMETERS, ProcessNoise, Row, packed, row_of
+from services.core.fusion.inertial.row import PARAMETERS, Row, packed, row_of
 from services.core.fusion.inertial.standstill import StandstillState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
@@ -122,8 +122,8 @@ def test_a_row_is_the_same_after_it_was_arrays() -> None:
 
 
 def test_rules_are_the_same_after_they_were_an_array() -> None:
-    a, b, c, d, e, f, g, h, i, j, k, m, n, o, p, q, r, s = np.random.default_rng(4).uniform(1.0, 2.0, 18).tolist()
-    noise = ProcessNoise(np.ones(em.SIZE), a, b, c, np.ones(3), velocity_follows=True)
+    a, d, e, f, g, h, i, j, k, m, n, o, p, q, r, s = np.random.default_rng(4).uniform(1.0, 2.0, 16).tolist()
+    noise = em.ProcessNoise(np.ones(em.SIZE), np.ones(em.SIZE), np.ones(em.SIZE), a)
     model = Model((d, e, f), ConstraintModel(g, h, i), OdometerModel(j, k), (m, n, o))
     rules = Rules(noise, model, Intervals(p, q, r, s, covariance_at_end=True))
-    assert rules_of(constants_of(rules), noise.psd, noise.velocity_variance) == rules
+    assert rules_of(constants_of(rules), noise.psd, noise.correlation_s, noise.variance) == rules

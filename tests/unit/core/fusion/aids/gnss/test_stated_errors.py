@@ -10,6 +10,8 @@ import pytest
 from scipy.stats import chi2
 
 from cli.papers.navigation import navigate, saved_heading
+from services.core.fusion.aids.gnss import position_errors
+from services.core.fusion.aids.gnss.correlated import position_errors_of
 from services.core.fusion.aids.gnss.fix import GnssPosition
 from services.core.fusion.aids.gnss.position_errors import (
     HYPOTHESES,
@@ -19,9 +21,9 @@ from services.core.fusion.aids.gnss.position_errors import (
     KnownGnssErrors,
     mean_at_rest,
 )
+from services.core.fusion.aids.gnss.settings import GnssSettings
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import GnssSettings, Settings
-from services.core.fusion.start import alignment
+from services.core.fusion.settings import Settings
 from services.core.fusion.start.alignment import Alignment
 from services.core.fusion.start.initial_position import first_place
 from services.sensors.simulator.drive import Drive, simulate
@@ -87,7 +89,7 @@ def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
 ) -> None:
     """To a micrometre: the weights of the bank are rounded."""
     stated = navigated(ErrorKind.GAUSS_MARKOV, 1, **GIVEN).solution()
-    monkeypatch.setattr(alignment, "UNKNOWN_ERRORS", certain())
+    monkeypatch.setattr(position_errors, "UNKNOWN_ERRORS", certain())
     certainly = navigated.__wrapped__(ErrorKind.GAUSS_MARKOV, 1).solution()
     assert stated is not None and certainly is not None
     apart = ned_from_geodetic_difference(stated.position, certainly.position)
@@ -97,10 +99,11 @@ def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
 
 def test_without_a_stated_error_model_it_is_estimated() -> None:
     filter_ = navigated(ErrorKind.GAUSS_MARKOV, 1).engine.filter
-    assert filter_ is not None and isinstance(filter_.gnss_errors, GnssErrorBank)
-    assert filter_.gnss_errors.time_ns is not None, "updated by fixes"
+    assert filter_ is not None
+    learned = position_errors_of(filter_)
+    assert isinstance(learned, GnssErrorBank) and learned.time_ns is not None, "updated by fixes"
     stated = navigated(ErrorKind.GAUSS_MARKOV, 1, **GIVEN).engine.filter
-    assert stated is not None and stated.gnss_errors == KnownGnssErrors(TIME_S, 1.0 - SHARE)
+    assert stated is not None and position_errors_of(stated) == KnownGnssErrors(TIME_S, 1.0 - SHARE)
 
 
 def test_an_error_that_was_zero_long_ago_has_the_stationary_covariance() -> None:

@@ -11,10 +11,10 @@ from shared.maths.compiled import compilable
 from shared.maths.rotation import Vector
 from shared.messages.navigation import AidingKind
 
-from ..inertial.filter import ErrorStateFilter
-from ..settings import Settings
-from .base import Kind, Observation
-from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
+from ...inertial.filter import ErrorStateFilter
+from ...settings import Settings
+from ..base import Kind, Observation
+from ..rear_axle import UNKNOWN_ARM_SD, rear_axle_of
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,11 +10,13 @@ from shared.maths.earth import STANDARD_GRAVITY
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 
-from ..inertial import error_model as em
-from ..inertial.filter import ErrorStateFilter
-from ..settings import Settings
-from .base import Kind, Observation
+from ...inertial import error_model as em
+from ...inertial.filter import ErrorStateFilter
+from ...settings import Settings
+from ...states import LAYOUT
+from ..base import Kind, Observation
 
+OFFSET = LAYOUT.index("barometer_offset")  # [m]
 PERIOD_NS = 1_000_000_000  # once a second is enough
 CORRELATION_S = 10.0  # of the pressure of the wind: successive readings are no independent evidence
 WIND = 0.002  # [m per (m/s)²] by which the air stream shifts the height: 2 % of its stagnation pressure
@@ -71,10 +73,10 @@ class BarometricHeight(Kind):
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Innovation against the height of the filter plus the offset."""
-        z = pressure_height(self.pressure_pa) - navigation.position.height - navigation.parameter(em.BAROMETER_OFFSET)
+        z = pressure_height(self.pressure_pa) - navigation.position.height - navigation.parameter(OFFSET)
         H = np.zeros((1, em.SIZE))
         H[0, em.POSITION.stop - 1] = 1.0  # down is positive in the error, up in the height
-        H[0, em.BAROMETER_OFFSET] = -1.0
+        H[0, OFFSET] = -1.0
         north, east, _ = navigation.velocity
         wind = WIND * (north * north + east * east) * CORRELATION_S**0.5
         return Observation(
@@ -89,3 +91,6 @@ def of_samples(batch: ImuSamples, settings: Settings) -> Iterator[BarometricHeig
     """Height by the pressure of a batch of inertial samples, if it has one."""
     if batch.pressure_pa is not None and settings.barometer.enabled:
         yield BarometricHeight(batch.sampled_ns[-1], batch.received_ns, batch.source, batch.pressure_pa, settings)
+
+
+KINDS = {ImuSamples: (of_samples,)}

@@ -12,17 +12,19 @@ from shared.maths.compiled import compilable
 from shared.messages.navigation import AidingKind
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-from ..inertial import error_model as em
-from ..inertial.filter import ErrorStateFilter
-from ..inertial.propagation import MAX_SPEED_M_S
-from ..inertial.row import Row
-from ..inertial.standstill import norm
-from ..settings import Settings
-from .base import Kind, MotionSink, NonInertial, Observation, Sensor
-from .rear_axle import UNKNOWN_ARM_SD, rear_axle_of
+from ...inertial import error_model as em
+from ...inertial.filter import ErrorStateFilter
+from ...inertial.propagation import MAX_SPEED_M_S
+from ...inertial.row import Row
+from ...inertial.standstill import norm
+from ...settings import Settings
+from ...states import LAYOUT
+from ..base import Kind, MotionSink, NonInertial, Observation, Sensor
+from ..rear_axle import UNKNOWN_ARM_SD, rear_axle_of
 
 FloatArray = npt.NDArray[np.float64]
 
+SCALE = LAYOUT.index("odometer_scale")  # [-]
 PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 HALF_TRACK_M = 0.8  # by which a speed may be that of one side
 STAMP_SD = 0.02  # [s] of the speed's stamp, because the age of a control unit's value is unknown
@@ -104,9 +106,9 @@ def speed_observation(
     in doubt is not used while the filter does not know better; where it does, the gate decides.
     """
     (ahead, axle_H), (measured, resolution, exact) = axle, reading
-    scale, forward = 1.0 + float(row.parameters[em.ODOMETER_SCALE - em.DRIVING]), float(ahead[0])
+    scale, forward = 1.0 + float(row.parameters[SCALE - em.DRIVING]), float(ahead[0])
     H = scale * axle_H[:1]
-    H[0, em.ODOMETER_SCALE] = -forward
+    H[0, SCALE] = -forward
     predicted, speed, rate = scale * forward, measured, row.state.rate_b[2]
     noise = hypot(model.speed_sd, resolution / 12.0**0.5)
     if measured == 0.0:
@@ -144,3 +146,6 @@ def of_wheels(message: WheelSpeeds, settings: Settings) -> Iterator[WheelSpeed]:
         speed, stamp = sum(wheels) / len(wheels), (message.sampled_ns, message.received_ns, message.source)
         exact = len(rear) == 2
         yield WheelSpeed(*stamp, settings.odometer.scale * speed, 0.0, of_wheels=True, exact=exact, settings=settings)
+
+
+KINDS = {VehicleSpeed: (of_speed,), WheelSpeeds: (of_wheels,)}

@@ -13,11 +13,11 @@ from shared.maths.rotation import Quaternion, Vector
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind
 
-from ..inertial import error_model as em
-from ..inertial.filter import ErrorStateFilter
-from ..settings import Settings
-from .base import Kind, Observation, Sensor, Start
-from .gnss.fix import true_time_ns
+from ...inertial import error_model as em
+from ...inertial.filter import ErrorStateFilter
+from ...settings import Settings
+from ..base import Kind, Observation, Sensor, Start
+from ..gnss.fix import true_time_ns
 
 MIN_SD = 1e-3  # [rad]
 TILT_SD = 0.02  # [rad] error of a heading in the alignment by the tilt error
@@ -81,3 +81,6 @@ def of_fix(fix: GnssFix, settings: Settings) -> Iterator[BaselineHeading]:
         time_ns, sd = true_time_ns(settings, fix.sampled_ns), max(fix.baseline_heading_sd_rad, MIN_SD)
         yaw_body = settings.vehicle.gnss.baseline_yaw_body_rad
         yield BaselineHeading(time_ns, fix.received_ns, fix.source, fix.baseline_heading_rad, sd, yaw_body)
+
+
+KINDS = {GnssFix: (of_fix,)}

@@ -12,10 +12,10 @@ from shared.maths.rotation import Vector
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 
-from ..inertial import error_model as em
-from ..inertial.filter import ErrorStateFilter
-from ..settings import Settings
-from .base import Kind, Observation
+from ...inertial import error_model as em
+from ...inertial.filter import ErrorStateFilter
+from ...settings import Settings
+from ..base import Kind, Observation
 
 PERIOD_NS = 1_000_000_000
 CORRELATION_S = 20.0  # of the disturbance by iron that the vehicle passes: readings are no independent evidence
@@ -112,3 +112,6 @@ def of_samples(batch: ImuSamples, settings: Settings) -> Iterator[MagneticHeadin
     if batch.magnetic_field_body is not None and settings.magnetometer.enabled:
         stamp = batch.sampled_ns[-1], batch.received_ns, batch.source
         yield MagneticHeading(*stamp, batch.magnetic_field_body, settings.magnetometer.declination_rad)
+
+
+KINDS = {ImuSamples: (of_samples,)}

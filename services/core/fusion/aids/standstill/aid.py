@@ -11,10 +11,10 @@ from shared.maths.earth import earth_rate_n
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion
 from shared.messages.navigation import AidingKind
 
-from ..inertial import error_model as em
-from ..inertial.filter import ErrorStateFilter
-from ..inertial.standstill import STANDSTILL_RATE_SD
-from .base import Kind, Observation
+from ...inertial import error_model as em
+from ...inertial.filter import ErrorStateFilter
+from ...inertial.standstill import STANDSTILL_RATE_SD
+from ..base import Kind, Observation
 
 FloatArray = npt.NDArray[np.float64]
 

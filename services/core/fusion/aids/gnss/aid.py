@@ -70,3 +70,6 @@ def _cov(cov: Symmetric3 | None, sd: Vector3 | None) -> FloatArray | None:
         nn, ne, nd, ee, ed, dd = cov
         return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
     return None if sd is None else np.diag(np.square(sd))
+
+
+KINDS = {GnssFix: (of_fix,), FaultFreeFix: (of_fault_free_fix,)}

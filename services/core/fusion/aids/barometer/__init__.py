@@ -1,0 +1,1 @@
+"""Aid: barometric height, with its offset as a state."""

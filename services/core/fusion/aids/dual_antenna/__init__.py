@@ -1,0 +1,1 @@
+"""Aid: heading of the line between two antennas."""

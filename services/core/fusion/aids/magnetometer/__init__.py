@@ -1,0 +1,1 @@
+"""Aid: magnetic heading."""

@@ -1,0 +1,1 @@
+"""Aid: zero velocity and zero angular rate at standstill (ZUPT, ZARU)."""

@@ -1,0 +1,88 @@
+"""Blocks of states with names, and the layout of those of which the error state is made.
+
+A block states its standard deviation at the start of a filter and the density of its random walk.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from .settings import Settings
+
+MOST_STATES = 63  # a saved state has at most 2048 elements of a covariance
+
+
+def _zero(_: Settings) -> float:
+    """A value that is set elsewhere, or none."""
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """States of one kind: estimated minus true.
+
+    Parameters
+    ----------
+    name : str
+        Under which it is found.
+    size : int
+        Number of states.
+    unit : str
+        Unit of each.
+    sd : callable
+        [unit] Standard deviation at the start of a filter, by the settings; zero: not estimated, or set by the start.
+    psd : callable
+        [unit²/s] Density of the white noise that drives its random walk, by the settings.
+    """
+
+    name: str
+    size: int
+    unit: str
+    sd: Callable[[Settings], float] = _zero
+    psd: Callable[[Settings], float] = _zero
+
+
+class Layout:
+    """Where each block stands in the error state.
+
+    Parameters
+    ----------
+    blocks : iterable of Block
+        In the order of the state.
+
+    Raises
+    ------
+    ValueError
+        A name stands twice, or there are too many states.
+    """
+
+    def __init__(self, blocks: Iterable[Block]) -> None:
+        self.blocks = tuple(blocks)
+        self._places: dict[str, slice[int, int, None]] = {}
+        self.size = 0
+        for block in self.blocks:
+            if block.name in self._places:
+                raise ValueError(f"two aids have states {block.name!r}; rename those of one")
+            self._places[block.name] = slice(self.size, self.size + block.size)
+            self.size += block.size
+        if self.size > MOST_STATES:
+            raise ValueError(f"{self.size} states; the filter has {MOST_STATES} at most")
+
+    def place(self, name: str) -> "slice[int, int, None]":
+        """Indices of a block; raises `KeyError`."""
+        return self._places[name]
+
+    def index(self, name: str) -> int:
+        """Index of a block of one state."""
+        place = self._places[name]
+        if place.stop - place.start != 1:
+            raise ValueError(f"{name} has {place.stop - place.start} states")
+        return place.start
+
+    def block(self, name: str) -> Block:
+        """Block of a name, which must be there."""
+        return next(block for block in self.blocks if block.name == name)
+
+    @property
+    def text(self) -> str:
+        """Names, sizes and units, for the fingerprint of a saved state."""
+        return "; ".join(f"{block.name} {block.size} {block.unit}" for block in self.blocks)
