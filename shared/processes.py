@@ -184,9 +184,11 @@ PROCESSES = (
         container_user=10_115,
         consumes=(
             "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
-            "navigation/state", "mode/command", "power/state",
+            "navigation/state", "mode/command", "mode/crossing", "power/state",
         ),
-        produces=("gnss/configure", "gnss/reset", "mode/state", "mode/answer", "navigation/last_position"),
+        produces=(
+            "gnss/configure", "gnss/reset", "mode/state", "mode/answer", "mode/crossing", "navigation/last_position",
+        ),
         pause_s=0.1,
     ),
     ProcessRow(
@@ -213,7 +215,10 @@ PROCESSES = (
         "core.motion_conflict", Kind.STANDING,
         "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
         container_user=10_118,
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state"),
+        consumes=(
+            "imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state",
+            "mode/crossing",
+        ),
         produces=("trust/monitor", "trust/inertial_scale"),
         pause_s=0.1,
     ),

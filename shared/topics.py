@@ -38,6 +38,7 @@ from .messages.navigation import (
 from .messages.neighbours import NeighbourStates
 from .messages.operation import (
     ConsumptionOrder,
+    Crossing,
     DeadlineReport,
     DeviceState,
     HostClock,
@@ -199,6 +200,8 @@ TOPICS = (
     Topic("gnss/reset", GnssReset, "lets a receiver start anew", qos=1),
     Topic("mode/command", ModeCommand, "commands of the operator", qos=1),
     Topic("mode/answer", ModeAnswer, "how far a command of the operator has come", qos=1),
+    Topic("mode/crossing", Crossing, "ferry or train that carries the vehicle, as the driver has entered it",
+          qos=1, retain=True, persist=True),
     Topic("mode/state", ModeState, "operating mode of the unit, and the sources in use",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, advisory=True),
     Topic("navigation/last_position", LastPosition, "last known position of the vehicle",

@@ -1,6 +1,6 @@
 // The page Trust: the verdict and why, every monitor with its statistic against its threshold, and how both went.
 import { useEffect, useMemo, useState } from "preact/hooks";
-import { brokerAnswers, clock, link, nowMs, paused, state } from "../store.js";
+import { brokerAnswers, change, clock, link, nowMs, paused, state } from "../store.js";
 import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, monitorsStand,
 } from "../parts.js";
@@ -107,6 +107,30 @@ function VerdictCard() {
       <${Row} label=${w.imu} value=${t.imu_excluded ? w.excluded : w.notExcluded} />
     </dl>`}
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
+  </${Card}>`;
+}
+
+// Ferry and train: only what the driver enters here silences a rule; the wheels close what was left open.
+function CrossingCard() {
+  const [text, setText] = useState("");
+  const x = w.crossing;
+  const crossing = state.value.crossing;
+  const isOpen = Boolean(crossing?.is_open);
+  const asked = monitorsNow().some(([, shown]) => shown.tests.carried?.reason_code?.code === "motion.carried_or_spoofed");
+  const send = async () => {
+    setText(x.sending);
+    try {
+      const answer = await change("api/command", { command: isOpen ? "crossing_end" : "crossing_begin" });
+      setText(answer.ok ? "" : x.refused((await answer.json()).detail));
+    } catch {
+      setText(x.lost);
+    }
+  };
+  return html`<${Card} title=${x.title} id="crossing" class="crossing-card">
+    ${asked && html`<p class="lead-text"><strong>${x.question}</strong></p>`}
+    <p>${isOpen ? x.open(sinceText(crossing.since_ns)) : crossing ? x.closed[crossing.ended_by] ?? x.none : x.none}</p>
+    <div class="toolbar"><button onClick=${send} disabled=${!link.value.open}>${isOpen ? x.end : x.begin}</button><span class="note" role="status">${text}</span></div>
+    <p class="note block">${x.note}</p>
   </${Card}>`;
 }
 
@@ -221,5 +245,5 @@ export function TrustPage({ query, go }) {
   clock.value;
   link.value;
   brokerAnswers();
-  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
+  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${CrossingCard} /><${EventsCard} /></div>`;
 }
