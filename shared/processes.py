@@ -217,9 +217,9 @@ PROCESSES = (
         container_user=10_118,
         consumes=(
             "imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state",
-            "mode/crossing",
+            "mode/crossing", "host/clock", "tachograph/records",
         ),
-        produces=("trust/monitor", "trust/inertial_scale"),
+        produces=("trust/monitor", "trust/inertial_scale", "tachograph/event", "tachograph/records"),
         pause_s=0.1,
     ),
     ProcessRow(

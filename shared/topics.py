@@ -54,6 +54,7 @@ from .messages.operation import (
 from .messages.power import PowerEvent, PowerRaw, PowerState
 from .messages.replay import ReplayControl, ReplayEvents, ReplayState
 from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
+from .messages.tachograph import TachographEvent, TachographRecords
 from .messages.toll import (
     GateCommand,
     LedgerHead,
@@ -225,6 +226,9 @@ TOPICS = (
     Topic("trust/grade", LearnedGrade, "what this vehicle's drives have taught about its IMU and receiver",
           qos=1, retain=True, persist=True),
     Topic("trust/inertial_scale", LearnedScale, "what this vehicle's bends have taught about its IMU's scale",
+          qos=1, retain=True, persist=True),
+    Topic("tachograph/event", TachographEvent, "begin and end of an event of the smart tachograph", qos=1),
+    Topic("tachograph/records", TachographRecords, "events that the smart tachograph's annex keeps",
           qos=1, retain=True, persist=True),
     Topic("trust/record", TrustRecord, "what core.trust believes and what is open, for its next process",
           qos=1, retain=True, persist=True),

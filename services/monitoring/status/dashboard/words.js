@@ -354,6 +354,20 @@ export const words = {
       coherent_scale: "common scale of GNSS and odometer against the inertial sensors, in bends",
       hypotheses: "solutions that leave out one source, compared with each other",
     },
+    tachograph: {
+      title: "Records of the tachograph",
+      newest: "newest first, UTC",
+      none: "No event is recorded.",
+      kind: {
+        motion_conflict: "Motion conflict", distance_unauthenticated: "Distance of positions without authentication", gnss_anomaly: "GNSS anomaly",
+        time_conflict: "Time conflict", position_absent: "No position for three hours of driving",
+      },
+      lasts: "lasts",
+      length: (text) => `for ${text}`,
+      similar: (count) => `, ${count} of this kind on that day`,
+      purpose: { 1: "longest of the day", 2: "one of the five longest of the year", 4: "most serious of the day", 5: "one of the five most serious of the year", 7: "active" },
+      note: "As Annex IC lists them; this unit reads no driver cards. obu export --format csv --topic tachograph/event writes them.",
+    },
     crossing: {
       title: "Ferry or train",
       question: "Carried by a ferry or train, or spoofed? The wheels stand while GNSS moves.",

@@ -17,6 +17,7 @@ from shared.messages.operation import (
     ProcessStatus,
     RecordingState,
 )
+from shared.messages.tachograph import TachographRecords
 from shared.messages.trust import TrustState
 from shared.messages.uplink import UplinkState
 from shared.page.answers import Object
@@ -106,6 +107,7 @@ def common(state: State, now_ns: int) -> StateShown:
         "navigation": _dated(state, "navigation/state", NavigationState, now_ns),
         "set_up": _dated(state, "navigation/set_up", SetUpState, now_ns),
         "mode": _dated(state, "mode/state", ModeState, now_ns),
+        "tachograph": _dated(state, "tachograph/records", TachographRecords, now_ns),
         "crossing": _dated(state, "mode/crossing", Crossing, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
         "uplink": _dated(state, "uplink/state", UplinkState, now_ns),

@@ -134,6 +134,21 @@ function CrossingCard() {
   </${Card}>`;
 }
 
+// Records of the smart tachograph, newest first, with the purposes for which the annex keeps them.
+function TachographCard() {
+  const t = w.tachograph;
+  const records = [...(state.value.tachograph?.records ?? [])].reverse();
+  const day = (ns) => new Date(ns / 1e6).toISOString().slice(0, 10);
+  return html`<${Card} title=${t.title} note=${t.newest} id="tachograph" class="tachograph-card">
+    ${!records.length ? html`<p class="note block">${t.none}</p>` : html`<ol class="outages events scroll" tabindex="0" aria-label=${t.title}>${records.map((r) => html`<li key=${r.kind + r.begin_utc_ns}>
+      <span><strong>${t.kind[r.kind] ?? r.kind}</strong></span>
+      <time>${day(r.begin_utc_ns)} ${timeOfDay(r.begin_utc_ns / 1e6)}</time>
+      <span class="dim">${r.end_utc_ns == null ? t.lasts : t.length(duration((r.end_utc_ns - r.begin_utc_ns) / 1e9))}${t.similar(r.similar_that_day)}<br />${r.purposes.map((p) => t.purpose[p] ?? p).join(", ")}</span>
+    </li>`)}</ol>`}
+    <p class="note block">${t.note}</p>
+  </${Card}>`;
+}
+
 function EventsCard() {
   const events = state.value.trust.events;
   return html`<${Card} title=${w.eventsTitle} note=${w.eventsNote} id="events" class="events-card">
@@ -245,5 +260,5 @@ export function TrustPage({ query, go }) {
   clock.value;
   link.value;
   brokerAnswers();
-  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${CrossingCard} /><${EventsCard} /></div>`;
+  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${CrossingCard} /><${EventsCard} /><${TachographCard} /></div>`;
 }

@@ -253,6 +253,7 @@ class State(TypedDict):
     set_up: Object | None
     mode: Object | None
     crossing: Object | None
+    tachograph: Object | None
     recording: Object | None
     uplink: Object | None
     processes: dict[str, ProcessShown]
