@@ -163,7 +163,7 @@ PROCESSES = (
         "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
         container_user=10_112,
         consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
-        produces=("v2x/cam", "v2x/send"),
+        produces=("v2x/cam", "v2x/send", "v2x/neighbours"),
         roles=BOTH,
     ),
     ProcessRow(
