@@ -7,14 +7,12 @@ oscillator of 20 ppm is off by 118 kHz.
 """
 
 from collections import Counter, OrderedDict
-from collections.abc import Sequence
 from math import cos, sin
 
 import numpy as np
 
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.v2x import Authentication, Cam, DriveDirection, StationType
-from shared.v2x.frames import unpack
 
 ELLIPSE_95, SCALAR_95 = 2.4477, 1.9600  # of a bivariate and of a univariate normal distribution
 HEIGHT_OFFSET_SD_M = 1.0  # [m] of the receiver above the reference point, which lies on the ground
@@ -34,15 +32,9 @@ class ReceivedNeighbours:
         self._newest: OrderedDict[int, tuple[Cam, float | None]] = OrderedDict()
         self._offsets: OrderedDict[tuple[int, bytes], float | None] = OrderedDict()
 
-    def note_offsets(self, data: bytes, cfo_hz: Sequence[float | None]) -> None:
-        """Keep the offsets of the frames of a batch."""
-        if not cfo_hz:
-            return
-        try:
-            for (received_ns, frame), offset in zip(unpack(data), cfo_hz, strict=False):
-                self._offsets[received_ns, frame[:PREFIX_BYTES]] = offset
-        except ValueError:
-            return  # counted where the batch is decoded
+    def note_offset(self, received_ns: int, frame: bytes, cfo_hz: float | None) -> None:
+        """Keep the offset of a frame until its CAM is made."""
+        self._offsets[received_ns, frame[:PREFIX_BYTES]] = cfo_hz
         while len(self._offsets) > MAX_OFFSETS:
             self._offsets.popitem(last=False)
 

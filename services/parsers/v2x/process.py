@@ -192,9 +192,9 @@ class Process:
         for item in self._trusted.expire(batch.received_ns):
             if waited := self._judged(*item):
                 yield waited
-        if self._neighbours is not None:
-            self._neighbours.note_offsets(batch.data, batch.cfo_hz)
-        for received_ns, frame in self._unpacked(batch.data):
+        for number, (received_ns, frame) in enumerate(self._unpacked(batch.data)):
+            if self._neighbours is not None and number < len(batch.cfo_hz):
+                self._neighbours.note_offset(received_ns, frame, batch.cfo_hz[number])
             with self._faults.decoding(batch.received_ns):
                 try:
                     decoded = self._decode(frame, received_ns, batch.encapsulation)

@@ -208,7 +208,7 @@ def fix_from_epoch(epoch: Epoch, pvt: messages.Pvt, *, sampled_ns: int, source: 
         vdop=dop.vdop,
         gdop=dop.gdop,
         tdop=dop.tdop,
-        time_sd_s=pvt.time_sd_ns * 1e-9 if pvt.time_valid and pvt.time_sd_ns is not None else None,
+        time_sd_s=pvt.time_sd_ns / 1e9 if pvt.time_valid and pvt.time_sd_ns is not None else None,
         correction_age_s=pvt.correction_age_s,
         baseline_heading_rad=epoch.baseline.heading_rad if epoch.baseline else None,
         baseline_heading_sd_rad=epoch.baseline.heading_sd_rad if epoch.baseline else None,
