@@ -1,10 +1,11 @@
 // The page Trust: the verdict and why, every monitor with its statistic against its threshold, and how both went.
 import { useEffect, useMemo, useState } from "preact/hooks";
-import { brokerAnswers, change, clock, link, nowMs, paused, state } from "../store.js";
+import { brokerAnswers, clock, link, nowMs, paused, state } from "../store.js";
 import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, monitorsStand,
 } from "../parts.js";
 import { AttacksCard } from "./attacks.js";
+import { CrossingCard, TachographCard } from "./records.js";
 import { HypothesesCard, hypothesesNow, probability } from "./hypotheses.js";
 import { w as hypothesisWords } from "./hypothesis_words.js";
 import { words } from "../words.js";
@@ -107,45 +108,6 @@ function VerdictCard() {
       <${Row} label=${w.imu} value=${t.imu_excluded ? w.excluded : w.notExcluded} />
     </dl>`}
     ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
-  </${Card}>`;
-}
-
-// Ferry and train: only what the driver enters here silences a rule; the wheels close what was left open.
-function CrossingCard() {
-  const [text, setText] = useState("");
-  const x = w.crossing;
-  const crossing = state.value.crossing;
-  const isOpen = Boolean(crossing?.is_open);
-  const asked = monitorsNow().some(([, shown]) => shown.tests.carried?.reason_code?.code === "motion.carried_or_spoofed");
-  const send = async () => {
-    setText(x.sending);
-    try {
-      const answer = await change("api/command", { command: isOpen ? "crossing_end" : "crossing_begin" });
-      setText(answer.ok ? "" : x.refused((await answer.json()).detail));
-    } catch {
-      setText(x.lost);
-    }
-  };
-  return html`<${Card} title=${x.title} id="crossing" class="crossing-card">
-    ${asked && html`<p class="lead-text"><strong>${x.question}</strong></p>`}
-    <p>${isOpen ? x.open(sinceText(crossing.since_ns)) : crossing ? x.closed[crossing.ended_by] ?? x.none : x.none}</p>
-    <div class="toolbar"><button onClick=${send} disabled=${!link.value.open}>${isOpen ? x.end : x.begin}</button><span class="note" role="status">${text}</span></div>
-    <p class="note block">${x.note}</p>
-  </${Card}>`;
-}
-
-// Records of the smart tachograph, newest first, with the purposes for which the annex keeps them.
-function TachographCard() {
-  const t = w.tachograph;
-  const records = [...(state.value.tachograph?.records ?? [])].reverse();
-  const day = (ns) => new Date(ns / 1e6).toISOString().slice(0, 10);
-  return html`<${Card} title=${t.title} note=${t.newest} id="tachograph" class="tachograph-card">
-    ${!records.length ? html`<p class="note block">${t.none}</p>` : html`<ol class="outages events scroll" tabindex="0" aria-label=${t.title}>${records.map((r) => html`<li key=${r.kind + r.begin_utc_ns}>
-      <span><strong>${t.kind[r.kind] ?? r.kind}</strong></span>
-      <time>${day(r.begin_utc_ns)} ${timeOfDay(r.begin_utc_ns / 1e6)}</time>
-      <span class="dim">${r.end_utc_ns == null ? t.lasts : t.length(duration((r.end_utc_ns - r.begin_utc_ns) / 1e9))}${t.similar(r.similar_that_day)}<br />${r.purposes.map((p) => t.purpose[p] ?? p).join(", ")}</span>
-    </li>`)}</ol>`}
-    <p class="note block">${t.note}</p>
   </${Card}>`;
 }
 
