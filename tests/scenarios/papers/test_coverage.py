@@ -1,6 +1,7 @@
 """The list of each paper: no figure or table without a row, no command, test or number that does not exist."""
 
 import ast
+import json
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from cli.papers.coverage.coverage import (
     stored,
     value_at,
 )
+from cli.papers.papers import listed
 from shared.errors import UserError
 
 TESTS = Path(__file__).parents[2]
@@ -29,11 +31,11 @@ def test_each_paper_has_a_list() -> None:
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_each_figure_and_table_has_a_row_and_each_stored_number_is_within_its_tolerance(paper: str) -> None:
-    listed, result = coverage(paper), stored(paper)
-    assert listed.missing() == []
+    listing, result = coverage(paper), stored(paper)
+    assert listing.missing() == []
     assert result is not None and result["version"] and result["paper"] == paper
     assert result["deviations"] == [], "a result outside the limits of its own command is not kept"
-    for row in listed.rows:
+    for row in listing.rows:
         assert outside(row, result) == [], "stored by `make papers KEEP=1`"
         if row.command:
             words = row.command.split()
@@ -47,8 +49,8 @@ def test_each_figure_and_table_has_a_row_and_each_stored_number_is_within_its_to
 
 def test_a_missing_or_doubled_row_is_named() -> None:
     row = Row(item="figure 1", shows="x", status=Status.NOT_REPRODUCED, reason="y")
-    listed = Coverage(number="9", title="t", figures=2, tables=1, rows=(row, row))
-    assert listed.missing() == ["figure 1", "figure 2", "table 1", "figure 1"]
+    listing = Coverage(number="9", title="t", figures=2, tables=1, rows=(row, row))
+    assert listing.missing() == ["figure 1", "figure 2", "table 1", "figure 1"]
 
 
 @pytest.mark.parametrize(("value", "is_outside"), [(1.1, False), (0.9, False), (1.2, True), (0.8, True)])
@@ -72,3 +74,14 @@ def test_what_is_not_there_or_not_complete_is_an_error() -> None:
         Row(item="figure 1", shows="x", status=Status.DIFFERS)
     with pytest.raises(UserError, match="choose of"):
         coverage("atlantis")
+
+
+def test_the_lists_are_printed_with_the_texts_numbers_beside_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    assert listed(None, json=False) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for paper in PAPERS:
+        assert coverage(paper).title.split(":")[0] in printed
+    assert "70 s: ours 70" in printed
+    assert listed("toll", json=True) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document.keys() == {"toll"} and document["toll"]["result"]["paper"] == "toll"
