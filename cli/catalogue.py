@@ -157,6 +157,7 @@ COMMANDS = {
     "evidence-key show": ("evidence_key", "show"),
     "evidence-key rotate": ("evidence_key", "rotate"),
     "evidence-key export": ("evidence_key", "export"),
+    "papers list": ("commands.papers", "listed"),
     "papers navigation": ("commands.papers", "navigation"),
     "papers motion-conflict": ("commands.papers", "motion_conflict"),
     "papers cooperative": ("commands.papers", "cooperative"),
@@ -179,7 +180,7 @@ COMMANDS = {
 }
 # What the help of a group says after its summary; without one the group is a command as well.
 GROUPS = {
-    "papers": "Example: [bold]obu papers navigation --runs 2[/]",
+    "papers": "Examples:\n[bold]obu papers list[/]\n[bold]obu papers navigation --runs 2[/]",
     "config": "Each setting has a name of its section and its key; docs/reference/configuration.md lists them.\n\n"
     "Examples:\n[bold]obu config list --changed[/]\n[bold]obu config set core.fusion.gnss.delay_s=0.08[/]\n"
     "[bold]obu config undo[/]",

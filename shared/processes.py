@@ -169,7 +169,7 @@ PROCESSES = (
         "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
         container_user=10_112,
         consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
-        produces=("v2x/cam", "v2x/send"),
+        produces=("v2x/cam", "v2x/send", "v2x/neighbours"),
         roles=BOTH,
     ),
     ProcessRow(
@@ -190,9 +190,11 @@ PROCESSES = (
         container_user=10_115,
         consumes=(
             "gnss/receiver", "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution",
-            "navigation/state", "mode/command", "power/state",
+            "navigation/state", "mode/command", "mode/crossing", "power/state",
         ),
-        produces=("gnss/configure", "gnss/reset", "mode/state", "mode/answer", "navigation/last_position"),
+        produces=(
+            "gnss/configure", "gnss/reset", "mode/state", "mode/answer", "mode/crossing", "navigation/last_position",
+        ),
         pause_s=0.1,
     ),
     ProcessRow(
@@ -227,8 +229,11 @@ PROCESSES = (
         "core.motion_conflict", Kind.STANDING,
         "compares the speeds of GNSS and odometer as the smart tachograph does, and both with the inertial sensors",
         container_user=10_118,
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state"),
-        produces=("trust/monitor", "trust/inertial_scale"),
+        consumes=(
+            "imu/sample", "gnss/fix", "vehicle/speed", "trust/state", "trust/inertial_scale", "mode/state",
+            "mode/crossing", "host/clock", "tachograph/records",
+        ),
+        produces=("trust/monitor", "trust/inertial_scale", "tachograph/event", "tachograph/records"),
         pause_s=0.1,
     ),
     ProcessRow(

@@ -42,6 +42,12 @@ OF_DEVICES = {
     "detector_lane": Reason("a pulse of a lane that the plaza does not have", "correct the lane's name"),
     "detector_rate": Reason("pulses of a lane faster than vehicles can pass", "check the detector"),
     "frame_rate": Reason("V2X frames beyond what a radio delivers", "check the link to the radio"),
+    "frame_json": Reason(
+        "a datagram of a udp+json radio that is no object with a frame", "compare the flow graph with connect-devices"
+    ),
+    "neighbour_unsigned": Reason(
+        "an unsigned CAM of a station whose signed ones are received", "somebody sends under its identity"
+    ),
     "frame_length": Reason("a V2X frame without content, or longer than a frame can be", "check the link to the radio"),
     "queue_full": Reason("V2X frames that came faster than they are taken", "check the load of this computer"),
     "ubx_*": Reason("raw measurements that cannot be", "bring the receiver's firmware up to date"),

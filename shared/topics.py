@@ -38,6 +38,7 @@ from .messages.navigation import (
 from .messages.neighbours import NeighbourStates
 from .messages.operation import (
     ConsumptionOrder,
+    Crossing,
     DeadlineReport,
     DeviceState,
     HostClock,
@@ -54,6 +55,7 @@ from .messages.power import PowerEvent, PowerRaw, PowerState
 from .messages.replay import ReplayControl, ReplayEvents, ReplayState
 from .messages.settings import SettingsAnswer, SettingsCatalogue, SettingsCommand, SettingsState
 from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
+from .messages.tachograph import TachographEvent, TachographRecords
 from .messages.toll import (
     GateCommand,
     LedgerHead,
@@ -201,6 +203,8 @@ TOPICS = (
     Topic("gnss/reset", GnssReset, "lets a receiver start anew", qos=1),
     Topic("mode/command", ModeCommand, "commands of the operator", qos=1),
     Topic("mode/answer", ModeAnswer, "how far a command of the operator has come", qos=1),
+    Topic("mode/crossing", Crossing, "ferry or train that carries the vehicle, as the driver has entered it",
+          qos=1, retain=True, persist=True),
     Topic("mode/state", ModeState, "operating mode of the unit, and the sources in use",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, advisory=True),
     Topic("settings/command", SettingsCommand, "settings to be checked or changed", qos=1),
@@ -230,6 +234,9 @@ TOPICS = (
     Topic("trust/grade", LearnedGrade, "what this vehicle's drives have taught about its IMU and receiver",
           qos=1, retain=True, persist=True),
     Topic("trust/inertial_scale", LearnedScale, "what this vehicle's bends have taught about its IMU's scale",
+          qos=1, retain=True, persist=True),
+    Topic("tachograph/event", TachographEvent, "begin and end of an event of the smart tachograph", qos=1),
+    Topic("tachograph/records", TachographRecords, "events that the smart tachograph's annex keeps",
           qos=1, retain=True, persist=True),
     Topic("trust/record", TrustRecord, "what core.trust believes and what is open, for its next process",
           qos=1, retain=True, persist=True),

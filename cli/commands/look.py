@@ -103,6 +103,7 @@ def command(
     [bold]obu command select_source --source imu1[/]
     [bold]obu command calibrate_at_rest[/]
     [bold]obu command confirm_position[/]
+    [bold]obu command crossing_begin[/]
     """
     from shared.runtime.config import load_vehicle
 

@@ -7,24 +7,52 @@ import typer
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")]
 FiguresOption = Annotated[
-    Path | None, typer.Option(metavar="FOLDER", help="Folder of the figures (SVG); without it none are written.")
+    Path | None,
+    typer.Option(
+        metavar="FOLDER", help="Folder of the figures (SVG) and of result.json; without it neither is written."
+    ),
 ]
 
 
 def navigation(
     runs: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Number of seeds per row.")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the table.")] = False,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+    short: Annotated[
+        bool, typer.Option("--short", help="The five drives of the paper and outages with wheels only.")
+    ] = False,
 ) -> int:
     """Simulate the degraded scenarios of the EMERGE paper, compare with its table 2, and simulate outages.
 
-    Ends with 1 if a number is not reproduced. A goal that only the filter as delivered misses is named, and is no
-    failure.
+    The figures are the errors of each scenario with an outage of 30 s. Ends with 1 if a number is not reproduced. A
+    goal that only the filter as delivered misses is named, and is no failure.
 
-    Example: [bold]obu papers navigation --runs 2[/]
+    Examples:
+    [bold]obu papers navigation --runs 2[/]
+    [bold]obu papers navigation --out figures[/]
     """
     from ..papers.papers import navigation as repeat
 
-    return repeat(runs, as_json)
+    return repeat(runs, as_json, out, short=short)
+
+
+def listed(
+    paper: Annotated[
+        str | None, typer.Argument(metavar="[PAPER]", help="navigation, motion-conflict, cooperative, spoofing, toll.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """List every figure, table and number of the papers: reproduced by which command, or why not.
+
+    The numbers of the texts stand beside ours as they are stored in the repository.
+
+    Examples:
+    [bold]obu papers list[/]
+    [bold]obu papers list toll --json[/]
+    """
+    from ..papers.papers import listed as show
+
+    return show(paper, as_json)
 
 
 def motion_conflict(

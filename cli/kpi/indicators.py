@@ -6,12 +6,14 @@ or DEAD RECKONING. Shares of time are counted on a grid of 0.1 s from the first 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
 from shared.messages.gnss import CarrierSolution, GnssFix, GnssSatellites
+from shared.messages.power import PowerState
 from shared.messages.trust import TrustLevel
 
 from ..solve.metrics.errors import Errors
@@ -24,6 +26,8 @@ NS = 1_000_000_000
 GRID_NS = NS // 10
 HOLD_TIME_NS = 2 * NS  # deadline of navigation/solution in shared/topics.py
 FIX_HELD_NS = 2 * NS
+LONGEST_POWER_STEP_S = 10.0  # [s] between two states of a supply, one of which comes every second
+LEAST_CHARGE_USED = 0.02  # [-] below it the estimate of the charge is mostly noise of the voltage
 CONTINUITY_S = 15.0  # exposure time of an approach (ICAO annex 10), commonly taken for vehicles too
 USABLE = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
 Stamps = npt.NDArray[np.int64]
@@ -41,6 +45,9 @@ class Indicator:
     meaning: str
 
 
+MOMENTS = (("mean", "mean"), ("sigma", "standard deviation"))
+
+
 def _axes(group: str, prefix: str, whose: str) -> list[Indicator]:
     return [
         *(Indicator(f"{prefix}_{axis}_rmse_m", "m", group, f"{whose}: {axis} error, root mean square")
@@ -49,6 +56,8 @@ def _axes(group: str, prefix: str, whose: str) -> list[Indicator]:
         Indicator(f"{prefix}_horizontal_p50_m", "m", group, f"{whose}: horizontal error, median (CEP)"),
         Indicator(f"{prefix}_horizontal_p95_m", "m", group, f"{whose}: horizontal error, 95th percentile"),
         Indicator(f"{prefix}_horizontal_max_m", "m", group, f"{whose}: horizontal error, maximum"),
+        *(Indicator(f"{prefix}_{axis}_{name}_m", "m", group, f"{whose}: {axis} error, {meaning}")
+          for axis in ("north", "east", "down") for name, meaning in MOMENTS),
     ]  # fmt: skip
 
 
@@ -85,6 +94,14 @@ INDICATORS = (
     Indicator("hdop_p95", "", "geometry", "horizontal dilution of precision, 95th percentile"),
     Indicator("pdop_median", "", "geometry", "dilution of precision in space, median of the fixes"),
     Indicator("vdop_median", "", "geometry", "vertical dilution of precision, median of the fixes"),
+    Indicator("gdop_median", "", "geometry", "geometric dilution of precision, median of the fixes"),
+    Indicator("tdop_median", "", "geometry", "dilution of precision of time, median of the fixes"),
+    *(Indicator(f"receiver_level_{axis}_{name}_m", "m", "geometry", f"{axis} protection level of the receiver itself "
+                f"(UBX-NAV-PL), {meaning}")
+      for axis in ("north", "east", "down") for name, meaning in MOMENTS),
+    Indicator("time_accuracy_mean_s", "s", "geometry", "accuracy of its time, as the receiver states it, mean"),
+    Indicator("satellites_tracked_mean", "", "geometry", "satellites with a carrier-to-noise density, mean of epochs"),
+    Indicator("satellites_received_mean", "", "geometry", "satellites that the receiver lists, mean of epochs"),
     Indicator("satellites_used_median", "", "geometry", "satellites used by the receiver, median of the fixes"),
     Indicator("satellites_used_min", "", "geometry", "satellites used by the receiver, fewest of the fixes"),
     Indicator("cn0_median_db_hz", "dB-Hz", "geometry", "carrier-to-noise density of used satellites, median"),
@@ -98,6 +115,9 @@ INDICATORS = (
     Indicator("dead_reckoning_s", "s", "times", "time with the verdict DEAD RECKONING"),
     Indicator("unsafe_s", "s", "times", "time with the verdict UNSAFE"),
     Indicator("gnss_excluded_s", "s", "times", "time in which core.trust excluded GNSS"),
+    Indicator("on_battery_s", "s", "power", "time on the battery of the supply"),
+    Indicator("consumption_mean_w", "W", "power", "power drawn from the battery, mean of the time on it"),
+    Indicator("autonomy_h", "h", "power", "time for which a full battery lasts, by the charge that was used in it"),
 )  # fmt: skip
 
 
@@ -111,6 +131,7 @@ class DriveObservations:
     verdicts: Verdicts | None
     fixes: Sequence[GnssFix]  # with a position
     satellites: Sequence[GnssSatellites]
+    power: Sequence[PowerState]
     errors: Errors | None
     gnss_alone: GnssAlone | None
     alert_limits_m: tuple[float, float]
@@ -139,6 +160,7 @@ def indicators_of(drive: DriveObservations) -> dict[str, Value]:
         **_integrity(drive, usable, grid),
         **_geometry(drive),
         **_times(drive, grid, available, usable),
+        **_power(drive.power),
     }
     return {row.name: _rounded(found.get(row.name)) for row in INDICATORS}
 
@@ -178,6 +200,8 @@ def _errors(prefix: str, error_n: FloatArray) -> dict[str, Value]:
     names = ("north", "east", "down")
     return {
         **{f"{prefix}_{name}_rmse_m": _rms(error_n[:, axis]) for axis, name in enumerate(names)},
+        **{f"{prefix}_{name}_mean_m": _mean(error_n[:, axis]) for axis, name in enumerate(names)},
+        **{f"{prefix}_{name}_sigma_m": _sigma(error_n[:, axis]) for axis, name in enumerate(names)},
         f"{prefix}_3d_rmse_m": _rms(np.linalg.norm(whole, axis=1)),
         f"{prefix}_horizontal_p50_m": _quantile(horizontal, 0.5),
         f"{prefix}_horizontal_p95_m": _quantile(horizontal, 0.95),
@@ -266,12 +290,28 @@ def _at(mask: Mask, grid: Stamps, stamps: Stamps) -> Mask:
 
 
 def _geometry(drive: DriveObservations) -> dict[str, Value]:
-    dops = {name: _known([getattr(fix, name) for fix in drive.fixes]) for name in ("hdop", "pdop", "vdop")}
+    dops = {
+        name: _known([getattr(fix, name) for fix in drive.fixes]) for name in ("hdop", "pdop", "vdop", "gdop", "tdop")
+    }
     used = _known([fix.satellites_used for fix in drive.fixes])
     strengths = _known([
         satellite.cn0_db_hz for epoch in drive.satellites for satellite in epoch.satellites if satellite.used
     ])  # fmt: skip
+    levels = np.array([fix.stated_level_ned_m for fix in drive.fixes if fix.stated_level_ned_m is not None])
+    by_axis = zip(("north", "east", "down"), levels.reshape(-1, 3).T, strict=True)
     return {
+        **{
+            f"receiver_level_{axis}_{name}_m": of(values)
+            for axis, values in by_axis
+            for name, of in (("mean", _mean), ("sigma", _sigma))
+        },
+        "time_accuracy_mean_s": _mean(_known([fix.time_sd_s for fix in drive.fixes])),
+        "satellites_tracked_mean": _mean(
+            _known(
+                [sum(satellite.cn0_db_hz is not None for satellite in epoch.satellites) for epoch in drive.satellites]
+            )
+        ),
+        "satellites_received_mean": _mean(_known([len(epoch.satellites) for epoch in drive.satellites])),
         **{f"{name}_median": _quantile(values, 0.5) for name, values in dops.items()},
         "hdop_p95": _quantile(dops["hdop"], 0.95),
         "satellites_used_median": _quantile(used, 0.5),
@@ -307,6 +347,26 @@ def _times(drive: DriveObservations, grid: Stamps, available: Mask, usable: Mask
     return found
 
 
+def _power(states: Sequence[PowerState]) -> dict[str, Value]:
+    """Consumption and autonomy while the unit ran on its battery; the charge is estimated from the voltage."""
+    span_s, energy_j, measured_s, used = 0.0, 0.0, 0.0, 0.0
+    for before, after in pairwise(states):
+        step_s = (after.sampled_ns - before.sampled_ns) / NS
+        if not (before.on_battery and after.on_battery and 0.0 < step_s <= LONGEST_POWER_STEP_S):
+            continue
+        span_s += step_s
+        if before.voltage_v is not None and before.current_a is not None and before.current_a < 0.0:
+            energy_j += -before.voltage_v * before.current_a * step_s
+            measured_s += step_s
+        if before.charge_ratio is not None and after.charge_ratio is not None:
+            used += before.charge_ratio - after.charge_ratio
+    return {
+        "on_battery_s": span_s if states else None,
+        "consumption_mean_w": energy_j / measured_s if measured_s else None,
+        "autonomy_h": span_s / used / 3600.0 if used > LEAST_CHARGE_USED else None,
+    }
+
+
 def _runs(mask: Mask) -> list[int]:
     """Lengths of the runs of true values."""
     steps = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
@@ -320,6 +380,16 @@ def _stamps(fixes: Sequence[GnssFix]) -> Stamps:
 
 def _known(values: Sequence[float | None]) -> FloatArray:
     return np.array([value for value in values if value is not None], dtype=float)
+
+
+def _mean(values: FloatArray) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None
+
+
+def _sigma(values: FloatArray) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.std()) if len(finite) else None
 
 
 def _rms(values: FloatArray) -> float | None:

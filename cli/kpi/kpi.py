@@ -18,6 +18,7 @@ from shared.errors import BadPayload, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssSatellites
 from shared.messages.navigation import NavigationSolution, NavigationState
+from shared.messages.power import PowerState
 from shared.messages.trust import TrustState
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile
@@ -38,7 +39,7 @@ from .indicators import INDICATORS, DriveObservations, Value, indicators_of
 from .page import as_shown, page
 
 DAY_NS, MOST_DAYS = 86_400 * 10**9, 7  # beyond it a stamp is wrong
-OUTPUT_TOPICS = ("navigation/solution", "navigation/state", "trust/state", "gnss/fix", "gnss/satellites")
+OUTPUT_TOPICS = ("navigation/solution", "navigation/state", "trust/state", "gnss/fix", "gnss/satellites", "power/state")
 
 
 def kpi(
@@ -116,6 +117,7 @@ class DriveCollector:
     verdicts: VerdictLog = field(default_factory=VerdictLog)
     fixes: list[GnssFix] = field(default_factory=list)
     satellites: list[GnssSatellites] = field(default_factory=list)
+    power: list[PowerState] = field(default_factory=list)
 
     def add(self, message: Message) -> None:
         """Take a message of the unit."""
@@ -128,6 +130,8 @@ class DriveCollector:
                 self.fixes.append(message)
             case GnssSatellites():
                 self.satellites.append(message)
+            case PowerState():
+                self.power.append(message)
 
     @property
     def track(self) -> Track:
@@ -177,6 +181,7 @@ def _observed(
         verdicts=seen.verdicts.verdicts(first_ns, last_ns) if len(seen.verdicts) else None,
         fixes=seen.fixes,
         satellites=seen.satellites,
+        power=seen.power,
         errors=errors_against(reference, track, lever_arm_b=arm) if compared and reference is not None else None,
         gnss_alone=(
             gnss_alone(seen.fixes, reference, track, lever_arm_b=arm, delay_s=delay_s)

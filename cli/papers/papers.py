@@ -4,47 +4,68 @@ import json as json_module
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
 
 from shared.errors import UserError
 
 from . import navigation as drives_table
 from . import outages as outages_table
-from .report import publish
+from .coverage.coverage import Status, coverage, names, stored
+from .coverage.page import cells, title_of
+from .navigation_figures import drawn_drives
+from .report import Paper, publish
 
 MIN_DRIVES = 6
+COLOURS = {Status.REPRODUCED: "green", Status.DIFFERS: "yellow", Status.NOT_REPRODUCED: "dim"}
 
 
-def navigation(runs: int, json: bool) -> int:
+def navigation(runs: int, json: bool, out: Path | None = None, *, short: bool = False) -> int:
     """Print drives and outages; return 1 if a limit is exceeded. Goals missed with default settings are only named."""
     if runs < 1:
         raise UserError(f"{runs} runs: at least 1 is required: try `obu papers navigation --runs 10`")
     workers = drives_table.WORKERS
-    drives = drives_table.measure_all(drives_table.CASES, runs, workers, progress=True)
-    outages = outages_table.measure_all(outages_table.AIDS, runs, workers, progress=True)
-    faults = drives_table.shortcomings(drives) + outages_table.shortcomings(outages)
+    cases = [case for case in drives_table.CASES if case.paper_fused or not short]
+    aids = [row for row in outages_table.AIDS if row.wheels or not short]
+    drives = drives_table.measure_all(cases, runs, workers, progress=True)
+    outages = outages_table.measure_all(aids, runs, workers, progress=True)
     missed = drives_table.missed_goals(drives)
+    document = {
+        "runs": runs, "drives": drives_table.document(drives), "mean": drives_table.mean_document(drives),
+        "outages": outages_table.document(outages), "missed_goals": missed,
+    }  # fmt: skip
+    paper = Paper(
+        "navigation", (), document, drives_table.FITTED, drives_table.not_reproduced(drives),
+        deviations=drives_table.shortcomings(drives) + outages_table.shortcomings(outages),
+        figures=drawn_drives(1 if short else None, workers) if out is not None else (),
+    )  # fmt: skip
+    if not json:
+        console = Console()
+        drives_table.print_table(drives, runs, console)
+        outages_table.print_table(outages, runs, console)
+        for goal in missed:
+            console.print(f"[yellow]goal missed:[/] {goal}")
+    return publish(paper, json=json, out=out)
+
+
+def listed(paper: str | None, json: bool) -> int:
+    """Print what of each paper is reproduced, figure by figure and table by table; 0."""
+    lists = {name: coverage(name) for name in ([paper] if paper is not None else names())}
     if json:
-        rows = {"drives": drives_table.document(drives), "outages": outages_table.document(outages)}
-        remarks = {"fitted": drives_table.FITTED, "not_reproduced": drives_table.not_reproduced(drives)}
-        print(
-            json_module.dumps(
-                {"runs": runs, **rows, "shortcomings": faults, "missed_goals": missed, **remarks}, indent=2
-            )
-        )
-        return 1 if faults else 0
+        rows = {name: {**one.model_dump(mode="json"), "result": stored(name)} for name, one in lists.items()}
+        print(json_module.dumps(rows, indent=2))
+        return 0
     console = Console()
-    drives_table.print_table(drives, runs, console)
-    outages_table.print_table(outages, runs, console)
-    for heading, remarks_ in (("Fitted", drives_table.FITTED), ("Not reproduced", drives_table.not_reproduced(drives))):
-        for remark in remarks_:
-            console.print(f"[bold]{heading}:[/] {remark}", highlight=False)
-    for fault in faults:
-        console.print(f"[red]limit exceeded:[/] {fault}")
-    for goal in missed:
-        console.print(f"[yellow]goal missed:[/] {goal}")
-    if not faults:
-        console.print("[green]all limits met[/]")
-    return 1 if faults else 0
+    for name, one in lists.items():
+        console.print(f"[bold]{title_of(one)}[/]", highlight=False)
+        for row in one.rows:
+            item, shows, status, numbers, last = cells(name, row)
+            console.print(f"  {item} [{COLOURS[row.status]}]{status}[/]: {escape(shows)}", highlight=False)
+            for text in (numbers, last):
+                if text not in ("", "-"):
+                    console.print(Padding(escape(text), (0, 0, 0, 4)), highlight=False)
+        console.print()
+    return 0
 
 
 def motion_conflict(drives: int, json: bool, out: Path | None) -> int:

@@ -2,6 +2,7 @@
 
 import json as json_module
 import re
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,10 +15,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
 
+from shared import VERSION
 from shared.errors import UserError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+RESULT = "result.json"  # beside the figures
 
 
 @dataclass(frozen=True)
@@ -79,14 +84,32 @@ def publish(paper: Paper, *, json: bool, out: Path | None) -> int:
     if out is not None:
         _write(paper, out)
     if json:
-        remarks = {
-            "fitted": paper.fitted, "not_reproduced": paper.not_reproduced, "skipped": paper.skipped,
-            "deviations": paper.deviations,
-        }  # fmt: skip
-        print(json_module.dumps({"paper": paper.name, **paper.document, **remarks}, indent=2))
+        print(json_module.dumps(whole(paper), indent=2))
     else:
         _print(paper, Console(), out)
     return 1 if paper.deviations else 0
+
+
+def whole(paper: Paper) -> dict[str, object]:
+    """Numbers and remarks of a paper, for JSON."""
+    remarks = {
+        "fitted": paper.fitted, "not_reproduced": paper.not_reproduced, "skipped": paper.skipped,
+        "deviations": paper.deviations,
+    }  # fmt: skip
+    return {"paper": paper.name, **paper.document, **remarks}
+
+
+def stamped(paper: Paper) -> dict[str, object]:
+    """The same with the version of the code, and its commit where it is a clone of the repository."""
+    try:
+        done = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+        commit = done.stdout.strip() or None
+    except OSError:  # no git: an installed unit
+        commit = None
+    return {"version": VERSION, "commit": commit, **whole(paper)}
 
 
 def _write(paper: Paper, out: Path) -> None:
@@ -94,6 +117,7 @@ def _write(paper: Paper, out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         for figure in paper.figures:
             (out / figure.file).write_text(figure.svg, encoding="utf-8")
+        (out / RESULT).write_text(json_module.dumps(stamped(paper), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}; choose another folder with --out") from error
 
@@ -122,7 +146,7 @@ def _print(paper: Paper, console: Console, out: Path | None) -> None:
             console.print(f"[bold]{heading}:[/] {escape(remark)}", highlight=False)
     if out is not None:
         names = ", ".join(figure.file for figure in paper.figures)
-        console.print(f"Figures in {out}: {names}", highlight=False)
+        console.print(f"In {out}: {RESULT}{f', {names}' if names else ''}", highlight=False)
     for deviation in paper.deviations:
         console.print(f"[red]limit exceeded:[/] {escape(deviation)}", highlight=False)
     if not paper.deviations:

@@ -21,6 +21,7 @@ from shared.rejects import PARTS
 from shared.runtime.config import Section, Vehicle, own_fields
 from shared.words.words import PLACEHOLDER, words
 
+from ..papers.coverage.page import coverage_page
 from ..schemas import schemas_page
 from ..solve.metrics.metrics import METRICS, TIMINGS
 from ..solve.smoothing import SMOOTHED_METRICS
@@ -256,6 +257,7 @@ def pages() -> dict[str, str]:
         "access.md": HEAD + access_page(),
         "api.md": HEAD + api_page(cast("Json", openapi())),
         "schemas.md": HEAD + schemas_page(),
+        "papers.md": HEAD + coverage_page(),
     }
 
 

@@ -1,14 +1,18 @@
-"""V2X radios: datagrams over UDP, or bare CAM over MQTT; each frame with its arrival time.
+"""V2X radios: datagrams over UDP, bare or in JSON, or bare CAM over MQTT; each frame with its arrival time.
 
 udp://127.0.0.1:47347            GeoNetworking packets, from the basic header on, one a datagram
+udp+json://127.0.0.1:47347       the same with what the radio measured: {"frame": base64, "freqofs": Hz}, as a flow
+                                 graph of gr-ieee802-11 can send its PDU and the carrier frequency offset beside it
 mqtt://host:1883/prefix          CAM in UPER without headers: received from prefix/received, sent to prefix/send
 """
 
 import contextlib
+import json
 import select
 import socket
 import struct
 import time
+from base64 import b64decode
 from collections import Counter, deque
 from typing import Protocol, cast
 from urllib.parse import urlsplit
@@ -23,12 +27,13 @@ from ..messages.v2x import MAX_FRAME_BYTES, Encapsulation
 from ..v2x.geonetworking import decode_payload
 from .device import DeviceBusy, DeviceLost
 
-EXAMPLES = "udp://127.0.0.1:47347 or mqtt://127.0.0.1:1883/v2x"
+EXAMPLES = "udp://127.0.0.1:47347, udp+json://127.0.0.1:47347 or mqtt://127.0.0.1:1883/v2x"
 RECEIVE_BUFFER_BYTES = 1 << 20  # of the kernel: half a second of 2,000 frames/s of 500 bytes with its own overhead
 SO_TIMESTAMPNS = 35  # Linux: arrival time of a datagram as control message, struct timespec of CLOCK_REALTIME
 TIMESPEC = struct.Struct("@ll")
 MAX_AGE_NS = 1_000_000_000  # a greater age of a datagram comes from a host's clock that was set meanwhile
 QUEUE_LENGTH = 4096
+MAX_CFO_HZ = 1e6  # 20 ppm of both oscillators are 236 kHz
 KEEP_ALIVE_S = 10
 CONNECT_S = 1.0
 Frames = list[tuple[int, bytes]]
@@ -38,6 +43,7 @@ class Radio(Protocol):
     """An open V2X radio; every method raises `DeviceLost` when it is gone."""
 
     encapsulation: Encapsulation
+    cfo_hz: list[float | None]  # of each frame of the last `read`; empty: this radio measures none
 
     def read(self, most: int) -> Frames:
         """Return up to `most` frames that have arrived as (age in ns, bytes), without waiting."""
@@ -68,9 +74,9 @@ def check_radio_url(url: str) -> None:
     """Raise `UserError` for an invalid URL."""
     host_and_port(url)
     scheme, path = urlsplit(url).scheme, urlsplit(url).path.strip("/")
-    if scheme not in ("udp", "mqtt"):
+    if scheme not in ("udp", "udp+json", "mqtt"):
         raise UserError(f"unknown V2X radio {url!r}: try {EXAMPLES}")
-    if scheme == "udp" and path:
+    if scheme != "mqtt" and path:
         raise UserError(f"V2X radio {url!r}: a UDP address has no path; try {EXAMPLES}")
     if scheme == "mqtt" and (not path or set(path) & set("+#")):
         raise UserError(f"V2X radio {url!r} needs a topic prefix without wildcards: try {EXAMPLES}")
@@ -82,6 +88,8 @@ def open_radio(url: str, send_to: str | None, rejects: Counter[str]) -> Radio:
     try:
         if urlsplit(url).scheme == "udp":
             return UdpRadio(host_and_port(url), host_and_port(send_to) if send_to else None, rejects)
+        if urlsplit(url).scheme == "udp+json":
+            return JsonRadio(host_and_port(url), host_and_port(send_to) if send_to else None, rejects)
         return MqttRadio(url, rejects)
     except OSError as error:
         raise DeviceLost(
@@ -93,9 +101,11 @@ class UdpRadio:
     """A radio that exchanges GeoNetworking packets as UDP datagrams."""
 
     encapsulation = Encapsulation.GEONETWORKING
+    longest_bytes = MAX_FRAME_BYTES  # of a datagram
 
     def __init__(self, address: tuple[str, int], peer: tuple[str, int] | None, rejects: Counter[str]) -> None:
         self._peer, self._rejects = peer, rejects
+        self.cfo_hz: list[float | None] = []
         family = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0][0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
@@ -114,12 +124,12 @@ class UdpRadio:
         now_ns = time.time_ns()
         for _ in range(most):  # rejected datagrams count too: no sender can block the process
             try:
-                data, control, _, _ = self._socket.recvmsg(MAX_FRAME_BYTES + 1, socket.CMSG_SPACE(TIMESPEC.size))
+                data, control, _, _ = self._socket.recvmsg(self.longest_bytes + 1, socket.CMSG_SPACE(TIMESPEC.size))
             except BlockingIOError:
                 break
             except OSError as error:
                 raise DeviceLost(f"lost the UDP socket: {error}; check the network interface") from error
-            if 0 < len(data) <= MAX_FRAME_BYTES:
+            if 0 < len(data) <= self.longest_bytes:
                 age_ns = now_ns - _arrival_ns(control, now_ns)
                 frames.append((age_ns if 0 <= age_ns <= MAX_AGE_NS else 0, data))
             else:
@@ -148,6 +158,43 @@ def _arrival_ns(control: list[tuple[int, int, bytes]], now_ns: int) -> int:
     return now_ns
 
 
+class JsonRadio(UdpRadio):
+    """A radio whose program sends each packet as JSON over UDP, with the carrier frequency offset that it measured."""
+
+    longest_bytes = 4 * MAX_FRAME_BYTES // 3 + 512
+
+    def read(self, most: int) -> Frames:
+        """Return what has arrived; one that is not such an object is counted."""
+        frames: Frames = []
+        self.cfo_hz = []
+        for age_ns, data in super().read(most):
+            try:
+                frame, cfo_hz = _of_json(data)
+            except ValueError:
+                self._rejects["frame_json"] += 1
+                continue
+            frames.append((age_ns, frame))
+            self.cfo_hz.append(cfo_hz)
+        return frames
+
+
+def _of_json(data: bytes) -> tuple[bytes, float | None]:
+    """Frame and offset [Hz] of a datagram; raises ValueError. An offset that is no finite number is None."""
+    try:
+        given = json.loads(data)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+    if not isinstance(given, dict) or not isinstance(given.get("frame"), str):
+        raise ValueError("no frame")
+    frame = b64decode(given["frame"], validate=True)
+    if not 0 < len(frame) <= MAX_FRAME_BYTES:
+        raise ValueError("length")
+    offset = given.get("freqofs")
+    if isinstance(offset, int | float) and not isinstance(offset, bool) and abs(offset) <= MAX_CFO_HZ:
+        return frame, float(offset)
+    return frame, None
+
+
 class MqttRadio:
     """A radio behind an MQTT broker, which exchanges bare CAM in UPER."""
 
@@ -156,6 +203,7 @@ class MqttRadio:
     def __init__(self, url: str, rejects: Counter[str]) -> None:
         parts = urlsplit(url)
         self._url, self._rejects = url, rejects
+        self.cfo_hz: list[float | None] = []
         self._prefix = parts.path.strip("/")
         self._inbox: deque[tuple[int, bytes]] = deque(maxlen=QUEUE_LENGTH)
         self._fault: str | None = None

@@ -67,6 +67,9 @@ class CarrierSolution(StrEnum):
     FIXED = "fixed"
 
 
+OMITTED_IF_NONE = Field(exclude_if=lambda value: value is None)  # of what few receivers state
+
+
 class GnssFix(StampedMessage):
     """One navigation epoch of a receiver: position and velocity of its antenna."""
 
@@ -92,6 +95,9 @@ class GnssFix(StampedMessage):
     pdop: Ratio | None = None
     hdop: Ratio | None = None
     vdop: Ratio | None = None
+    gdop: Annotated[Ratio | None, OMITTED_IF_NONE] = None  # geometric: of position and time
+    tdop: Annotated[Ratio | None, OMITTED_IF_NONE] = None  # of time
+    time_sd_s: Annotated[Seconds | None, OMITTED_IF_NONE] = None  # accuracy of its UTC, as the receiver states it
     correction_age_s: Seconds | None = None
     correction_source: Name | None = None  # where the corrections come from that this unit gave to the receiver
     baseline_heading_rad: Quantity | None = None  # from the first antenna to the second, clockwise from true north
@@ -100,6 +106,7 @@ class GnssFix(StampedMessage):
     stated_heading_rad: Quantity | None = None  # of the vehicle, by the receiver's own filter
     stated_horizontal_level_m: Deviation | None = None  # the receiver's own protection levels
     stated_vertical_level_m: Deviation | None = None
+    stated_level_ned_m: Annotated[Deviation3 | None, OMITTED_IF_NONE] = None
 
 
 class Constellation(StrEnum):

@@ -39,6 +39,7 @@ class Neighbour(Message):
     oscillator_offset: Ratio | None = None  # fractional frequency offset of its transmitter, as it published it
     cfo_hz: Quantity | None = None  # measured by this unit's radio
     cfo_sd_hz: Deviation | None = None
+    authenticated: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # by the signature of its CAM
 
 
 class NeighbourStates(StampedMessage):

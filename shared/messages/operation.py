@@ -59,6 +59,8 @@ class OperatorCommand(StrEnum):
     SELECT_SOURCE = "select_source"  # use a device; without a name, leave the choice to the unit
     CONFIRM_POSITION = "confirm_position"  # it is right: what GNSS has contradicted before is over
     CALIBRATE_AT_REST = "calibrate_at_rest"  # measure the biases of the gyroscopes at standstill
+    CROSSING_BEGIN = "crossing_begin"  # the vehicle is carried by a ferry or train from now on
+    CROSSING_END = "crossing_end"
 
 
 class ModeCommand(Message):
@@ -86,6 +88,27 @@ class ModeAnswer(Message):
     command: OperatorCommand
     stage: CommandStage
     reason: Reason = ""  # why it failed, or what it led to
+
+
+class CrossingEnd(StrEnum):
+    """What has ended a crossing."""
+
+    DRIVER = "driver"
+    WHEELS = "wheels"  # they have turned for 100 m: the vehicle drives
+
+
+class Crossing(Message):
+    """Whether the vehicle is carried by a ferry or train, as its driver has entered it: at each change.
+
+    Only the driver's begin and end silence the comparison of GNSS with the odometer. One that is open at the end of a
+    unit is open at its next start, from that on.
+    """
+
+    sampled_ns: Nanoseconds
+    is_open: bool
+    since_ns: Nanoseconds  # of the begin; one that was open at a start: of the start
+    ended_by: CrossingEnd | None = None  # None while it is open
+    wheels_m: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0  # distance that the wheels have turned in it
 
 
 class ProcessState(StrEnum):

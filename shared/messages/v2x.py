@@ -38,6 +38,8 @@ class CamFrames(RawBytes):
     """Frames of at most 20 ms as records of `shared/v2x/frames.py`: each with its own stamp and length."""
 
     encapsulation: Encapsulation = Encapsulation.GEONETWORKING
+    # carrier frequency offset of each frame, by radios that measure it; empty: by one that does not
+    cfo_hz: Annotated[tuple[Quantity | None, ...], Field(max_length=MAX_CAMS, exclude_if=lambda value: not value)] = ()
 
 
 class Authentication(StrEnum):

@@ -10,7 +10,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from services.core.trust.facts import Monitor
-from shared.messages.operation import Origin, OriginKind
+from shared.messages.operation import Crossing, CrossingEnd, ModeCommand, OperatorCommand, Origin, OriginKind
+from shared.messages.tachograph import RecordPurpose, TachographEvent, TachographKind, TachographRecords
 from shared.messages.uplink import UplinkState
 from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
@@ -598,6 +599,39 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
         card.get_by_role("button", name="Start jam").click()
         expect(card.get_by_text("Ended: drag off")).to_be_visible()
         expect(card.get_by_text("No attack is active.")).to_be_visible()
+
+
+def test_a_crossing_is_entered_and_ended_on_the_page_and_records_are_listed(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        page = open_page(server.address, path="trust")
+        card = page.get_by_role("region", name="Ferry or train")
+        expect(card.get_by_text("No crossing is entered")).to_be_visible()
+        expect(page.get_by_text("No event is recorded.")).to_be_visible()
+        card.get_by_role("button", name="Begin a crossing").click()
+        expect(card.get_by_role("status")).to_have_text("")
+        now_ns = server.bus.now_ns()
+        server.bus.feed(Crossing(sampled_ns=now_ns, is_open=True, since_ns=now_ns), "controller.mode")
+        expect(card.get_by_text("Crossing entered, since")).to_be_visible()
+        card.get_by_role("button", name="End the crossing").click()
+        ended = Crossing(sampled_ns=now_ns, is_open=False, since_ns=now_ns, ended_by=CrossingEnd.WHEELS)
+        server.bus.feed(ended, "controller.mode")
+        expect(card.get_by_text("the wheels have turned for 100 m")).to_be_visible()
+        kinds = [message.command for message in server.bus.published if isinstance(message, ModeCommand)]
+        assert kinds == [OperatorCommand.CROSSING_BEGIN, OperatorCommand.CROSSING_END]
+        event = TachographEvent(
+            kind=TachographKind.MOTION_CONFLICT, begin_utc_ns=1_700_000_000 * 10**9, similar_that_day=2,
+            end_utc_ns=1_700_000_060 * 10**9, purposes=(RecordPurpose.LONGEST_OF_DAY,),
+        )  # fmt: skip
+        records = TachographRecords(sampled_ns=now_ns, records=(event,))
+        server.bus.feed(records, "core.motion_conflict")
+        listed = page.get_by_role("region", name="Records of the tachograph")
+        expect(listed.get_by_role("listitem")).to_contain_text("2023-11-14")
+        expect(listed.get_by_role("listitem")).to_contain_text("for 1 min 00 s, 2 of this kind on that day")
+        page.set_viewport_size(THEMES["phone"])
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert not faults(page)
 
 
 def test_attacks_are_offered_only_where_the_data_are_simulated(

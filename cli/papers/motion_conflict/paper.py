@@ -21,6 +21,7 @@ from .constellations import PHONE, STATION, Comparison, compare_phone, station_s
 from .drives import ALIKE_FACTORS, DURATION_S, FAULTS, RECORDING, SCENARIOS, DriveResult, recorded, result_of
 from .profiles import PERIOD_S, PROFILES, Drive
 from .sweeps import LIMIT_KM_H, BreakPoints, break_points, with_delay, with_gap, with_scale
+from .tunnels import tunnel_figures, tunnels_document, window_statistics
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -279,6 +280,7 @@ def _document(found: Findings) -> dict[str, object]:
     return {
         "break_points": {name: _values(points) for name, points in found.profiles.items()},
         "published_break_points": PUBLISHED,
+        **tunnels_document(),
         "drives": {
             kind: {
                 "count": len(drives),
@@ -336,6 +338,11 @@ def _figures(found: Findings) -> list[Figure]:
             mean, sd = _moments(values)
             axes.hist(values, bins=60)
             axes.set(xlabel="odometer - GNSS [km/h]", title=f"{kind}: {mean:.2f} ± {sd:.2f} km/h")
+    statistics = {
+        kind: np.concatenate([window_statistics(drive.differences) for drive in drives])
+        for kind, drives in kinds.items()
+    }  # fmt: skip
+    drawn += tunnel_figures(statistics)
     if found.phone is not None:
         with figure("GPS alone against Galileo alone", drawn.append) as (axes,):
             axes.hist(found.phone.difference_km_h, bins=60)

@@ -38,6 +38,7 @@ from .campaign import (
     threshold,
 )
 from .method import CUT_OFF_HZ, gnss_rates
+from .over_time import above_before_and_after, errors_by_cut_off, figures_over_time, thresholds
 from .recorded import RECORDING, halves, phone_drives
 
 COLUMNS = (*(metric.value for metric in Metric), "any")
@@ -112,6 +113,7 @@ class Findings:
     cut_offs: dict[tuple[Mode, float], tuple[float, float, float]]  # sigma [m/s²], any false [%], static replay [%]
     without_barometer: tuple[float, dict[str, Detection]]  # false detections [%], attacks; mode G
     phones: dict[str, dict[Mode, tuple[dict[str, float], float, float]]]  # false [%], k, episodes in the second half
+    by_cut_off: dict[float, float]  # [m/s²] error of the acceleration against the truth
     phone_sigma: dict[str, tuple[float, float]]  # [deg/s] of the heading rate by compass and by gyroscope
     skipped: list[str]
 
@@ -127,7 +129,7 @@ def reproduce(drives: int, progress: bool) -> Paper:
     skipped = [] if folder is not None else [recordings.missing(RECORDING, "drives that phones recorded")]
     found = Findings(
         split, validation, modes, _cut_offs(training, validation), _without_barometer(validation, modes),
-        {name: _phone(drive) for name, drive in phones.items()},
+        {name: _phone(drive) for name, drive in phones.items()}, errors_by_cut_off(),
         {name: _heading_sigma(drive) for name, drive in phones.items()}, skipped,
     )  # fmt: skip
     tables = [_false_table(found), _attack_table(found), *_sigma_tables(found), _cut_off_table(found)]
@@ -373,6 +375,11 @@ def _document(found: Findings) -> dict[str, object]:
             for name, modes in found.phones.items()
         },
         "phone_heading_rate_sd_deg_s": found.phone_sigma,
+        "thresholds": thresholds(found.modes[Mode.PAPER_RAW].sigma),
+        "above_three_sigma_percent_true_and_replayed": above_before_and_after(
+            found.validation, found.modes[Mode.PAPER_RAW].sigma
+        ),
+        "acceleration_error_m_s2": {f"{cut_off:g} Hz": error for cut_off, error in found.by_cut_off.items()},
     }
 
 
@@ -406,4 +413,4 @@ def _figures(found: Findings) -> list[Figure]:
         axes.set_xticks(np.arange(len(ATTACKS)) + 0.3, list(ATTACKS), fontsize=7)
         axes.set(ylabel="detected within 30 s [%]", ylim=(0.0, 125.0))
         axes.legend(ncols=4, loc="upper center")
-    return drawn
+    return drawn + figures_over_time(found.validation, found.modes[Mode.PAPER_RAW].sigma, found.by_cut_off)

@@ -12,6 +12,7 @@ from cli.papers.report import Figure, Paper, Table, figure
 from . import filters, lane_decisions
 from .filters import NOISES, PAPER_MSE, PAPER_RAW, SINGLE, TRACKERS, Result
 from .lane_decisions import REFERENCE, ROWS, Decisions, Errors
+from .steering import compare_steering, steering_table
 from .trajectory import cam_of, mixed
 
 SEED = 1
@@ -50,6 +51,7 @@ def reproduce(runs: int, progress: bool) -> Paper:
     cases = [*((errors, LANE_RUNS * runs, False) for errors in ROWS), (ROWS[0], LANE_RUNS * runs, True)]
     decisions = list(in_parallel(_decide, cases, WORKERS, progress))
     times = filters.step_times(SEED, VEHICLES)
+    steering = compare_steering(runs, SEED)
     scale = 1.0 / cos(radians(LATITUDE_DEG))
     mercator = filters.with_mercator_scale(scale, SEED)
     return Paper(
@@ -59,6 +61,7 @@ def reproduce(runs: int, progress: bool) -> Paper:
             _all_noises(results),
             _modes(results),
             _times(times),
+            steering_table(steering),
             _lanes(decisions),
             _shares(decisions),
         ),
@@ -76,6 +79,7 @@ def reproduce(runs: int, progress: bool) -> Paper:
             "paper_mse_m2": PAPER_MSE | {"GPS": PAPER_RAW},
             "step_s": {name: dict(zip(map(str, VEHICLES), time, strict=True)) for name, time in times.items()},
             "mercator_mse_m2": {"tangent_plane": mercator[0], "mercator": mercator[1]},
+            "steering_mse_m2": asdict(steering),
             "lanes": [asdict(decision) for decision in decisions[:-1]],
             "raw_lanes_expected": {
                 rule: [

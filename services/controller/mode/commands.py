@@ -8,9 +8,17 @@ from shared.chosen import receiver_of
 from shared.messages.base import Message
 from shared.messages.gnss import GnssConfigure, GnssFix, GnssReset, GnssStart
 from shared.messages.navigation import NavigationSolution, NavigationState
-from shared.messages.operation import CommandStage, ModeAnswer, ModeCommand, OperatorCommand
+from shared.messages.operation import (
+    CommandStage,
+    Crossing,
+    CrossingEnd,
+    ModeAnswer,
+    ModeCommand,
+    OperatorCommand,
+)
 
 from .configuration_exchange import ConfigurationExchange
+from .crossing import CrossingLog
 from .sources import Sources
 from .unit import Unit, has_position
 
@@ -23,7 +31,7 @@ STANDSTILL_S = 10.0  # of standstill: biases of the gyroscopes are averaged over
 STAND_WITHIN_S = 60.0
 # Output that a pending command gives at a message: an answer, and with it its end; None while it goes on.
 Step = Callable[[Message], tuple[CommandStage, str] | None]
-Output = ModeAnswer | GnssConfigure | GnssReset
+Output = ModeAnswer | GnssConfigure | GnssReset | Crossing
 
 
 @dataclass
@@ -49,10 +57,14 @@ class Commands:
         Devices and newest messages.
     exchange : callable
         Begins to configure a receiver with another navigation period [s].
+    crossing : CrossingLog
+        Ferry or train that carries the vehicle.
     """
 
-    def __init__(self, unit: Unit, exchange: Callable[[str, float], ConfigurationExchange]) -> None:
-        self._unit, self._exchange = unit, exchange
+    def __init__(
+        self, unit: Unit, exchange: Callable[[str, float], ConfigurationExchange], crossing: CrossingLog
+    ) -> None:
+        self._unit, self._exchange, self._crossing = unit, exchange, crossing
         self._pending: dict[str, PendingCommand] = {}
 
     def take(self, command: ModeCommand) -> Iterator[Output]:
@@ -210,6 +222,16 @@ class Commands:
         late = "no state of the filter, or it still holds an offset"
         return PendingCommand(command, step, self._until(SELECT_S), late), []
 
+    def _begin_crossing(self, _: ModeCommand) -> tuple[PendingCommand | None, list[Output]]:
+        if self._crossing.since_ns is not None:
+            raise CommandRejected("a crossing is open already; end it first")
+        return None, [self._crossing.begin(self._unit.now_ns)]
+
+    def _end_crossing(self, _: ModeCommand) -> tuple[PendingCommand | None, list[Output]]:
+        if self._crossing.since_ns is None:
+            raise CommandRejected("no crossing is open: the wheels may have turned for 100 m, which closes it")
+        return None, [self._crossing.end(self._unit.now_ns, CrossingEnd.DRIVER)]
+
 
 STARTS = {OperatorCommand.COLD_START: GnssStart.COLD, OperatorCommand.WARM_START: GnssStart.WARM}
 BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[PendingCommand | None, list[Output]]]] = {
@@ -219,4 +241,6 @@ BEGIN: dict[OperatorCommand, Callable[[Commands, ModeCommand], tuple[PendingComm
     OperatorCommand.SELECT_SOURCE: Commands._select,
     OperatorCommand.CALIBRATE_AT_REST: Commands._calibrate,
     OperatorCommand.CONFIRM_POSITION: Commands._confirm,
+    OperatorCommand.CROSSING_BEGIN: Commands._begin_crossing,
+    OperatorCommand.CROSSING_END: Commands._end_crossing,
 }

@@ -8,15 +8,17 @@ from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssOutput, GnssReceiver, GnssReset
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import LastPosition, NavigationSolution
-from shared.messages.operation import Mode, ModeAnswer, ModeCommand, ModeState
+from shared.messages.operation import Crossing, Mode, ModeAnswer, ModeCommand, ModeState
+from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Section
 
 from .commands import Commands
 from .configuration_exchange import ConfigurationExchange
+from .crossing import CrossingLog
 from .last_position import LastPositionWriter
 from .unit import Unit
 
-Output = ModeState | ModeAnswer | GnssConfigure | GnssReset | LastPosition
+Output = ModeState | ModeAnswer | GnssConfigure | GnssReset | LastPosition | Crossing
 
 
 class Config(Section):
@@ -54,7 +56,8 @@ class Process:
         self._unit = Unit()
         self._exchanges: dict[str, ConfigurationExchange] = {}
         self._last_position = LastPositionWriter(config.last_position_period_s)
-        self._commands = Commands(self._unit, self._exchange_at)
+        self._crossing = CrossingLog()
+        self._commands = Commands(self._unit, self._exchange_at, self._crossing)
         self._state: ModeState | None = None
 
     def handle(self, message: Message) -> Iterator[Output]:
@@ -70,6 +73,8 @@ class Process:
                 yield from self._last_position.take(message, self._unit.utc_offset_ns)
             case ModeCommand():
                 yield from self._commands.take(message)
+            case Crossing() | VehicleSpeed():
+                yield from self._follow_crossing(message)
             case Tick():
                 for exchange in self._exchanges.values():
                     yield from exchange.tick(self._unit.now_ns)
@@ -77,6 +82,12 @@ class Process:
         known = isinstance(message, ImuSamples) and self._state is not None and self._state.imu_source is not None
         if self._unit.started_ns is not None and not known:  # IMU samples at 100 Hz need no decision each
             yield from self._decide(at_once=isinstance(message, Tick))
+
+    def _follow_crossing(self, message: Crossing | VehicleSpeed) -> Iterator[Crossing]:
+        if isinstance(message, Crossing):
+            yield from self._crossing.adopt(message, self._unit.now_ns)
+        elif message.source == self._unit.speed.chosen:
+            yield from self._crossing.use_speed(message, self._unit.now_ns)
 
     def close(self) -> Iterator[Output]:
         """Yield the last position and the mode "shutting down"."""

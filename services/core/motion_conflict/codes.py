@@ -15,6 +15,9 @@ class Code(StrEnum):
     TRIMMED_MEAN = "motion.trimmed_mean"
     MEDIAN = "motion.median"
     EVENT = "motion.event"
+    CROSSING = "motion.crossing"  # the driver has entered a ferry or train
+    NOT_CARRIED = "motion.not_carried"
+    CARRIED_OR_SPOOFED = "motion.carried_or_spoofed"
     NO_DISTANCE = "motion.no_distance"
     DISTANCE = "motion.distance"
     ODOMETER_STANDS = "motion.odometer_stands"

@@ -1,7 +1,8 @@
-"""The motion monitor: ten separate verdicts on GNSS speed against odometer speed."""
+"""The motion monitor: eleven separate verdicts on GNSS speed against odometer speed."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import degrees
 
 from scipy.special import ndtri
 
@@ -12,9 +13,10 @@ from shared.trust.accused import GNSS, ODOMETER
 from shared.trust.inputs import Input, absent
 from shared.trust.result import Test, dated, judged
 
-from . import fast
+from . import carried, fast
 from .aligned import SECOND_NS
 from .calibration import LEARNED_DELAY_SD_S, SCALE_LIMIT, STEP_LIMIT, STEP_WINDOW_S, Calibration, RecentScale
+from .carried import Carried
 from .codes import Code
 from .comparison import SpeedComparison
 from .held import USUAL_HOLD_S
@@ -40,6 +42,8 @@ class MotionMonitor(SpeedComparison):
     def __init__(self, settings: Settings | None = None, *, start: Calibration | None = None) -> None:
         super().__init__(settings, start=start)
         self._newest: dict[str, Test] = {}
+        self.carried = Carried()
+        self.crossing_since_ns: int | None = None  # of the crossing that is open
         self._fast_limit = chi_square_limit(1, self.settings.fast_false_alarm_rate)
 
     def verdicts(self, time_ns: int) -> MotionVerdicts:
@@ -57,12 +61,36 @@ class MotionMonitor(SpeedComparison):
             scale_range=self._scale_range(missing),
             held_speed=self._held_speed(time_ns),
             fast=self._fast(time_ns),
+            carried=self._carried(time_ns),
         )
         self._newest = {name: dated(test, self._newest.get(name), time_ns) for name, test in found.named().items()}
         return MotionVerdicts(**self._newest)
 
+    def cross(self, time_ns: int, since_ns: int | None) -> None:
+        """Begin (with its stamp) or end (None) a crossing; in one no speed of GNSS is compared with the odometer's."""
+        if (since_ns is None) is not (self.crossing_since_ns is None):
+            self.distance.crossing(time_ns, since_ns is not None)
+        self.crossing_since_ns = since_ns
+
+    def _carried(self, time_ns: int) -> Test:
+        """Whether a ferry or train may carry the vehicle: a question to the driver, which silences nothing."""
+        base = _test(explain(Code.NOT_CARRIED), "rad", carried.WINDOW_S, accused=())
+        missing = self._missing(time_ns, self.settings.stale_after_s)
+        if missing is not None:
+            return replace(base, why=missing)
+        finding = self.carried.finding(time_ns)
+        if finding is None:
+            return replace(base, outcome=Outcome.PASS)
+        why = explain(
+            Code.CARRIED_OR_SPOOFED, moved_s=finding.moved_s, speed_m_s=finding.speed,
+            turn_deg=degrees(finding.turn_difference),
+        )  # fmt: skip
+        return replace(base, outcome=Outcome.PASS, why=why, doubtful=True)
+
     def _missing(self, time_ns: int, limit_s: float) -> Explanation | None:
         """Why the two speeds cannot be compared now."""
+        if self.crossing_since_ns is not None:
+            return explain(Code.CROSSING, since_ns=self.crossing_since_ns)
         gnss, odometer = {Input.GNSS_SPEED: self.speed_ns}, {Input.ODOMETER_SPEED: self.track.newest_ns}
         silent = Code.INPUT_SILENT if self.held.since_ns is None else Code.SPEED_REPEATED
         return absent(gnss, time_ns, limit_s, never=Code.NO_INPUT, silent=silent) or absent(

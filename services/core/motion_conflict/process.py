@@ -10,7 +10,8 @@ from shared.chosen import ChosenSource, gnss_choice, imu_choice, speed_choice
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.operation import ModeState
+from shared.messages.operation import Crossing, HostClock, ModeState
+from shared.messages.tachograph import TachographEvent, TachographRecords
 from shared.messages.trust import LearnedScale, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import VehicleFile, vehicle_in
@@ -22,9 +23,13 @@ from .inertial_speed.scale_change import MIN_BENDS, BendScale
 from .monitor import MotionMonitor
 from .settings import Settings
 from .statements import statements
+from .tachograph_events.recorder import TachographRecorder
 
-In = ImuSamples | GnssFix | VehicleSpeed | TrustState | LearnedScale | ModeState | Tick
-Out = TrustMonitor | LearnedScale
+In = (
+    ImuSamples | GnssFix | VehicleSpeed | TrustState | LearnedScale | ModeState | Crossing | HostClock
+    | TachographRecords | Tick
+)  # fmt: skip
+Out = TrustMonitor | LearnedScale | TachographEvent | TachographRecords
 # Fixes whose velocity is measured by satellites; dead reckoning of a receiver may come from the same wheels.
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 # Learning stops while the position is in doubt: a spoofed speed must not become the odometer's scale.
@@ -73,6 +78,7 @@ class Process:
         )
         self._imu_source = ""  # of the newest samples
         self._earlier: LearnedScale | None = None  # of an earlier drive, until the first inertial sample
+        self._tachograph = TachographRecorder()
         self._taught = 0  # bends in what was published
 
     @property
@@ -95,14 +101,26 @@ class Process:
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._use_odometer(message)
             case TrustState():
+                self._tachograph.trust(message)
                 self._monitor.calibration.frozen = self.inertial.change.frozen = forbids_learning(message)
+            case Crossing() | HostClock() | TachographRecords():
+                self._follow(message)
             case LearnedScale() if not self._imu_source:  # later ones are its own
                 self._earlier = message
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
-                yield from statements(self._monitor.verdicts(time_ns), time_ns)
+                verdicts = self._monitor.verdicts(time_ns)
+                yield from statements(verdicts, time_ns)
+                yield from self._tachograph.events(verdicts, self._monitor.raw.exceeded_s, time_ns)
                 yield statement("coherent_scale", self.inertial.verdict(time_ns), time_ns)
                 yield from self._lesson(time_ns)
+
+    def _follow(self, message: Crossing | HostClock | TachographRecords) -> None:
+        if isinstance(message, Crossing):
+            since_ns = message.since_ns if message.is_open else None
+            self._monitor.cross(max(self._newest_ns, message.sampled_ns), since_ns)
+        else:
+            self._tachograph.follow(message)
 
     def _lesson(self, time_ns: int) -> Iterator[LearnedScale]:
         """What the bends of this vehicle have taught, once for every five of them."""
@@ -135,11 +153,16 @@ class Process:
             self.rejects["imu: saturated"] += 1
             return
         self.inertial.inertial(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s)
+        for time_ns, rate in zip(batch.sampled_ns, batch.angular_rate_body_rad_s, strict=True):
+            self._monitor.carried.gyroscope(time_ns, rate[2])
 
     def _use_odometer(self, message: VehicleSpeed) -> None:
         """Use a speed; its delay against GNSS has to be known before it is compared in bends."""
         if not self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s):
             return
+        if message.speed_m_s is not None:
+            self._monitor.carried.wheels(message.sampled_ns, message.speed_m_s)
+            self._tachograph.conditions.speed(message.sampled_ns, message.speed_m_s)
         known = self._monitor.calibration.calibration
         if message.speed_m_s is not None and known.delay_sd_s <= LEARNED_DELAY_SD_S:
             late_ns = round((known.delay_s + self._config.velocity_delay_s) * SECOND_NS)
@@ -155,10 +178,14 @@ class Process:
             speed = hypot(*fix.velocity_ned_m_s[:2])
         if fix.velocity_sd_ned_m_s is not None:
             sd = max(fix.velocity_sd_ned_m_s[:2]) or None
+        self._monitor.carried.gnss(fix.sampled_ns, fix.velocity_ned_m_s)
+        if self._monitor.crossing_since_ns is not None:
+            speed = sd = None  # a ferry's: it is not compared with the wheels
         if self._monitor.gnss(fix.sampled_ns, speed, sd) and speed is not None:
             true_ns = fix.sampled_ns - round(self._config.velocity_delay_s * SECOND_NS)
             self.inertial.gnss(true_ns, speed, max(self._config.gnss_sd_floor_m_s, sd or self._config.gnss_sd_m_s))
         if fix.latitude_deg is not None and fix.longitude_deg is not None:
+            self._tachograph.conditions.position(fix.sampled_ns, fix.utc_ns)
             self._monitor.position(fix.sampled_ns, fix.latitude_deg, fix.longitude_deg)
 
 

@@ -1,6 +1,7 @@
 """Statements of the tests on both speeds: those of the tachograph, and the fast test."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from shared.messages.trust import Outcome, TrustMonitor
 from shared.trust.result import statement
@@ -23,5 +24,7 @@ def statements(verdicts: MotionVerdicts, time_ns: int) -> Iterator[TrustMonitor]
     fast = tests.pop("fast")
     passing = verdicts.calibrated if verdicts.calibrated.outcome is Outcome.PASS else verdicts.trimmed_mean
     decides = next((tests[name] for name in PRIORITY if tests[name].accuses), passing)
+    if verdicts.carried.doubtful:
+        decides = replace(decides, doubtful=True)
     yield statement("motion", decides, time_ns, tests)
     yield statement("motion_fast", fast, time_ns)

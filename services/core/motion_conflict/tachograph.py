@@ -163,6 +163,14 @@ class DistanceRule:
         )
         self._start: tuple[int, Geodetic] | None = None
         self._last: tuple[int, float] | None = None
+        self._ferry_s = 0.0  # time of crossings since the interval's start
+        self._ferry_ns: int | None = None  # begin of the crossing that is open, or the interval's start within it
+
+    def crossing(self, time_ns: int, is_open: bool) -> None:
+        """Begin or end a crossing by ferry or train, whose time lengthens the limit."""
+        if self._ferry_ns is not None:
+            self._ferry_s += max(0, time_ns - self._ferry_ns) / SECOND_NS
+        self._ferry_ns = time_ns if is_open else None
 
     def odometer(self, time_ns: int, speed: float) -> None:
         """Integrate a speed [m/s] by the trapezoidal rule."""
@@ -183,8 +191,11 @@ class DistanceRule:
             interrupted = self._last is None or abs(time_ns - self._last[0]) > self.gap_s * SECOND_NS
             if self.travelled_m is not None and not interrupted:
                 chord_m = dist(ecef_from_geodetic(here), ecef_from_geodetic(self._start[1]))
-                self.compared = (chord_m, distance_limit(self.travelled_m), self._start[0], time_ns)
-        self._start, self.travelled_m = (time_ns, here), 0.0
+                self.crossing(time_ns, self._ferry_ns is not None)
+                limit_m = distance_limit(self.travelled_m, self._ferry_s)
+                self.compared = (chord_m, limit_m, self._start[0], time_ns)
+        self._start, self.travelled_m, self._ferry_s = (time_ns, here), 0.0, 0.0
+        self._ferry_ns = None if self._ferry_ns is None else time_ns
 
 
 class MotionSensorRule:

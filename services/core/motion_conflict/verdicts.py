@@ -22,6 +22,7 @@ class MotionVerdicts:
     scale_range: Test  # scale that no tyre explains
     held_speed: Test  # receiver repeats its last speed
     fast: Test  # difference of speeds over 5 s against its own noise
+    carried: Test  # whether a ferry or train may carry the vehicle: it doubts, and never accuses
 
     def named(self) -> dict[str, Test]:
         """All of them by name."""

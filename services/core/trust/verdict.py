@@ -214,7 +214,7 @@ def _unresolved(facts: Facts) -> Explanations:
         found.append(explain(Code.IMU_NOT_AGREED))
     if accusing := facts.accusing((Monitor.EVIDENCE,)):
         found += [explain(Code.GNSS_DISTURBED), *_statements(accusing)]
-    for monitor in (*INERTIAL, Monitor.GYROSCOPE):
+    for monitor in (*INERTIAL, Monitor.GYROSCOPE, Monitor.MOTION):
         statement = facts.statement(monitor)
         if statement.doubtful and statement.outcome is Outcome.PASS:
             found.append(explain(Code.MONITOR_DOUBTFUL, monitor=monitor))

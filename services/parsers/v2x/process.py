@@ -15,6 +15,7 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, Tick
 from shared.messages.fitting import parts
 from shared.messages.gnss import GnssFix
+from shared.messages.neighbours import NeighbourStates
 from shared.messages.v2x import (
     Authentication,
     Cam,
@@ -32,6 +33,8 @@ from shared.v2x.security.envelope import SignedPacket, without_envelope
 from shared.v2x.security.trusted import Trusted
 from shared.v2x.security.verifier import Stated, Verdict
 
+from .neighbours import ReceivedNeighbours
+
 MAX_FRAMES = 1024  # of one batch
 LIST_BYTES = BY_NAME["v2x/cam"].most_bytes - 1_000  # of CAM in one message
 CERTAIN_CAMS = LIST_BYTES // 10_000  # so many fit, also with the longest frames and paths
@@ -41,6 +44,8 @@ SIMULATED_TRUST = Path("deploy/trust")  # with the root of the simulated traffic
 TRAFFIC, RADIO = "sensors.traffic", "sensors.v2x"
 LOOPBACK = ("", "127.0.0.1", "::1", "localhost")  # hosts of frames that no radio has received; none: the default
 S_PER_H = 3600.0
+NEIGHBOURS_PERIOD_NS = 1_000_000_000
+RADIO_NAME = "v2x0"  # source of neighbours before any batch has named one
 UNSIGNED = Verdict(Authentication.UNSIGNED)
 
 
@@ -95,6 +100,11 @@ class Config(Section):
         default=10_000.0, gt=0.0, description="CAM of stations further from this unit's GNSS position are rejected"
     )
     security: SecuritySettings = SecuritySettings()
+    neighbours: bool = Field(
+        default=False,
+        description="publish the stations as neighbours for core.cooperative, once a second, with the carrier "
+        "frequency offset where the radio gives one; not beside sensors.simulator, which publishes its own",
+    )
     simulated: bool = Field(
         default=False,
         description="the unit runs beside sensors.traffic, and its radio is simulated: test roots are trusted; follows "
@@ -146,9 +156,11 @@ class Process:
         self._utc_offset_ns = 0  # UTC - OBU time line; the line begins at the host's UTC
         self._position: Geodetic | None = None
         self._own_station: int | None = None
+        self._neighbours = ReceivedNeighbours(self.rejects) if config.neighbours else None
+        self._published_ns = 0  # of the neighbours
         self._source = ""  # of the newest batch
 
-    def handle(self, message: Message) -> Iterator[CamList | V2xSend]:
+    def handle(self, message: Message) -> Iterator[CamList | V2xSend | NeighbourStates]:
         """Process a batch of frames, a CAM to be sent, or a fix."""
         match message:
             case CamFrames():
@@ -163,6 +175,14 @@ class Process:
             case Tick():
                 waited = [*self._trusted.expire(message.now_ns), *self._trusted.reload(message.now_ns)]
                 yield from self._listed([cam for item in waited if (cam := self._judged(*item))], message.now_ns)
+                yield from self._neighbours_at(message.now_ns)
+
+    def _neighbours_at(self, now_ns: int) -> Iterator[NeighbourStates]:
+        if self._neighbours is None or now_ns - self._published_ns < NEIGHBOURS_PERIOD_NS:
+            return
+        self._published_ns = now_ns
+        if (states := self._neighbours.states(now_ns, self._source or RADIO_NAME)) is not None:
+            yield states
 
     def _listed(self, cams: Sequence[Cam], received_ns: int) -> Iterator[CamList]:
         for part in [cams] if 0 < len(cams) <= CERTAIN_CAMS else parts(cams, LIST_BYTES):
@@ -172,7 +192,9 @@ class Process:
         for item in self._trusted.expire(batch.received_ns):
             if waited := self._judged(*item):
                 yield waited
-        for received_ns, frame in self._unpacked(batch.data):
+        for number, (received_ns, frame) in enumerate(self._unpacked(batch.data)):
+            if self._neighbours is not None and number < len(batch.cfo_hz):
+                self._neighbours.note_offset(received_ns, frame, batch.cfo_hz[number])
             with self._faults.decoding(batch.received_ns):
                 try:
                     decoded = self._decode(frame, received_ns, batch.encapsulation)
@@ -232,7 +254,7 @@ class Process:
             self.rejects[verdict.refused] += 1
             return None
         try:
-            return Cam(
+            made = Cam(
                 **decoded.content,
                 sampled_ns=decoded.generated_ns,
                 received_ns=decoded.received_ns,
@@ -242,6 +264,9 @@ class Process:
                 signer=decoded.signed.signer.hex() if decoded.signed else None,
                 unverified=verdict.unverified,
             )
+            if self._neighbours is not None:
+                self._neighbours.note(made, decoded.frame)
+            return made
         except ValidationError:
             self.rejects["range"] += 1
             return None
@@ -293,7 +318,7 @@ class Process:
 def _is_here(device: object) -> bool:
     """Whether frames from a device come from this computer, by UDP."""
     parts = urlsplit(str(device))
-    return parts.scheme in ("", "udp") and (parts.hostname or "") in LOOPBACK
+    return parts.scheme in ("", "udp", "udp+json") and (parts.hostname or "") in LOOPBACK
 
 
 def _is_accurate(own: OwnCam) -> bool:

@@ -73,7 +73,7 @@ class Process:
             link.lose(bus, error)
             return
         link.note_working(bus)
-        accepted = arrived[: self._accept(len(arrived))]
+        accepted, offsets = arrived[: self._accept(len(arrived))], radio.cfo_hz
         if len(accepted) < len(arrived):
             bus.rejects["frame_rate"] += len(arrived) - len(accepted)
         now_ns = bus.now_ns()
@@ -85,6 +85,7 @@ class Process:
                     source=self._config.source,
                     encapsulation=radio.encapsulation,
                     data=frames.pack(batch),
+                    cfo_hz=tuple(offsets[first : first + len(batch)]),
                 )
             )
 

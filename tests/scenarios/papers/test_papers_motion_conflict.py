@@ -57,7 +57,10 @@ def test_figures_and_json_are_written(paper: Paper, tmp_path: Path, capsys: pyte
     assert publish(paper, json=True, out=tmp_path) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["break_points"]["highway"]["bias"] == 70.0 and document["deviations"] == []
-    assert {path.name for path in tmp_path.iterdir()} == {"sweeps.svg", "nominal-differences.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "sweeps.svg", "nominal-differences.svg", "tunnels.svg", "correlation-of-both-speeds.svg",
+        "histograms-of-the-statistics.svg", "result.json",
+    }  # fmt: skip
 
 
 def test_a_number_outside_its_tolerance_fails_the_command(paper: Paper, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from cli.papers import navigation as drives
 from cli.papers import outages, papers
+from cli.papers.navigation_figures import OUTAGE_S, simulate_drawn
 from shared.errors import UserError
 
 pytestmark = pytest.mark.slow
@@ -71,6 +72,16 @@ def test_the_odometer_limits_the_drift_in_outages() -> None:
     assert outages.shortcomings([row]) == []
 
 
+def test_figures_of_the_degraded_drives_are_written() -> None:
+    """The outage of the first drive is 30 s without a fix, in which the error of the fusion stays below 10 m."""
+    case = next(case for case in drives.CASES if case.paper_fused)
+    drawn = simulate_drawn(case)
+    begin, end = OUTAGE_S
+    assert not ((drawn.fix_s > begin) & (drawn.fix_s < end)).any()
+    assert np.abs(drawn.fused[(drawn.fused_s > 15.0)]).max() < 10.0
+    assert np.abs(drawn.speed[drawn.fused_s > 15.0]).max() < 1.5
+
+
 def test_exceeded_limits_are_printed(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     poor = [drives.Result(case, (9.0, 4.0, 2.0), (10.0, 1.0, 1.0), 1e-3, 0.5) for case in drives.CASES]
     lost = [outages.Outages(aids, np.array([[0.3, 0.4, 9.0], [0.3, 0.6, 9.0]])) for aids in outages.AIDS]
@@ -85,7 +96,7 @@ def test_exceeded_limits_are_printed(capsys: pytest.CaptureFixture[str], monkeyp
     assert document["outages"][2]["median_m"] == pytest.approx([0.3, 0.5, 9.0])
     assert document["fitted"] and "the paper has 0.90 0.70 1.02 m" in document["not_reproduced"][0]
     # ratio and mean of the five drives, eleven axes, white errors, two with known errors, outages of 30 and 60 s
-    assert len(document["shortcomings"]) == 2 + 11 + 1 + 2 + 2
+    assert len(document["deviations"]) == 2 + 11 + 1 + 2 + 2
 
 
 def test_zero_runs_are_reported_with_an_example() -> None:

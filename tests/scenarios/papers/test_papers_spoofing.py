@@ -60,7 +60,7 @@ def test_standard_deviations_have_the_size_of_the_reference(
     assert sigma("gyroscope", Metric.ACCELERATION_EAST)[0] == pytest.approx(0.08, rel=0.25)
     assert all(value == pytest.approx(0.18, rel=0.25) for value in sigma("paper_raw", Metric.ALTITUDE_RATE))
     assert all(value == pytest.approx(0.045, rel=0.25) for value in sigma("paper", Metric.ALTITUDE_RATE))
-    assert len(list(tmp_path.glob("*.svg"))) == 3
+    assert len(list(tmp_path.glob("*.svg"))) == 7
 
 
 def test_without_barometer_a_climb_is_not_detected(paper: Paper) -> None:

@@ -8,6 +8,7 @@ from shared.messages.explanation import Explanation
 from shared.messages.gnss import GnssFix, GnssSatellites
 from shared.messages.navigation import NavigationSolution, NavigationState, SetUpState, TruthState
 from shared.messages.operation import (
+    Crossing,
     Freshness,
     ModeState,
     Origin,
@@ -16,6 +17,7 @@ from shared.messages.operation import (
     ProcessStatus,
     RecordingState,
 )
+from shared.messages.tachograph import TachographRecords
 from shared.messages.trust import TrustState
 from shared.messages.uplink import UplinkState
 from shared.page.answers import Object
@@ -105,6 +107,8 @@ def common(state: State, now_ns: int) -> StateShown:
         "navigation": _dated(state, "navigation/state", NavigationState, now_ns),
         "set_up": _dated(state, "navigation/set_up", SetUpState, now_ns),
         "mode": _dated(state, "mode/state", ModeState, now_ns),
+        "tachograph": _dated(state, "tachograph/records", TachographRecords, now_ns),
+        "crossing": _dated(state, "mode/crossing", Crossing, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
         "uplink": _dated(state, "uplink/state", UplinkState, now_ns),
         "processes": processes(state, now_ns),

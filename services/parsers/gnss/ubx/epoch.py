@@ -73,6 +73,7 @@ class Epoch:
             itow_ms=self.itow_ms,
             utc_ns=utc,
             time_valid=time_valid,
+            time_sd_ns=None,
             fix_type=status.fix_type,
             fix_ok=status.fix_ok,
             differential=status.differential,
@@ -205,12 +206,16 @@ def fix_from_epoch(epoch: Epoch, pvt: messages.Pvt, *, sampled_ns: int, source: 
         pdop=dop.pdop or pvt.pdop,
         hdop=dop.hdop,
         vdop=dop.vdop,
+        gdop=dop.gdop,
+        tdop=dop.tdop,
+        time_sd_s=pvt.time_sd_ns / 1e9 if pvt.time_valid and pvt.time_sd_ns is not None else None,
         correction_age_s=pvt.correction_age_s,
         baseline_heading_rad=epoch.baseline.heading_rad if epoch.baseline else None,
         baseline_heading_sd_rad=epoch.baseline.heading_sd_rad if epoch.baseline else None,
         baseline_length_m=epoch.baseline.length_m if epoch.baseline else None,
         stated_horizontal_level_m=epoch.levels.horizontal_m if epoch.levels else None,
         stated_vertical_level_m=epoch.levels.vertical_m if epoch.levels else None,
+        stated_level_ned_m=epoch.levels.ned_m if epoch.levels else None,
     )
 
 

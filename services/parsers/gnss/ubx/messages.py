@@ -26,9 +26,10 @@ SIZES = {
 }  # [bytes] minimum payload  # fmt: skip
 _PVT_WITH_FLAGS3 = 92  # [bytes] since protocol 15; reserved in the earlier 84-byte form
 _VERSION_FIRST = {"HPPOSLLH": 4, "RELPOSNED": 4, "PL": 12}  # offset of the time of week where it is not the first field
+_UNKNOWN_TIME_NS = 1_000_000_000  # accuracies of a second and more: the time is not known
 _PVT = struct.Struct("<IH6BIi4B4i2I5i2IH")
 _PVAT = struct.Struct("<IxBH5B3x4xi4B4i2I4iI12xi")
-_DOP = struct.Struct("<I2xH2xHH")
+_DOP = struct.Struct("<I5H")
 _COV = struct.Struct("<IxBB9x12f")
 _POSITION = struct.Struct("<I4i2I")
 _HIGH_PRECISION = struct.Struct("<3xBI4i4b2I")
@@ -127,6 +128,7 @@ class Pvt:
     itow_ms: int
     utc_ns: int | None  # None for an impossible date
     time_valid: bool
+    time_sd_ns: int | None
     fix_type: FixType
     fix_ok: bool
     differential: bool
@@ -148,6 +150,8 @@ class Dop:
     pdop: float | None
     vdop: float | None
     hdop: float | None
+    gdop: float | None = None
+    tdop: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +177,7 @@ class Levels:
 
     horizontal_m: float | None
     vertical_m: float | None
+    ned_m: tuple[float, float, float] | None = None  # of the axes, where they are those of north and east
 
 
 def itow_of(kind: str, payload: bytes) -> int:
@@ -186,7 +191,7 @@ def itow_of(kind: str, payload: bytes) -> int:
 def decode_pvt(payload: bytes) -> Pvt:
     """Decode UBX-NAV-PVT; raises UbxError for an unknown fix type."""
     (
-        itow, year, month, day, hour, minute, second, valid, _, nano, fix_type, flags, _, satellites, lon, lat,
+        itow, year, month, day, hour, minute, second, valid, t_acc, nano, fix_type, flags, _, satellites, lon, lat,
         height, msl, h_acc, v_acc, vel_n, vel_e, vel_d, speed, course, s_acc, _, pdop,
     ) = _PVT.unpack_from(payload)  # fmt: skip
     flags3 = int.from_bytes(payload[78:80], "little") if len(payload) >= _PVT_WITH_FLAGS3 else 0
@@ -195,6 +200,7 @@ def decode_pvt(payload: bytes) -> Pvt:
         itow_ms=itow,
         utc_ns=utc_ns((year, month, day, hour, minute, second), nano),
         time_valid=valid & 7 == 7,
+        time_sd_ns=t_acc if 0 < t_acc < _UNKNOWN_TIME_NS else None,
         fix_type=_fix_type(fix_type),
         fix_ok=bool(flags & 1),
         differential=bool(flags & 2),
@@ -220,6 +226,7 @@ def decode_pvat(payload: bytes) -> Pvt:
         itow_ms=itow,
         utc_ns=utc_ns((year, month, day, hour, minute, second), nano),
         time_valid=valid & 7 == 7,
+        time_sd_ns=None,
         fix_type=_fix_type(fix_type),
         fix_ok=bool(flags & 1),
         differential=bool(flags & 2),
@@ -237,8 +244,8 @@ def decode_pvat(payload: bytes) -> Pvt:
 
 def decode_dop(payload: bytes) -> Dop:
     """Decode UBX-NAV-DOP."""
-    _, pdop, vdop, hdop = _DOP.unpack_from(payload)
-    return Dop(_dop(pdop), _dop(vdop), _dop(hdop))
+    _, gdop, pdop, tdop, vdop, hdop = _DOP.unpack_from(payload)
+    return Dop(_dop(pdop), _dop(vdop), _dop(hdop), _dop(gdop), _dop(tdop))
 
 
 def decode_covariance(payload: bytes) -> Covariance:
@@ -327,7 +334,8 @@ def decode_levels(payload: bytes) -> Levels:
     if not valid or frame not in (1, 2, 3):
         return Levels(None, None)
     horizontal = first if frame == 3 else math.hypot(first, second)  # 3: the greater half-axis is the first
-    return Levels(horizontal * 1e-3, third * 1e-3)
+    ned_m = (first * 1e-3, second * 1e-3, third * 1e-3) if frame == 1 else None
+    return Levels(horizontal * 1e-3, third * 1e-3, ned_m)
 
 
 def itow_ms(payload: bytes) -> int:

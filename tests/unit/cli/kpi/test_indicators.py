@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cli.kpi.indicators import INDICATORS, NS, DriveObservations, indicators_of
+from cli.kpi.indicators import INDICATORS, NS, DriveObservations, _errors, indicators_of
 from cli.kpi.page import page
 from cli.solve.metrics.errors import Errors
 from cli.solve.metrics.gnss_alone import GnssAlone
 from cli.solve.track import Track, TrackBuilder
 from cli.solve.verdicts import VerdictLog, Verdicts
 from shared.messages.gnss import CarrierSolution
+from shared.messages.power import PowerState
 from shared.messages.trust import TrustLevel
 from tests.support.outputs import fix, satellites, solution, verdict
 
@@ -53,6 +54,7 @@ def drive(**changes: object) -> DriveObservations:
         verdicts=verdicts((0, TrustLevel.SAFE)),
         fixes=[fix(START_NS + second * NS, None) for second in range(100)],
         satellites=[satellites(START_NS)],
+        power=[],
         errors=None,
         gnss_alone=None,
         alert_limits_m=(10.0, 20.0),
@@ -147,3 +149,39 @@ def test_the_page_holds_every_indicator_and_escapes_what_a_recording_says() -> N
     assert all(f"<code>{row.name}</code>" in text for row in INDICATORS)
     assert "<b>" not in text and "&lt;b&gt;" in text and "x &amp; y" in text
     assert "http" not in text
+
+
+def test_the_rows_of_the_papers_table_are_those_of_the_fixes() -> None:
+    """Mean and sigma of the axes, geometric and time dilution, the receiver's own levels, accuracy of its time."""
+    error = np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]])
+    found = _errors("gnss", error)
+    assert (found["gnss_north_mean_m"], found["gnss_north_sigma_m"]) == (2.0, 1.0)
+    assert (found["gnss_east_mean_m"], found["gnss_east_sigma_m"]) == (2.0, 0.0)
+    stated = {"gdop": 2.0, "tdop": 0.8, "time_sd_s": 4e-9}
+    levels = [(4.0, 5.0, 6.0), (6.0, 5.0, 8.0)]
+    fixes = [
+        fix(START_NS + k * NS, None).model_copy(update={**stated, "stated_level_ned_m": levels[k % 2]})
+        for k in range(10)
+    ]
+    found = indicators_of(drive(fixes=fixes))
+    assert (found["gdop_median"], found["tdop_median"], found["time_accuracy_mean_s"]) == (2.0, 0.8, 4e-9)
+    assert (found["receiver_level_north_mean_m"], found["receiver_level_north_sigma_m"]) == (5.0, 1.0)
+    assert (found["receiver_level_down_mean_m"], found["receiver_level_east_sigma_m"]) == (7.0, 0.0)
+    assert found["satellites_received_mean"] == len(satellites(START_NS).satellites)
+    assert indicators_of(drive())["receiver_level_north_mean_m"] is None, "most receivers state none"
+
+
+def test_consumption_and_autonomy_are_those_of_the_time_on_the_battery() -> None:
+    """7.4 V and 0.5 A for half an hour of two are 3.7 W; a quarter of the charge in it lasts 2 h when full."""
+    power = [
+        PowerState(
+            sampled_ns=START_NS + k * 10 * NS, source="ups0", on_battery=k <= 180, voltage_v=7.4,
+            current_a=-0.5 if k <= 180 else 0.2, charge_ratio=max(0.75, 1.0 - 0.25 * k / 180), reason="",
+        )
+        for k in range(720)
+    ]  # fmt: skip
+    found = indicators_of(drive(power=power))
+    assert found["on_battery_s"] == 1800.0
+    assert found["consumption_mean_w"] == pytest.approx(3.7)
+    assert found["autonomy_h"] == pytest.approx(2.0)
+    assert indicators_of(drive())["consumption_mean_w"] is None

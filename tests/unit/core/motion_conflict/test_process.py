@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.core.motion_conflict.codes import Code
-from services.core.motion_conflict.process import Config, Process, forbids_learning
+from services.core.motion_conflict.process import Config, Out, Process, forbids_learning
 from services.sensors.simulator.drive import Drive, simulate
 from shared.messages.base import Tick
 from shared.messages.explanation import explain
@@ -150,7 +150,7 @@ def scaled(drive: Drive, factor: float, begin_s: float) -> Drive:
     )
 
 
-def published(process: Process, drive: Drive) -> Iterator[TrustMonitor | LearnedScale]:
+def published(process: Process, drive: Drive) -> Iterator[Out]:
     """Messages of a drive with an odometer in steps of 1 km/h."""
     for message in inputs(drive, resolution_m_s=KM_H):
         yield from process.handle(message)

@@ -5,6 +5,7 @@ import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, monitorsStand,
 } from "../parts.js";
 import { AttacksCard } from "./attacks.js";
+import { CrossingCard, TachographCard } from "./records.js";
 import { HypothesesCard, hypothesesNow, probability } from "./hypotheses.js";
 import { w as hypothesisWords } from "./hypothesis_words.js";
 import { words } from "../words.js";
@@ -221,5 +222,5 @@ export function TrustPage({ query, go }) {
   clock.value;
   link.value;
   brokerAnswers();
-  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
+  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${HypothesesCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${CrossingCard} /><${EventsCard} /><${TachographCard} /></div>`;
 }

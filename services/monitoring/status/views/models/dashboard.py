@@ -252,6 +252,8 @@ class State(TypedDict):
     navigation: Object | None
     set_up: Object | None
     mode: Object | None
+    crossing: Object | None
+    tachograph: Object | None
     recording: Object | None
     uplink: Object | None
     processes: dict[str, ProcessShown]

@@ -242,6 +242,7 @@ def test_the_carrier_solution_follows_from_the_flags_of_nav_pvt(flags: int, solu
 def test_every_field_of_nav_dop_is_decoded_with_its_unit() -> None:
     dop = decode("DOP", DOP.pack(250, 1, 202, 3, 304, 405, 9999, 0))
     assert (dop.pdop, dop.vdop, dop.hdop) == pytest.approx((2.02, 3.04, 4.05))
+    assert (dop.gdop, dop.tdop) == pytest.approx((0.01, 0.03))
 
 
 def test_every_field_of_nav_cov_is_decoded_with_its_unit() -> None:
@@ -433,6 +434,8 @@ def test_nav_pvat_and_nav_pl_are_decoded_as_by_pyubx2() -> None:
     ellipse = encode("NAV-PL", version=1, plPosValid=1, plPosFrame=3, plPos1=3000, plPos2=2000, plPos3=7000)
     assert messages.decode_levels(ellipse) == messages.Levels(3.0, 7.0)
     assert messages.decode_levels(encode("NAV-PL", version=1, plPosFrame=1)) == messages.Levels(None, None)
+    axes = encode("NAV-PL", version=1, plPosValid=1, plPosFrame=1, plPos1=3000, plPos2=4000, plPos3=7000)
+    assert messages.decode_levels(axes) == messages.Levels(5.0, 7.0, (3.0, 4.0, 7.0))
 
 
 @pytest.mark.parametrize("kind", ["PVT", "PVAT"])

@@ -1,0 +1,1 @@
+"""Events of the smart tachograph: what begins and ends them, and which records are kept."""
