@@ -124,6 +124,6 @@ def test_what_is_refused_says_why_and_only_what_differs_is_shown_on_request(
         reasons=found.refusals,
     )  # fmt: skip
     server.bus.feed(SettingsAnswer(sampled_ns=server.bus.now_ns(), change=change), "controller.settings")
-    expect(page.get_by_text("Not changed: refused:")).to_contain_text("less than or equal to 2")
+    expect(page.get_by_text("Not changed: the value cannot be used:")).to_contain_text("less than or equal to 2")
     page.get_by_role("button", name="Discard").click()
     expect(page.get_by_label("gnss delay s", exact=True)).to_have_value("0.0")

@@ -51,7 +51,7 @@ def test_a_road_side_unit_opens_on_its_plaza_and_has_no_pages_of_a_vehicle(
     page = open_page(plazas["normal"].address)
     expect(page.get_by_role("heading", name="Plaza example")).to_be_visible()
     links = page.get_by_role("navigation", name="Pages").get_by_role("link")
-    expect(links).to_have_text(["Map", "Toll", "Recordings", "System"])
+    expect(links).to_have_text(["Map", "Toll", "Recordings", "System", "Settings"])
 
 
 def test_vehicles_lanes_passages_and_accounts_are_shown(

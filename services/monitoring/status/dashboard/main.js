@@ -18,7 +18,7 @@ const LATER = {
   gnss: () => import("./gnss/gnss.js").then((m) => m.GnssPage),
   charts: () => import("./charts/charts.js").then((m) => m.ChartsPage),
   trust: () => import("./trust/trust.js").then((m) => m.TrustPage),
-  toll: () => import("./toll.js").then((m) => m.TollPage),
+  toll: () => import("./toll/toll.js").then((m) => m.TollPage),
   recordings: () => import("./recordings/recordings.js").then((m) => m.RecordingsPage),
   system: () => import("./system/system.js").then((m) => m.SystemPage),
   settings: () => import("./settings/settings.js").then((m) => m.SettingsPage),
@@ -125,6 +125,7 @@ function Header({ onHelp }) {
     <p class="who"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
     <${Origin} />${!watch() && html`<${Watched} /><${Chain} />`}<${Clock} />
     <div class="tools">
+      ${state.value && pagesHere().includes("settings") && html`<a class="ghost icon-only to-settings" href="#/settings" aria-label=${words.pages.settings} title=${words.pages.settings}><${Icon} name="settings" /></a>`}
       ${session.value?.session && html`<button class="ghost icon-only" onClick=${logOut} aria-label=${words.logOut(session.value.name)} title=${words.logOut(session.value.name)}><${Icon} name="logOut" /></button>`}
       <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
       <button class="ghost icon-only" onClick=${onHelp} aria-label=${words.help} title=${words.help}><${Icon} name="help" /></button>
@@ -211,7 +212,7 @@ function Replay() {
 function Navigation({ page }) {
   const problems = state.value?.problems.length ?? 0;
   return html`<nav class="pages" aria-label=${words.navigation}><ul>
-    ${pagesHere().map((name) => html`<li><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
+    ${pagesHere().map((name) => html`<li class=${name}><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
       <${Icon} name=${name} />${words.pages[name]}${name === "system" && problems > 0 && html`<span class="badge">${problems}</span>`}</a></li>`)}
   </ul></nav>`;
 }

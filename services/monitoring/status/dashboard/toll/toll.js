@@ -1,10 +1,11 @@
 // The page Toll of a road-side unit: the plaza from above, its lanes, its passages, and the account of every detection.
 import { useState } from "preact/hooks";
-import { clock, isOld as old, link, nowMs, state } from "./store.js";
-import { Age, Card, Drawer, Empty, Row, StateIcon, compass, duration, fixed, html, languageOf, metres, percent, rate, timeOfDay, told } from "./parts.js";
-import { words } from "./words.js";
+import { clock, isOld as old, link, nowMs, state } from "../store.js";
+import { Age, Card, Drawer, Empty, Row, StateIcon, compass, duration, fixed, html, languageOf, metres, percent, rate, timeOfDay, told } from "../parts.js";
+import { words } from "../words.js";
+import { tollWords } from "./toll_words.js";
 
-const w = words.tollPage;
+const w = tollWords;
 const PATH_S = 10;
 const LETTER_M = 8; // of the names of lanes in their margin
 const STATE_ICON = { open: "info", crossed: "info", charged: "safe", held: "caution", undecided: "caution", unregistered: "off", suspect: "unsafe", void: "off", missed: "unsafe" };
