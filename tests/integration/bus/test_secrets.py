@@ -7,6 +7,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
+from paho.mqtt.client import topic_matches_sub
 
 from broker.keys import rows_of
 from shared.bus.bus import Bus
@@ -15,7 +16,7 @@ from shared.messages.navigation import LastPosition
 from shared.messages.operation import ProcessState
 from shared.runtime import credentials
 from shared.runtime.config import BrokerAddress, parse_vehicle
-from shared.topics import TOPICS, on_request, subscriptions
+from shared.topics import BY_NAME, SETTINGS, TOPICS, on_request, subscriptions
 from tests.support.bus import brokers
 from tests.support.bus.mqtt import Client
 from tests.support.patience import HANGS_S
@@ -114,7 +115,11 @@ def test_rights_are_those_of_the_two_tables_and_of_this_vehicle_alone(broker: br
                 for vehicle in ("car", "other"):
                     each.publish(f"obu/{vehicle}/{topic.name.replace('+', name)}", name)
         for name, each in clients.items():
-            wanted = TOPICS if name == "observer.1" else [*subscriptions(name), *on_request(name)]
+            patterns = [topic.name for topic in (*subscriptions(name), *on_request(name), BY_NAME[SETTINGS])]
+            wanted = [
+                topic for topic in TOPICS
+                if name == "observer.1" or any(topic_matches_sub(pattern, topic.name) for pattern in patterns)
+            ]  # fmt: skip
             allowed = {
                 (f"obu/car/{topic.name.replace('+', sender)}", sender)
                 for topic in wanted
