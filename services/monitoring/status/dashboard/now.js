@@ -153,15 +153,15 @@ function SpeedCard() {
   state.value;
   const values = SERIES.map(([name, field]) => [name, t[name], newest(field)]);
   const any = SERIES.some(([, field]) => history.fields[field]?.some((v) => v != null));
-  const described = values.map(([, label, v]) => `${label} ${v === null ? words.topics.stale : `${v.toFixed(1)} ${t.unitName}`}`).join(", ");
+  const described = values.map(([, label, v]) => `${label} ${v === null ? words.topics.stale : `${v.toFixed(1)} ${t.unitNames[speedUnit()]}`}`).join(", ");
   const rows = history.time_ns.map((ns, i) => [ns, i]).filter(([, i]) => (history.time_ns.length - 1 - i) % 25 === 0).reverse();
   return html`<${Card} title=${t.title} note=${t.last} id="speed" class="speed-card"
     aside=${any && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${!any ? html`<${Empty} title=${t.empty} />`
-      : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${t.unit}</th>`)}</tr></thead>
+      : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${speedUnit()}</th>`)}</tr></thead>
           <tbody>${rows.map(([ns, i]) => html`<tr><th scope="row">${timeOfDay(ns / 1e6)}</th>${SERIES.map(([, f]) => html`<td>${fixed(history.fields[f]?.[i] == null ? null : history.fields[f][i] * speedFactor(), 1)}</td>`)}</tr>`)}</tbody></table></div>`
       : html`<div role="img" aria-label=${t.label(described)}><${Plot} theme=${themeName()} /></div>`}
-    <ul class="legend">${values.map(([name, label, v]) => html`<li><span class="key ${name}"></span><span>${label}</span><strong>${fixed(v, 1)}</strong><span class="dim">${t.unit}</span></li>`)}</ul>
+    <ul class="legend">${values.map(([name, label, v]) => html`<li><span class="key ${name}"></span><span>${label}</span><strong>${fixed(v, 1)}</strong><span class="dim">${speedUnit()}</span></li>`)}</ul>
   </${Card}>`;
 }
 
